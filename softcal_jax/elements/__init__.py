@@ -7,13 +7,33 @@ from softcal_jax.elements._shape import (
     shape_functions,
     shape_gradients,
 )
+from softcal_jax.elements._tensors import (
+    axial,
+    cofactor,
+    determinant,
+    matmul,
+    rotation,
+    skew,
+    solve3,
+    spin,
+    symmetric,
+)
 
 __all__ = [
     "TET_EDGES",
     "TET_FACES",
     "QuadratureRule",
+    "axial",
+    "cofactor",
+    "determinant",
+    "matmul",
+    "rotation",
     "shape_functions",
     "shape_gradients",
+    "skew",
+    "solve3",
+    "spin",
+    "symmetric",
     "tet_rule",
     "triangle_rule",
 ]

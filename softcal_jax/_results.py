@@ -1,0 +1,28 @@
+"""Outcomes of the numerical parts, with messages a person can read."""
+
+import equinox as eqx
+
+
+class RESULTS(eqx.Enumeration):
+    """Outcome of an equilibrium: a traced value, compared with `==`."""
+
+    converged = "converged"
+    max_steps = (
+        "Newton did not converge within max_steps; raise max_steps, or check that the "
+        "load is what you meant (units of force, density, modulus)"
+    )
+    load_step_too_small = (
+        "load stepping gave up: no Newton step succeeded on the smallest load "
+        "increment; the load may be beyond what the body can carry (buckling, collapse)"
+    )
+    unstable = (
+        "the state is unstable: its tangent has negative eigenvalues (buckling), so no "
+        "stable equilibrium follows this load path"
+    )
+    singular = (
+        "the tangent is singular: a part of the body is not held; check the supports"
+    )
+    inverted = (
+        "equilibrium found, but some tets are inverted (det F <= 0): refine the mesh or "
+        "reduce the load, the result is not physical"
+    )

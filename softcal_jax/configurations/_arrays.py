@@ -1,0 +1,44 @@
+"""Configurations as arrays: what the solver sees, one lane per configuration."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float, Int
+
+
+class EffectorArrays(eqx.Module):
+    """Measured points; configurations with fewer markers are padded with weight zero.
+
+    Attributes:
+        nodes: Nodes of the tet that carries each marker.
+        weights: Their weights [-]; position = sum of weights times node positions.
+        measured: Measured positions, in the frame of the mesh [m].
+        inverse_std: 1 / standard deviation per coordinate; 0 where not measured [1/m].
+    """
+
+    nodes: Int[Array, "*batch n_markers n_en"]
+    weights: Float[Array, "*batch n_markers n_en"]
+    measured: Float[Array, "*batch n_markers 3"]
+    inverse_std: Float[Array, "*batch n_markers 3"]
+
+    def positions(self, x: Float[Array, "n_nodes 3"]) -> Float[Array, "n_markers 3"]:
+        """Simulated positions for the nodal positions `x` [m]."""
+        return jnp.sum(self.weights[:, :, None] * x[self.nodes], axis=1)
+
+
+class ConfigurationArrays(eqx.Module):
+    """Supports, loads and effectors of one configuration, or of a batch.
+
+    Attributes:
+        fixed: Which coordinates are held.
+        imposed: Their displacement, at full load [m].
+        force: Dead nodal forces [N].
+        gravity: Acceleration of gravity [m/s2].
+        effectors: The measured points.
+    """
+
+    fixed: Bool[Array, "*batch n_nodes 3"]
+    imposed: Float[Array, "*batch n_nodes 3"]
+    force: Float[Array, "*batch n_nodes 3"]
+    gravity: Float[Array, "*batch 3"]
+    effectors: EffectorArrays

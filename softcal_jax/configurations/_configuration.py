@@ -1,0 +1,146 @@
+"""One posed robot: how it is held and loaded, and what was measured on it."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations._arrays import ConfigurationArrays, EffectorArrays
+from softcal_jax.configurations._loads import AbstractLoad
+from softcal_jax.configurations._markers import Markers
+from softcal_jax.configurations._supports import Support
+from softcal_jax.mesh import TetMesh, locate
+
+STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s2]."""
+
+
+class Configuration(eqx.Module):
+    """A static pose of the robot.
+
+    Attributes:
+        name: Name in results, tables and pictures.
+        supports: How the body is held.
+        gravity: Acceleration of gravity, in the frame of the mesh [m/s2].
+        loads: Dead loads.
+        markers: Points that are measured or followed; may be left out.
+        measured: Measured marker positions in the frame of the mesh [m].
+    """
+
+    name: str
+    supports: tuple[Support, ...] = eqx.field(converter=tuple)
+    gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
+    loads: tuple[AbstractLoad, ...] = eqx.field(converter=tuple, default=())
+    markers: Markers | None = None
+    measured: Float[HostArray, "n_markers 3"] | None = None
+
+    def __check_init__(self):
+        gravity = np.asarray(self.gravity, float)
+        if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
+            raise ValueError(
+                f"gravity of configuration {self.name!r} must be three finite numbers "
+                f"[m/s2], got {self.gravity!r}."
+            )
+        if self.measured is not None:
+            if self.markers is None:
+                raise ValueError(
+                    f"configuration {self.name!r} has measured positions but no markers."
+                )
+            self.markers.check_measured(self.measured, self.name)
+
+
+def configuration_arrays(
+    mesh: TetMesh, configurations: Sequence[Configuration]
+) -> ConfigurationArrays:
+    """Stack configurations of one mesh into the batch that is solved at once.
+
+    Args:
+        mesh: The mesh that all of them share.
+        configurations: At least one; they may differ in everything but the mesh.
+
+    Returns:
+        Arrays with a leading axis, one lane per configuration.
+
+    Raises:
+        ValueError: If there is none, names repeat, nothing is held, a group is unknown
+            or a marker stands too far from the mesh.
+    """
+    if not configurations:
+        raise ValueError("at least one configuration is needed, got none.")
+    names = [configuration.name for configuration in configurations]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"configuration {name!r} is named more than once.")
+    n_markers = max(
+        len(c.markers.names) if c.markers is not None else 0 for c in configurations
+    )
+    lanes = [_lane(mesh, c, n_markers) for c in configurations]
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *lanes)
+
+
+def _lane(mesh: TetMesh, c: Configuration, n_markers: int) -> ConfigurationArrays:
+    fixed = np.zeros((mesh.n_nodes, 3), bool)
+    imposed = np.zeros((mesh.n_nodes, 3))
+    for support in c.supports:
+        support.apply(mesh, fixed, imposed)
+    _check_held(mesh, fixed, c.name)
+    force = np.zeros((mesh.n_nodes, 3))
+    for load in c.loads:
+        force += load.nodal_forces(mesh)
+    return ConfigurationArrays(
+        fixed,
+        imposed,
+        force,
+        np.asarray(c.gravity, float),
+        _effectors(mesh, c, n_markers),
+    )
+
+
+def _effectors(mesh: TetMesh, c: Configuration, n_markers: int) -> EffectorArrays:
+    n_en = mesh.tets.shape[1]
+    out = EffectorArrays(
+        np.zeros((n_markers, n_en), np.int32),
+        np.zeros((n_markers, n_en)),
+        np.zeros((n_markers, 3)),
+        np.zeros((n_markers, 3)),
+    )
+    if c.markers is None:
+        return out
+    n = len(c.markers.names)
+    try:
+        at = locate(mesh, c.markers.positions, max_distance=c.markers.max_distance)
+    except ValueError as error:
+        raise ValueError(
+            f"markers {', '.join(c.markers.names)} of configuration {c.name!r}: {error}"
+        ) from error
+    out.nodes[:n], out.weights[:n] = at.nodes, at.weights
+    if c.measured is not None:
+        out.measured[:n] = np.nan_to_num(c.measured)
+        out.inverse_std[:n] = c.markers.inverse_std()
+    return out
+
+
+def _check_held(mesh: TetMesh, fixed: np.ndarray, name: str) -> None:
+    """Raise unless the held coordinates block all six rigid motions."""
+    x = mesh.points - mesh.points.mean(axis=0)
+    x = x / np.abs(x).max()
+    zero = np.zeros(len(x))
+    turns = np.stack(
+        [
+            np.stack([zero, -x[:, 2], x[:, 1]], axis=1),
+            np.stack([x[:, 2], zero, -x[:, 0]], axis=1),
+            np.stack([-x[:, 1], x[:, 0], zero], axis=1),
+        ]
+    )
+    shifts = np.broadcast_to(np.eye(3)[:, None], turns.shape)
+    motions = np.concatenate([shifts, turns])[:, fixed]
+    rank = np.linalg.matrix_rank(motions @ motions.T) if fixed.any() else 0
+    if rank < 6:
+        held = int(fixed.any(axis=1).sum())
+        raise ValueError(
+            f"configuration {name!r} is not held: its supports ({held} nodes) leave "
+            f"{6 - rank} of the 6 rigid motions free. Clamp a surface, or add supports."
+        )

@@ -1,0 +1,165 @@
+"""Dead loads: forces that keep their direction and size while the body deforms."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
+from softcal_jax.mesh import TetMesh, boundary_faces, locate
+
+
+def _vector(name: str, unit: str, value) -> HostArray:
+    vector = np.asarray(value, float)
+    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+        raise ValueError(f"{name} must be three finite numbers [{unit}], got {value!r}.")
+    return vector
+
+
+class AbstractLoad(eqx.Module):
+    """A load that becomes forces on nodes, consistent with the shape functions."""
+
+    @abstractmethod
+    def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
+        """Forces on all nodes [N]."""
+
+
+class PointForce(AbstractLoad):
+    """Force at a material point of the body.
+
+    Attributes:
+        point: Where it acts at rest, on or in the mesh [m].
+        force: The force [N].
+    """
+
+    point: tuple[float, float, float]
+    force: tuple[float, float, float]
+
+    def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
+        """Forces on the nodes of the tet that holds the point [N].
+
+        Raises:
+            ValueError: If the point lies outside the mesh.
+        """
+        point, force = _vector("point", "m", self.point), _vector("force", "N", self.force)
+        at = locate(mesh, point[None], max_distance=1e-3 * mesh.size)
+        out = np.zeros_like(mesh.points)
+        np.add.at(out, at.nodes[0], at.weights[0][:, None] * force)
+        return out
+
+
+class NodalForces(AbstractLoad):
+    """Forces on given nodes.
+
+    Attributes:
+        nodes: Node indices.
+        forces: One force per node [N].
+    """
+
+    nodes: Int[HostArray, " n"]
+    forces: Float[HostArray, "n 3"]
+
+    def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
+        """The forces, added where a node is named twice [N]."""
+        out = np.zeros_like(mesh.points)
+        np.add.at(out, self.nodes, self.forces)
+        return out
+
+
+class EdgeForce(AbstractLoad):
+    """Force spread evenly over an edge of the body, by length.
+
+    Attributes:
+        where: Node group of the edge, or its node indices: all edges of boundary faces
+            whose ends both belong to it are loaded.
+        force: Total force [N].
+    """
+
+    where: str | Int[HostArray, " n"]
+    force: tuple[float, float, float]
+
+    def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
+        """Consistent forces: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N].
+
+        Raises:
+            ValueError: If the group holds no edge of the boundary.
+        """
+        force = _vector("force", "N", self.force)
+        nodes = mesh.nodes(self.where) if isinstance(self.where, str) else self.where
+        edges = _boundary_edges(mesh)
+        edges = edges[np.all(np.isin(edges[:, :2], nodes), axis=1)]
+        if len(edges) == 0:
+            raise ValueError(
+                f"no edge of the boundary has both ends in {self.where!r}: an edge force "
+                "needs the nodes along an edge, at least two neighbours."
+            )
+        ends = mesh.points[edges[:, :2]]
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        shares = np.array([0.5, 0.5] if edges.shape[1] == 2 else [1 / 6, 1 / 6, 4 / 6])
+        out = np.zeros_like(mesh.points)
+        per_edge = (length / length.sum())[:, None] * shares
+        np.add.at(out, edges, per_edge[:, :, None] * force)
+        return out
+
+
+class SurfaceForce(AbstractLoad):
+    """Force spread evenly over a surface, by its area at rest.
+
+    Attributes:
+        where: Name of a surface group.
+        force: Total force [N].
+    """
+
+    where: str
+    force: tuple[float, float, float]
+
+    def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
+        """Consistent forces on the nodes of the surface [N]."""
+        shares = _surface_shares(mesh, mesh.faces(self.where))
+        force = _vector("force", "N", self.force)
+        return (shares / shares.sum())[:, None] * force
+
+
+class SurfaceTraction(AbstractLoad):
+    """Force per area at rest, of fixed direction.
+
+    Attributes:
+        where: Name of a surface group.
+        traction: Force per reference area [Pa].
+    """
+
+    where: str
+    traction: tuple[float, float, float]
+
+    def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
+        """Consistent forces on the nodes of the surface [N]."""
+        shares = _surface_shares(mesh, mesh.faces(self.where))
+        return shares[:, None] * _vector("traction", "Pa", self.traction)
+
+
+def _surface_shares(
+    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
+) -> Float[HostArray, " n_nodes"]:
+    """Integral of every shape function over the faces [m2]."""
+    rule = triangle_rule(4)
+    n_fn = faces.shape[1]
+    N = shape_functions(rule.barycentric, n_fn)
+    dN = shape_gradients(rule.barycentric, n_fn)
+    tangents = np.einsum("fai,qaj->fqji", mesh.points[faces], dN)
+    area = 0.5 * np.linalg.norm(
+        np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1
+    )
+    out = np.zeros(mesh.n_nodes)
+    np.add.at(out, faces, (area * rule.weights) @ N)
+    return out
+
+
+def _boundary_edges(mesh: TetMesh) -> Int[HostArray, "n_edges n_ln"]:
+    """Edges of the boundary faces, once each: two ends, then the mid node if any."""
+    faces = boundary_faces(mesh)
+    sides = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]
+    n_ln = 2 if faces.shape[1] == 3 else 3
+    edges = np.concatenate([faces[:, side[:n_ln]] for side in sides])
+    edges[:, :2] = np.sort(edges[:, :2], axis=1)
+    return np.unique(edges, axis=0)

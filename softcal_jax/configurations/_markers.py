@@ -1,0 +1,92 @@
+"""Markers: material points whose positions are measured."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations._axes import parse_axes
+
+
+class Markers(eqx.Module):
+    """Material points of the body, on it or on posts that stand slightly outside.
+
+    Attributes:
+        names: One name per marker.
+        positions: Positions at rest, in the frame of the mesh [m].
+        std: Standard deviation of the measurement: one for all, one per marker, or one
+            per marker and axis [m].
+        axes: Axes that are measured, like "xyz" or "xz".
+        max_distance: How far from the mesh a marker may stand [m].
+    """
+
+    names: tuple[str, ...] = eqx.field(converter=tuple)
+    positions: Float[HostArray, "n_markers 3"] = eqx.field(
+        converter=lambda value: np.asarray(value, float)
+    )
+    std: Float[ArrayLike, "..."] = 1e-3
+    axes: str = "xyz"
+    max_distance: float = 0.01
+
+    def __check_init__(self):
+        parse_axes(self.axes)
+        n = len(self.names)
+        if self.positions.shape != (n, 3):
+            raise ValueError(
+                f"{n} marker names need positions of shape ({n}, 3) [m], "
+                f"got {self.positions.shape}."
+            )
+        repeated = sorted({name for name in self.names if self.names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"marker {repeated[0]!r} is named more than once.")
+        if not np.all(np.isfinite(self.positions)):
+            bad = np.flatnonzero(~np.isfinite(self.positions).all(axis=1))[0]
+            raise ValueError(
+                f"marker {self.names[bad]!r} has the position {self.positions[bad]}: "
+                "expected three finite numbers [m]."
+            )
+        std = np.asarray(self.std, float)
+        if not (np.all(np.isfinite(std)) and np.all(std > 0)):
+            raise ValueError(
+                f"std must be positive and finite [m], got {std.min():g}; leave a "
+                "coordinate out with `axes` instead of giving it no precision."
+            )
+        if std.shape not in ((), (n,), (n, 3)):
+            raise ValueError(
+                f"std must be one number, one per marker ({n},) or one per marker and "
+                f"axis ({n}, 3), got shape {std.shape}."
+            )
+
+    def inverse_std(self) -> Float[HostArray, "n_markers 3"]:
+        """1 / std on the measured axes, 0 on the others [1/m]."""
+        std = np.asarray(self.std, float)
+        std = std[:, None] if std.ndim == 1 else std
+        out = np.zeros((len(self.names), 3))
+        axes = parse_axes(self.axes)
+        out[:, axes] = np.broadcast_to(1.0 / std, out.shape)[:, axes]
+        return out
+
+    def check_measured(
+        self, measured: Float[ArrayLike, "n_markers 3"], configuration: str
+    ) -> Float[HostArray, "n_markers 3"]:
+        """Measured positions as an array.
+
+        Raises:
+            ValueError: If the number of markers is wrong or a position is not finite.
+        """
+        measured = np.asarray(measured, float)
+        if measured.shape != self.positions.shape:
+            raise ValueError(
+                f"configuration {configuration!r} has {len(self.names)} markers "
+                f"({', '.join(self.names)}), so `measured` needs the shape "
+                f"{self.positions.shape}, got {measured.shape}."
+            )
+        used = measured[:, parse_axes(self.axes)]
+        bad = np.flatnonzero(~np.isfinite(used).all(axis=1))
+        if bad.size:
+            raise ValueError(
+                f"marker {self.names[bad[0]]!r} of configuration {configuration!r} was "
+                f"measured at {measured[bad[0]]}: expected finite numbers [m]. Leave a "
+                "marker that was lost out of this configuration's markers."
+            )
+        return measured

@@ -1,0 +1,39 @@
+"""Static equilibrium: model, tangent, sparse solver, Newton (paper Eqs. 1 to 3)."""
+
+from softcal_jax._results import RESULTS
+from softcal_jax.equilibrium._assembly import (
+    energy_and_force,
+    gravity_load,
+    internal_force,
+    strain_energy,
+    tangent_values,
+)
+from softcal_jax.equilibrium._linear_solver import LinearSolution
+from softcal_jax.equilibrium._model import Model, build_model
+from softcal_jax.equilibrium._newton import NewtonSettings, external_force
+from softcal_jax.equilibrium._solve import (
+    EquilibriumSolution,
+    check_converged,
+    factor_solve,
+    residual,
+    solve_equilibrium,
+)
+
+__all__ = [
+    "RESULTS",
+    "EquilibriumSolution",
+    "LinearSolution",
+    "Model",
+    "NewtonSettings",
+    "build_model",
+    "check_converged",
+    "energy_and_force",
+    "external_force",
+    "factor_solve",
+    "gravity_load",
+    "internal_force",
+    "residual",
+    "solve_equilibrium",
+    "strain_energy",
+    "tangent_values",
+]

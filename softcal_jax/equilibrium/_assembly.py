@@ -1,0 +1,143 @@
+"""Energy, internal force and tangent of the whole mesh."""
+
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.elements import determinant
+from softcal_jax.equilibrium._element import (
+    deformation_gradients,
+    element_energy,
+    element_force,
+    element_stiffness,
+    mean_dilatation,
+    mixed_newton,
+)
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._sparsity import upper_entries
+
+
+def _map_blocks(model: Model, u: Float[Array, "n_nodes _"], function, *per_tet):
+    """Apply a function of (u, dN, w, law, ...) of one tet to all, block by block.
+
+    Returns arrays with axes (block number, ..., tet in block).
+    """
+    axes = (-1, -1, -1, 0) + (-1,) * len(per_tet)
+    vectorised = jax.vmap(function, in_axes=axes, out_axes=-1)
+
+    def block(args):
+        nodes, *rest = args
+        return vectorised(jnp.moveaxis(u[nodes], -1, 1), *rest)
+
+    return jax.lax.map(
+        block,
+        (
+            model.nodes,
+            model.shape_gradients,
+            model.weights,
+            model.law_blocks(),
+            *per_tet,
+        ),
+    )
+
+
+def strain_energy(
+    model: Model, u: Float[Array, "n_nodes 3"]
+) -> Float[Array, "n_blocks block"]:
+    """Strain energy of each tet, in blocks [J]."""
+    return _map_blocks(
+        model,
+        u,
+        lambda u, dN, w, law: element_energy(u, dN, w, law, model.formulation),
+    )
+
+
+def internal_force(
+    model: Model, u: Float[Array, "n_nodes 3"]
+) -> Float[Array, "n_nodes 3"]:
+    """Internal force f(u; p), the gradient of the strain energy [N]."""
+    forces = _map_blocks(
+        model,
+        u,
+        lambda u, dN, w, law: element_force(u, dN, w, law, model.formulation),
+    )
+    return _add_forces(model, forces)
+
+
+def energy_and_force(model: Model, u: Float[Array, "n_nodes 3"]):
+    """Strain energy, the sum of its absolute parts, internal force, smallest det F."""
+
+    def both(u, dN, w, law):
+        energy = element_energy(u, dN, w, law, model.formulation)
+        force = element_force(u, dN, w, law, model.formulation)
+        det = jax.vmap(determinant)(deformation_gradients(u, dN))
+        return energy, force, jnp.min(det)
+
+    energy, forces, det = _map_blocks(model, u, both)
+    force = _add_forces(model, forces)
+    return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
+
+
+def tangent_values(
+    model: Model, u: Float[Array, "n_nodes 3"]
+) -> Float[Array, " nnz"]:
+    """Tangent stiffness K = df/du, upper triangle in the order of the pattern [N/m]."""
+    p, q = upper_entries(model.nodes.shape[1])
+
+    def upper(u, dN, w, law):
+        K = element_stiffness(u, dN, w, law, model.formulation)
+        return K.reshape(3 * u.shape[0], -1)[p, q]
+
+    return _add_entries(model, _map_blocks(model, u, upper))
+
+
+def mixed_tangent(
+    model: Model, u: Float[Array, "n_nodes 3"], theta: Float[Array, "n_blocks block"]
+) -> tuple[Float[Array, " nnz"], Float[Array, "n_nodes 3"]]:
+    """Stiffness and force of the Newton step with volume ratios of their own."""
+    p, q = upper_entries(model.nodes.shape[1])
+
+    def upper(u, dN, w, law, theta):
+        K, f = mixed_newton(u, theta, dN, w, law)
+        return K.reshape(3 * u.shape[0], -1)[p, q], f
+
+    entries, forces = _map_blocks(model, u, upper, theta)
+    return _add_entries(model, entries), _add_forces(model, forces)
+
+
+def predicted_dilatation(
+    model: Model, u: Float[Array, "n_nodes 3"], du: Float[Array, "n_nodes 3"]
+) -> Float[Array, "n_blocks block"]:
+    """Volume ratio of each tet after a step, to first order: J_bar + dJ_bar/du du [-]."""
+
+    def linear(both, dN, w, law):
+        del law
+        u, du = both[:, :3], both[:, 3:]
+        J, dJ = jax.jvp(lambda u: mean_dilatation(u, dN, w), (u,), (du,))
+        # A step that would turn a tet inside out is not believed beyond a factor 4.
+        return jnp.clip(J + dJ, 0.25, 4.0)
+
+    return _map_blocks(model, jnp.concatenate([u, du], axis=1), linear)
+
+
+def _add_entries(
+    model: Model, entries: Float[Array, "n_blocks n_entries block"]
+) -> Float[Array, " nnz"]:
+    zero = jnp.zeros(model.solver.sparsity.nnz, entries.dtype)
+    return zero.at[model.destination].add(entries)
+
+
+def _add_forces(
+    model: Model, forces: Float[Array, "n_blocks n_en 3 block"]
+) -> Float[Array, "n_nodes 3"]:
+    zero = jnp.zeros(model.mesh.points.shape, forces.dtype)
+    return zero.at[model.nodes].add(jnp.moveaxis(forces, -1, 2))
+
+
+def gravity_load(
+    model: Model, gravity: Float[Array, "3"]
+) -> Float[Array, "n_nodes 3"]:
+    """Weight of the body as nodal forces [N], for an acceleration [m/s2]."""
+    mass = jnp.asarray(model.density)[..., None] * model.node_volumes
+    nodal = jnp.zeros(model.mesh.points.shape[0]).at[model.mesh.tets].add(mass)
+    return nodal[:, None] * gravity[None, :]

@@ -1,0 +1,219 @@
+"""Sparse direct solvers behind one small interface, usable inside jit and vmap.
+
+`default_solver` picks the one that pyproject.toml installs on the platform: PARDISO
+on x86-64, CHOLMOD on Linux for ARM, KLU on macOS. Nothing else is tried silently; the
+name of the solver is part of every result.
+"""
+
+from abc import abstractmethod
+from importlib.util import find_spec
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax.equilibrium._sparsity import Sparsity
+
+
+class LinearSolution(NamedTuple):
+    """Solution of a linear system and what the factorization told.
+
+    Attributes:
+        x: Solutions, one row per right-hand side.
+        n_negative: Negative eigenvalues of the matrix; -1 where the solver cannot tell.
+        ok: False where the matrix was singular or not finite; `x` is then zero.
+    """
+
+    x: Float[Array, "n_rhs n_dof"]
+    n_negative: Int[Array, ""]
+    ok: Bool[Array, ""]
+
+
+class AbstractLinearSolver(eqx.Module):
+    """Factorizes symmetric matrices of one sparsity pattern."""
+
+    name: eqx.AbstractVar[str]
+    sparsity: eqx.AbstractVar[Sparsity]
+
+    @abstractmethod
+    def _factor_solve(
+        self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
+    ) -> tuple[Float[Array, "n_rhs n_dof"], Int[Array, ""], Bool[Array, ""]]:
+        """Factorize finite values and solve; returns x, negative eigenvalues, ok."""
+
+    def factor_solve(
+        self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
+    ) -> LinearSolution:
+        """Factorize once and solve for every right-hand side.
+
+        Args:
+            values: Upper triangle in the order of the pattern.
+            rhs: One right-hand side per row.
+
+        Returns:
+            The solutions; flagged, and zero, where they do not exist.
+        """
+        return _factor_solve(self, values, rhs)
+
+
+@jax.custom_batching.custom_vmap
+def _factor_solve(solver, values, rhs):
+    finite = jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(rhs))
+    # PARDISO aborts the process on a NaN: such a lane gets the identity instead.
+    unit = jnp.zeros_like(values).at[solver.sparsity.diagonal].set(1.0)
+    x, n_negative, ok = solver._factor_solve(
+        jnp.where(finite, values, unit), jnp.where(finite, rhs, 0.0)
+    )
+    ok = ok & finite & jnp.all(jnp.isfinite(x))
+    return LinearSolution(jnp.where(ok, x, 0.0), n_negative, ok)
+
+
+@_factor_solve.def_vmap
+def _factor_solve_rule(axis_size, in_batched, solver, values, rhs):
+    _, values_batched, rhs_batched = in_batched
+    if values_batched:  # one factorization per lane
+        rhs = rhs if rhs_batched else jnp.broadcast_to(rhs, (axis_size, *rhs.shape))
+        out = jax.lax.map(lambda lane: _factor_solve(solver, *lane), (values, rhs))
+        return out, LinearSolution(True, True, True)
+    # one factorization, all right-hand sides in one call
+    x, n_negative, ok = _factor_solve(solver, values, rhs.reshape(-1, rhs.shape[-1]))
+    return (
+        LinearSolution(x.reshape(rhs.shape), n_negative, ok),
+        LinearSolution(True, False, False),
+    )
+
+
+class Pardiso(AbstractLinearSolver):
+    """Intel oneMKL PARDISO through pardiso-mkl-jax, symmetric indefinite.
+
+    The definite type would stop the whole program at the first non-positive pivot;
+    the indefinite one factors on and counts the negative eigenvalues.
+    """
+
+    sparsity: Sparsity
+    token: object
+    name: str = eqx.field(static=True, default="PARDISO (pardiso-mkl-jax)")
+
+    @classmethod
+    def analyse(cls, sparsity: Sparsity) -> "Pardiso":
+        """Order and analyse the pattern once, outside jit."""
+        from pardiso_mkl_jax import MatrixType, primitive
+
+        token, _ = primitive.analyze(
+            jnp.asarray(sparsity.indptr),
+            jnp.asarray(sparsity.indices),
+            jnp.ones(sparsity.nnz),
+            matrix_type=MatrixType.REAL_SYMMETRIC_INDEFINITE,
+        )
+        return cls(sparsity, token)
+
+    def _factor_solve(self, values, rhs):
+        from pardiso_mkl_jax import MatrixType, primitive
+
+        x, iparm, _ = primitive.factor_and_solve_stateful(
+            self.token,
+            jnp.asarray(self.sparsity.indptr),
+            jnp.asarray(self.sparsity.indices),
+            values,
+            rhs,
+            matrix_type=MatrixType.REAL_SYMMETRIC_INDEFINITE,
+        )
+        perturbed_pivots, negative_eigenvalues = iparm[13], iparm[22]
+        return x, negative_eigenvalues, perturbed_pivots == 0
+
+
+class Cholmod(AbstractLinearSolver):
+    """CHOLMOD through sparsax, for definite matrices.
+
+    An indefinite tangent has no Cholesky factor; it is reported as not solved.
+    """
+
+    sparsity: Sparsity
+    name: str = eqx.field(static=True, default="CHOLMOD (sparsax)")
+
+    @classmethod
+    def analyse(cls, sparsity: Sparsity) -> "Cholmod":
+        """Keep the pattern; sparsax caches its analysis by content."""
+        return cls(sparsity)
+
+    def _factor_solve(self, values, rhs):
+        import sparsax
+
+        x = sparsax.solve(self.sparsity.rows, self.sparsity.indices, values, rhs.T).T
+        return x, jnp.zeros((), jnp.int32), jnp.all(jnp.isfinite(x))
+
+
+class Klu(AbstractLinearSolver):
+    """KLU through klujax, for any matrix; it does not count negative eigenvalues."""
+
+    sparsity: Sparsity
+    name: str = eqx.field(static=True, default="KLU (klujax)")
+
+    @classmethod
+    def analyse(cls, sparsity: Sparsity) -> "Klu":
+        """Keep the pattern."""
+        return cls(sparsity)
+
+    def _factor_solve(self, values, rhs):
+        import klujax
+
+        rows, cols = np.asarray(self.sparsity.rows), np.asarray(self.sparsity.indices)
+        off = np.flatnonzero(rows != cols)
+        x = klujax.solve(
+            jnp.asarray(np.concatenate([rows, cols[off]])),
+            jnp.asarray(np.concatenate([cols, rows[off]])),
+            jnp.concatenate([values, values[off]]),
+            rhs.T,
+        ).T
+        return x, jnp.full((), -1, jnp.int32), jnp.all(jnp.isfinite(x))
+
+
+_PACKAGES = {"pardiso_mkl_jax": Pardiso, "sparsax": Cholmod, "klujax": Klu}
+_BY_NAME = {"pardiso": Pardiso, "cholmod": Cholmod, "klu": Klu}
+
+
+def analyse(sparsity: Sparsity, solver: str | None = None) -> AbstractLinearSolver:
+    """The sparse solver of this platform, ready for a pattern.
+
+    Args:
+        sparsity: Pattern of the matrices to come.
+        solver: "pardiso", "cholmod" or "klu"; by default the one that pyproject.toml
+            installs on this platform.
+
+    Returns:
+        A solver that holds its symbolic analysis.
+
+    Raises:
+        ValueError: If the name is unknown.
+        ImportError: If no sparse solver is installed.
+    """
+    if solver is not None:
+        if solver not in _BY_NAME:
+            raise ValueError(
+                f"solver must be one of {sorted(_BY_NAME)} or None, got {solver!r}."
+            )
+        return _BY_NAME[solver].analyse(sparsity)
+    for package, kind in _PACKAGES.items():
+        if find_spec(package) is not None:
+            return kind.analyse(sparsity)
+    raise ImportError(
+        "no sparse direct solver is installed: `pip install softcal-jax` brings the one "
+        "of your platform (pardiso-mkl-jax, sparsax or klujax)."
+    )
+
+
+def require_float64() -> None:
+    """Raise unless JAX computes in float64; equilibrium in float32 does not converge.
+
+    Raises:
+        ValueError: If `jax_enable_x64` is off.
+    """
+    if not jax.config.read("jax_enable_x64"):
+        raise ValueError(
+            "softcal_jax needs float64, but JAX is in float32. Put "
+            '`jax.config.update("jax_enable_x64", True)` at the top of your program, '
+            "or set JAX_ENABLE_X64=1."
+        )

@@ -1,0 +1,199 @@
+"""Static equilibrium of a configuration, differentiable, batched over configurations."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._results import RESULTS
+from softcal_jax._typing import Array, Float, Int
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium._assembly import internal_force, tangent_values
+from softcal_jax.equilibrium._lanes import lane_by_lane
+from softcal_jax.equilibrium._linear_solver import LinearSolution
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._newton import (
+    NewtonSettings,
+    external_force,
+    mask_supports,
+    newton,
+    symmetric_product,
+)
+
+
+class EquilibriumSolution(eqx.Module):
+    """Equilibrium of one configuration, or of a batch (leading axis on every field).
+
+    Attributes:
+        displacement: Nodal displacement u [m].
+        result: Outcome; only `RESULTS.converged` is an equilibrium.
+        steps: Newton iterations, all load steps together.
+        load_steps: Load increments that were taken (1: full load at once).
+        residual: Residual relative to the largest of external force, internal force
+            and reaction [-].
+        min_det_F: Smallest det F over all quadrature points [-].
+        n_negative: Negative eigenvalues of the last tangent, 0 for a stable state;
+            -1 where the linear solver cannot count them.
+    """
+
+    displacement: Float[Array, "*batch n_nodes 3"]
+    result: RESULTS
+    steps: Int[Array, "*batch"]
+    load_steps: Int[Array, "*batch"]
+    residual: Float[Array, "*batch"]
+    min_det_F: Float[Array, "*batch"]
+    n_negative: Int[Array, "*batch"]
+
+    @property
+    def converged(self) -> Array:
+        """Whether each configuration reached a regular equilibrium."""
+        return self.result == RESULTS.converged
+
+
+def residual(
+    model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_nodes 3"]
+) -> Float[Array, "n_nodes 3"]:
+    """Out-of-balance force f_int(x; p) - f_ext(p), all nodes [N]; paper Eq. (1).
+
+    On held nodes it is the reaction with its sign reversed: the force that the body
+    exerts on the support is `-residual`... see `reactions`.
+    """
+    return internal_force(model, u) - external_force(model, configuration)
+
+
+def factor_solve(
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_nodes 3"],
+    rhs: Float[Array, "n_rhs n_nodes 3"],
+) -> LinearSolution:
+    """Solve K(u) dx = rhs on the free nodes, one factorization for all rows.
+
+    Args:
+        model: The body.
+        configuration: Its supports decide which rows are held.
+        u: Displacement where K is taken [m].
+        rhs: Right-hand sides; entries on held nodes are ignored [N].
+
+    Returns:
+        The solutions, zero on held nodes [m].
+    """
+    sparsity = model.solver.sparsity
+    fixed = configuration.fixed.ravel()
+    values = tangent_values(model, u)
+    masked, _ = mask_supports(sparsity, values, fixed)
+    flat = jnp.where(fixed, 0.0, rhs.reshape(rhs.shape[0], -1))
+    solved = model.solver.factor_solve(masked, flat)
+    return solved._replace(x=solved.x.reshape(rhs.shape))
+
+
+def _lane(settings: NewtonSettings):
+    @lane_by_lane
+    def lane(model, configuration, u0):
+        state = newton(model, configuration, u0, settings)
+        return EquilibriumSolution(
+            state.u,
+            state.result,
+            state.step,
+            state.load_steps,
+            state.residual,
+            state.min_det_F,
+            state.n_negative,
+        )
+
+    return lane
+
+
+@eqx.filter_custom_jvp
+def _equilibrium(model, configuration, u0, *, settings):
+    return _lane(settings)(model, configuration, u0)
+
+
+@_equilibrium.def_jvp
+def _equilibrium_jvp(primals, tangents, *, settings):
+    """Implicit derivative K du = -(dR/dp) dp - K_held du_held, paper Eqs. (7) to (9)."""
+    model, configuration, u0 = primals
+    t_model, t_configuration, _ = tangents
+    solution = _equilibrium(model, configuration, u0, settings=settings)
+    u = solution.displacement
+    fixed = configuration.fixed
+    t_imposed = t_configuration.imposed
+    du_held = (
+        jnp.zeros_like(u) if t_imposed is None else jnp.where(fixed, t_imposed, 0.0)
+    )
+    _, dR = eqx.filter_jvp(
+        residual, (model, configuration, u), (t_model, t_configuration, du_held)
+    )
+    sparsity = model.solver.sparsity
+    values = tangent_values(model, u)
+    masked, _ = mask_supports(sparsity, values, fixed.ravel())
+
+    def solve(_, b):
+        return model.solver.factor_solve(masked, b[None]).x[0]
+
+    du = jax.lax.custom_linear_solve(
+        lambda v: symmetric_product(sparsity, masked, v),
+        jnp.where(fixed, 0.0, -dR).ravel(),
+        solve,
+        transpose_solve=solve,
+        symmetric=True,
+    )
+    none = jax.tree.map(lambda _: None, solution)
+    du = jnp.where(fixed, du_held, du.reshape(u.shape))
+    return solution, eqx.tree_at(
+        lambda s: s.displacement, none, du, is_leaf=lambda leaf: leaf is None
+    )
+
+
+def solve_equilibrium(
+    model: Model,
+    configuration: ConfigurationArrays,
+    *,
+    guess: Float[Array, "n_nodes 3"] | None = None,
+    settings: NewtonSettings | None = None,
+) -> EquilibriumSolution:
+    """Static equilibrium of one configuration; traceable, differentiable, for `vmap`.
+
+    Derivatives with respect to the model's law and density, and to the loads and imposed
+    displacements, are implicit (forward and reverse): the Newton iterations are not
+    differentiated.
+
+    Args:
+        model: The body.
+        configuration: Supports and loads of one configuration.
+        guess: Displacement to start from [m]; at rest by default.
+        settings: Settings of Newton's method.
+
+    Returns:
+        The solution with its outcome; nothing is raised here, since a batch may hold
+        lanes that fail. `check_converged` raises.
+    """
+    u0 = jnp.zeros(model.mesh.points.shape) if guess is None else guess
+    return _equilibrium(
+        model, configuration, u0, settings=settings or NewtonSettings()
+    )
+
+
+def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
+    """Raise RuntimeError that names every configuration without an equilibrium.
+
+    Args:
+        solution: Solutions of a batch.
+        names: Names of its configurations.
+
+    Raises:
+        RuntimeError: If a lane did not converge; the text says which, and why.
+    """
+    bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
+    if bad.size == 0:
+        return
+    lines = []
+    for lane in bad:
+        one = jax.tree.map(lambda leaf, lane=lane: np.atleast_1d(leaf)[lane], solution)
+        lines.append(
+            f"configuration {names[lane]!r}: {RESULTS[one.result]} "
+            f"({int(one.steps)} Newton steps, {int(one.load_steps)} load steps done, "
+            f"residual {float(one.residual):.1e}, smallest det F "
+            f"{float(one.min_det_F):.3g})"
+        )
+    raise RuntimeError("no equilibrium found.\n" + "\n".join(lines))

@@ -1,0 +1,43 @@
+"""Range checks of material constants, at construction and only on concrete values."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._typing import Array, Float
+
+
+def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    """A constant, or one value per tet, as a floating-point array."""
+    return jnp.asarray(value, float)
+
+
+def _concrete(value: Float[Array, "..."]) -> np.ndarray | None:
+    """The value on the host; None while it is traced and cannot be looked at."""
+    if isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
+        return None
+    return np.asarray(value)
+
+
+def check_modulus(name: str, value: Float[Array, "..."]) -> None:
+    """Raise ValueError unless every modulus is positive and finite [Pa]."""
+    values = _concrete(value)
+    if values is not None and not (np.all(np.isfinite(values)) and np.all(values > 0)):
+        raise ValueError(
+            f"{name} must be positive and finite [Pa], got {values.min():g}."
+        )
+
+
+def check_poisson_ratio(name: str, value: Float[Array, "..."]) -> None:
+    """Raise ValueError unless every ratio lies in (-1, 0.5)."""
+    values = _concrete(value)
+    if values is None:
+        return
+    bad = ~((values > -1.0) & (values < 0.5))
+    if np.any(bad):
+        hint = " For an incompressible rubber take 0.499." if values.max() >= 0.5 else ""
+        raise ValueError(
+            f"{name} must lie in (-1, 0.5), got {np.atleast_1d(values)[np.atleast_1d(bad)][0]:g}."
+            + hint
+        )

@@ -1,0 +1,47 @@
+"""What every constitutive law offers: an energy density and its derivatives."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+
+from softcal_jax._typing import Array, Float
+
+
+class AbstractLaw(eqx.Module):
+    """A hyperelastic law; a new one is a subclass with its `energy_density`.
+
+    Stress and tangent follow by automatic differentiation. A law that knows closed
+    forms overrides `stress` or `tangent`; they are tested against the energy.
+
+    Methods see one material point: array fields of the law are scalars there (or one
+    tensor), although in a model each may hold one value per tet. Write 3x3 algebra
+    with `softcal_jax.elements` (`determinant`, `matmul`, ...), which vectorises;
+    `jnp.linalg` works too and is slower.
+
+    Example:
+        A law of one's own, ready for every solver of this package::
+
+            class Yeoh(AbstractLaw):
+                c1: Float[Array, ""]
+                c2: Float[Array, ""]
+                bulk: Float[Array, ""]
+
+                def energy_density(self, F):
+                    J = determinant(F)
+                    I1 = J ** (-2 / 3) * jnp.sum(F * F)
+                    return (self.c1 * (I1 - 3) + self.c2 * (I1 - 3) ** 2
+                            + self.bulk / 2 * (J - 1) ** 2)
+    """
+
+    @abstractmethod
+    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+        """Strain energy per reference volume, psi(F) [J/m3]."""
+
+    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """First Piola-Kirchhoff stress P = d psi / d F [Pa]."""
+        return jax.grad(self.energy_density)(F)
+
+    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        """Tangent A_iJkL = d P_iJ / d F_kL [Pa]."""
+        return jax.jacfwd(self.stress)(F)

@@ -1,0 +1,38 @@
+"""Tet meshes: made, read, checked, selected from, and searched for points.
+
+Everything here runs on the host in NumPy, once, before the physics. Lengths are in
+metres.
+"""
+
+from softcal_jax.mesh._checks import check_mesh
+from softcal_jax.mesh._generators import beam
+from softcal_jax.mesh._location import MaterialPoints, locate
+from softcal_jax.mesh._meshio import MeshWarning
+from softcal_jax.mesh._order import to_linear, to_quadratic
+from softcal_jax.mesh._quality import QualityReport, Spread, quality_report
+from softcal_jax.mesh._reading import read_mesh
+from softcal_jax.mesh._selection import Box, Plane, Sphere, select_faces, select_nodes
+from softcal_jax.mesh._tet_mesh import TetMesh
+from softcal_jax.mesh._topology import boundary_faces, volumes
+
+__all__ = [
+    "Box",
+    "MaterialPoints",
+    "MeshWarning",
+    "Plane",
+    "QualityReport",
+    "Sphere",
+    "Spread",
+    "TetMesh",
+    "beam",
+    "boundary_faces",
+    "check_mesh",
+    "locate",
+    "quality_report",
+    "read_mesh",
+    "select_faces",
+    "select_nodes",
+    "to_linear",
+    "to_quadratic",
+    "volumes",
+]

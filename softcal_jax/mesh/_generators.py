@@ -1,0 +1,146 @@
+"""Meshes made from numbers alone."""
+
+from itertools import permutations, product
+
+import numpy as np
+
+from softcal_jax._typing import HostArray
+from softcal_jax.mesh._order import to_quadratic
+from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh, unknown_name
+from softcal_jax.mesh._topology import boundary_faces
+
+_PATTERNS = ("mirrored", "centred")
+
+
+def _oriented(corners: HostArray) -> HostArray:
+    """Swaps the last two corners of the tets that have a negative volume."""
+    edges = (corners[:, 1:] - corners[:, :1]).astype(float)
+    inverted = np.linalg.det(edges) < 0
+    corners[inverted] = corners[inverted][:, [0, 1, 3, 2]]
+    return corners
+
+
+def _kuhn_cell(parity: tuple[int, ...]) -> HostArray:
+    """Six tets of a cell: the paths from its even to its odd corner (Kuhn, 1960).
+
+    The corners are on the doubled lattice, so a cell is two steps wide.
+    """
+    unit = np.eye(3, dtype=int)
+    paths = np.array(
+        [
+            np.cumsum([np.zeros(3, int), *unit[list(order)]], axis=0)
+            for order in permutations(range(3))
+        ]
+    )
+    flip = np.array(parity)
+    return _oriented(2 * (flip + (1 - 2 * flip) * paths))
+
+
+def _centred_cell() -> HostArray:
+    """24 tets of a cell: its centre, the centre of a face and an edge of that face."""
+    tets = []
+    for axis, side in product(range(3), (0, 2)):
+        face = np.ones(3, int)
+        face[axis] = side
+        ring = np.full((4, 3), side)
+        ring[:, (axis + 1) % 3] = [0, 2, 2, 0]
+        ring[:, (axis + 2) % 3] = [0, 0, 2, 2]
+        tets += [[np.ones(3, int), face, ring[k], ring[(k + 1) % 4]] for k in range(4)]
+    return _oriented(np.array(tets))
+
+
+def _lattice_tets(cells: HostArray, pattern: str) -> HostArray:
+    """Tets of all cells as nodes of the lattice with half the cell's step."""
+    grid = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), -1)
+    grid = grid.reshape(-1, 3)
+    if pattern == "centred":
+        table = _centred_cell()[None]
+        kind = np.zeros(len(grid), int)
+    else:
+        table = np.array([_kuhn_cell(parity) for parity in product((0, 1), repeat=3)])
+        kind = grid % 2 @ np.array([4, 2, 1])
+    nodes = 2 * grid[:, None, None] + table[kind]
+    return np.ravel_multi_index(
+        tuple(np.moveaxis(nodes, -1, 0)), tuple(2 * cells + 1)
+    ).reshape(-1, 4)
+
+
+def beam(
+    length: float,
+    width: float,
+    height: float,
+    cells: ArrayData,
+    *,
+    origin: ArrayData = (0.0, 0.0, 0.0),
+    order: int = 1,
+    pattern: str = "mirrored",
+) -> TetMesh:
+    """A box of tets with its long axis along x, without diagonal bias.
+
+    "mirrored" cuts each cell into Kuhn's six tets and mirrors the cut from cell to
+    cell, so linear tets have (nx+1)(ny+1)(nz+1) nodes. The mesh is symmetric about a
+    mid-plane whose cell count is even, and a beam loaded in that plane stays in it to
+    rounding. With an odd count across, no mesh on the grid nodes alone is symmetric (an
+    edge that crosses the mid-plane would have to be perpendicular to it), and a beam
+    under its own weight drifts sideways: by a quarter of its deflection with one linear
+    cell across, 1 % with three, 0.1 % with five, and about thirty times less with
+    quadratic tets. "centred" adds a node in each cell and face and cuts the cell into
+    24 tets: symmetric for every count.
+
+    The node and surface groups "x_min", "x_max", ..., "z_max" are the six sides.
+
+    Args:
+        length: Extent along x [m].
+        width: Extent along y [m].
+        height: Extent along z [m].
+        cells: Number of cells along x, y and z.
+        origin: Corner with the smallest coordinates [m].
+        order: 1 for linear tets, 2 for quadratic ones.
+        pattern: How a cell is cut into tets: "mirrored" or "centred".
+
+    Returns:
+        The mesh.
+
+    Raises:
+        ValueError: If an extent is not positive and finite, a cell count is not a
+            positive integer, or the order or pattern is unknown.
+    """
+    extent = np.array([length, width, height], dtype=float)
+    if not (np.isfinite(extent).all() and (extent > 0).all()):
+        raise ValueError(
+            f"length, width and height must be positive [m], got {extent.tolist()}."
+        )
+    counts = np.asarray(cells)
+    if counts.shape != (3,) or counts.dtype.kind not in "iu" or counts.min() < 1:
+        raise ValueError(f"cells must be three positive integers, got {cells}.")
+    lower = np.asarray(origin, dtype=float)
+    if lower.shape != (3,) or not np.isfinite(lower).all():
+        raise ValueError(f"origin must be three finite numbers [m], got {origin}.")
+    if order not in (1, 2):
+        raise ValueError(f"order must be 1 (linear) or 2 (quadratic), got {order}.")
+    if pattern not in _PATTERNS:
+        raise unknown_name("pattern", pattern, _PATTERNS)
+
+    lattice = _lattice_tets(counts, pattern)
+    used, tets = np.unique(lattice, return_inverse=True)
+    upper = lower + extent
+    axes = [
+        np.linspace(a, b, 2 * n + 1)
+        for a, b, n in zip(lower, upper, counts, strict=True)
+    ]
+    lattice_points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    points = lattice_points[used]
+    mesh = _with_sides(TetMesh(points, tets.reshape(-1, 4)), lower, upper)
+    return mesh if order == 1 else to_quadratic(mesh)
+
+
+def _with_sides(mesh: TetMesh, lower: HostArray, upper: HostArray) -> TetMesh:
+    """The box with its sides as groups; `linspace` ends exactly on them."""
+    faces = boundary_faces(mesh)
+    nodes, surfaces = {}, {}
+    for axis, letter in enumerate("xyz"):
+        for side, value in (("min", lower[axis]), ("max", upper[axis])):
+            on_side = mesh.points[:, axis] == value
+            nodes[f"{letter}_{side}"] = np.flatnonzero(on_side)
+            surfaces[f"{letter}_{side}"] = faces[on_side[faces].all(axis=1)]
+    return TetMesh(mesh.points, mesh.tets, nodes, surfaces)

@@ -1,0 +1,173 @@
+"""Markers as material points: which tet carries a point, and with which weights."""
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.elements import shape_functions, shape_gradients
+from softcal_jax.mesh._inverse_map import (
+    barycentric_in_tets,
+    bounds,
+    nearest_on_face,
+)
+from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
+from softcal_jax.mesh._topology import LOCAL_FACES, boundary_face_indices, tet_faces
+
+# A point of a face shared by two tets may be outside both by rounding.
+_INSIDE = 1e-9
+
+
+class MaterialPoints(eqx.Module):
+    """Points that move with the mesh, such as markers.
+
+    The value of a nodal field at point i is sum_a weights[i, a] * field[nodes[i, a]].
+
+    Attributes:
+        tet: Tet that carries each point.
+        barycentric: Coordinates in it; outside [0, 1] for a point outside the mesh.
+        distance: Distance from the mesh [m], 0 inside.
+        nodes: Nodes of the tet.
+        weights: Weights of these nodes [-]; rows sum to one.
+    """
+
+    tet: Int[HostArray, " n"]
+    barycentric: Float[HostArray, "n 4"]
+    distance: Float[HostArray, " n"]
+    nodes: Int[HostArray, "n n_en"]
+    weights: Float[HostArray, "n n_en"]
+
+    def interpolate(
+        self, field: Float[Array | HostArray, "n_nodes ..."]
+    ) -> Float[Array | HostArray, "n ..."]:
+        """Values of a nodal field at the points, in the unit of the field.
+
+        Args:
+            field: One value per node, of any shape.
+        """
+        weights = self.weights.reshape(self.weights.shape + (1,) * (field.ndim - 1))
+        return (weights * field[self.nodes]).sum(axis=1)
+
+
+def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> MaterialPoints:
+    """Finds the tet that carries each point, and the weights of its nodes.
+
+    Inside the mesh the weights are the shape functions (for a curved tet, after
+    Newton's method on its map). A point outside, such as a marker on a post, is
+    carried by the nearest point of the boundary and extrapolated from it along the
+    tangent: N(xi0) + dN/dxi(xi0) (xi - xi0), with xi0 on the face. The shape
+    functions themselves would grow quadratically with the distance and turn a bending
+    state into noise. Linear fields are exact in both cases.
+
+    Args:
+        mesh: The mesh, in its reference state.
+        points: Positions [m].
+        max_distance: How far outside the mesh a point may lie [m].
+
+    Returns:
+        The points, in the order given.
+
+    Raises:
+        ValueError: If a point is not finite or lies too far outside, or
+            `max_distance` is negative.
+    """
+    p = np.asarray(points, dtype=float)
+    if p.ndim != 2 or p.shape[1] != 3:
+        raise ValueError(f"points must have the shape (n, 3), got {p.shape}.")
+    bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
+    if bad.size:
+        raise ValueError(f"point {bad[0]} has the position {p[bad[0]].tolist()} [m].")
+    if not max_distance >= 0:
+        raise ValueError(f"max_distance must be at least 0 m, got {max_distance}.")
+
+    tet, b = _inside(mesh, p)
+    n_en = mesh.tets.shape[1]
+    weights = shape_functions(b, n_en)
+    distance = np.zeros(len(p))
+    outside = np.flatnonzero(tet < 0)
+    if outside.size:
+        boundary = _Boundary(mesh)
+        for i in outside:
+            tet[i], b0, distance[i] = boundary.nearest(p[i])
+            b[i], weights[i] = _extrapolate(mesh.points[mesh.tets[tet[i]]], b0, p[i])
+    _check_distance(mesh, p, distance, max_distance)
+    return MaterialPoints(tet, b, distance, mesh.tets[tet], weights)
+
+
+def _inside(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:
+    """Tet and coordinates of each point; tet -1 for a point outside."""
+    X = mesh.points[mesh.tets]
+    lower, upper = bounds(X)
+    slack = _INSIDE * mesh.size
+    tet = np.full(len(points), -1, dtype=np.int32)
+    barycentric = np.full((len(points), 4), 0.25)
+    for i, point in enumerate(points):
+        near = (lower - slack <= point) & (point <= upper + slack)
+        candidates = np.flatnonzero(near.all(axis=1))
+        if not candidates.size:
+            continue
+        b = barycentric_in_tets(X[candidates], np.tile(point, (len(candidates), 1)))
+        depth = np.nan_to_num(b.min(axis=1), nan=-np.inf)
+        best = np.argmax(depth)
+        if depth[best] >= -_INSIDE:
+            tet[i], barycentric[i] = candidates[best], b[best]
+    return tet, barycentric
+
+
+class _Boundary:
+    """The boundary faces, their tets and the boxes around them."""
+
+    def __init__(self, mesh: TetMesh):
+        where = boundary_face_indices(mesh.tets)
+        self.tet = where // 4
+        self.local = LOCAL_FACES[mesh.tets.shape[1]][where % 4]
+        self.X = mesh.points[tet_faces(mesh.tets)[where]]
+        self.lower, self.upper = bounds(self.X)
+
+    def nearest(self, point: HostArray) -> tuple[int, HostArray, float]:
+        """Tet, its coordinates at the nearest boundary point, and the distance."""
+        at_least = np.linalg.norm(
+            point - np.clip(point, self.lower, self.upper), axis=1
+        )
+        reached = np.linalg.norm(self.X - point, axis=2).min()
+        found, best, nearest = -1, np.zeros(3), np.inf
+        # Boxes come by distance, so that most of the faces are never looked at.
+        for face in np.argsort(at_least, kind="stable"):
+            if at_least[face] > min(reached, nearest):
+                break
+            b = nearest_on_face(self.X[face], point)
+            x = shape_functions(b, self.X.shape[1]) @ self.X[face]
+            gap = float(np.linalg.norm(x - point))
+            if gap < nearest:
+                found, best, nearest = face, b, gap
+        barycentric = np.zeros(4)
+        barycentric[self.local[found][:3]] = best
+        return int(self.tet[found]), barycentric, nearest
+
+
+def _extrapolate(X: HostArray, b0: HostArray, point: HostArray):
+    """Coordinates and weights of a point along the tangent of the map at `b0`."""
+    N, dN = shape_functions(b0, len(X)), shape_gradients(b0, len(X))
+    step = np.linalg.solve(X.T @ dN, point - N @ X)
+    return b0 + np.concatenate([[-step.sum()], step]), N + dN @ step
+
+
+def _check_distance(
+    mesh: TetMesh, points: HostArray, distance: HostArray, limit: float
+):
+    far = np.flatnonzero(distance > limit)
+    if not far.size:
+        return
+    worst = far[np.argmax(distance[far])]
+    lower, upper = mesh.points.min(axis=0) - limit, mesh.points.max(axis=0) + limit
+    hint = "Check the frame and the length unit of the points."
+    scaled = 1e-3 * points
+    # Any cloud fits when it is scaled down to a mesh that holds the origin, so this
+    # asks also that the points are far outside for the size of the mesh.
+    fits = ((lower <= scaled) & (scaled <= upper)).all()
+    if fits and distance[worst] > 10.0 * mesh.size:
+        hint = "The points would fit the mesh in millimetres: give both in metres."
+    raise ValueError(
+        f"{far.size} of {len(points)} points lie farther than {limit:.3g} m from the "
+        f"mesh: {far[:5].tolist()}{', ...' * (far.size > 5)}; the farthest is point "
+        f"{worst}, {distance[worst]:.3g} m away at {points[worst].tolist()} [m]. {hint}"
+    )

@@ -1,0 +1,106 @@
+"""Change of element order: linear to quadratic and back, groups carried along."""
+
+import numpy as np
+
+from softcal_jax._typing import HostArray
+from softcal_jax.mesh._tet_mesh import TetMesh
+from softcal_jax.mesh._topology import tet_edges
+
+
+class _MidNodes:
+    """Number of the mid node of each edge of the mesh."""
+
+    def __init__(self, mesh: TetMesh):
+        self.n_nodes = mesh.n_nodes
+        keys = self._keys(tet_edges(mesh.tets))
+        self.keys, self.inverse = np.unique(keys, return_inverse=True)
+        self.edges = np.stack([self.keys // self.n_nodes, self.keys % self.n_nodes], 1)
+
+    def _keys(self, edges: HostArray) -> HostArray:
+        edges = np.sort(edges.astype(np.int64), axis=-1)
+        return edges[..., 0] * self.n_nodes + edges[..., 1]
+
+    def of(self, edges: HostArray) -> HostArray:
+        """Mid nodes of edges that exist in the mesh."""
+        return self.n_nodes + np.searchsorted(self.keys, self._keys(edges))
+
+    def between(self, nodes: HostArray) -> HostArray:
+        """Mid nodes of the edges with both ends among `nodes`."""
+        chosen = np.zeros(self.n_nodes, dtype=bool)
+        chosen[nodes] = True
+        return self.n_nodes + np.flatnonzero(chosen[self.edges].all(axis=1))
+
+
+def to_quadratic(mesh: TetMesh) -> TetMesh:
+    """The same mesh with straight-sided quadratic tets.
+
+    Corners keep their numbers; mid nodes are appended. A node group that is exactly
+    the nodes of the surface or tet group of the same name gains the mid nodes of those
+    faces or tets. Any other node group gains the mid node of each edge that has both
+    ends in it, which also takes an edge that crosses the body between two parts of
+    the group: where the mesh is one cell thick, name the faces instead.
+
+    Args:
+        mesh: A linear mesh.
+
+    Returns:
+        The quadratic mesh with the same groups.
+
+    Raises:
+        ValueError: If the mesh is quadratic already, or a surface group holds a face
+            whose edges are not edges of the mesh.
+    """
+    if mesh.order == 2:
+        raise ValueError("the mesh is quadratic already.")
+    mid = _MidNodes(mesh)
+    tets = np.hstack([mesh.tets, mesh.n_nodes + mid.inverse.reshape(-1, 6)])
+    points = np.vstack([mesh.points, mesh.points[mid.edges].mean(axis=1)])
+
+    surfaces = {}
+    for name, faces in mesh.surface_groups.items():
+        edges = faces[:, [[0, 1], [1, 2], [2, 0]]]
+        if not np.isin(mid._keys(edges), mid.keys).all():
+            raise ValueError(
+                f"surface group {name!r} has a face that is not a face of a tet."
+            )
+        surfaces[name] = np.hstack([faces, mid.of(edges)])
+
+    def grown(name: str, nodes: HostArray) -> HostArray:
+        if name in surfaces and _same(nodes, mesh.surface_groups[name]):
+            return np.unique(surfaces[name])
+        if name in mesh.tet_groups and _same(nodes, mesh.tets[mesh.tet_groups[name]]):
+            return np.unique(tets[mesh.tet_groups[name]])
+        return np.concatenate([np.unique(nodes), mid.between(nodes)])
+
+    nodes = {name: grown(name, group) for name, group in mesh.node_groups.items()}
+    return TetMesh(points, tets, nodes, surfaces, mesh.tet_groups)
+
+
+def _same(nodes: HostArray, cells: HostArray) -> bool:
+    return np.array_equal(np.unique(nodes), np.unique(cells))
+
+
+def to_linear(mesh: TetMesh) -> TetMesh:
+    """The same mesh with linear tets: mid nodes are dropped, so curved sides flatten.
+
+    Args:
+        mesh: A quadratic mesh.
+
+    Returns:
+        The linear mesh with the same groups.
+
+    Raises:
+        ValueError: If the mesh is linear already, or a node group has mid nodes only.
+    """
+    if mesh.order == 1:
+        raise ValueError("the mesh is linear already.")
+    corners = np.unique(mesh.tets[:, :4])
+    number = np.full(mesh.n_nodes, -1, dtype=np.int32)
+    number[corners] = np.arange(len(corners))
+    nodes = {
+        name: number[np.intersect1d(group, corners)]
+        for name, group in mesh.node_groups.items()
+    }
+    surfaces = {name: number[f[:, :3]] for name, f in mesh.surface_groups.items()}
+    tets = number[mesh.tets[:, :4]]
+    return TetMesh(mesh.points[corners], tets, nodes, surfaces, mesh.tet_groups)

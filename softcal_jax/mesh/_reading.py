@@ -1,0 +1,241 @@
+"""Mesh files into a `TetMesh` in metres."""
+
+import os
+import warnings
+from collections import Counter
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from softcal_jax._typing import HostArray
+from softcal_jax.mesh._checks import check_mesh
+from softcal_jax.mesh._groups import RawGroups, raw_groups
+from softcal_jax.mesh._meshio import MeshWarning, read_raw
+from softcal_jax.mesh._order import to_linear, to_quadratic
+from softcal_jax.mesh._tet_mesh import TetMesh, unknown_name
+from softcal_jax.mesh._topology import tet_faces, volumes
+
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
+"""Length units of mesh files."""
+
+# A robot outside this range [m] is more likely read in the wrong unit.
+_SMALL, _LARGE = 5e-4, 20.0
+
+_TETS = ("tetra", "tetra10")
+_TRIANGLES = ("triangle", "triangle6")
+_GROUP_CELLS = (*_TETS, *_TRIANGLES, "line", "line3", "vertex")
+# Corners 1 and 2 exchanged, with the mid nodes that follow them.
+_MIRRORED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]
+
+
+def read_mesh(
+    path: str | os.PathLike[str],
+    *,
+    length_unit: str,
+    order: int | None = None,
+    unused: str = "error",
+) -> TetMesh:
+    """Reads the tets and the named groups of a mesh file, and checks them.
+
+    Formats: Gmsh .msh (2 and 4), .vtu, .vtk, Abaqus .inp and .med, as meshio reads
+    them. Physical groups, sets and families become groups: all their nodes in
+    `node_groups`, their triangles in `surface_groups`, their tets in `tet_groups`. A
+    physical group without a name is called after its kind and tag, e.g. "surface_7".
+    Cells that are neither tets nor part of a group are left out with a warning, and so
+    are the nodes that only they use, such as the circle centres that Gmsh writes.
+
+    Args:
+        path: The file.
+        length_unit: Unit of its coordinates: "m", "cm", "mm", "um" or "inch".
+        order: 1 or 2 to convert to that order; None keeps the order of the file.
+        unused: What to do with nodes that no cell uses: "error" or "drop".
+
+    Returns:
+        The mesh, in metres.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If the file cannot be read, the unit is unknown, there are no tets
+            or linear ones among quadratic ones, nodes are unused, or `check_mesh`
+            refuses the mesh.
+
+    Warns:
+        MeshWarning: If something in the file is left out, or its size suggests that
+            the unit is wrong.
+    """
+    if length_unit not in METRES:
+        raise unknown_name("length unit", length_unit, METRES)
+    if order not in (None, 1, 2):
+        raise ValueError(f"order must be 1, 2 or None, got {order}.")
+    if unused not in ("error", "drop"):
+        raise unknown_name("choice for unused nodes", unused, ("error", "drop"))
+    path = Path(path)
+    notes: list[str] = []
+    raw = read_raw(path, notes)
+    try:
+        mesh = _build(path, raw, METRES[length_unit], unused, notes)
+        check_mesh(mesh)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if mesh.size > _LARGE or (mesh.size < _SMALL and length_unit != "um"):
+        notes.append(f"it is {mesh.size:.3g} m across; is it in {length_unit!r}?")
+    for note in notes:
+        warnings.warn(f"{path}: {note}", MeshWarning, stacklevel=2)
+    if order == 2 and mesh.order == 1:
+        return to_quadratic(mesh)
+    if order == 1 and mesh.order == 2:
+        return to_linear(mesh)
+    return mesh
+
+
+def _build(
+    path: Path, raw: meshio.Mesh, scale: float, unused: str, notes: list[str]
+) -> TetMesh:
+    tets, first = _tets(raw)
+    if raw.points.ndim != 2 or raw.points.shape[1] != 3:
+        raise ValueError(f"its points have the shape {raw.points.shape}, not (n, 3).")
+    for block in raw.cells:
+        cells = _node_indices(block)
+        if cells.size and (cells.min() < 0 or cells.max() >= len(raw.points)):
+            raise ValueError(f"a {block.type} cell refers to a node that is not there.")
+    groups = raw_groups(raw)
+    notes += _left_out(raw, groups)
+    number = _numbers(raw, tets, unused)
+    points = raw.points[number >= 0] * scale
+    tets = number[tets]
+    if path.suffix.lower() == ".med":
+        tets = _right_handed(points, tets)
+    return _with_groups(raw, groups, TetMesh(points, tets), number, first, notes)
+
+
+def _node_indices(block: meshio.CellBlock) -> HostArray:
+    """Nodes of all cells of a block; none for polyhedra, which have no fixed width."""
+    if block.type.startswith("polyhedron"):
+        return np.empty(0, dtype=int)
+    return np.asarray(block.data)
+
+
+def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
+    """All tets, and the first one of each block of them."""
+    kinds = Counter()
+    for block in raw.cells:
+        kinds[block.type] += len(block)
+    listed = ", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "no cells"
+    if not (kinds["tetra"] or kinds["tetra10"]):
+        raise ValueError(f"it has no tetrahedra of 4 or 10 nodes; it has {listed}.")
+    if kinds["tetra"] and kinds["tetra10"]:
+        raise ValueError(
+            f"it mixes {kinds['tetra']} linear (tetra) and {kinds['tetra10']} "
+            "quadratic (tetra10) tets; export it with one order."
+        )
+    first, parts, n = {}, [], 0
+    for k, block in enumerate(raw.cells):
+        if block.type in _TETS and len(block):
+            first[k] = n
+            parts.append(np.asarray(block.data))
+            n += len(block)
+    return np.concatenate(parts), first
+
+
+def _left_out(raw: meshio.Mesh, groups: RawGroups) -> list[str]:
+    left_out = Counter()
+    for k, block in enumerate(raw.cells):
+        if block.type in _TETS:
+            continue
+        used = [own[k] for own in groups.cells.values() if k in own]
+        n_used = len(np.unique(np.concatenate(used))) if used else 0
+        left_out[block.type] += len(block) - n_used * (block.type in _GROUP_CELLS)
+    listed = ", ".join(f"{n} {kind}" for kind, n in left_out.items() if n)
+    if not listed:
+        return []
+    return [
+        f"left out: {listed}. Tets are read; triangles, lines and vertices only where "
+        "they belong to a named group."
+    ]
+
+
+def _numbers(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
+    """New number of each node of the file, -1 for the ones that no tet uses."""
+    kept = np.zeros(len(raw.points), dtype=bool)
+    kept[tets] = True
+    known = kept.copy()
+    for block in raw.cells:
+        known[_node_indices(block)] = True
+    loose = np.flatnonzero(~known)
+    if loose.size and unused == "error":
+        raise ValueError(
+            f"{loose.size} of its {len(known)} nodes are unused (no cell refers to "
+            f"them): {loose[:5].tolist()}{', ...' * (loose.size > 5)} counted from 0. "
+            'Remove them, or read with unused="drop".'
+        )
+    return np.where(kept, np.cumsum(kept) - 1, -1)
+
+
+def _right_handed(points: HostArray, tets: HostArray) -> HostArray:
+    """Renumbers the tets if all are left-handed, which is MED's own convention."""
+    if (volumes(TetMesh(points, tets[:, :4])) < 0).all():
+        return tets[:, _MIRRORED[: tets.shape[1]]]
+    return tets
+
+
+def _with_groups(
+    raw: meshio.Mesh,
+    groups: RawGroups,
+    mesh: TetMesh,
+    number: HostArray,
+    first: dict[int, int],
+    notes: list[str],
+) -> TetMesh:
+    node_groups, surface_groups, tet_groups = {}, {}, {}
+    match = _FaceMatch(mesh)
+    for name in {**groups.cells, **groups.points}:
+        own = {
+            k: members
+            for k, members in groups.cells.get(name, {}).items()
+            if raw.cells[k].type in _GROUP_CELLS
+        }
+        cells = {k: number[raw.cells[k].data[members]] for k, members in own.items()}
+        points = number[groups.points.get(name, np.empty(0, int))]
+        nodes = np.unique(np.concatenate([points, *map(np.ravel, cells.values())]))
+        nodes = nodes[nodes >= 0]
+        if not nodes.size:
+            notes.append(f"left out: group {name!r}, which has no node of a tet.")
+            continue
+        node_groups[name] = nodes
+        tets = [first[k] + members for k, members in own.items() if k in first]
+        if tets:
+            tet_groups[name] = np.unique(np.concatenate(tets))
+        triangles = [
+            c[:, :3] for k, c in cells.items() if raw.cells[k].type in _TRIANGLES
+        ]
+        faces = match.faces(name, triangles, notes)
+        if len(faces):
+            surface_groups[name] = faces
+    return TetMesh(mesh.points, mesh.tets, node_groups, surface_groups, tet_groups)
+
+
+class _FaceMatch:
+    """Finds triangles among the faces of the tets, whichever way they turn."""
+
+    def __init__(self, mesh: TetMesh):
+        self.all = tet_faces(mesh.tets)
+        corners = np.sort(self.all[:, :3], axis=1).tolist()
+        self.position = {tuple(key): where for where, key in enumerate(corners)}
+
+    def faces(
+        self, name: str, triangles: list[HostArray], notes: list[str]
+    ) -> HostArray:
+        """The faces with these corners; with their mid nodes, normals outwards."""
+        if not triangles:
+            return self.all[:0]
+        corners = np.sort(np.concatenate(triangles), axis=1)
+        keys = dict.fromkeys(map(tuple, corners.tolist()))
+        found = [self.position[key] for key in keys if key in self.position]
+        if len(found) < len(corners):
+            lost = len(corners) - len(found)
+            notes.append(
+                f"left out: {lost} of the {len(corners)} triangles of group {name!r}, "
+                "which repeat or are not faces of a tet."
+            )
+        return self.all[found]

@@ -1,0 +1,231 @@
+"""The tetrahedral mesh and its named groups."""
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray, Int
+
+ArrayData = HostArray | Sequence
+"""An array or nested lists of numbers, as a user types them."""
+
+FACE_NODES_OF_TET = {4: 3, 10: 6}
+"""Nodes of a face, by the nodes of its tet."""
+
+
+_FAR = 1e12
+
+
+def _as_points(points: ArrayData) -> HostArray:
+    return np.asarray(points, dtype=np.float64)
+
+
+def _as_indices(indices: ArrayData) -> HostArray:
+    array = np.asarray(indices)
+    if array.dtype.kind not in "iu":
+        remedy = " (np.flatnonzero turns a mask into indices)" * (array.dtype == bool)
+        raise ValueError(
+            f"nodes and tets are given by integer indices{remedy}, got {array.dtype}."
+        )
+    return array.astype(np.int32)
+
+
+def _as_groups(groups: Mapping[str, ArrayData]) -> dict[str, HostArray]:
+    return {str(name): _as_indices(members) for name, members in groups.items()}
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
+    """The error for a name that is not in a list, with the near one suggested."""
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    listed = ", ".join(map(repr, names)) or "none"
+    return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")
+
+
+class TetMesh(eqx.Module):
+    """Nodes, tets and the named groups that supports, loads and laws refer to.
+
+    Node order inside a tet is VTK's (see `softcal_jax.elements`). Shapes and index
+    ranges are checked here; geometry is checked by `check_mesh`.
+
+    Attributes:
+        points: Node positions [m].
+        tets: Node indices of each tet: 4 (linear) or 10 (quadratic).
+        node_groups: Node indices by name.
+        surface_groups: Faces by name, 3 or 6 nodes each; a face of the boundary has
+            its normal pointing outwards.
+        tet_groups: Tet indices by name.
+    """
+
+    points: Float[HostArray, "n_nodes 3"] = eqx.field(converter=_as_points)
+    tets: Int[HostArray, "n_tets n_en"] = eqx.field(converter=_as_indices)
+    node_groups: dict[str, Int[HostArray, " _"]] = eqx.field(
+        converter=_as_groups, default_factory=dict
+    )
+    surface_groups: dict[str, Int[HostArray, "_ n_fn"]] = eqx.field(
+        converter=_as_groups, default_factory=dict
+    )
+    tet_groups: dict[str, Int[HostArray, " _"]] = eqx.field(
+        converter=_as_groups, default_factory=dict
+    )
+
+    def __check_init__(self):
+        if self.points.ndim != 2 or self.points.shape[1] != 3:
+            raise ValueError(
+                f"points must have the shape (n_nodes, 3), got {self.points.shape}."
+            )
+        # The bound also keeps the cubes of lengths far from overflow.
+        bad = np.flatnonzero(~(np.abs(self.points) < _FAR).all(axis=1))
+        if bad.size:
+            where = self.points[bad[0]].tolist()
+            raise ValueError(f"node {bad[0]} has the position {where} [m].")
+        if self.tets.ndim != 2 or self.tets.shape[1] not in FACE_NODES_OF_TET:
+            raise ValueError(
+                "tets must have the shape (n_tets, 4) or (n_tets, 10), "
+                f"got {self.tets.shape}."
+            )
+        if not self.n_tets:
+            raise ValueError("the mesh has no tets.")
+        self._check_group("tets", self.tets, self.n_nodes)
+        for name, nodes in self.node_groups.items():
+            self._check_group(f"node group {name!r}", nodes, self.n_nodes)
+        for name, faces in self.surface_groups.items():
+            width = FACE_NODES_OF_TET[self.tets.shape[1]]
+            if faces.ndim != 2 or faces.shape[1] != width:
+                raise ValueError(
+                    f"surface group {name!r} must have the shape (n_faces, {width}) on "
+                    f"tets of {self.tets.shape[1]} nodes, got {faces.shape}."
+                )
+            self._check_group(f"surface group {name!r}", faces, self.n_nodes)
+        for name, tets in self.tet_groups.items():
+            self._check_group(f"tet group {name!r}", tets, self.n_tets)
+
+    @staticmethod
+    def _check_group(what: str, indices: HostArray, n: int):
+        if not indices.size:
+            raise ValueError(f"{what} is empty.")
+        if indices.min() < 0 or indices.max() >= n:
+            worst = indices.min() if indices.min() < 0 else indices.max()
+            raise ValueError(f"{what}: index {worst} is outside 0 to {n - 1}.")
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return self.points.shape[0]
+
+    @property
+    def n_tets(self) -> int:
+        """Number of tets."""
+        return self.tets.shape[0]
+
+    @property
+    def order(self) -> int:
+        """Polynomial order of the tets, 1 or 2."""
+        return 1 if self.tets.shape[1] == 4 else 2
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the bounding box [m]."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    def nodes(self, name: str) -> Int[HostArray, " _"]:
+        """Nodes of a group, sorted: a node group, else those of its faces or tets.
+
+        Args:
+            name: Group name.
+
+        Raises:
+            ValueError: If no group has the name.
+        """
+        if name in self.node_groups:
+            return np.unique(self.node_groups[name])
+        if name in self.surface_groups:
+            return np.unique(self.surface_groups[name])
+        if name in self.tet_groups:
+            return np.unique(self.tets[self.tet_groups[name]])
+        known = {**self.node_groups, **self.surface_groups, **self.tet_groups}
+        raise unknown_name("group", name, known)
+
+    def faces(self, name: str) -> Int[HostArray, "_ n_fn"]:
+        """Faces of a surface group.
+
+        Args:
+            name: Group name.
+
+        Raises:
+            ValueError: If no surface group has the name.
+        """
+        if name not in self.surface_groups:
+            raise unknown_name("surface group", name, self.surface_groups)
+        return self.surface_groups[name]
+
+    def tets_of(self, name: str) -> Int[HostArray, " _"]:
+        """Tet indices of a tet group.
+
+        Args:
+            name: Group name.
+
+        Raises:
+            ValueError: If no tet group has the name.
+        """
+        if name not in self.tet_groups:
+            raise unknown_name("tet group", name, self.tet_groups)
+        return self.tet_groups[name]
+
+    def with_node_group(self, name: str, nodes: ArrayData) -> "TetMesh":
+        """The mesh with one more node group.
+
+        Args:
+            name: Name that no node group has yet.
+            nodes: Node indices; repeats are merged.
+
+        Raises:
+            ValueError: If the name is taken, or the nodes are none or not in the mesh.
+        """
+        self._check_free("node group", name, self.node_groups)
+        groups = {**self.node_groups, name: np.unique(_as_indices(nodes))}
+        return self._with(node_groups=groups)
+
+    def with_surface_group(self, name: str, faces: ArrayData) -> "TetMesh":
+        """The mesh with one more surface group.
+
+        Args:
+            name: Name that no surface group has yet.
+            faces: Nodes of each face, as `boundary_faces` and `select_faces` give them.
+
+        Raises:
+            ValueError: If the name is taken, or the faces are none or not in the mesh.
+        """
+        self._check_free("surface group", name, self.surface_groups)
+        groups = {**self.surface_groups, name: _as_indices(faces)}
+        return self._with(surface_groups=groups)
+
+    def with_tet_group(self, name: str, tets: ArrayData) -> "TetMesh":
+        """The mesh with one more tet group.
+
+        Args:
+            name: Name that no tet group has yet.
+            tets: Tet indices; repeats are merged.
+
+        Raises:
+            ValueError: If the name is taken, or the tets are none or not in the mesh.
+        """
+        self._check_free("tet group", name, self.tet_groups)
+        groups = {**self.tet_groups, name: np.unique(_as_indices(tets))}
+        return self._with(tet_groups=groups)
+
+    @staticmethod
+    def _check_free(kind: str, name: str, taken: Iterable[str]):
+        if name in taken:
+            raise ValueError(f"the mesh has a {kind} {name!r} already; use a new name.")
+
+    def _with(self, **changed: dict[str, HostArray]) -> "TetMesh":
+        groups = {
+            "node_groups": self.node_groups,
+            "surface_groups": self.surface_groups,
+            "tet_groups": self.tet_groups,
+        }
+        return TetMesh(self.points, self.tets, **(groups | changed))

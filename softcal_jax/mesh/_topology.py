@@ -1,0 +1,91 @@
+"""Faces, edges and volumes: what follows from the tets and the points alone."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.elements import TET_EDGES, TET_FACES, shape_gradients, tet_rule
+from softcal_jax.mesh._tet_mesh import TetMesh
+
+
+def _local_faces(n_en: int) -> HostArray:
+    """Local nodes of the four faces: corners, then mid nodes in tri6 order."""
+    corners = np.array(TET_FACES)
+    if n_en == 4:
+        return corners
+    mid = {frozenset(edge): 4 + k for k, edge in enumerate(TET_EDGES)}
+    pairs = ((0, 1), (1, 2), (2, 0))
+    mids = [[mid[frozenset((f[i], f[j]))] for i, j in pairs] for f in TET_FACES]
+    return np.hstack([corners, mids])
+
+
+LOCAL_FACES = {n_en: _local_faces(n_en) for n_en in (4, 10)}
+"""Local nodes of the faces of a tet, normals outwards, by nodes per tet."""
+
+
+def tet_faces(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_faces n_fn"]:
+    """The four faces of every tet, tet by tet, normals outwards."""
+    faces = tets[:, LOCAL_FACES[tets.shape[1]]]
+    return faces.reshape(-1, faces.shape[-1])
+
+
+class FaceTable(NamedTuple):
+    """Which of the faces of the tets are the same face."""
+
+    inverse: Int[HostArray, " n_faces"]
+    counts: Int[HostArray, " n_unique"]
+    """Tets that share each unique face: 1 on the boundary, 2 inside."""
+
+
+def face_table(tets: Int[HostArray, "n_tets n_en"]) -> FaceTable:
+    """Numbers the faces in `tet_faces` order so that shared ones get one number."""
+    corners = np.sort(tet_faces(tets[:, :4]), axis=1)
+    _, inverse, counts = np.unique(
+        corners, axis=0, return_inverse=True, return_counts=True
+    )
+    return FaceTable(inverse.ravel(), counts)
+
+
+def boundary_face_indices(tets: Int[HostArray, "n_tets n_en"]) -> HostArray:
+    """Positions in `tet_faces` of the faces that belong to one tet only."""
+    table = face_table(tets)
+    return np.flatnonzero(table.counts[table.inverse] == 1)
+
+
+def boundary_faces(mesh: TetMesh) -> Int[HostArray, "n_faces n_fn"]:
+    """Faces that belong to one tet only, normals outwards.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        3 or 6 nodes of each face: corners, then mid nodes.
+    """
+    return tet_faces(mesh.tets)[boundary_face_indices(mesh.tets)]
+
+
+def tet_edges(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_edges 2"]:
+    """The six edges of every tet, tet by tet, smaller node first."""
+    return np.sort(tets[:, np.array(TET_EDGES)].reshape(-1, 2), axis=1)
+
+
+def jacobian_determinants(
+    mesh: TetMesh, barycentric: Float[HostArray, "n_points 4"]
+) -> Float[HostArray, "n_tets n_points"]:
+    """Determinant dX/dxi of every tet at points of the reference tet [m^3]."""
+    gradients = shape_gradients(barycentric, mesh.tets.shape[1])
+    X = mesh.points[mesh.tets]
+    return np.linalg.det(np.einsum("tai,qaj->tqij", X, gradients, optimize=True))
+
+
+def volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
+    """Volume of each tet [m^3], negative where it is inverted.
+
+    det dX/dxi has degree 3 on a curved tet, so its rule makes the volume exact.
+
+    Args:
+        mesh: The mesh.
+    """
+    rule = tet_rule(1 if mesh.order == 1 else 3)
+    return jacobian_determinants(mesh, rule.barycentric) @ rule.weights / 6.0

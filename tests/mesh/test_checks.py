@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+
+from softcal_jax.mesh import TetMesh, beam, check_mesh, to_quadratic
+
+BEAM = beam(0.1, 0.02, 0.02, (3, 2, 2))
+ONE = TetMesh(np.vstack([np.zeros(3), np.eye(3)]), [[0, 1, 2, 3]])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_sound_mesh_passes(order):
+    check_mesh(beam(0.1, 0.02, 0.02, (3, 1, 2), order=order))
+
+
+@pytest.mark.parametrize("mesh", [BEAM, to_quadratic(BEAM)])
+def test_inverted(mesh):
+    tets = mesh.tets.copy()
+    # Exchanging corners 1 and 2 exchanges their mid nodes as well.
+    swap = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8][: tets.shape[1]]
+    tets[[4, 9]] = tets[[4, 9]][:, swap]
+    with pytest.raises(
+        ValueError, match=r"2 of 72 tets are inverted .*: 4 at \(.*, 9 at"
+    ):
+        check_mesh(TetMesh(mesh.points, tets))
+
+
+def test_curved_tet_folded_by_its_mid_node():
+    mesh = to_quadratic(ONE)
+    points = mesh.points.copy()
+    points[mesh.tets[0, 4]] = [0.76, 0.0, 0.0]  # Beyond 3/4: folds at corner 1.
+    with pytest.raises(ValueError, match=r"1 of 1 curved tets are inverted .folded by"):
+        check_mesh(TetMesh(points, mesh.tets))
+    points[mesh.tets[0, 4]] = [0.6, 0.05, 0.0]
+    check_mesh(TetMesh(points, mesh.tets))
+
+
+def test_degenerate():
+    points = BEAM.points.copy()
+    a, b, c, d = BEAM.tets[0]
+    points[d] = points[[a, b, c]].mean(axis=0)
+    with pytest.raises(ValueError, match=r"of 72 tets are degenerate .flat.: 0 at"):
+        check_mesh(TetMesh(points, BEAM.tets))
+    # A tet that repeats a node is flat whatever its size.
+    with pytest.raises(ValueError, match=r"1 of 1 tets are degenerate"):
+        check_mesh(TetMesh(ONE.points[:3], [[0, 1, 2, 2]]))
+
+
+def test_small_is_not_degenerate():
+    check_mesh(TetMesh(1e-9 * ONE.points, ONE.tets))
+
+
+def test_unused_nodes():
+    points = np.vstack([BEAM.points, np.full((7, 3), 0.5)])
+    with pytest.raises(
+        ValueError, match=r"7 of 43 nodes are unused .*\[36, 37.*, \.\.\."
+    ):
+        check_mesh(TetMesh(points, BEAM.tets))
+
+
+def test_repeated_and_overlapping():
+    twice = np.vstack([BEAM.tets, BEAM.tets[3][[1, 2, 0, 3]]])
+    with pytest.raises(ValueError, match="1 tets repeat another one: 72 at"):
+        check_mesh(TetMesh(BEAM.points, twice))
+    points = np.vstack([ONE.points, [[1, 1, 1], [2, 2, 2]]])
+    fan = [[0, 1, 2, 3], [1, 2, 3, 4], [1, 2, 3, 5]]
+    with pytest.raises(ValueError, match="3 tets overlap"):
+        check_mesh(TetMesh(points, fan))
+
+
+def test_disconnected():
+    points = np.vstack([BEAM.points, 0.5 + np.vstack([np.zeros(3), np.eye(3)])])
+    apart = TetMesh(points, np.vstack([BEAM.tets, [[36, 37, 38, 39]]]))
+    with pytest.raises(
+        ValueError, match=r"disconnected: 2 parts of 72, 1 tets.*Join them"
+    ):
+        check_mesh(apart)
+
+
+def test_parts_that_only_touch():
+    """Nodes that coincide but are not shared, and a shared node alone."""
+    half = beam(0.1, 0.02, 0.02, (1, 1, 1))
+    other = half.points + np.array([0.1, 0.0, 0.0])
+    twins = TetMesh(
+        np.vstack([half.points, other]), np.vstack([half.tets, 8 + half.tets])
+    )
+    with pytest.raises(
+        ValueError, match=r"2 parts of 6, 6 tets.*4 pairs of nodes coinc"
+    ):
+        check_mesh(twins)
+    hinge = TetMesh(np.vstack([ONE.points, -np.eye(3)]), [[0, 1, 2, 3], [0, 5, 4, 6]])
+    with pytest.raises(ValueError, match=r"2 parts of 1, 1 tets that share no face"):
+        check_mesh(hinge)
+
+
+def test_all_problems_are_named_at_once():
+    tets = BEAM.tets.copy()
+    tets[0] = tets[0, [1, 0, 2, 3]]
+    points = np.vstack([BEAM.points, [[1, 1, 1]]])
+    with pytest.raises(
+        ValueError, match=r"bad mesh:\n- 1 of 37 nodes .*\n- 1 of 72 tets"
+    ):
+        check_mesh(TetMesh(points, tets))

@@ -1,0 +1,303 @@
+"""Files written by meshio or by hand, and what becomes of their groups."""
+
+import meshio
+import numpy as np
+import pytest
+
+from softcal_jax.mesh import MeshWarning, beam, boundary_faces, read_mesh, volumes
+
+BEAM = beam(0.1, 0.02, 0.03, (3, 2, 1))
+FORMATS = {
+    "gmsh22 ascii": (".msh", {"file_format": "gmsh22", "binary": False}),
+    "gmsh22 binary": (".msh", {"file_format": "gmsh22", "binary": True}),
+    "gmsh41 ascii": (".msh", {"file_format": "gmsh", "binary": False}),
+    "gmsh41 binary": (".msh", {"file_format": "gmsh", "binary": True}),
+    "vtu": (".vtu", {}),
+    "vtk": (".vtk", {}),
+    "vtk42": (".vtk", {"file_format": "vtk42"}),
+    "abaqus": (".inp", {}),
+    "med": (".med", {}),
+}
+
+
+def _kind(mesh):
+    return "tetra" if mesh.order == 1 else "tetra10"
+
+
+def _write(tmp_path, mesh, suffix, **options):
+    path = tmp_path / f"beam{suffix}"
+    mesh.write(path, **options)
+    return path
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("name", FORMATS)
+def test_round_trip(tmp_path, name, order, capfd):
+    suffix, options = FORMATS[name]
+    if suffix == ".med":
+        pytest.importorskip("h5py", reason="meshio reads .med through h5py")
+    mesh = beam(0.1, 0.02, 0.03, (3, 2, 1), order=order)
+    raw = meshio.Mesh(1e3 * mesh.points, [(_kind(mesh), mesh.tets)])
+    path = _write(tmp_path, raw, suffix, **options)
+    capfd.readouterr()
+    read = read_mesh(path, length_unit="mm")
+    assert capfd.readouterr() == ("", "")
+    np.testing.assert_allclose(read.points, mesh.points, rtol=1e-14, atol=1e-18)
+    np.testing.assert_array_equal(read.tets, mesh.tets)
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("um", 1e-6), ("inch", 0.0254)],
+)
+def test_length_units(tmp_path, unit, metres):
+    path = _write(tmp_path, meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]), ".vtu")
+    points = read_mesh(path, length_unit="m").points
+    large = meshio.Mesh(points / metres, [("tetra", BEAM.tets)])
+    path = _write(tmp_path, large, ".vtu")
+    read = read_mesh(path, length_unit=unit)
+    np.testing.assert_allclose(read.points, BEAM.points, rtol=1e-14)
+
+
+def test_order_is_converted(tmp_path):
+    path = _write(tmp_path, meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]), ".vtu")
+    quadratic = read_mesh(path, length_unit="m", order=2)
+    assert quadratic.order == 2
+    raw = meshio.Mesh(quadratic.points, [("tetra10", quadratic.tets)])
+    path = _write(tmp_path, raw, ".vtu")
+    linear = read_mesh(path, length_unit="m", order=1)
+    np.testing.assert_array_equal(linear.tets, BEAM.tets)
+    assert read_mesh(path, length_unit="m", order=2).n_nodes == quadratic.n_nodes
+
+
+def _with_physical_groups(order):
+    """Gmsh 2 groups: two volumes, one surface wound inwards, a line and a point."""
+    mesh = beam(0.1, 0.02, 0.03, (3, 2, 1), order=order)
+    inwards = mesh.faces("x_min")[:, :3][:, [0, 2, 1]]
+    if order == 2:
+        inwards = mesh.faces("x_min")[:, [0, 2, 1, 5, 4, 3]]
+    half = mesh.n_tets // 2
+    kind = _kind(mesh)
+    edge = mesh.nodes("x_max")[:2].reshape(1, 2)
+    cells = [
+        ("vertex", [[int(mesh.nodes("x_max")[0])]]),
+        ("line", edge),
+        ("triangle" if order == 1 else "triangle6", inwards),
+        (kind, mesh.tets[:half]),
+        (kind, mesh.tets[half:]),
+    ]
+    tags = [[9], [8], [1] * len(inwards), [2] * half, [5] * (mesh.n_tets - half)]
+    names = {"tip": [9, 0], "edge": [8, 1], "clamp": [1, 2], "soft": [2, 3]}
+    data = [np.array(t, dtype=np.int32) for t in tags]
+    return mesh, meshio.Mesh(
+        mesh.points,
+        cells,
+        cell_data={"gmsh:physical": data, "gmsh:geometrical": data},
+        field_data={name: np.array(entry) for name, entry in names.items()},
+    )
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("order", [1, 2])
+def test_gmsh_2_physical_groups(tmp_path, order, binary):
+    mesh, raw = _with_physical_groups(order)
+    path = _write(tmp_path, raw, ".msh", file_format="gmsh22", binary=binary)
+    read = read_mesh(path, length_unit="m")
+    half = mesh.n_tets // 2
+    assert set(read.surface_groups) == {"clamp"}
+    # A volume without a name is called after its tag.
+    assert set(read.tet_groups) == {"soft", "volume_5"}
+    assert set(read.node_groups) == {"tip", "edge", "clamp", "soft", "volume_5"}
+    np.testing.assert_array_equal(read.tets_of("soft"), np.arange(half))
+    np.testing.assert_array_equal(
+        read.tets_of("volume_5"), np.arange(half, mesh.n_tets)
+    )
+    np.testing.assert_array_equal(read.nodes("clamp"), mesh.nodes("x_min"))
+    np.testing.assert_array_equal(read.nodes("edge"), mesh.nodes("x_max")[:2])
+    np.testing.assert_array_equal(read.nodes("tip"), mesh.nodes("x_max")[:1])
+    # The faces are turned outwards, as those of the tets are.
+    want = {tuple(face) for face in mesh.faces("x_min").tolist()}
+    assert {tuple(face) for face in read.faces("clamp").tolist()} == want
+
+
+GMSH_41 = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+2
+2 1 "clamp"
+3 7 "body"
+$EndPhysicalNames
+$Entities
+1 0 1 1
+1 5 5 5 0
+1 0 0 0 1 1 0 1 1 0
+1 0 0 0 1 1 1 1 7 1 1
+$EndEntities
+$Nodes
+2 5 1 6
+0 1 0 1
+6
+5 5 5
+3 1 0 4
+1
+2
+3
+4
+0 0 0
+1 0 0
+0 1 0
+0 0 1
+$EndNodes
+$Elements
+{elements}
+$EndElements
+"""
+
+
+def test_gmsh_4_physical_groups(tmp_path):
+    """Numbered with a gap, as Gmsh may."""
+    path = tmp_path / "tet.msh"
+    elements = "2 2 1 2\n2 1 2 1\n1 1 2 3\n3 1 4 1\n2 1 2 3 4"
+    text = GMSH_41.replace("{elements}", elements)
+    text = text.replace("2 5 1 6\n0 1 0 1\n6\n5 5 5\n", "1 4 1 4\n")
+    path.write_text(text)
+    mesh = read_mesh(path, length_unit="cm")
+    assert set(mesh.node_groups) == {"clamp", "body"}
+    np.testing.assert_array_equal(mesh.nodes("clamp"), [0, 1, 2])
+    np.testing.assert_array_equal(mesh.tets_of("body"), [0])
+    assert mesh.surface_groups["clamp"].tolist() == [[0, 2, 1]]
+    np.testing.assert_allclose(volumes(mesh), 1e-6 / 6.0, rtol=1e-14)
+
+
+def test_helper_points_of_gmsh_go_with_their_cells(tmp_path):
+    """A circle centre is a vertex cell and a node of no tet."""
+    points = np.vstack([[[5.0, 5.0, 5.0]], BEAM.points])
+    cells = [("vertex", [[0]]), ("tetra", 1 + BEAM.tets)]
+    path = _write(tmp_path, meshio.Mesh(points, cells), ".vtu")
+    with pytest.warns(MeshWarning, match="left out: 1 vertex. Tets are read"):
+        mesh = read_mesh(path, length_unit="m")
+    np.testing.assert_array_equal(mesh.points, BEAM.points)
+    np.testing.assert_array_equal(mesh.tets, BEAM.tets)
+
+
+def test_other_cells_are_named(tmp_path):
+    outer = boundary_faces(BEAM)
+    points = np.vstack([BEAM.points, BEAM.points[:8] + np.array([0.2, 0.0, 0.0])])
+    cells = [
+        ("hexahedron", [range(24, 32)]),
+        ("triangle", outer),
+        ("tetra", BEAM.tets),
+        ("line", [[0, 1], [1, 2]]),
+    ]
+    path = _write(tmp_path, meshio.Mesh(points, cells), ".vtu")
+    message = f"left out: 1 hexahedron, {len(outer)} triangle, 2 line"
+    with pytest.warns(MeshWarning, match=message):
+        mesh = read_mesh(path, length_unit="m")
+    assert mesh.n_nodes == BEAM.n_nodes
+    assert mesh.surface_groups == {}
+
+
+def test_triangles_that_are_no_faces(tmp_path):
+    mesh, raw = _with_physical_groups(1)
+    triangles = raw.cells[2].data.copy()
+    triangles[0] = [0, 5, mesh.n_nodes - 1]
+    raw.cells[2].data = triangles
+    path = _write(tmp_path, raw, ".msh", file_format="gmsh22")
+    with pytest.warns(
+        MeshWarning, match="left out: 1 of the 4 triangles of group 'clamp'"
+    ):
+        read = read_mesh(path, length_unit="m")
+    assert len(read.faces("clamp")) == 3
+
+
+def test_group_without_a_tet(tmp_path):
+    points = np.vstack([BEAM.points, [[1.0, 1.0, 1.0]]])
+    raw = meshio.Mesh(
+        points, [("tetra", BEAM.tets)], point_sets={"rig": [24], "tip": [23]}
+    )
+    path = _write(tmp_path, raw, ".inp")
+    with pytest.warns(MeshWarning, match="group 'rig', which has no node of a tet"):
+        mesh = read_mesh(path, length_unit="m", unused="drop")
+    assert set(mesh.node_groups) == {"tip"}
+
+
+def test_parser_messages_are_passed_on(tmp_path):
+    mesh, raw = _with_physical_groups(1)
+    path = _write(tmp_path, raw, ".msh", file_format="gmsh22", binary=False)
+    # A third tag per element, which meshio drops.
+    head, _, tail = path.read_text().partition("$Elements\n")
+    lines = tail.splitlines()
+    lines[1:-1] = [
+        " ".join([*(w := line.split())[:2], "3", *w[3:5], "0", *w[5:]])
+        for line in lines[1:-1]
+    ]
+    path.write_text(head + "$Elements\n" + "\n".join(lines) + "\n")
+    with pytest.warns(MeshWarning, match="meshio says: Warning: The file contains tag"):
+        read = read_mesh(path, length_unit="m")
+    assert read.n_tets == mesh.n_tets
+
+
+INP = """*NODE, NSET=ALL
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 0., 1., 0.
+4, 0., 0., 1.
+9, 1., 1., 1.
+*ELEMENT, TYPE=S3
+1, 1, 2, 3
+*Element, type=C3D4, ELSET=SOFT
+2, 1, 2, 3, 4
+*ELEMENT, TYPE=C3D4, ELSET=HARD
+3, 2, 9, 3, 4
+*NSET, NSET=CLAMP
+1, 2, 3
+*ELSET, ELSET=SKIN
+1
+"""
+
+
+def test_abaqus_sets(tmp_path):
+    """Sets of *ELEMENT lines stay with their own section, with or without ELSET."""
+    path = tmp_path / "two.inp"
+    path.write_text(INP)
+    mesh = read_mesh(path, length_unit="cm")
+    np.testing.assert_array_equal(mesh.tets_of("SOFT"), [0])
+    np.testing.assert_array_equal(mesh.tets_of("HARD"), [1])
+    np.testing.assert_array_equal(mesh.nodes("CLAMP"), [0, 1, 2])
+    np.testing.assert_array_equal(mesh.nodes("HARD"), [1, 2, 3, 4])
+    assert mesh.faces("SKIN").tolist() == [[0, 2, 1]]
+
+
+def test_med_families_and_numbering(tmp_path):
+    """MED numbers a tet the other way round, and names groups through families."""
+    pytest.importorskip("h5py", reason="meshio reads .med through h5py")
+    mesh = beam(0.1, 0.02, 0.03, (3, 2, 1), order=2)
+    left_handed = mesh.tets[:, [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]]
+    clamp = np.zeros(mesh.n_nodes, dtype=int)
+    clamp[mesh.nodes("x_min")] = 3
+    families = np.zeros(mesh.n_tets, dtype=int)
+    families[:5] = -4
+    raw = meshio.Mesh(
+        mesh.points,
+        [("tetra10", left_handed)],
+        point_data={"point_tags": clamp},
+        cell_data={"cell_tags": [families]},
+    )
+    raw.point_tags, raw.cell_tags = {3: ["clamp"]}, {-4: ["root", "soft"]}
+    read = read_mesh(_write(tmp_path, raw, ".med"), length_unit="m")
+    np.testing.assert_array_equal(read.tets, mesh.tets)
+    np.testing.assert_array_equal(read.nodes("clamp"), mesh.nodes("x_min"))
+    for name in ("root", "soft"):
+        np.testing.assert_array_equal(read.tets_of(name), np.arange(5))
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit", "message"),
+    [(1e3, "m", "it is 106 m across; is it in 'm'"), (1.0, "mm", "0.000106 m across")],
+)
+def test_unlikely_unit(tmp_path, factor, unit, message):
+    raw = meshio.Mesh(factor * BEAM.points, [("tetra", BEAM.tets)])
+    path = _write(tmp_path, raw, ".vtu")
+    with pytest.warns(MeshWarning, match=message):
+        read_mesh(path, length_unit=unit)

@@ -1,0 +1,161 @@
+"""Files that must be refused, with what the user reads."""
+
+import meshio
+import numpy as np
+import pytest
+
+from softcal_jax.mesh import beam, read_mesh
+
+BEAM = beam(0.1, 0.02, 0.03, (3, 2, 1))
+
+
+def _write(tmp_path, points, cells, suffix=".vtu", **options):
+    path = tmp_path / f"bad{suffix}"
+    meshio.Mesh(points, cells).write(path, **options)
+    return path
+
+
+def test_missing(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"mesh file .*no\.msh does not exist"):
+        read_mesh(tmp_path / "no.msh", length_unit="m")
+
+
+def test_directory(tmp_path):
+    with pytest.raises(ValueError, match="is a directory"):
+        read_mesh(tmp_path, length_unit="m")
+
+
+def test_extension(tmp_path):
+    path = tmp_path / "beam.step"
+    path.write_text("ISO-10303-21;")
+    with pytest.raises(
+        ValueError, match=r"extension '.step'; expected one of .msh, .vtu"
+    ):
+        read_mesh(path, length_unit="m")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"this is no mesh\n" * 9, bytes(range(256)) * 9]
+)
+@pytest.mark.parametrize("suffix", [".msh", ".vtu", ".vtk", ".inp", ".med"])
+def test_garbage(tmp_path, suffix, content, capfd):
+    path = tmp_path / f"garbage{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"garbage.*(cannot be read|no tetra|needs)"):
+        read_mesh(path, length_unit="m")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "options"),
+    [
+        (".msh", {"file_format": "gmsh22", "binary": False}),
+        (".msh", {"file_format": "gmsh22", "binary": True}),
+        (".msh", {"file_format": "gmsh", "binary": False}),
+        (".msh", {"file_format": "gmsh", "binary": True}),
+        (".vtu", {}),
+        (".vtk", {}),
+        (".vtk", {"file_format": "vtk42"}),
+        (".inp", {}),
+    ],
+)
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
+def test_truncated(tmp_path, suffix, options, part, capfd):
+    path = _write(tmp_path, BEAM.points, [("tetra", BEAM.tets)], suffix, **options)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(part * len(content))])
+    capfd.readouterr()
+    with pytest.raises(ValueError, match=str(path)):
+        read_mesh(path, length_unit="m")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_arguments(tmp_path):
+    path = _write(tmp_path, BEAM.points, [("tetra", BEAM.tets)])
+    with pytest.raises(
+        ValueError, match=r"unknown length unit 'in'. Did you mean 'inch'"
+    ):
+        read_mesh(path, length_unit="in")
+    with pytest.raises(ValueError, match="order must be 1, 2 or None, got 3"):
+        read_mesh(path, length_unit="m", order=3)
+    with pytest.raises(
+        ValueError, match=r"choice for unused nodes 'drp'. Did you mean 'dr"
+    ):
+        read_mesh(path, length_unit="m", unused="drp")
+
+
+def test_no_tets(tmp_path):
+    path = _write(tmp_path, BEAM.points, [("hexahedron", [range(8)])])
+    with pytest.raises(
+        ValueError, match=r"bad\.vtu: it has no tetra.*; it has 1 hexahe"
+    ):
+        read_mesh(path, length_unit="m")
+
+
+def test_mixed_orders(tmp_path):
+    quadratic = beam(0.1, 0.02, 0.03, (3, 2, 1), order=2)
+    cells = [("tetra", BEAM.tets[:7]), ("tetra10", quadratic.tets[7:])]
+    path = _write(tmp_path, quadratic.points, cells)
+    with pytest.raises(ValueError, match=r"it mixes 7 linear .* and 29 quadratic"):
+        read_mesh(path, length_unit="m")
+
+
+def test_unused_nodes(tmp_path):
+    points = np.vstack([[[1.0, 1.0, 1.0]], BEAM.points, [[2.0, 2.0, 2.0]]])
+    path = _write(tmp_path, points, [("tetra", 1 + BEAM.tets)])
+    message = r'2 of its 26 nodes are unused .*\[0, 25\] counted .*unused="drop"'
+    with pytest.raises(ValueError, match=message):
+        read_mesh(path, length_unit="m")
+    mesh = read_mesh(path, length_unit="m", unused="drop")
+    np.testing.assert_array_equal(mesh.points, BEAM.points)
+    np.testing.assert_array_equal(mesh.tets, BEAM.tets)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "file_format"), [(".msh", "gmsh"), (".vtu", "vtu"), (".inp", "abaqus")]
+)
+def test_inverted(tmp_path, suffix, file_format):
+    tets = BEAM.tets[:, [1, 0, 2, 3]]
+    path = _write(
+        tmp_path, BEAM.points, [("tetra", tets)], suffix, file_format=file_format
+    )
+    with pytest.raises(
+        ValueError, match=r"bad\..*bad mesh: 36 of 36 tets are inverted"
+    ):
+        read_mesh(path, length_unit="m")
+
+
+def test_disconnected(tmp_path):
+    points = np.vstack([BEAM.points, BEAM.points + 0.2])
+    tets = np.vstack([BEAM.tets, BEAM.tets + BEAM.n_nodes])
+    path = _write(tmp_path, points, [("tetra", tets)])
+    with pytest.raises(ValueError, match="disconnected: 2 parts of 36, 36 tets"):
+        read_mesh(path, length_unit="m")
+
+
+def test_nan(tmp_path):
+    points = BEAM.points.copy()
+    points[5, 1] = np.nan
+    path = _write(tmp_path, points, [("tetra", BEAM.tets)])
+    with pytest.raises(ValueError, match="node 5 has the position"):
+        read_mesh(path, length_unit="m")
+
+
+def test_abaqus_parts(tmp_path):
+    path = tmp_path / "parts.inp"
+    node = "*NODE\n1, 0., 0., 0.\n"
+    path.write_text(node + "*NODE OUTPUT\n" + node)
+    with pytest.raises(
+        ValueError, match=r"has 2 \*NODE sections, .* merge them into one"
+    ):
+        read_mesh(path, length_unit="m")
+
+
+def test_node_that_is_not_there(tmp_path):
+    tets = BEAM.tets.copy()
+    tets[0, 0] = 24
+    path = _write(tmp_path, BEAM.points, [("tetra", tets)])
+    with pytest.raises(
+        ValueError, match="a tetra cell refers to a node that is not there"
+    ):
+        read_mesh(path, length_unit="m")

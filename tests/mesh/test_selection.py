@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from softcal_jax.mesh import (
+    Box,
+    Plane,
+    Sphere,
+    beam,
+    boundary_faces,
+    select_faces,
+    select_nodes,
+)
+
+MESH = beam(0.1, 0.02, 0.02, (10, 2, 2))
+
+
+def test_box_takes_its_sides():
+    nodes = select_nodes(MESH, Box((0.0, 0.0, 0.0), (0.01, 0.02, 0.0)))
+    np.testing.assert_array_equal(
+        nodes, np.flatnonzero((MESH.points[:, 0] < 0.015) & (MESH.points[:, 2] == 0))
+    )
+    assert len(nodes) == 6
+
+
+def test_box_may_be_open():
+    half = select_nodes(MESH, Box((-np.inf, -np.inf, 0.01), (np.inf, np.inf, np.inf)))
+    assert len(half) == 11 * 3 * 2
+
+
+def test_plane_and_its_tolerance():
+    tilted = Plane(point=(0.05, 0.0, 0.0), normal=(2.0, 0.0, 0.0))
+    assert len(select_nodes(MESH, tilted)) == 9
+    thick = Plane((0.05, 0.0, 0.0), (2.0, 0.0, 0.0), tolerance=0.0101)
+    assert len(select_nodes(MESH, thick)) == 27
+    diagonal = Plane((0.0, 0.0, 0.0), (0.0, 1.0, -1.0))
+    x = MESH.points[select_nodes(MESH, diagonal)]
+    assert len(x) == 33
+    np.testing.assert_allclose(x[:, 1], x[:, 2], rtol=0, atol=1e-15)
+
+
+def test_sphere():
+    nodes = select_nodes(MESH, Sphere((0.0, 0.0, 0.0), 0.0101))
+    assert len(nodes) == 4
+
+
+def test_regions_combine_as_predicates():
+    box, ball = Box((0, 0, 0), (0.02, 0.02, 0.02)), Sphere((0, 0, 0), 0.0101)
+    nodes = select_nodes(MESH, lambda x: box(x) & ~ball(x))
+    assert len(nodes) == 27 - 4
+
+
+def test_faces_need_all_their_nodes():
+    np.testing.assert_array_equal(
+        select_faces(MESH, Plane((0, 0, 0), (1, 0, 0))), MESH.faces("x_min")
+    )
+    everything = select_faces(MESH, lambda x: np.ones(len(x), dtype=bool))
+    np.testing.assert_array_equal(everything, boundary_faces(MESH))
+    quadratic = beam(0.1, 0.02, 0.02, (10, 2, 2), order=2)
+    faces = select_faces(quadratic, Plane((0.1, 0, 0), (1, 0, 0)))
+    assert faces.shape == (8, 6)
+
+
+def test_empty_selection_says_how_far():
+    with pytest.raises(ValueError, match=r"no node lies in Sphere\(") as error:
+        select_nodes(MESH, Sphere((0.4, 0.0, 0.0), 0.1))
+    assert "The mesh spans [0.0, 0.0, 0.0] to [0.1, 0.02, 0.02] m" in str(error.value)
+    assert "nearest node is 0.2 m away; check the length unit" in str(error.value)
+    with pytest.raises(ValueError, match=r"no boundary face .*; 9 nodes lie in it"):
+        select_faces(MESH, Plane((0.05, 0.0, 0.0), (1.0, 0.0, 0.0)))
+    with pytest.raises(ValueError, match=r"no node lies in .*The mesh spans"):
+        select_nodes(MESH, lambda x: x[:, 0] > 1.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Box((0, 0, 1), (1, 1, 0)), r"the box is crossed: lower \[0. 0. 1.\]"),
+        (lambda: Box((0, 0), (1, 1, 0)), "lower must be three numbers"),
+        (lambda: Plane((0, 0, 0), (0, 0, 0)), "normal of a plane must not be zero"),
+        (lambda: Plane((0, np.nan, 0), (0, 0, 1)), "point must be three finite"),
+        (lambda: Sphere((0, 0, 0), -1.0), r"radius must be positive \[m\], got -1.0"),
+        (lambda: select_nodes(MESH, lambda x: x[:, 0]), "got float64 of shape"),
+        (lambda: select_nodes(MESH, lambda x: x > 0), r"of shape \(99, 3\)"),
+    ],
+)
+def test_bad_calls(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
