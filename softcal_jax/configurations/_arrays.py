@@ -3,7 +3,10 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+
+AnyArray = Array | HostArray
+"""On the host while a configuration is put together, then on the device."""
 
 
 class EffectorArrays(eqx.Module):
@@ -16,10 +19,10 @@ class EffectorArrays(eqx.Module):
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured [1/m].
     """
 
-    nodes: Int[Array, "*batch n_markers n_en"]
-    weights: Float[Array, "*batch n_markers n_en"]
-    measured: Float[Array, "*batch n_markers 3"]
-    inverse_std: Float[Array, "*batch n_markers 3"]
+    nodes: Int[AnyArray, "*batch n_markers n_en"]
+    weights: Float[AnyArray, "*batch n_markers n_en"]
+    measured: Float[AnyArray, "*batch n_markers 3"]
+    inverse_std: Float[AnyArray, "*batch n_markers 3"]
 
     def positions(self, x: Float[Array, "n_nodes 3"]) -> Float[Array, "n_markers 3"]:
         """Simulated positions for the nodal positions `x` [m]."""
@@ -37,8 +40,8 @@ class ConfigurationArrays(eqx.Module):
         effectors: The measured points.
     """
 
-    fixed: Bool[Array, "*batch n_nodes 3"]
-    imposed: Float[Array, "*batch n_nodes 3"]
-    force: Float[Array, "*batch n_nodes 3"]
-    gravity: Float[Array, "*batch 3"]
+    fixed: Bool[AnyArray, "*batch n_nodes 3"]
+    imposed: Float[AnyArray, "*batch n_nodes 3"]
+    force: Float[AnyArray, "*batch n_nodes 3"]
+    gravity: Float[AnyArray, "*batch 3"]
     effectors: EffectorArrays

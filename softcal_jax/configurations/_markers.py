@@ -46,9 +46,11 @@ class Markers(eqx.Module):
                 "expected three finite numbers [m]."
             )
         std = np.asarray(self.std, float)
-        if not (np.all(np.isfinite(std)) and np.all(std > 0)):
+        bad = ~(np.isfinite(std) & (std > 0))
+        if np.any(bad):
+            worst = np.atleast_1d(std)[np.atleast_1d(bad)][0]
             raise ValueError(
-                f"std must be positive and finite [m], got {std.min():g}; leave a "
+                f"std must be positive and finite [m], got {worst:g}; leave a "
                 "coordinate out with `axes` instead of giving it no precision."
             )
         if std.shape not in ((), (n,), (n, 3)):

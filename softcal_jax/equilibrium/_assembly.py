@@ -18,11 +18,11 @@ from softcal_jax.equilibrium._sparsity import upper_entries
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_nodes _"], function, *per_tet):
-    """Apply a function of (u, dN, w, law, ...) of one tet to all, block by block.
+    """Apply a function of (u, dN, w, law, active, ...) of one tet to all, block by block.
 
     Returns arrays with axes (block number, ..., tet in block).
     """
-    axes = (-1, -1, -1, 0) + (-1,) * len(per_tet)
+    axes = (-1, -1, -1, 0, -1) + (-1,) * len(per_tet)
     vectorised = jax.vmap(function, in_axes=axes, out_axes=-1)
 
     def block(args):
@@ -36,6 +36,7 @@ def _map_blocks(model: Model, u: Float[Array, "n_nodes _"], function, *per_tet):
             model.shape_gradients,
             model.weights,
             model.law_blocks(),
+            model.active,
             *per_tet,
         ),
     )
@@ -48,7 +49,9 @@ def strain_energy(
     return _map_blocks(
         model,
         u,
-        lambda u, dN, w, law: element_energy(u, dN, w, law, model.formulation),
+        lambda u, dN, w, law, active: (
+            active * element_energy(u, dN, w, law, model.formulation)
+        ),
     )
 
 
@@ -59,7 +62,9 @@ def internal_force(
     forces = _map_blocks(
         model,
         u,
-        lambda u, dN, w, law: element_force(u, dN, w, law, model.formulation),
+        lambda u, dN, w, law, active: (
+            active * element_force(u, dN, w, law, model.formulation)
+        ),
     )
     return _add_forces(model, forces)
 
@@ -67,11 +72,11 @@ def internal_force(
 def energy_and_force(model: Model, u: Float[Array, "n_nodes 3"]):
     """Strain energy, the sum of its absolute parts, internal force, smallest det F."""
 
-    def both(u, dN, w, law):
+    def both(u, dN, w, law, active):
         energy = element_energy(u, dN, w, law, model.formulation)
         force = element_force(u, dN, w, law, model.formulation)
         det = jax.vmap(determinant)(deformation_gradients(u, dN))
-        return energy, force, jnp.min(det)
+        return active * energy, active * force, jnp.min(det)
 
     energy, forces, det = _map_blocks(model, u, both)
     force = _add_forces(model, forces)
@@ -84,9 +89,9 @@ def tangent_values(
     """Tangent stiffness K = df/du, upper triangle in the order of the pattern [N/m]."""
     p, q = upper_entries(model.nodes.shape[1])
 
-    def upper(u, dN, w, law):
+    def upper(u, dN, w, law, active):
         K = element_stiffness(u, dN, w, law, model.formulation)
-        return K.reshape(3 * u.shape[0], -1)[p, q]
+        return active * K.reshape(3 * u.shape[0], -1)[p, q]
 
     return _add_entries(model, _map_blocks(model, u, upper))
 
@@ -97,9 +102,9 @@ def mixed_tangent(
     """Stiffness and force of the Newton step with volume ratios of their own."""
     p, q = upper_entries(model.nodes.shape[1])
 
-    def upper(u, dN, w, law, theta):
+    def upper(u, dN, w, law, active, theta):
         K, f = mixed_newton(u, theta, dN, w, law)
-        return K.reshape(3 * u.shape[0], -1)[p, q], f
+        return active * K.reshape(3 * u.shape[0], -1)[p, q], active * f
 
     entries, forces = _map_blocks(model, u, upper, theta)
     return _add_entries(model, entries), _add_forces(model, forces)
@@ -110,8 +115,8 @@ def predicted_dilatation(
 ) -> Float[Array, "n_blocks block"]:
     """Volume ratio of each tet after a step, to first order: J_bar + dJ_bar/du du [-]."""
 
-    def linear(both, dN, w, law):
-        del law
+    def linear(both, dN, w, law, active):
+        del law, active
         u, du = both[:, :3], both[:, 3:]
         J, dJ = jax.jvp(lambda u: mean_dilatation(u, dN, w), (u,), (du,))
         # A step that would turn a tet inside out is not believed beyond a factor 4.

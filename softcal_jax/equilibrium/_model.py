@@ -32,6 +32,7 @@ class Model(eqx.Module):
         mesh: The mesh [m].
         law: Constitutive law; its arrays hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
+        active: 1 for each tet, 0 for the copies that fill up the last block.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
     """
 
@@ -40,6 +41,7 @@ class Model(eqx.Module):
     density: Float[Array, "..."]
     shape_gradients: Float[Array, "n_blocks n_qp n_en 3 block"]
     weights: Float[Array, "n_blocks n_qp block"]
+    active: Float[Array, "n_blocks block"]
     nodes: Int[Array, "n_blocks n_en block"]
     destination: Int[Array, "n_blocks n_entries block"]
     node_volumes: Float[Array, "n_tets n_en"]
@@ -138,7 +140,7 @@ def build_model(
     block = BLOCK[n_en]
     n_blocks = -(-n_tets // block)
 
-    def blocked(per_tet, axis_last=True):
+    def blocked(per_tet):
         pad = np.broadcast_to(
             per_tet[:1], (n_blocks * block - n_tets, *per_tet.shape[1:])
         )
@@ -148,9 +150,7 @@ def build_model(
         return np.moveaxis(cut, 1, -1)
 
     dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
-    w_blocks = blocked(w)
-    # Tets that only fill the last block weigh nothing, and so add nothing.
-    w_blocks[-1, :, block - (n_blocks * block - n_tets) :] = 0.0
+    active = np.arange(n_blocks * block) < n_tets
     sparsity, destination = build_sparsity(mesh.tets, mesh.n_nodes)
     rule = tet_rule(2 if n_en == 4 else 4)
     _, w_load = _shape_gradients_at(mesh, degree=2 if n_en == 4 else 4)
@@ -160,7 +160,8 @@ def build_model(
         law,
         density,
         jnp.asarray(blocked(dN)),
-        jnp.asarray(w_blocks),
+        jnp.asarray(blocked(w)),
+        jnp.asarray(active.reshape(n_blocks, block), float),
         jnp.asarray(blocked(mesh.tets.astype(np.int32))),
         jnp.asarray(blocked(destination.T)),
         jnp.asarray(node_volumes),

@@ -20,12 +20,19 @@ def _concrete(value: Float[Array, "..."]) -> np.ndarray | None:
     return np.asarray(value)
 
 
+def _first(values: np.ndarray, bad: np.ndarray) -> float:
+    return float(np.atleast_1d(values)[np.atleast_1d(bad)][0])
+
+
 def check_modulus(name: str, value: Float[Array, "..."]) -> None:
     """Raise ValueError unless every modulus is positive and finite [Pa]."""
     values = _concrete(value)
-    if values is not None and not (np.all(np.isfinite(values)) and np.all(values > 0)):
+    if values is None:
+        return
+    bad = ~(np.isfinite(values) & (values > 0))
+    if np.any(bad):
         raise ValueError(
-            f"{name} must be positive and finite [Pa], got {values.min():g}."
+            f"{name} must be positive and finite [Pa], got {_first(values, bad):g}."
         )
 
 
@@ -38,6 +45,5 @@ def check_poisson_ratio(name: str, value: Float[Array, "..."]) -> None:
     if np.any(bad):
         hint = " For an incompressible rubber take 0.499." if values.max() >= 0.5 else ""
         raise ValueError(
-            f"{name} must lie in (-1, 0.5), got {np.atleast_1d(values)[np.atleast_1d(bad)][0]:g}."
-            + hint
+            f"{name} must lie in (-1, 0.5), got {_first(values, bad):g}.{hint}"
         )

@@ -1,0 +1,53 @@
+"""Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
+
+from softcal_jax.calibration._calibrate import (
+    CalibrationWarning,
+    build_problem,
+    calibrate,
+    levenberg_marquardt,
+)
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    Evaluation,
+    at_rest,
+    evaluate,
+    simulate,
+)
+from softcal_jax.calibration._qp import QPStep, bounded_step
+from softcal_jax.calibration._result import (
+    CalibrationResult,
+    ConfigurationFit,
+    HistoryEntry,
+    ParameterEstimate,
+)
+from softcal_jax.calibration._step import (
+    CalibrationSettings,
+    CalibrationState,
+    calibration_step,
+    initial_state,
+)
+from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
+
+__all__ = [
+    "CalibrationProblem",
+    "CalibrationResult",
+    "CalibrationSettings",
+    "CalibrationState",
+    "CalibrationWarning",
+    "ConfigurationFit",
+    "Evaluation",
+    "HistoryEntry",
+    "ParameterEstimate",
+    "QPStep",
+    "Uncertainty",
+    "at_rest",
+    "bounded_step",
+    "build_problem",
+    "calibrate",
+    "calibration_step",
+    "evaluate",
+    "initial_state",
+    "levenberg_marquardt",
+    "simulate",
+    "uncertainty",
+]

@@ -1,0 +1,131 @@
+"""A calibration as arrays, and its evaluation at one value of the parameters."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    solve_equilibrium,
+)
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.sensitivity import parameter_compliance
+
+
+class CalibrationProblem(eqx.Module):
+    """Model, parameters and a batch of configurations that share them.
+
+    Attributes:
+        model: The body.
+        space: The parameters.
+        configurations: One lane per configuration.
+        newton: Settings of the equilibrium.
+    """
+
+    model: Model
+    space: ParameterSpace
+    configurations: ConfigurationArrays
+    newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
+
+
+class Evaluation(eqx.Module):
+    """Equilibria, errors and compliances of all configurations at one z.
+
+    Attributes:
+        equilibrium: Solutions, one lane per configuration.
+        positions: Simulated marker positions [m].
+        delta_e: Simulated minus measured positions [m]; 0 where nothing is measured.
+        error: The same in units of the noise, stacked over configurations [-].
+        W_ep: Stacked compliances in units of the noise, per unit of lambda_p [-].
+        tangents: du/dz of each lane, or None where W_ep came from the adjoint side [m].
+        ok: Whether every lane has an equilibrium and a regular tangent.
+    """
+
+    equilibrium: EquilibriumSolution
+    positions: Float[Array, "n_c n_markers 3"]
+    delta_e: Float[Array, "n_c n_markers 3"]
+    error: Float[Array, " n_e"]
+    W_ep: Float[Array, "n_e n_p"]
+    tangents: Float[Array, "n_c n_p n_nodes 3"] | None
+    ok: Bool[Array, ""]
+
+    @property
+    def cost(self) -> Float[Array, ""]:
+        """Half the sum of squared errors in noise units; infinite if not ok [-]."""
+        return jnp.where(self.ok, 0.5 * jnp.sum(self.error**2), jnp.inf)
+
+
+def simulate(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    guess: Float[Array, "n_c n_nodes 3"],
+) -> tuple[EquilibriumSolution, Float[Array, "n_c n_markers 3"]]:
+    """Equilibria of all configurations and their simulated marker positions [m].
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+        guess: Displacements to start from [m].
+
+    Returns:
+        Solutions and positions, one lane per configuration.
+    """
+    model = problem.space.apply(problem.model, z)
+    X = jnp.asarray(model.mesh.points)
+
+    def lane(configuration, u0):
+        solution = solve_equilibrium(
+            model, configuration, guess=u0, settings=problem.newton
+        )
+        return solution, configuration.effectors.positions(X + solution.displacement)
+
+    return jax.vmap(lane)(problem.configurations, guess)
+
+
+def effector_errors(
+    problem: CalibrationProblem, positions: Float[Array, "n_c n_markers 3"]
+) -> Float[Array, "n_c n_markers 3"]:
+    """Delta_e, simulated minus measured positions; 0 where nothing is measured [m]."""
+    effectors = problem.configurations.effectors
+    seen = effectors.inverse_std > 0.0
+    return jnp.where(seen, positions - effectors.measured, 0.0)
+
+
+def evaluate(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    guess: Float[Array, "n_c n_nodes 3"],
+) -> Evaluation:
+    """Equilibria, stacked errors Delta_e and compliances W_ep (paper Eqs. 9, 10).
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+        guess: Displacements to start from [m].
+
+    Returns:
+        Everything that one step of the outer loop needs.
+    """
+    solution, positions = simulate(problem, z, guess)
+    delta_e = effector_errors(problem, positions)
+    model = problem.space.apply(problem.model, z)
+    compliance = jax.vmap(
+        lambda c, u: parameter_compliance(model, c, u, problem.space, z)
+    )(problem.configurations, solution.displacement)
+    weight = problem.configurations.effectors.inverse_std
+    error = (weight * delta_e).ravel()
+    W = compliance.W_ep.reshape(-1, z.shape[0]) * weight.reshape(-1, 1)
+    ok = jnp.all(solution.converged) & jnp.all(compliance.ok)
+    ok = ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W))
+    tangents = compliance.displacement
+    return Evaluation(solution, positions, delta_e, error, W, tangents, ok)
+
+
+def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_nodes 3"]:
+    """Displacements of zero, the guess when there is no better one [m]."""
+    n_c = problem.configurations.gravity.shape[0]
+    return jnp.zeros((n_c, *problem.model.mesh.points.shape))

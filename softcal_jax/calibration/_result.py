@@ -1,0 +1,238 @@
+"""What a calibration returns."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._step import CalibrationSettings
+from softcal_jax.calibration._uncertainty import Uncertainty
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import EquilibriumSolution, Model, NewtonSettings
+from softcal_jax.fields import ParameterSpace
+
+
+class ParameterEstimate(eqx.Module):
+    """A calibrated parameter, in SI units.
+
+    Attributes:
+        name: Its name.
+        value: Its value.
+        standard_error: Standard error; nan on a bound, or if not determined.
+        start: Value before.
+        lower: Lower bound.
+        upper: Upper bound.
+        unit: SI unit.
+        at_bound: Whether it ended on a bound.
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    start: float
+    lower: float
+    upper: float
+    unit: str
+    at_bound: bool
+
+
+class HistoryEntry(eqx.Module):
+    """One step of the outer loop.
+
+    Attributes:
+        step: Number of the step; 0 is the start.
+        cost: Half the sum of squared errors in noise units [-].
+        rms: Root mean square of the marker distances [m].
+        lambda_p: The QP step [-].
+        step_bound: Bound on the next step [-].
+        accepted: Whether the step was kept.
+        kkt_residual: Optimality residual of the QP [-].
+        newton_steps: Newton iterations of each configuration.
+        values: Parameters after the step, in SI units.
+        seconds: Wall time [s].
+    """
+
+    step: int
+    cost: float
+    rms: float
+    lambda_p: tuple[float, ...]
+    step_bound: float
+    accepted: bool
+    kkt_residual: float
+    newton_steps: tuple[int, ...]
+    values: dict[str, float]
+    seconds: float
+
+
+class ConfigurationFit(eqx.Module):
+    """Measured and simulated markers of one configuration.
+
+    Attributes:
+        name: Name of the configuration.
+        role: Whether it was fitted, or only predicted.
+        marker_names: Names of the markers.
+        measured: Measured positions [m].
+        at_rest: Marker positions on the undeformed mesh [m].
+        before: Simulated positions with the start parameters [m].
+        after: Simulated positions with the calibrated parameters [m].
+        error_before: Simulated minus measured, 0 where not measured [m].
+        error_after: The same after calibration [m].
+        displacement: Nodal displacement after calibration [m].
+        newton_steps: Newton iterations of the last equilibrium.
+        residual: Its relative residual [-].
+        min_det_F: Its smallest det F [-].
+    """
+
+    name: str
+    role: Literal["calibration", "validation"]
+    marker_names: tuple[str, ...]
+    measured: Float[HostArray, "n_markers 3"]
+    at_rest: Float[HostArray, "n_markers 3"]
+    before: Float[HostArray, "n_markers 3"]
+    after: Float[HostArray, "n_markers 3"]
+    error_before: Float[HostArray, "n_markers 3"]
+    error_after: Float[HostArray, "n_markers 3"]
+    displacement: Float[HostArray, "n_nodes 3"]
+    newton_steps: int
+    residual: float
+    min_det_F: float
+
+    @property
+    def rms_before(self) -> float:
+        """Root mean square of the marker distances with the start parameters [m]."""
+        return _rms(self.error_before)
+
+    @property
+    def rms_after(self) -> float:
+        """Root mean square of the marker distances after calibration [m]."""
+        return _rms(self.error_after)
+
+    @property
+    def motion(self) -> float:
+        """Root mean square of how far the markers moved from rest [m]."""
+        return _rms(self.measured - self.at_rest)
+
+
+def _rms(distances: Float[HostArray, "n_markers 3"]) -> float:
+    return float(np.sqrt(np.mean(np.sum(distances**2, axis=1))))
+
+
+class CalibrationResult(eqx.Module):
+    """Outcome of a calibration.
+
+    Attributes:
+        converged: Whether lambda_p vanished.
+        parameters: The calibrated parameters.
+        uncertainty: Their covariance and what it rests on.
+        configurations: Fits, then predictions.
+        history: One entry per step.
+        model: The model with the calibrated parameters.
+        z: Scaled parameters [-].
+        W_ep: Stacked compliances in noise units, for identifiability [-].
+        settings: Settings of the outer loop.
+        newton: Settings of the equilibrium.
+        timing_s: Wall time per part [s].
+        notes: What the user should know before using the numbers.
+    """
+
+    converged: bool
+    parameters: tuple[ParameterEstimate, ...]
+    uncertainty: Uncertainty
+    configurations: tuple[ConfigurationFit, ...]
+    history: tuple[HistoryEntry, ...]
+    model: Model
+    z: Float[Array, " n_p"]
+    W_ep: Float[HostArray, "n_e n_p"]
+    settings: CalibrationSettings
+    newton: NewtonSettings
+    timing_s: dict[str, float]
+    notes: tuple[str, ...]
+
+    def value(self, name: str) -> float:
+        """Calibrated value of a parameter.
+
+        Raises:
+            ValueError: If no parameter has that name.
+        """
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter.value
+        raise ValueError(
+            f"unknown parameter {name!r}; this calibration has "
+            f"{', '.join(p.name for p in self.parameters)}."
+        )
+
+
+def parameter_estimates(
+    space: ParameterSpace, z: Float[HostArray, " n_p"], spread: Uncertainty
+) -> tuple[ParameterEstimate, ...]:
+    """Values and standard errors of the parameters, in SI units."""
+    values = np.asarray(space.from_scaled(z))
+    std = np.sqrt(np.diag(spread.covariance))
+    estimates = []
+    for i, parameter in enumerate(space.parameters):
+        # dp = p dz on a log scale, S dz on a linear one.
+        log = parameter.scale == "log"
+        slope = values[i] if log else float(parameter.unit_step)
+        estimates.append(
+            ParameterEstimate(
+                parameter.name,
+                float(values[i]),
+                float(slope * std[i]),
+                float(parameter.start),
+                float(parameter.lower),
+                float(parameter.upper),
+                parameter.unit,
+                bool(spread.at_bound[i]),
+            )
+        )
+    return tuple(estimates)
+
+
+def configuration_fits(
+    configurations: Sequence[Configuration],
+    role: Literal["calibration", "validation"],
+    before: Float[Array, "n_c n_markers 3"],
+    after: Float[Array, "n_c n_markers 3"],
+    solution: EquilibriumSolution,
+) -> tuple[ConfigurationFit, ...]:
+    """Measured and simulated markers of configurations, with both sets of parameters.
+
+    Args:
+        configurations: The configurations.
+        role: Fitted, or only predicted.
+        before: Simulated positions with the start parameters [m].
+        after: Simulated positions with the calibrated parameters [m].
+        solution: Equilibria with the calibrated parameters.
+
+    Returns:
+        One entry per configuration.
+    """
+    fits = []
+    for lane, c in enumerate(configurations):
+        if c.markers is None or c.measured is None:
+            raise ValueError(f"configuration {c.name!r} has no measured positions.")
+        n = len(c.markers.names)
+        seen = c.markers.inverse_std() > 0.0
+        first, last = np.asarray(before[lane])[:n], np.asarray(after[lane])[:n]
+        measured = np.asarray(c.measured)
+        fits.append(
+            ConfigurationFit(
+                c.name,
+                role,
+                c.markers.names,
+                measured,
+                c.markers.positions,
+                first,
+                last,
+                np.where(seen, first - measured, 0.0),
+                np.where(seen, last - measured, 0.0),
+                np.asarray(solution.displacement[lane]),
+                int(solution.steps[lane]),
+                float(solution.residual[lane]),
+                float(solution.min_det_F[lane]),
+            )
+        )
+    return tuple(fits)

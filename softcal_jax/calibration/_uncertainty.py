@@ -1,0 +1,75 @@
+"""Uncertainty of calibrated parameters from the noise and the compliances."""
+
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Bool, Float, HostArray
+
+
+class Uncertainty(eqx.Module):
+    """Covariance of the parameters, to first order.
+
+    Attributes:
+        covariance: Covariance of the scaled parameters [-]; nan for what sits on a
+            bound or cannot be determined.
+        noise: "stated" by the user, or "estimated" from the residuals.
+        noise_scale: Factor on the stated standard deviations; 1 when they are taken as
+            they are [-].
+        degrees_of_freedom: Measured coordinates minus free parameters.
+        chi_squared: Sum of squared errors in units of the stated noise [-].
+        at_bound: Parameters that ended on a bound.
+    """
+
+    covariance: Float[HostArray, "n_p n_p"]
+    noise: Literal["stated", "estimated"] = eqx.field(static=True)
+    noise_scale: float
+    degrees_of_freedom: int
+    chi_squared: float
+    at_bound: Bool[HostArray, " n_p"]
+
+    @property
+    def correlation(self) -> Float[HostArray, "n_p n_p"]:
+        """Correlation of the parameters [-]."""
+        std = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(std, std)
+
+
+def uncertainty(
+    W: Float[HostArray, "n_e n_p"],
+    error: Float[HostArray, " n_e"],
+    n_measured: int,
+    at_bound: Bool[HostArray, " n_p"],
+    noise: Literal["stated", "estimated"],
+) -> Uncertainty:
+    """Covariance s^2 (W^T W)^-1 over the parameters that are not on a bound.
+
+    s is 1 for a stated noise; for an estimated one s^2 is the sum of squared errors
+    over its degrees of freedom, so that only the ratios of the stated standard
+    deviations count (Bates and Watts, Nonlinear Regression Analysis, ch. 2).
+
+    Args:
+        W: Stacked compliances in noise units.
+        error: Stacked errors in noise units.
+        n_measured: Measured coordinates.
+        at_bound: Parameters on a bound; they have no standard error.
+        noise: Where the noise comes from.
+
+    Returns:
+        The covariance and what it rests on.
+    """
+    free = np.flatnonzero(~at_bound)
+    dof = n_measured - len(free)
+    chi_squared = float(np.sum(error**2))
+    covariance = np.full((W.shape[1], W.shape[1]), np.nan)
+    scale = 1.0
+    if noise == "estimated":
+        scale = float(np.sqrt(chi_squared / dof)) if dof > 0 else np.nan
+    if len(free):
+        V = W[:, free]
+        _, singular, Vt = np.linalg.svd(V, full_matrices=False)
+        if len(singular) == len(free) and singular[-1] > 1e-12 * singular[0]:
+            inverse = Vt.T @ np.diag(singular**-2.0) @ Vt
+            covariance[np.ix_(free, free)] = scale**2 * inverse
+    return Uncertainty(covariance, noise, scale, dof, chi_squared, at_bound)

@@ -1,0 +1,19 @@
+"""Sensitivities of effectors to parameters (paper Eqs. 4 to 9)."""
+
+from softcal_jax.sensitivity._compliance import (
+    Compliance,
+    parameter_compliance,
+    parameter_forces,
+)
+from softcal_jax.sensitivity._derivative_check import (
+    DerivativeCheck,
+    check_parameter_derivatives,
+)
+
+__all__ = [
+    "Compliance",
+    "DerivativeCheck",
+    "check_parameter_derivatives",
+    "parameter_compliance",
+    "parameter_forces",
+]

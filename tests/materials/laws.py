@@ -1,0 +1,52 @@
+"""The laws under test, one of each, and states to test them in."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.elements import determinant
+from softcal_jax.materials import (
+    AbstractLaw,
+    Corotational,
+    Isotropic,
+    NeoHookean,
+    StVenantKirchhoff,
+)
+
+E, NU = 1.0, 0.3
+LAM, MU = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
+
+
+class EnergyOnly(AbstractLaw):
+    """Law of Cook's membrane, given by its energy alone (deal.II code gallery).
+
+    psi = mu/2 (J^-2/3 I1 - 3) + K/4 (J^2 - 1 - 2 ln J).
+    """
+
+    mu: Float[Array, "..."]
+    bulk: Float[Array, "..."]
+
+    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+        J = determinant(F)
+        volume = 0.25 * self.bulk * (J**2 - 1.0 - 2.0 * jnp.log(J))
+        return 0.5 * self.mu * (J ** (-2 / 3) * jnp.sum(F * F) - 3.0) + volume
+
+
+LAWS = {
+    "corotational": Corotational(Isotropic(E, NU)),
+    "st-venant-kirchhoff": StVenantKirchhoff(Isotropic(E, NU)),
+    "neo-hookean": NeoHookean(E, NU),
+    "energy-only": EnergyOnly(jnp.asarray(MU), jnp.asarray(LAM + 2 * MU / 3)),
+}
+
+# Deformation gradients with det F > 0, up to stretches of 1.7 and 0.4.
+GRADIENTS = jnp.eye(3)[None] + 0.25 * jr.normal(jr.key(0), (6, 3, 3))
+
+# Compiled once per law and shared by all tests.
+energy = eqx.filter_jit(lambda law, F: law.energy_density(F))
+stress = eqx.filter_jit(lambda law, F: law.stress(F))
+tangent = eqx.filter_jit(lambda law, F: law.tangent(F))
+derived_stress = eqx.filter_jit(lambda law, F: AbstractLaw.stress(law, F))
+hessian = eqx.filter_jit(lambda law, F: jax.hessian(law.energy_density)(F))

@@ -1,0 +1,181 @@
+"""Reference problems with their sources, and how their meshes and figures are made.
+
+Nothing here calls the physics of the package: numbers come from closed forms, from the
+named publications, or from an ordinary differential equation solved by SciPy.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import solve_bvp
+
+from softcal_jax.elements import TET_EDGES, shape_functions, shape_gradients, tet_rule
+from softcal_jax.mesh import TetMesh, beam, boundary_faces, to_quadratic
+
+
+class Tip(NamedTuple):
+    """Where the tip of a clamped beam of length one goes."""
+
+    down: float
+    retract: float
+
+
+# Inextensible elastica, clamp horizontal: theta'' = -alpha cos theta, theta(0) = 0,
+# theta'(1) = 0. Bisshopp and Drucker, Quart. Appl. Math. 3 (1945), recomputed to
+# nine digits. alpha = P L^2 / (E I).
+ELASTICA_END_LOAD = {
+    0.5: Tip(0.162143576, 0.015918962),
+    1.0: Tip(0.301720774, 0.056433236),
+    2.0: Tip(0.493457480, 0.160641721),
+    5.0: Tip(0.713791524, 0.387628361),
+}
+
+# The same under its own weight w per length: theta'' = -kappa (1 - s) cos theta,
+# kappa = w L^3 / (E I).
+ELASTICA_OWN_WEIGHT = {
+    0.5: Tip(0.062305768, 0.002221000),
+    1.0: Tip(0.123471402, 0.008753605),
+    2.0: Tip(0.238506583, 0.033107053),
+    5.0: Tip(0.495905045, 0.153342820),
+}
+
+# d ln(down) / d ln E and d ln(retract) / d ln E of the elastica under its own weight;
+# linear theory knows -1 and -2 only.
+ELASTICA_SENSITIVITY = {
+    1.0: Tip(-0.97577445, -1.96101527),
+    2.0: Tip(-0.91125624, -1.85679732),
+    5.0: Tip(-0.64530484, -1.41885948),
+}
+
+# Quadratic tets, L/h = 20, 60x2x2 cells of 6 tets, St. Venant-Kirchhoff, nu = 0, own
+# weight kappa = 5: computed with another code.
+SOLID_KAPPA_5 = Tip(0.497474, 0.154189)
+
+# An upright column buckles under its own weight at this kappa: Greenhill, Proc. Camb.
+# Phil. Soc. 4 (1881), first zero of the Bessel function J_{-1/3}.
+GREENHILL_KAPPA = 7.8373474
+
+# Compressible neo-Hookean (ln J) bar, E = 1, nu = 0.3: stretch, lateral stretch, P.
+NEO_HOOKEAN_UNIAXIAL = [(1.3, 0.921999955, 0.248495883), (0.7, 1.107934733, -0.405230424)]
+
+# Cook's membrane, quasi-static finite-strain elasticity of the deal.II code gallery:
+# rise of the point (48, 52) mm.
+COOK_RISE = 14.74e-3
+COOK_MU, COOK_NU = 0.4225e6, 0.3
+
+
+def shear_beam(kappa: float, slenderness: float) -> Tip:
+    """Tip of a clamped beam under its weight with shear and stretch, for nu = 0.
+
+    Reissner's beam (ZAMP 23, 1972), L = E I = 1, square section of side
+    1 / slenderness, shear factor 5/6: with n the force in the section, t and m its
+    normal and its transverse, r' = (1 + n.t / EA) t + (n.m / kGA) m and
+    E I theta'' = -(r' x n).
+    """
+    EA = 12.0 * slenderness**2
+    GA = 5.0 / 6.0 * EA / 2.0
+
+    def rates(s, y):
+        theta, bend = y[:2]
+        t, m = (
+            np.array([np.cos(theta), np.sin(theta)]),
+            np.array([-np.sin(theta), np.cos(theta)]),
+        )
+        n = np.array([np.zeros_like(s), -kappa * (1.0 - s)])
+        r = (1.0 + np.sum(n * t, 0) / EA) * t + np.sum(n * m, 0) / GA * m
+        return np.array([bend, -(r[0] * n[1] - r[1] * n[0]), r[0], r[1]])
+
+    def ends(a, b):
+        return np.array([a[0], b[1], a[2], a[3]])
+
+    s = np.linspace(0.0, 1.0, 101)
+    solution = solve_bvp(rates, ends, s, np.stack([-0.5 * s, -0.5 + s, s, s]), tol=1e-8)
+    assert solution.success
+    return Tip(-solution.y[3, -1], 1.0 - solution.y[2, -1])
+
+
+def irregular_cube(cells: int, order: int, *, seed: int = 0) -> TetMesh:
+    """Unit cube whose inner nodes are moved by up to a sixth of a cell."""
+    mesh = beam(1.0, 1.0, 1.0, (cells, cells, cells))
+    move = np.random.default_rng(seed).uniform(-1.0, 1.0, mesh.points.shape)
+    move[np.unique(boundary_faces(mesh))] = 0.0
+    moved = TetMesh(mesh.points + move / (6.0 * cells), mesh.tets)
+    return moved if order == 1 else to_quadratic(moved)
+
+
+def cook_mesh(cells: int) -> TetMesh:
+    """Cook's membrane, quadratic tets: (0,0) (48,44) (48,60) (0,44) mm, thickness 1."""
+    box = beam(1.0, 1.0, 1.0, (cells, cells, 1), order=2)
+    s, t, z = box.points.T
+    lower, upper = 44.0 * s, 44.0 + 16.0 * s
+    points = 1e-3 * np.stack([48.0 * s, lower + t * (upper - lower), z], axis=1)
+    return TetMesh(points, box.tets, box.node_groups, box.surface_groups)
+
+
+def boundary_nodes(mesh: TetMesh) -> np.ndarray:
+    """All nodes of the boundary, once each."""
+    return np.unique(boundary_faces(mesh))
+
+
+def nearest_node(mesh: TetMesh, point: tuple[float, float, float]) -> int:
+    """The node that stands at a point; fails where there is none."""
+    distance = np.linalg.norm(mesh.points - np.array(point), axis=1)
+    assert distance.min() < 1e-9 * mesh.size
+    return int(np.argmin(distance))
+
+
+class Quadrature(NamedTuple):
+    """Points of integration of a whole mesh, of degree 4."""
+
+    points: np.ndarray
+    weights: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: TetMesh) -> "Quadrature":
+        rule, n_en = tet_rule(4), mesh.tets.shape[1]
+        N = shape_functions(rule.barycentric, n_en)
+        dN = shape_gradients(rule.barycentric, n_en)
+        X = mesh.points[mesh.tets]
+        det = np.linalg.det(np.einsum("tai,qaj->tqij", X, dN))
+        return cls(np.einsum("qa,tai->tqi", N, X), det / 6.0 * rule.weights, N)
+
+
+def manufactured_displacement(X, amplitude=0.05):
+    """u = A sin(pi x) sin(pi y) sin(pi z) (1, 2, -1), zero on the unit cube's sides."""
+    wave = jnp.prod(jnp.sin(jnp.pi * X))
+    return amplitude * wave * jnp.array([1.0, 2.0, -1.0])
+
+
+@jax.jit
+def manufactured_body_force(X):
+    """b = -Div P of the neo-Hookean (ln J) solid with E = 1 and nu = 0.3, at points X.
+
+    The stress is written with the inverse of F, independently of the package.
+    """
+    E, nu = 1.0, 0.3
+    lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
+
+    def stress(X):
+        F = jnp.eye(3) + jax.jacfwd(manufactured_displacement)(X)
+        inverse = jnp.linalg.inv(F)
+        return mu * (F - inverse.T) + lam * jnp.log(jnp.linalg.det(F)) * inverse.T
+
+    def force(X):
+        return -jnp.trace(jax.jacfwd(stress)(X), axis1=1, axis2=2)
+
+    return jax.vmap(force)(X)
+
+
+def central_difference(function, x, tangent, h):
+    """(f(x + h t) - f(x - h t)) / 2h along a tangent."""
+    plus = function(jax.tree.map(lambda a, t: a + h * t, x, tangent))
+    minus = function(jax.tree.map(lambda a, t: a - h * t, x, tangent))
+    return jax.tree.map(lambda p, m: (p - m) / (2.0 * h), plus, minus)
+
+
+def straight_mid_nodes(mesh: TetMesh) -> np.ndarray:
+    """Positions of the mid nodes of straight edges, tet by tet."""
+    return mesh.points[mesh.tets][:, np.array(TET_EDGES)].mean(axis=2)
