@@ -1,0 +1,92 @@
+"""Calibrate the finite-element model of a soft robot from a few measured poses.
+
+The packages follow the method step by step: `mesh`, `elements`, `materials`, `fields`,
+`configurations`, `equilibrium`, `sensitivity`, `calibration`. What a script needs most
+stands here as well.
+"""
+
+from importlib.metadata import version
+
+from softcal_jax import (
+    calibration,
+    configurations,
+    elements,
+    equilibrium,
+    fields,
+    materials,
+    mesh,
+    sensitivity,
+)
+from softcal_jax.calibration import CalibrationResult, CalibrationSettings, calibrate
+from softcal_jax.configurations import (
+    Configuration,
+    EdgeForce,
+    Markers,
+    NodalForces,
+    PointForce,
+    Support,
+    SurfaceForce,
+    SurfaceTraction,
+    configuration_arrays,
+    register,
+)
+from softcal_jax.equilibrium import (
+    RESULTS,
+    Model,
+    NewtonSettings,
+    build_model,
+    check_converged,
+    solve_equilibrium,
+)
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.materials import (
+    AbstractLaw,
+    Corotational,
+    Isotropic,
+    NeoHookean,
+    StVenantKirchhoff,
+)
+from softcal_jax.mesh import beam, read_mesh, select_nodes, to_quadratic
+
+__version__ = version("softcal-jax")
+
+__all__ = [
+    "RESULTS",
+    "AbstractLaw",
+    "CalibrationResult",
+    "CalibrationSettings",
+    "Configuration",
+    "Corotational",
+    "EdgeForce",
+    "Isotropic",
+    "Markers",
+    "Model",
+    "NeoHookean",
+    "NewtonSettings",
+    "NodalForces",
+    "Parameter",
+    "ParameterSpace",
+    "PointForce",
+    "StVenantKirchhoff",
+    "Support",
+    "SurfaceForce",
+    "SurfaceTraction",
+    "beam",
+    "build_model",
+    "calibrate",
+    "calibration",
+    "check_converged",
+    "configuration_arrays",
+    "configurations",
+    "elements",
+    "equilibrium",
+    "fields",
+    "materials",
+    "mesh",
+    "read_mesh",
+    "register",
+    "select_nodes",
+    "sensitivity",
+    "solve_equilibrium",
+    "to_quadratic",
+]

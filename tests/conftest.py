@@ -1,11 +1,20 @@
 """Strict numerics for every test: float64, no promotion, checked annotations."""
 
 import jax
-from jaxtyping import install_import_hook
+import jaxtyping
+import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 # Here, because it must come before the first import of the package.
-install_import_hook("softcal_jax", "typechecking.typechecked")
+jaxtyping.install_import_hook("softcal_jax", "typechecking.typechecked")
+
+
+@pytest.fixture
+def unchecked():
+    """Annotations off, as a user runs it: wrong shapes must meet the package's message."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

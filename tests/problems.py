@@ -66,26 +66,31 @@ COOK_RISE = 14.74e-3
 COOK_MU, COOK_NU = 0.4225e6, 0.3
 
 
-def shear_beam(kappa: float, slenderness: float) -> Tip:
+def shear_beam(kappa: float, slenderness: float, *, kirchhoff: float = 1.0) -> Tip:
     """Tip of a clamped beam under its weight with shear and stretch, for nu = 0.
 
-    Reissner's beam (ZAMP 23, 1972), L = E I = 1, square section of side
-    1 / slenderness, shear factor 5/6: with n the force in the section, t and m its
-    normal and its transverse, r' = (1 + n.t / EA) t + (n.m / kGA) m and
-    E I theta'' = -(r' x n).
+    Reissner's beam (ZAMP 23, 1972), L = E I = 1, square section of side h: with n the
+    force in the section, t and m its normal and its transverse, shear factor 5/6,
+    r' = (1 + n.t / EA) t + (n.m / kGA) m and E I theta'' = -(r' x n).
+
+    St. Venant-Kirchhoff fibres have the stress E (e + 3/2 e^2 + e^3 / 2) at the strain
+    e = e0 - k y. To second order in k h a section under no axial force has then
+    e0 = -(k h)^2 / 8 and the moment E I k (1 - 3/10 (k h)^2); `kirchhoff = 0` leaves
+    both out.
     """
+    h = 1.0 / slenderness
     EA = 12.0 * slenderness**2
     GA = 5.0 / 6.0 * EA / 2.0
 
     def rates(s, y):
-        theta, bend = y[:2]
-        t, m = (
-            np.array([np.cos(theta), np.sin(theta)]),
-            np.array([-np.sin(theta), np.cos(theta)]),
-        )
+        theta, M = y[:2]
+        t = np.array([np.cos(theta), np.sin(theta)])
+        m = np.array([-np.sin(theta), np.cos(theta)])
         n = np.array([np.zeros_like(s), -kappa * (1.0 - s)])
-        r = (1.0 + np.sum(n * t, 0) / EA) * t + np.sum(n * m, 0) / GA * m
-        return np.array([bend, -(r[0] * n[1] - r[1] * n[0]), r[0], r[1]])
+        k = M * (1.0 + 0.3 * kirchhoff * (M * h) ** 2)
+        stretch = 1.0 + np.sum(n * t, 0) / EA - kirchhoff * (k * h) ** 2 / 8.0
+        r = stretch * t + np.sum(n * m, 0) / GA * m
+        return np.array([k, -(r[0] * n[1] - r[1] * n[0]), r[0], r[1]])
 
     def ends(a, b):
         return np.array([a[0], b[1], a[2], a[3]])

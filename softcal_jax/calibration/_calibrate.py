@@ -15,6 +15,7 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     at_rest,
     effector_errors,
+    evaluate,
     simulate,
 )
 from softcal_jax.calibration._result import (
@@ -26,16 +27,20 @@ from softcal_jax.calibration._result import (
 from softcal_jax.calibration._step import (
     CalibrationSettings,
     CalibrationState,
-    calibration_step,
+    decide,
     initial_state,
+    propose,
 )
 from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import Configuration, configuration_arrays
 from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import Parameter, ParameterSpace, as_space
 
-_initial = eqx.filter_jit(initial_state)
-_step = eqx.filter_jit(calibration_step)
+# Three programs instead of one per step: `evaluate`, which takes seconds to compile,
+# serves the start and every step.
+_evaluate = eqx.filter_jit(evaluate)
+_propose = eqx.filter_jit(propose)
+_decide = eqx.filter_jit(decide)
 _simulate = eqx.filter_jit(simulate)
 
 
@@ -128,14 +133,16 @@ def calibrate(
 
     clock = _Clock()
     start = problem.space.start()
-    state = clock("first_evaluation", _initial, problem, settings, start, at_rest(problem))
-    check_converged(state.evaluation.equilibrium, tuple(c.name for c in configurations))
-    before = state.evaluation
+    before = clock("first_evaluation", _evaluate, problem, start, at_rest(problem))
+    check_converged(before.equilibrium, tuple(c.name for c in configurations))
+    state = initial_state(settings, start, before)
     history = [_entry(state, problem, clock)]
     if progress:
         progress(history[-1])
     while not state.converged and len(history) <= settings.max_steps:
-        state = clock(f"step_{len(history)}", _step, problem, settings, state)
+        proposal = clock("steps", _propose, problem, state)
+        tried = clock("steps", _evaluate, problem, proposal.z, proposal.guess)
+        state = clock("steps", _decide, settings, state, proposal, tried)
         history.append(_entry(state, problem, clock))
         if progress:
             progress(history[-1])
@@ -231,13 +238,12 @@ class _Clock:
 
     def __init__(self):
         self.seconds: dict[str, float] = {}
-        self.last = 0.0
 
     def __call__(self, name, function, *args):
         begin = time.perf_counter()
         out = jax.block_until_ready(function(*args))
-        self.last = time.perf_counter() - begin
-        self.seconds[name] = self.seconds.get(name, 0.0) + self.last
+        seconds = time.perf_counter() - begin
+        self.seconds[name] = self.seconds.get(name, 0.0) + seconds
         return out
 
 
@@ -259,7 +265,7 @@ def _entry(
         kkt_residual=float(state.kkt_residual),
         newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
         values={n: float(v) for n, v in zip(problem.space.names, p, strict=True)},
-        seconds=clock.last,
+        seconds=sum(clock.seconds.values()),
     )
 
 

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxopt import BoxOSQP
 
@@ -14,8 +13,8 @@ class QPStep(NamedTuple):
 
     Attributes:
         lambda_p: The step, in scaled units [-].
-        kkt_residual: Largest violation of the optimality conditions, relative to the
-            gradient at no step [-].
+        kkt_residual: Largest violation of the optimality conditions, for columns of W
+            and an error of unit length [-].
     """
 
     lambda_p: Float[Array, " n_p"]
@@ -63,6 +62,5 @@ def bounded_step(
     params, _ = solver.run(start, (Q, c), None, (low, high))
     y = jnp.clip(params.primal[0], low, high)
     gradient = Q @ y + c
-    projected = y - jnp.clip(y - gradient, low, high)
-    kkt = jnp.max(jnp.abs(projected)) / jnp.maximum(jnp.max(jnp.abs(c)), 1e-300)
-    return QPStep(y * level / size, jax.lax.stop_gradient(kkt))
+    kkt_residual = jnp.max(jnp.abs(y - jnp.clip(y - gradient, low, high)))
+    return QPStep(y * level / size, kkt_residual)

@@ -51,7 +51,7 @@ class HistoryEntry(eqx.Module):
         kkt_residual: Optimality residual of the QP [-].
         newton_steps: Newton iterations of each configuration.
         values: Parameters after the step, in SI units.
-        seconds: Wall time [s].
+        seconds: Wall time since the start [s].
     """
 
     step: int

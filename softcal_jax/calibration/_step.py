@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation, evaluate
-from softcal_jax.calibration._qp import bounded_step
+from softcal_jax.calibration._qp import QPStep, bounded_step
 
 
 class CalibrationSettings(eqx.Module):
@@ -64,29 +64,85 @@ class CalibrationState(eqx.Module):
     converged: Bool[Array, ""]
 
 
+class Proposal(eqx.Module):
+    """A step that the QP proposes, and where its equilibria should lie.
+
+    Attributes:
+        qp: The step and its check.
+        z: Parameters after it [-].
+        guess: Displacements after it, to first order [m].
+    """
+
+    qp: QPStep
+    z: Float[Array, " n_p"]
+    guess: Float[Array, "n_c n_nodes 3"]
+
+
 def initial_state(
-    problem: CalibrationProblem,
-    settings: CalibrationSettings,
-    z: Float[Array, " n_p"],
-    guess: Float[Array, "n_c n_nodes 3"],
+    settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> CalibrationState:
     """State before the first step."""
     return CalibrationState(
         z,
-        evaluate(problem, z, guess),
-        jnp.asarray(settings.step_bound),
+        evaluation,
+        jnp.full((), settings.step_bound, z.dtype),
         jnp.full_like(z, jnp.inf),
-        jnp.zeros(()),
+        jnp.zeros((), z.dtype),
         jnp.ones((), bool),
         jnp.zeros((), jnp.int32),
         jnp.zeros((), bool),
     )
 
 
+def propose(problem: CalibrationProblem, state: CalibrationState) -> Proposal:
+    """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11)."""
+    now, bound = state.evaluation, state.step_bound
+    low = jnp.maximum(problem.space.lower() - state.z, -bound)
+    high = jnp.minimum(problem.space.upper() - state.z, bound)
+    qp = bounded_step(now.W_ep, now.error, low, high)
+    guess = now.equilibrium.displacement
+    if now.tangents is not None:
+        guess = guess + jnp.einsum("p,cpni->cni", qp.lambda_p, now.tangents)
+    return Proposal(qp, state.z + qp.lambda_p, guess)
+
+
+def decide(
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    proposal: Proposal,
+    tried: Evaluation,
+) -> CalibrationState:
+    """Keep a proposed step if it helps, and adapt the bound on the next."""
+    now, lambda_p = state.evaluation, proposal.qp.lambda_p
+    linear = 0.5 * jnp.sum((now.W_ep @ lambda_p + now.error) ** 2)
+    gain = (now.cost - tried.cost) / jnp.maximum(now.cost - linear, 1e-300)
+    size = jnp.max(jnp.abs(lambda_p))
+    # A vanishing step changes the cost by rounding only: it is taken, and ends the loop.
+    vanished = (size <= settings.tol) & tried.ok
+    accepted = tried.ok & ((gain > 1e-4) | vanished | (not settings.adapt))
+    bound = state.step_bound
+    if settings.adapt:
+        at_bound = size >= 0.99 * bound
+        grown = jnp.where((gain > 0.75) & at_bound, 2.0 * bound, bound)
+        bound = jnp.where(gain > 0.25, grown, 0.25 * size)
+        bound = jnp.where(vanished, state.step_bound, bound)
+    keep = lambda new, old: jnp.where(accepted, new, old)
+    return CalibrationState(
+        keep(proposal.z, state.z),
+        jax.tree.map(keep, tried, now),
+        bound,
+        lambda_p,
+        proposal.qp.kkt_residual,
+        accepted,
+        state.step + 1,
+        vanished,
+    )
+
+
 def calibration_step(
     problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
 ) -> CalibrationState:
-    """Solve the QP, move, evaluate, and decide (paper Eqs. 10, 11).
+    """One whole step, traceable: propose, evaluate, decide.
 
     Args:
         problem: The calibration.
@@ -96,36 +152,6 @@ def calibration_step(
     Returns:
         State after it.
     """
-    now = state.evaluation
-    low = jnp.maximum(problem.space.lower() - state.z, -state.step_bound)
-    high = jnp.minimum(problem.space.upper() - state.z, state.step_bound)
-    qp = bounded_step(now.W_ep, now.error, low, high)
-    lambda_p = qp.lambda_p
-    guess = now.equilibrium.displacement
-    if now.tangents is not None:  # first-order prediction of every configuration
-        guess = guess + jnp.einsum("p,cpni->cni", lambda_p, now.tangents)
-    tried = evaluate(problem, state.z + lambda_p, guess)
-
-    predicted = now.cost - 0.5 * jnp.sum((now.W_ep @ lambda_p + now.error) ** 2)
-    gain = (now.cost - tried.cost) / jnp.maximum(predicted, 1e-300)
-    size = jnp.max(jnp.abs(lambda_p))
-    # A vanishing step changes the cost by rounding only: it is taken, and ends the loop.
-    vanished = (size <= settings.tol) & tried.ok
-    accepted = tried.ok & ((gain > 1e-4) | vanished | (not settings.adapt))
-    bound = state.step_bound
-    if settings.adapt:
-        at_bound = size >= 0.99 * bound
-        grown = jnp.where((gain > 0.75) & at_bound, 2.0 * bound, bound)
-        bound = jnp.where(gain < 0.25, 0.25 * size, grown)
-        bound = jnp.where(vanished, state.step_bound, bound)
-    keep = lambda new, old: jnp.where(accepted, new, old)
-    return CalibrationState(
-        keep(state.z + lambda_p, state.z),
-        jax.tree.map(keep, tried, now),
-        bound,
-        lambda_p,
-        qp.kkt_residual,
-        accepted,
-        state.step + 1,
-        vanished,
-    )
+    proposal = propose(problem, state)
+    tried = evaluate(problem, proposal.z, proposal.guess)
+    return decide(settings, state, proposal, tried)

@@ -15,6 +15,7 @@ from softcal_jax.configurations._loads import (
     SurfaceTraction,
 )
 from softcal_jax.configurations._markers import Markers
+from softcal_jax.configurations._measurements import MarkerTable, read_markers
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
 
@@ -25,6 +26,7 @@ __all__ = [
     "ConfigurationArrays",
     "EdgeForce",
     "EffectorArrays",
+    "MarkerTable",
     "Markers",
     "NodalForces",
     "PointForce",
@@ -33,5 +35,6 @@ __all__ = [
     "SurfaceForce",
     "SurfaceTraction",
     "configuration_arrays",
+    "read_markers",
     "register",
 ]

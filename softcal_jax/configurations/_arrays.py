@@ -13,20 +13,22 @@ class EffectorArrays(eqx.Module):
     """Measured points; configurations with fewer markers are padded with weight zero.
 
     Attributes:
-        nodes: Nodes of the tet that carries each marker.
+        nodes: Nodes that carry each marker.
         weights: Their weights [-]; position = sum of weights times node positions.
         measured: Measured positions, in the frame of the mesh [m].
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured [1/m].
     """
 
-    nodes: Int[AnyArray, "*batch n_markers n_en"]
-    weights: Float[AnyArray, "*batch n_markers n_en"]
+    nodes: Int[AnyArray, "*batch n_markers n_carriers"]
+    weights: Float[AnyArray, "*batch n_markers n_carriers"]
     measured: Float[AnyArray, "*batch n_markers 3"]
     inverse_std: Float[AnyArray, "*batch n_markers 3"]
 
-    def positions(self, x: Float[Array, "n_nodes 3"]) -> Float[Array, "n_markers 3"]:
+    def positions(
+        self, x: Float[AnyArray, "n_nodes 3"]
+    ) -> Float[AnyArray, "n_markers 3"]:
         """Simulated positions for the nodal positions `x` [m]."""
-        return jnp.sum(self.weights[:, :, None] * x[self.nodes], axis=1)
+        return jnp.sum(jnp.asarray(self.weights)[:, :, None] * x[self.nodes], axis=1)
 
 
 class ConfigurationArrays(eqx.Module):

@@ -9,10 +9,11 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations._arrays import ConfigurationArrays, EffectorArrays
+from softcal_jax.configurations._carriers import carriers
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._supports import Support
-from softcal_jax.mesh import TetMesh, locate
+from softcal_jax.mesh import TetMesh
 
 STANDARD_GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s2]."""
@@ -74,14 +75,19 @@ def configuration_arrays(
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"configuration {name!r} is named more than once.")
-    n_markers = max(
-        len(c.markers.names) if c.markers is not None else 0 for c in configurations
-    )
-    lanes = [_lane(mesh, c, n_markers) for c in configurations]
+    carried = [_carriers(mesh, c) for c in configurations]
+    most = max(len(markers) for markers in carried)
+    widest = max((len(n) for markers in carried for n, _ in markers), default=0)
+    lanes = [
+        _lane(mesh, c, _effectors(c, markers, (most, widest)))
+        for c, markers in zip(configurations, carried, strict=True)
+    ]
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *lanes)
 
 
-def _lane(mesh: TetMesh, c: Configuration, n_markers: int) -> ConfigurationArrays:
+def _lane(
+    mesh: TetMesh, c: Configuration, effectors: EffectorArrays
+) -> ConfigurationArrays:
     fixed = np.zeros((mesh.n_nodes, 3), bool)
     imposed = np.zeros((mesh.n_nodes, 3))
     for support in c.supports:
@@ -95,29 +101,35 @@ def _lane(mesh: TetMesh, c: Configuration, n_markers: int) -> ConfigurationArray
         imposed,
         force,
         np.asarray(c.gravity, float),
-        _effectors(mesh, c, n_markers),
+        effectors,
     )
 
 
-def _effectors(mesh: TetMesh, c: Configuration, n_markers: int) -> EffectorArrays:
-    n_en = mesh.tets.shape[1]
-    out = EffectorArrays(
-        np.zeros((n_markers, n_en), np.int32),
-        np.zeros((n_markers, n_en)),
-        np.zeros((n_markers, 3)),
-        np.zeros((n_markers, 3)),
-    )
+def _carriers(mesh: TetMesh, c: Configuration):
+    """Nodes and weights of each marker; the error names the configuration."""
     if c.markers is None:
-        return out
-    n = len(c.markers.names)
+        return []
     try:
-        at = locate(mesh, c.markers.positions, max_distance=c.markers.max_distance)
+        return carriers(mesh, c.markers)
     except ValueError as error:
         raise ValueError(
             f"markers {', '.join(c.markers.names)} of configuration {c.name!r}: {error}"
         ) from error
-    out.nodes[:n], out.weights[:n] = at.nodes, at.weights
-    if c.measured is not None:
+
+
+def _effectors(c: Configuration, carried: list, shape: tuple[int, int]):
+    """Effector arrays, padded to a number of markers and of nodes per marker."""
+    n_markers, n_nodes = shape
+    out = EffectorArrays(
+        np.zeros((n_markers, n_nodes), np.int32),
+        np.zeros((n_markers, n_nodes)),
+        np.zeros((n_markers, 3)),
+        np.zeros((n_markers, 3)),
+    )
+    for i, (nodes, weights) in enumerate(carried):
+        out.nodes[i, : len(nodes)], out.weights[i, : len(nodes)] = nodes, weights
+    if c.markers is not None and c.measured is not None:
+        n = len(carried)
         out.measured[:n] = np.nan_to_num(c.measured)
         out.inverse_std[:n] = c.markers.inverse_std()
     return out

@@ -18,6 +18,9 @@ class Markers(eqx.Module):
             per marker and axis [m].
         axes: Axes that are measured, like "xyz" or "xz".
         max_distance: How far from the mesh a marker may stand [m].
+        base_radius: For markers on posts: the post follows the affine motion fitted to
+            the nodes within this radius of its foot. 0 takes the tet at the marker
+            alone, whose local strain a post would magnify [m].
     """
 
     names: tuple[str, ...] = eqx.field(converter=tuple)
@@ -27,9 +30,16 @@ class Markers(eqx.Module):
     std: Float[ArrayLike, "..."] = 1e-3
     axes: str = "xyz"
     max_distance: float = 0.01
+    base_radius: float = 0.0
 
     def __check_init__(self):
         parse_axes(self.axes)
+        for name in ("max_distance", "base_radius"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(
+                    f"{name} must be finite and not negative [m], "
+                    f"got {getattr(self, name):g}."
+                )
         n = len(self.names)
         if self.positions.shape != (n, 3):
             raise ValueError(

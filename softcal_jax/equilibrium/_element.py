@@ -38,12 +38,10 @@ def deformation_gradients(
     return jnp.eye(3) + H
 
 
-def _scaled_to(
-    theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]
-) -> tuple[Float[Array, " n_qp"], Float[Array, " n_qp"]]:
-    """Volume ratios J, and the factors (theta / J)^(1/3) that make them all theta."""
+def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
+    """Volume ratios J, the factors (theta / J)^(1/3) that make all theta, and F^-T."""
     J = jax.vmap(determinant)(F)
-    return J, jnp.cbrt(theta / J)
+    return J, jnp.cbrt(theta / J), jax.vmap(cofactor)(F) / J[:, None, None]
 
 
 def mean_dilatation(
@@ -72,7 +70,7 @@ def element_energy(
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         F = _scaled_to(mean_dilatation(u, dN, w), F)[1][:, None, None] * F
-    return sum(w[q] * law.energy_density(F[q]) for q in range(F.shape[0]))
+    return jnp.sum(w * jax.vmap(law.energy_density)(F))
 
 
 def element_force(
@@ -84,22 +82,17 @@ def element_force(
 ) -> Float[Array, "n_en 3"]:
     """Internal force of a tet, the gradient of its energy in u [N]."""
     F = deformation_gradients(u, dN)
-    n_qp = F.shape[0]
-    if is_mixed(formulation, n_qp):
+    if is_mixed(formulation, F.shape[0]):
         theta = mean_dilatation(u, dN, w)
-        J, s = _scaled_to(theta, F)
+        J, s, G = _scaled_to(theta, F)
         share = w * J / (theta * jnp.sum(w))
-        G = [cofactor(F[q]) / J[q] for q in range(n_qp)]
-        P_bar = [s[q] * law.stress(s[q] * F[q]) for q in range(n_qp)]
-        trace = [jnp.sum(P_bar[q] * F[q]) / 3.0 for q in range(n_qp)]
-        pressure = sum(w[q] * trace[q] for q in range(n_qp))
-        P = [
-            w[q] * (P_bar[q] - trace[q] * G[q]) + pressure * share[q] * G[q]
-            for q in range(n_qp)
-        ]
+        P_bar = _each(s) * jax.vmap(law.stress)(_each(s) * F)
+        mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
+        pressure = jnp.sum(w * mean_stress)
+        P = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
     else:
-        P = [w[q] * law.stress(F[q]) for q in range(n_qp)]
-    return sum(_push(P[q], dN[q]) for q in range(n_qp))
+        P = _each(w) * jax.vmap(law.stress)(F)
+    return _push(P, dN)
 
 
 def element_stiffness(
@@ -113,26 +106,43 @@ def element_stiffness(
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         return mixed_newton(u, mean_dilatation(u, dN, w), dN, w, law)[0]
-    return sum(_pull(w[q] * law.tangent(F[q]), dN[q]) for q in range(F.shape[0]))
+    A = jax.vmap(law.tangent)(F)
+    return _pull(w[:, None, None, None, None] * A, dN)
+
+
+def _each(a: Float[Array, " n_qp"]) -> Float[Array, "n_qp 1 1"]:
+    """One number per quadrature point, to multiply a tensor per point."""
+    return a[:, None, None]
 
 
 def _push(
-    P: Float[Array, "3 3"], dN: Float[Array, "n_en 3"]
+    P: Float[Array, "n_qp 3 3"], dN: Float[Array, "n_qp n_en 3"]
 ) -> Float[Array, "n_en 3"]:
-    """Nodal forces of a stress."""
-    return jnp.sum(P[None] * dN[:, None, :], axis=2)
+    """Nodal forces of the stresses at the quadrature points."""
+    return jnp.sum(P[:, None] * dN[:, :, None, :], axis=(0, 3))
 
 
 def _pull(
-    A: Float[Array, "3 3 3 3"], dN: Float[Array, "n_en 3"]
+    A: Float[Array, "n_qp 3 3 3 3"], dN: Float[Array, "n_qp n_en 3"]
 ) -> Float[Array, "n_en 3 n_en 3"]:
-    """Contract both reference slots of a tangent with the shape gradients."""
-    half = jnp.sum(A[None] * dN[:, None, :, None, None], axis=2)
-    return jnp.sum(half[:, :, None] * dN[None, None, :, None, :], axis=4)
+    """Stiffness of the tangents: both reference slots contracted with gradients.
+
+    Sums are written out and the first contraction is kept from being fused into the
+    second, which would repeat it for every node: together four times faster on
+    quadratic tets than one reduction.
+    """
+    half = sum(A[:, None, :, J] * dN[:, :, None, J, None, None] for J in range(3))
+    half = jax.lax.optimization_barrier(half)  # point, node, i, k, L
+    return sum(
+        half[q, :, :, None, :, L] * dN[q, None, None, :, None, L]
+        for q in range(A.shape[0])
+        for L in range(3)
+    )
 
 
-def _outer(a, b):
-    return a[:, :, None, None] * b[None, None]
+def _outer(a: Float[Array, "*q m 3"], b: Float[Array, "*q n 3"]):
+    """Tensor product over the last two axes."""
+    return a[..., :, :, None, None] * b[..., None, None, :, :]
 
 
 def mixed_newton(
@@ -164,34 +174,33 @@ def mixed_newton(
     Returns:
         Condensed stiffness [N/m] and force [N].
     """
-    F = deformation_gradients(u, dN)
-    n_qp = F.shape[0]
-    J, s = _scaled_to(theta, F)
-    volume = jnp.sum(w)
-    share = w * J / (theta * volume)
-    gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
-    points = []
-    pressure = curvature = jnp.zeros_like(theta)
     # With eta = d ln theta and G = F^-T, dF_bar = s (dF + (eta - G : dF) / 3 F).
-    for q in range(n_qp):
-        G = cofactor(F[q]) / J[q]
-        P_bar = s[q] * law.stress(s[q] * F[q])
-        A = s[q] ** 2 * law.tangent(s[q] * F[q])
-        A_F = jnp.sum(A * F[q][None, None], axis=(2, 3))
-        trace = jnp.sum(P_bar * F[q])
-        both = (jnp.sum(A_F * F[q]) + trace) / 9.0
-        points.append((G, P_bar, A, A_F + P_bar, trace / 3.0, both))
-        pressure = pressure + w[q] * trace / 3.0
-        curvature = curvature + w[q] * both
-    K, f, g, h = 0.0, 0.0, 0.0, 0.0
-    for q, (G, P_bar, A, Q, trace, both) in enumerate(points):
-        GG = _outer(G, G)
-        GxG = G[:, None, None, :] * G.T[None, :, :, None]
-        A_eff = w[q] * (A - (_outer(G, Q) + _outer(Q, G)) / 3.0 + both * GG + trace * GxG)
-        K = K + _pull(A_eff + pressure * share[q] * (GG - GxG), dN[q])
-        f = f + _push(w[q] * (P_bar - trace * G) + pressure * share[q] * G, dN[q])
-        g = g + _push(share[q] * G, dN[q])
-        h = h + _push(w[q] * (Q / 3.0 - both * G), dN[q])
-    curvature = curvature - pressure
-    K = K + _outer(g, h) + _outer(h, g) + curvature * _outer(g, g)
-    return K, f + (h + curvature * g) * gap
+    F = deformation_gradients(u, dN)
+    J, s, G = _scaled_to(theta, F)
+    share = w * J / (theta * jnp.sum(w))
+    gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
+    P_bar = _each(s) * jax.vmap(law.stress)(_each(s) * F)
+    A = (s**2)[:, None, None, None, None] * jax.vmap(law.tangent)(_each(s) * F)
+    A_F = jnp.sum(A * F[:, None, None], axis=(3, 4))
+    Q = A_F + P_bar
+    mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
+    both = jnp.sum(Q * F, axis=(1, 2)) / 9.0
+    pressure = jnp.sum(w * mean_stress)
+    curvature = jnp.sum(w * both) - pressure
+
+    swapped = jnp.swapaxes(_outer(G, G), 2, 4)  # G_iL G_kJ
+    wide = lambda a: a[:, None, None, None, None]
+    A_eff = (
+        wide(w) * A
+        - _outer(_each(w / 3.0) * G, Q)
+        - _outer(Q, _each(w / 3.0) * G)
+        + wide(w * both + pressure * share) * _outer(G, G)
+        + wide(w * mean_stress - pressure * share) * swapped
+    )
+    force = _push(
+        _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G, dN
+    )
+    g = _push(_each(share) * G, dN)
+    h = _push(_each(w / 3.0) * Q - _each(w * both) * G, dN)
+    K = _pull(A_eff, dN) + _outer(g, h) + _outer(h, g) + curvature * _outer(g, g)
+    return K, force + (h + curvature * g) * gap

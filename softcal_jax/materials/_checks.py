@@ -14,14 +14,10 @@ def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
 
 
 def _concrete(value: Float[Array, "..."]) -> np.ndarray | None:
-    """The value on the host; None while it is traced and cannot be looked at."""
+    """The values on the host, at least one; None while they are traced."""
     if isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
         return None
-    return np.asarray(value)
-
-
-def _first(values: np.ndarray, bad: np.ndarray) -> float:
-    return float(np.atleast_1d(values)[np.atleast_1d(bad)][0])
+    return np.atleast_1d(np.asarray(value))
 
 
 def check_modulus(name: str, value: Float[Array, "..."]) -> None:
@@ -32,7 +28,7 @@ def check_modulus(name: str, value: Float[Array, "..."]) -> None:
     bad = ~(np.isfinite(values) & (values > 0))
     if np.any(bad):
         raise ValueError(
-            f"{name} must be positive and finite [Pa], got {_first(values, bad):g}."
+            f"{name} must be positive and finite [Pa], got {values[bad][0]:g}."
         )
 
 
@@ -45,5 +41,5 @@ def check_poisson_ratio(name: str, value: Float[Array, "..."]) -> None:
     if np.any(bad):
         hint = " For an incompressible rubber take 0.499." if values.max() >= 0.5 else ""
         raise ValueError(
-            f"{name} must lie in (-1, 0.5), got {_first(values, bad):g}.{hint}"
+            f"{name} must lie in (-1, 0.5), got {values[bad][0]:g}.{hint}"
         )

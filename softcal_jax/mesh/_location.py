@@ -26,6 +26,7 @@ class MaterialPoints(eqx.Module):
         tet: Tet that carries each point.
         barycentric: Coordinates in it; outside [0, 1] for a point outside the mesh.
         distance: Distance from the mesh [m], 0 inside.
+        foot: Nearest point of the mesh, the point itself where that is inside [m].
         nodes: Nodes of the tet.
         weights: Weights of these nodes [-]; rows sum to one.
     """
@@ -33,6 +34,7 @@ class MaterialPoints(eqx.Module):
     tet: Int[HostArray, " n"]
     barycentric: Float[HostArray, "n 4"]
     distance: Float[HostArray, " n"]
+    foot: Float[HostArray, "n 3"]
     nodes: Int[HostArray, "n n_en"]
     weights: Float[HostArray, "n n_en"]
 
@@ -82,15 +84,17 @@ def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> Material
     tet, b = _inside(mesh, p)
     n_en = mesh.tets.shape[1]
     weights = shape_functions(b, n_en)
-    distance = np.zeros(len(p))
+    distance, foot = np.zeros(len(p)), p.copy()
     outside = np.flatnonzero(tet < 0)
     if outside.size:
         boundary = _Boundary(mesh)
         for i in outside:
             tet[i], b0, distance[i] = boundary.nearest(p[i])
-            b[i], weights[i] = _extrapolate(mesh.points[mesh.tets[tet[i]]], b0, p[i])
+            X = mesh.points[mesh.tets[tet[i]]]
+            foot[i] = shape_functions(b0, n_en) @ X
+            b[i], weights[i] = _extrapolate(X, b0, p[i])
     _check_distance(mesh, p, distance, max_distance)
-    return MaterialPoints(tet, b, distance, mesh.tets[tet], weights)
+    return MaterialPoints(tet, b, distance, foot, mesh.tets[tet], weights)
 
 
 def _inside(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:

@@ -1,0 +1,25 @@
+"""Results as files that other programs read: JSON, CSV and VTK; units on the way out."""
+
+from softcal_jax.export._folder import check_results_folder, results_folder
+from softcal_jax.export._json import marker_motion, result_dict, simulation_dict
+from softcal_jax.export._names import file_stems
+from softcal_jax.export._tables import write_json, write_markers_csv
+from softcal_jax.export._units import Readable, readable_estimate, readable_unit
+from softcal_jax.export._versions import versions
+from softcal_jax.export._vtu import write_vtu
+
+__all__ = [
+    "Readable",
+    "check_results_folder",
+    "file_stems",
+    "marker_motion",
+    "readable_estimate",
+    "readable_unit",
+    "result_dict",
+    "results_folder",
+    "simulation_dict",
+    "versions",
+    "write_json",
+    "write_markers_csv",
+    "write_vtu",
+]

@@ -1,0 +1,128 @@
+"""A results folder that appears whole or not at all."""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+INDEX_FILES = ("result.json", "simulation.json")
+"""A folder with one of these is a results folder; its `files` says which are ours."""
+
+
+def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
+    """Raise unless results may be written to a folder; for use before a long run.
+
+    Args:
+        directory: The folder, which need not exist.
+        force: Replace the results in it.
+
+    Raises:
+        FileExistsError: If it is a file, or has something in it and `force` is off, or
+            is not a results folder; nothing but earlier results is ever replaced.
+    """
+    directory = Path(directory)
+    if not directory.exists():
+        return
+    if not directory.is_dir():
+        raise FileExistsError(f"{directory} is a file; results need a folder.")
+    if not any(directory.iterdir()):
+        return
+    if not force:
+        raise FileExistsError(
+            f"the folder {directory} is not empty. Choose another one, or replace the "
+            "results in it with --force (force=True)."
+        )
+    if not _own_files(directory):
+        raise FileExistsError(
+            f"the folder {directory} does not hold earlier results of softcal_jax "
+            f"({' or '.join(INDEX_FILES)}), so nothing in it is replaced. Choose "
+            "another folder, or empty it yourself."
+        )
+
+
+@contextmanager
+def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Path]:
+    """A temporary folder beside `directory` whose files move into it at the end.
+
+    If the block raises, nothing is left and earlier results stay as they were. With
+    `force` the files of earlier results go, and those that a user put there stay.
+
+    Args:
+        directory: The folder to be; parents are made as needed.
+        force: Replace earlier results.
+
+    Yields:
+        The folder to write into.
+
+    Raises:
+        FileExistsError: As `check_results_folder`, or if a file that is not ours stands
+            in the way.
+    """
+    directory = Path(directory).resolve()
+    check_results_folder(directory, force=force)
+    made = _make_parents(directory)
+    try:
+        partial = Path(
+            tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent)
+        )
+        try:
+            yield partial
+            _move_into_place(partial, directory)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except BaseException:
+        for parent in reversed(made):
+            parent.rmdir()
+        raise
+
+
+def _make_parents(directory: Path) -> list[Path]:
+    """Make the missing parents; returns them, the outermost first."""
+    missing = [p for p in reversed(directory.parents) if not p.exists()]
+    for parent in missing:
+        parent.mkdir()
+    return missing
+
+
+def _own_files(directory: Path) -> set[str]:
+    """Files of earlier results, as their index lists them."""
+    own: set[str] = set()
+    for index in INDEX_FILES:
+        try:
+            data = json.loads((directory / index).read_text(encoding="utf-8"))
+            own |= {index, *data["files"]}
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # not an index of ours
+    return {name for name in own if (directory / name).is_file()}
+
+
+def _move_into_place(partial: Path, directory: Path) -> None:
+    # File by file, so that a shell that stands in the folder stays in it.
+    new = sorted(path.name for path in partial.iterdir())
+    old = _own_files(directory)
+    foreign = [n for n in new if (directory / n).exists() and n not in old]
+    if foreign:
+        raise FileExistsError(
+            f"{directory / foreign[0]} is not part of the earlier results and would be "
+            "overwritten. Move it away, or choose another folder."
+        )
+    fresh = not directory.exists()
+    directory.mkdir(exist_ok=True)
+    backup = partial / ".replaced"
+    backup.mkdir()
+    try:
+        for name in sorted(old):
+            os.replace(directory / name, backup / name)
+        for name in new:
+            os.replace(partial / name, directory / name)
+    except BaseException:
+        for name in new:
+            (directory / name).unlink(missing_ok=True)
+        for path in backup.iterdir():
+            os.replace(path, directory / path.name)
+        if fresh:
+            directory.rmdir()
+        raise

@@ -1,0 +1,239 @@
+"""Results as plain dictionaries that JSON can hold: millimetres for markers, SI else."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax.calibration import CalibrationResult, ConfigurationFit
+from softcal_jax.configurations import Configuration, configuration_arrays
+from softcal_jax.equilibrium import RESULTS, EquilibriumSolution, Model
+from softcal_jax.export._versions import versions
+
+
+def result_dict(
+    result: CalibrationResult,
+    *,
+    name: str = "calibration",
+    timing_s: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """A calibration as a dictionary, the content of `result.json`.
+
+    Keys: `format`, `name`, `converged`; `parameters` (`name`, `value`, `unit`,
+    `standard_error`, `lower`, `upper`, `start`, `at_bound`; SI); `configurations`
+    (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
+    `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
+    `simulated_before_mm`, `simulated_mm`, `residual_mm`, then `newton_steps`,
+    `residual`, `min_det_F`); `history` (one entry per step, 0 is the start); `solver`;
+    `settings`; `uncertainty` (covariance of the scaled parameters); `notes`;
+    `versions`; `timing_s`. A number that does not exist is null.
+
+    Args:
+        result: The calibration.
+        name: Its name.
+        timing_s: Wall time of more parts, added to `result.timing_s` [s].
+
+    Returns:
+        Dictionaries, lists, texts, numbers and None; no NaN and no infinity.
+    """
+    return _plain(
+        {
+            "format": "softcal_jax.result/1",
+            "name": name,
+            "converged": result.converged,
+            "parameters": [_fields(parameter) for parameter in result.parameters],
+            "configurations": [_fit(fit) for fit in result.configurations],
+            "history": [_step(entry) for entry in result.history],
+            "solver": _solver(result.model),
+            "settings": {
+                "calibration": _fields(result.settings),
+                "newton": _fields(result.newton),
+                "noise": result.uncertainty.noise,
+            },
+            "uncertainty": _uncertainty(result),
+            "notes": list(result.notes),
+            "versions": versions(result.model),
+            "timing_s": {**result.timing_s, **(timing_s or {})},
+        }
+    )
+
+
+def simulation_dict(
+    model: Model,
+    configurations: Sequence[Configuration],
+    solution: EquilibriumSolution,
+    *,
+    name: str = "simulation",
+    timing_s: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """A forward simulation as a dictionary, the content of `simulation.json`.
+
+    Keys: `format`, `name`, `converged` (all of them); `configurations` (`name`,
+    `converged`, `outcome`, `newton_steps`, `load_steps`, `residual`, `min_det_F`,
+    `largest_displacement_mm`, `markers` with `name`, `at_rest_mm`, `simulated_mm`);
+    `solver`; `versions`; `timing_s`. Where there is no equilibrium, positions and
+    displacement are null, and `outcome` says why.
+
+    Args:
+        model: The body.
+        configurations: What was simulated.
+        solution: Their equilibria, one lane per configuration.
+        name: Name of the simulation.
+        timing_s: Wall time per part [s].
+
+    Returns:
+        Dictionaries, lists, texts, numbers and None; no NaN and no infinity.
+    """
+    lanes = [
+        _lane(model, configuration, jax.tree.map(lambda leaf, i=i: leaf[i], solution))
+        for i, configuration in enumerate(configurations)
+    ]
+    return _plain(
+        {
+            "format": "softcal_jax.simulation/1",
+            "name": name,
+            "converged": all(lane["converged"] for lane in lanes),
+            "configurations": lanes,
+            "solver": _solver(model),
+            "versions": versions(model),
+            "timing_s": dict(timing_s or {}),
+        }
+    )
+
+
+def marker_motion(fit: ConfigurationFit) -> float:
+    """Root mean square of how far the markers moved, measured coordinates only [m]."""
+    moved = np.where(_seen(fit), fit.measured - fit.at_rest, 0.0)
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+
+
+def _seen(fit: ConfigurationFit) -> Bool[HostArray, "n_markers 3"]:
+    """Coordinates that were measured; the error of any other is exactly zero."""
+    return (fit.error_after != 0.0) | (fit.after == fit.measured)
+
+
+def _fit(fit: ConfigurationFit) -> dict[str, Any]:
+    motion = marker_motion(fit)
+    seen = _seen(fit)
+    measured = np.where(seen, fit.measured, np.nan)
+    residual = np.where(seen, fit.error_after, np.nan)
+    return {
+        "name": fit.name,
+        "role": fit.role,
+        "rms_before_mm": 1e3 * fit.rms_before,
+        "rms_after_mm": 1e3 * fit.rms_after,
+        "motion_mm": 1e3 * motion,
+        "rms_after_percent_of_motion": (
+            100.0 * fit.rms_after / motion if motion > 0.0 else None
+        ),
+        "markers": [
+            {
+                "name": marker,
+                "measured_mm": 1e3 * measured[i],
+                "simulated_before_mm": 1e3 * fit.before[i],
+                "simulated_mm": 1e3 * fit.after[i],
+                "residual_mm": 1e3 * residual[i],
+            }
+            for i, marker in enumerate(fit.marker_names)
+        ],
+        "newton_steps": fit.newton_steps,
+        "residual": fit.residual,
+        "min_det_F": fit.min_det_F,
+    }
+
+
+def _step(entry: eqx.Module) -> dict[str, Any]:
+    step = _fields(entry)
+    step["rms_mm"] = 1e3 * step.pop("rms")
+    return step
+
+
+def _solver(model: Model) -> dict[str, Any]:
+    return {
+        "name": model.solver.name,
+        "law": type(model.law).__name__,
+        "formulation": model.formulation,
+        "element_order": model.mesh.order,
+        "n_nodes": model.mesh.n_nodes,
+        "n_tets": model.mesh.n_tets,
+    }
+
+
+def _uncertainty(result: CalibrationResult) -> dict[str, Any]:
+    spread = result.uncertainty
+    with np.errstate(invalid="ignore", divide="ignore"):  # an exact fit has no spread
+        correlation = spread.correlation
+    return {
+        "noise": spread.noise,
+        "noise_scale": spread.noise_scale,
+        "degrees_of_freedom": spread.degrees_of_freedom,
+        "chi_squared": spread.chi_squared,
+        "covariance": spread.covariance,
+        "correlation": correlation,
+    }
+
+
+def _lane(
+    model: Model, configuration: Configuration, solution: EquilibriumSolution
+) -> dict[str, Any]:
+    ok = bool(solution.converged)
+    u = np.asarray(solution.displacement)
+    return {
+        "name": configuration.name,
+        "converged": ok,
+        "outcome": RESULTS[solution.result],
+        "newton_steps": int(solution.steps),
+        "load_steps": int(solution.load_steps),
+        "residual": float(solution.residual),
+        "min_det_F": float(solution.min_det_F),
+        "largest_displacement_mm": (
+            1e3 * float(np.linalg.norm(u, axis=1).max()) if ok else None
+        ),
+        "markers": _markers(model, configuration, u, ok),
+    }
+
+
+def _markers(
+    model: Model,
+    configuration: Configuration,
+    u: Float[HostArray, "n_nodes 3"],
+    ok: bool,
+) -> list[dict[str, Any]]:
+    if configuration.markers is None:
+        return []
+    arrays = configuration_arrays(model.mesh, [configuration])
+    effectors = jax.tree.map(lambda leaf: leaf[0], arrays.effectors)
+    simulated = np.asarray(effectors.positions(jnp.asarray(model.mesh.points + u)))
+    return [
+        {
+            "name": marker,
+            "at_rest_mm": 1e3 * configuration.markers.positions[i],
+            "simulated_mm": 1e3 * simulated[i] if ok else None,
+        }
+        for i, marker in enumerate(configuration.markers.names)
+    ]
+
+
+def _fields(module: Any) -> dict[str, Any]:
+    return {f.name: getattr(module, f.name) for f in dataclasses.fields(module)}
+
+
+def _plain(value: Any) -> Any:
+    """Arrays become lists, NumPy numbers Python ones, and what is not finite None."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, jax.Array)):
+        return _plain(np.asarray(value).tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

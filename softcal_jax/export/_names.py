@@ -1,0 +1,30 @@
+"""File names made of the names that a user gave."""
+
+import re
+from collections.abc import Sequence
+
+_RESERVED = {"convergence", "markers", "result", "simulation"}
+"""Stems of the other files of a results folder."""
+
+
+def file_stems(names: Sequence[str]) -> list[str]:
+    """One file name per configuration, without extension, safe on every system.
+
+    Args:
+        names: Names of the configurations.
+
+    Returns:
+        The names with anything but letters, digits, ".", "-" and "_" replaced; numbered
+        where two would be the same file, also where case does not count.
+    """
+    taken = set(_RESERVED)
+    stems = []
+    for name in names:
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:80]
+        stem = stem or "configuration"
+        unique, number = stem, 2
+        while unique.lower() in taken:
+            unique, number = f"{stem}_{number}", number + 1
+        taken.add(unique.lower())
+        stems.append(unique)
+    return stems

@@ -1,0 +1,92 @@
+"""VTK files for ParaView."""
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import meshio
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.equilibrium import Model, strain_energy
+from softcal_jax.mesh import volumes
+
+_strain_energy = eqx.filter_jit(strain_energy)
+
+
+def write_vtu(
+    path: str | Path,
+    model: Model,
+    displacement: Float[ArrayLike, "n_nodes 3"],
+    *,
+    fields: Mapping[str, Float[ArrayLike, "n_tets ..."]] | None = None,
+) -> None:
+    """Write a deformed body for ParaView; quadratic tets stay quadratic.
+
+    Points are those of the rest shape [m]; "Warp By Vector" with `displacement` shows
+    the deformed one. Per tet: `strain_energy_density` [J/m3], `density` [kg/m3] and
+    every field of the law under its own name, in SI.
+
+    Args:
+        path: The file, ending in .vtu.
+        model: The body.
+        displacement: Nodal displacement [m].
+        fields: More values per tet, by name.
+
+    Raises:
+        ValueError: If the name does not end in .vtu, or an array has the wrong shape.
+    """
+    path = Path(path)
+    if path.suffix != ".vtu":
+        raise ValueError(f"the file name must end in .vtu, got {path.name!r}.")
+    mesh = model.mesh
+    u = np.asarray(displacement, float)
+    if u.shape != mesh.points.shape:
+        raise ValueError(
+            f"displacement must have the shape {mesh.points.shape}, one row per node, "
+            f"got {u.shape}."
+        )
+    energy = np.asarray(_strain_energy(model, jnp.asarray(u))).ravel()[: mesh.n_tets]
+    cells = {"strain_energy_density": energy / volumes(mesh), **_material(model)}
+    for name, values in (fields or {}).items():
+        values = np.asarray(values, float)
+        if values.shape[:1] != (mesh.n_tets,):
+            raise ValueError(
+                f"field {name!r} needs one value per tet ({mesh.n_tets}), "
+                f"got shape {values.shape}."
+            )
+        cells[name] = values.reshape(mesh.n_tets, -1).squeeze(axis=-1) if (
+            values.size == mesh.n_tets
+        ) else values.reshape(mesh.n_tets, -1)
+    kind = "tetra" if mesh.order == 1 else "tetra10"
+    meshio.Mesh(
+        mesh.points,
+        [(kind, mesh.tets)],
+        point_data={"displacement": u},
+        cell_data={name: [values] for name, values in cells.items()},
+    ).write(path)
+
+
+def _material(model: Model) -> dict[str, HostArray]:
+    """Density and fields of the law, one value per tet."""
+    leaves = [(("density",), model.density)]
+    for path, leaf in jax.tree_util.tree_leaves_with_path(model.law):
+        parts = jax.tree_util.keystr(path).strip(".").split(".")
+        leaves.append((tuple(parts), leaf))
+    names = Counter(parts[-1] for parts, _ in leaves)
+    return {
+        # Two elasticities in one law have two E: then the whole path is the name.
+        (parts[-1] if names[parts[-1]] == 1 else ".".join(parts)): _per_tet(model, leaf)
+        for parts, leaf in leaves
+    }
+
+
+def _per_tet(model: Model, leaf: Float[ArrayLike, "..."]) -> HostArray:
+    values = np.asarray(leaf, float)
+    if values.ndim == 0:
+        return np.full(model.n_tets, values)
+    return values if values.ndim == 1 else values.reshape(model.n_tets, -1)

@@ -1,0 +1,168 @@
+"""Numbers with units, as a project file writes them: "200 kPa", "(0, 0, -1) N"."""
+
+import difflib
+import functools
+import re
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pint
+from pydantic_core import PydanticCustomError
+
+
+class Dimension(NamedTuple):
+    """What a quantity measures.
+
+    Attributes:
+        name: Its name in messages, with the article.
+        si: Unit of the number that comes out.
+        example: A value as a user would write it.
+        usual: Units that are suggested for a misspelt one.
+    """
+
+    name: str
+    si: str
+    example: str
+    usual: tuple[str, ...]
+
+
+LENGTH = Dimension("a length", "m", "100 mm", ("m", "cm", "mm", "um", "inch"))
+PRESSURE = Dimension(
+    "a pressure or modulus",
+    "Pa",
+    "200 kPa",
+    ("Pa", "kPa", "MPa", "GPa", "N/m^2", "N/mm^2"),
+)
+DENSITY = Dimension(
+    "a density", "kg/m^3", "1070 kg/m^3", ("kg/m^3", "g/cm^3", "kg/dm^3")
+)
+FORCE = Dimension("a force", "N", "0.51 N", ("N", "mN", "kN", "kgf"))
+ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2", ("m/s^2", "mm/s^2"))
+
+_NUMBER = r"[+-]?(?:inf|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
+_NAME = r"[A-Za-zµμ°%]+(?:(?:\^|\*\*)?-?\d+|[²³])?"
+# Products and quotients of named units; nothing else reaches pint's own parser.
+_UNIT = re.compile(rf"{_NAME}(?:\s*[*/·]\s*{_NAME})*")
+_SCALAR = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
+_VECTOR = re.compile(r"\s*[(\[](.*)[)\]]\s*(.*?)\s*")
+
+
+@functools.cache
+def _registry() -> pint.UnitRegistry:
+    # Not at import: pint takes a tenth of a second to read its definitions.
+    return pint.UnitRegistry()
+
+
+def _wrong(problem: str, **context: Any) -> PydanticCustomError:
+    return PydanticCustomError("quantity", "{problem}", {"problem": problem, **context})
+
+
+@functools.cache
+def unit_factor(unit: str, dimension: Dimension) -> float:
+    """Value of one `unit` in SI.
+
+    Raises:
+        PydanticCustomError: If the unit is unknown or measures something else.
+    """
+    expected = f'expected {dimension.name}, like "{dimension.example}"'
+    if not _UNIT.fullmatch(unit):
+        raise _wrong(f'cannot read the unit "{unit}"; {expected}.')
+    # "m3" is what people write for "m^3"; pint wants the sign of the power.
+    spelt = re.sub(r"(?<=[A-Za-zµμ])(-?\d)", r"^\1", unit).replace("·", "*")
+    registry = _registry()
+    try:
+        one = registry.Quantity(1.0, registry.parse_units(spelt))
+    except pint.UndefinedUnitError as error:
+        near = difflib.get_close_matches(
+            unit.lower(), [u.lower() for u in dimension.usual], n=1, cutoff=0.5
+        )
+        usual = {u.lower(): u for u in dimension.usual}
+        hint = f' Did you mean "{usual[near[0]]}"?' if near else ""
+        raise _wrong(f'unknown unit "{unit}"; {expected}.{hint}') from error
+    if not one.is_compatible_with(dimension.si):
+        raise _wrong(f'"{unit}" is not {dimension.name}; {expected}.')
+    return float(one.to(dimension.si).magnitude)
+
+
+def _bare(value: Any, dimension: Dimension) -> PydanticCustomError:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return _wrong(
+            f"{value} has no unit; expected {dimension.name}, in quotes and with its "
+            f'unit, like "{dimension.example}".'
+        )
+    return _wrong(
+        f"got {_shown(value)}; expected {dimension.name} in quotes, like "
+        f'"{dimension.example}".'
+    )
+
+
+def _shown(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def parse_scalar(value: Any, dimension: Dimension) -> float:
+    """A quantity like "200 kPa" in SI units.
+
+    Args:
+        value: What the file holds.
+        dimension: What it must measure.
+
+    Raises:
+        PydanticCustomError: If it is no such quantity; the text says how to write one.
+    """
+    match = _SCALAR.fullmatch(value) if isinstance(value, str) else None
+    if match is None or not match[2]:
+        number = float(match[1]) if match else value
+        raise _bare(int(number) if _is_whole(number) else number, dimension)
+    try:
+        return float(match[1]) * unit_factor(match[2], dimension)
+    except PydanticCustomError as error:
+        raise _wrong(f'"{value}": {error.message()}') from error
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, float) and value.is_integer()
+
+
+def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]:
+    """Three quantities in SI: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"].
+
+    Args:
+        value: What the file holds.
+        dimension: What each must measure.
+
+    Raises:
+        PydanticCustomError: If it is no such vector; the text says how to write one.
+    """
+    unit = dimension.example.split()[-1]
+    example = f'"(0, 0, -1) {unit}"'
+    expected = f"expected three numbers with a unit, like {example}"
+    if isinstance(value, str):
+        match = _VECTOR.fullmatch(value)
+        if match is None:
+            raise _wrong(f'got "{value}"; {expected}.')
+        numbers = [part.strip() for part in match[1].split(",")]
+        parts = [f"{number} {match[2]}" for number in numbers]
+        for number in numbers:
+            if not re.fullmatch(_NUMBER, number):
+                raise _wrong(f'"{value}": "{number}" is not a number; {expected}.')
+        if not match[2]:
+            raise _wrong(f'"{value}" has no unit; {expected}.')
+    elif isinstance(value, list):
+        parts = value
+    else:
+        raise _wrong(f"got {_shown(value)}; {expected}.")
+    if len(parts) != 3:
+        raise _wrong(f"got {len(parts)} numbers; {expected}.")
+    x, y, z = (parse_scalar(part, dimension) for part in parts)
+    return x, y, z
+
+
+def scalar(dimension: Dimension) -> Callable[[Any], float]:
+    """Reader of quantities of one dimension."""
+    return functools.partial(parse_scalar, dimension=dimension)
+
+
+def vector(dimension: Dimension) -> Callable[[Any], tuple[float, float, float]]:
+    """Reader of vectors of one dimension."""
+    return functools.partial(parse_vector, dimension=dimension)

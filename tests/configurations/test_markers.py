@@ -1,0 +1,131 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softcal_jax.configurations import (
+    Configuration,
+    Markers,
+    Support,
+    configuration_arrays,
+)
+from softcal_jax.mesh import beam
+
+MESH = beam(0.1, 0.02, 0.02, (4, 2, 2), order=2)
+CLAMP = (Support("x_min"),)
+INSIDE, POST = [0.053, 0.011, 0.004], [0.1, 0.01, 0.028]
+
+
+def markers(**changed):
+    return Markers(**{"names": ["a", "b"], "positions": [INSIDE, POST]} | changed)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_post_outside_the_mesh_follows_a_rigid_motion(order):
+    """Affine extrapolation: exact for every affine motion, rotations among them."""
+    mesh = beam(0.1, 0.02, 0.02, (4, 2, 2), order=order)
+    configuration = Configuration("one", CLAMP, markers=markers())
+    effectors = configuration_arrays(mesh, [configuration]).effectors
+    one = type(effectors)(
+        effectors.nodes[0],
+        effectors.weights[0],
+        effectors.measured[0],
+        effectors.inverse_std[0],
+    )
+    Q, t = Rotation.random(rng=0).as_matrix(), np.array([0.3, -0.2, 0.1])
+    np.testing.assert_allclose(
+        one.positions(mesh.points @ Q.T + t),
+        np.array([INSIDE, POST]) @ Q.T + t,
+        rtol=0,
+        atol=1e-15,
+    )
+
+
+def test_precision_per_marker_and_axis():
+    both = markers(std=np.array([1e-3, 2e-3]), axes="xz").inverse_std()
+    np.testing.assert_array_equal(both, [[1000.0, 0, 1000.0], [500.0, 0, 500.0]])
+    std = np.array([[1.0, 2.0, 4.0], [0.5, 0.25, 0.125]])
+    np.testing.assert_array_equal(markers(std=std).inverse_std(), 1.0 / std)
+    np.testing.assert_array_equal(markers(std=0.5).inverse_std(), np.full((2, 3), 2.0))
+
+
+def test_lanes_with_fewer_markers_are_padded_with_no_weight():
+    measured = np.array([INSIDE, POST]) + 1e-3
+    three = markers(names=["a", "b", "c"], positions=[INSIDE, POST, INSIDE])
+    lanes = configuration_arrays(
+        MESH,
+        [
+            Configuration("two", CLAMP, markers=markers(), measured=measured),
+            Configuration("none", CLAMP),
+            Configuration("three", CLAMP, markers=three),
+        ],
+    ).effectors
+    assert lanes.weights.shape == (3, 3, 10)
+    np.testing.assert_array_equal(lanes.measured[0, :2], measured)
+    np.testing.assert_array_equal(lanes.inverse_std[0], [[1000.0] * 3] * 2 + [[0.0] * 3])
+    np.testing.assert_array_equal(lanes.weights[1], 0.0)
+    # Followed, not measured: positions yes, weight in the fit no.
+    np.testing.assert_array_equal(lanes.inverse_std[2], 0.0)
+    np.testing.assert_allclose(lanes.weights[2].sum(axis=1), 1.0, rtol=1e-12)
+
+
+def test_an_axis_that_is_not_measured_may_be_missing():
+    measured = np.array([[0.05, np.nan, 0.0], [0.1, np.nan, 0.03]])
+    seen = markers(axes="xz")
+    configuration = Configuration("one", CLAMP, markers=seen, measured=measured)
+    effectors = configuration_arrays(MESH, [configuration]).effectors
+    assert np.isfinite(effectors.measured).all()
+    np.testing.assert_array_equal(effectors.inverse_std[0, :, 1], 0.0)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"names": ["a", "a"]}, "marker 'a' is named more than once"),
+        ({"names": ["a"]}, r"1 marker names need positions of shape \(1, 3\).*\(2, 3\)"),
+        ({"positions": [INSIDE, [0, np.nan, 0]]}, "marker 'b' has the position .*nan"),
+        ({"std": 0.0}, r"std must be positive and finite \[m\], got 0"),
+        ({"std": [1e-3, -1.0]}, "got -1; leave a coordinate out with `axes`"),
+        ({"std": [1e-3, np.inf]}, "got inf"),
+        ({"std": [1e-3] * 3}, r"one number, one per marker \(2,\).*got shape \(3,\)"),
+        ({"axes": "xw"}, "axes must be made of the letters x, y, z.*'xw'"),
+        ({"axes": ""}, "got ''"),
+        ({"axes": "xx"}, "got 'xx'"),
+    ],
+)
+def test_bad_markers(changed, message):
+    with pytest.raises(ValueError, match=message):
+        markers(**changed)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("measured", "message"),
+    [
+        ([INSIDE, [0, np.nan, 0]], "marker 'b' of configuration 'one' was measured at"),
+        ([INSIDE, [np.inf, 0, 0]], "Leave a marker that was lost out of"),
+        ([INSIDE], r"'one' has 2 markers \(a, b\).*\(2, 3\), got \(1, 3\)"),
+        ([INSIDE, POST, POST], r"got \(3, 3\)"),
+        ([[0.1, 0.2], [0.1, 0.2]], r"got \(2, 2\)"),
+    ],
+)
+def test_bad_measurements(measured, message):
+    with pytest.raises(ValueError, match=message):
+        Configuration("one", CLAMP, markers=markers(), measured=np.array(measured))
+
+
+def test_measured_without_markers():
+    with pytest.raises(ValueError, match="'one' has measured positions but no markers"):
+        Configuration("one", CLAMP, measured=np.array([INSIDE]))
+
+
+def test_marker_far_outside_the_mesh():
+    """The message names the markers, the configuration, and the likely unit error."""
+    far = markers(positions=[INSIDE, [0.1, 0.01, 0.05]])
+    with pytest.raises(ValueError, match=r"markers a, b of configuration 'one'.*0\.03 m"):
+        configuration_arrays(MESH, [Configuration("one", CLAMP, markers=far)])
+    in_mm = markers(positions=1e3 * np.array([INSIDE, POST]))
+    with pytest.raises(ValueError, match="millimetres: give both in metres"):
+        configuration_arrays(MESH, [Configuration("one", CLAMP, markers=in_mm)])
+    near = markers(positions=far.positions, max_distance=0.04)
+    configuration_arrays(MESH, [Configuration("one", CLAMP, markers=near)])

@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softcal_jax.configurations import register
+
+RNG = np.random.default_rng(0)
+NOMINAL = RNG.uniform(-0.1, 0.1, (6, 3))
+Q, T = Rotation.random(rng=1).as_matrix(), np.array([1.2, -0.7, 3.1])
+# What the cameras see: the registration has to undo this motion.
+SEEN = (NOMINAL - T) @ Q
+
+
+def test_recovers_a_rigid_motion():
+    fit = register(SEEN, NOMINAL)
+    # Rounding of positions of a few metres.
+    np.testing.assert_allclose(fit.rotation, Q, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(fit.translation, T, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(fit.apply(SEEN), NOMINAL, rtol=0, atol=1e-14)
+    assert fit.rms < 1e-14
+
+
+def test_three_markers_are_enough_and_give_no_reflection():
+    fit = register(SEEN[:3], NOMINAL[:3])
+    np.testing.assert_allclose(fit.rotation, Q, rtol=0, atol=1e-12)
+    mirrored = NOMINAL * np.array([1.0, 1.0, -1.0])
+    assert np.linalg.det(register(mirrored, NOMINAL).rotation) > 0
+
+
+def test_residuals_are_what_is_left():
+    """A stretch of 1 % cannot be registered away: it stays in the residual."""
+    seen = 1.01 * SEEN
+    fit = register(seen, NOMINAL)
+    left = 0.01 * (NOMINAL - NOMINAL.mean(axis=0))
+    np.testing.assert_allclose(fit.residuals, left, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        fit.rms, np.sqrt(np.mean(np.sum(left**2, axis=1))), rtol=1e-10
+    )
+
+
+def test_noise_is_not_fitted_better_than_it_can_be():
+    """Six of 18 numbers go into the motion, so 12/18 of the variance stays."""
+    noise = 1e-4 * RNG.normal(size=(400, 6, 3))
+    squares = [np.sum(register(SEEN + e, NOMINAL).residuals ** 2) for e in noise]
+    # The mean of 400 sums of 12 squares scatters by sqrt(2 / 4800) = 2 %.
+    np.testing.assert_allclose(np.mean(squares), 12 * 1e-8, rtol=0.08)
+
+
+def test_a_marker_without_weight_is_not_heard():
+    seen = SEEN.copy()
+    seen[0] += 0.5
+    fit = register(seen, NOMINAL, weights=np.array([0.0, 1, 1, 1, 1, 1]))
+    np.testing.assert_allclose(fit.rotation, Q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(fit.residuals[0]), np.sqrt(3) * 0.5, rtol=1e-10
+    )
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("seen", "nominal", "message"),
+    [
+        (SEEN[:2], NOMINAL[:2], "at least 3 markers, got 2"),
+        (SEEN[:5], NOMINAL, r"as many measured as nominal .*\(5, 3\) and \(6, 3\)"),
+        (SEEN[:, :2], NOMINAL[:, :2], r"shape \(n, 3\)"),
+        (np.where(SEEN == SEEN[1], np.nan, SEEN), NOMINAL, "must be finite"),
+        (np.outer(np.arange(4.0), T), np.outer(np.arange(4.0), T), "lie on a line"),
+    ],
+)
+def test_bad_registration(seen, nominal, message):
+    with pytest.raises(ValueError, match=message):
+        register(seen, nominal)

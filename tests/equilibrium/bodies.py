@@ -1,0 +1,88 @@
+"""Compiled entry points and small bodies that the tests of this folder share."""
+
+from functools import cache, partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax.configurations import Configuration, Support, configuration_arrays
+from softcal_jax.equilibrium import (
+    Model,
+    NewtonSettings,
+    build_model,
+    internal_force,
+    solve_equilibrium,
+    strain_energy,
+    tangent_values,
+)
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+
+# The discretised equations solved to rounding, for derivatives by differences.
+TIGHT = NewtonSettings(rtol=1e-12)
+
+
+@partial(jax.jit, static_argnames="settings")
+def solve(model, lanes, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
+    """All lanes of a batch."""
+    one = partial(solve_equilibrium, settings=settings)
+    return jax.vmap(one, in_axes=(None, 0))(model, lanes)
+
+
+def lane(lanes, index: int):
+    """One lane of a batch of configurations or solutions."""
+    return jax.tree.map(lambda leaf: leaf[index], lanes)
+
+
+def imposed_on(mesh, nodes, u) -> object:
+    """A configuration that only imposes the displacements `u` [m] on `nodes`."""
+    clamp = Configuration("imposed", (Support(nodes),), gravity=(0.0, 0.0, 0.0))
+    arrays = configuration_arrays(mesh, [clamp])
+    u = jnp.where(arrays.fixed, jnp.asarray(u)[None], 0.0)
+    return eqx.tree_at(lambda c: c.imposed, arrays, u)
+
+
+force = jax.jit(internal_force)
+energy = jax.jit(lambda model, u: jnp.sum(strain_energy(model, u)))
+energy_gradient = jax.jit(jax.grad(energy, argnums=1))
+force_jacobian = jax.jit(jax.jacfwd(internal_force, argnums=1))
+_values = jax.jit(tangent_values)
+
+
+def stiffness(model: Model, u) -> np.ndarray:
+    """The assembled tangent as a dense matrix, both triangles."""
+    sparsity = model.solver.sparsity
+    upper = np.zeros((model.n_dof, model.n_dof))
+    upper[sparsity.rows, sparsity.indices] = _values(model, u)
+    return upper + np.triu(upper, 1).T
+
+
+# A beam of corotational quadratic tets that most tests of this folder share: one shape,
+# one law, so that one compiled program serves them all. L / h = 10.
+LENGTH, SIDE = 0.2, 0.02
+YOUNG, POISSON, DENSITY = 3e5, 0.3, 1100.0
+CLAMP = (Support("x_min"),)
+TIP_POINT = (LENGTH, SIDE / 2, SIDE / 2)
+
+
+@cache
+def small_mesh():
+    return beam(LENGTH, SIDE, SIDE, (10, 2, 2), order=2)
+
+
+@cache
+def small_model(solver: str | None = None) -> Model:
+    law = Corotational(Isotropic(YOUNG, POISSON))
+    return build_model(small_mesh(), law, density=DENSITY, solver=solver)
+
+
+def small_lanes(*configurations: Configuration):
+    return configuration_arrays(small_mesh(), configurations)
+
+
+def hanging(name: str = "hanging", factor: float = 1.0, **changed) -> Configuration:
+    """The small beam clamped at x = 0 under a multiple of its weight along -z."""
+    settings = {"supports": CLAMP, "gravity": (0.0, 0.0, -9.81 * factor)} | changed
+    return Configuration(name, **settings)
