@@ -177,7 +177,7 @@ def _result(problem, noise, settings, state, history, fits, clock) -> Calibratio
     )
     return CalibrationResult(
         converged=bool(state.converged),
-        parameters=parameter_estimates(problem.space, z, spread),
+        parameters=parameter_estimates(problem.space, state.z, spread),
         uncertainty=spread,
         configurations=fits,
         history=tuple(history),

@@ -29,8 +29,11 @@ def bounded_step(
 ) -> QPStep:
     """Minimise ||W lambda_p + error||^2 / 2 for lower <= lambda_p <= upper.
 
-    By `jaxopt.BoxOSQP` at a tolerance of 1e-10 on a problem scaled to unit columns:
-    at its default tolerance it errs by 1e-2 where W has a condition of 1e5.
+    By `jaxopt.BoxOSQP` on a problem scaled to unit columns and unit error, started at the
+    unbounded least-squares step and polished: the bounds that it found active are
+    taken as equalities, and the rest is solved exactly (Stellato et al., OSQP, Math.
+    Prog. Comp. 12, 2020, Sec. 5.2). Its default inner solver, conjugate gradients,
+    ended up to 1e2 away from optimal on flat valleys; the direct one does not.
 
     Args:
         W: Stacked compliances in noise units [-].
@@ -44,23 +47,45 @@ def bounded_step(
     size = jnp.linalg.norm(W, axis=0)
     # A parameter without any effect keeps its scale, and does not move.
     size = jnp.where(size > 0.0, size, 1.0)
-    V = W / size
+    V = W / size[None, :]
     level = jnp.maximum(jnp.linalg.norm(error), jnp.finfo(error.dtype).tiny)
     Q, c = V.T @ V, V.T @ (error / level)
     low, high = lower * size / level, upper * size / level
-    n = W.shape[1]
+    A = jnp.eye(W.shape[1])
     solver = BoxOSQP(
-        matvec_Q=lambda Q, x: Q @ x,
-        matvec_A=lambda _, x: x,
-        tol=1e-10,
-        maxiter=4000,
-        check_primal_dual_infeasability=False,
+        eq_qp_solve="lu", tol=1e-10, maxiter=4000, check_primal_dual_infeasability=False
     )
-    start = solver.init_params(
-        jnp.zeros(n), (Q, c), None, (low, high)
+    start = jnp.clip(jnp.linalg.lstsq(V, -error / level)[0], low, high)
+    params, _ = solver.run(
+        solver.init_params(start, (Q, c), A, (low, high)), (Q, c), A, (low, high)
     )
-    params, _ = solver.run(start, (Q, c), None, (low, high))
-    y = jnp.clip(params.primal[0], low, high)
+    rough = jnp.clip(params.primal[0], low, high)
+    polished = _polish(Q, c, low, high, rough)
+    kkt_rough = _kkt_residual(Q, c, low, high, rough)
+    kkt_polished = _kkt_residual(Q, c, low, high, polished)
+    better = kkt_polished < kkt_rough
+    y = jnp.where(better, polished, rough)
+    # Clipped once more, since scaling back rounds.
+    return QPStep(
+        jnp.clip(y * level / size, lower, upper),
+        jnp.where(better, kkt_polished, kkt_rough),
+    )
+
+
+def _kkt_residual(Q, c, low, high, y):
+    """Largest entry of the projected gradient: zero at the optimum and only there."""
+    return jnp.max(jnp.abs(y - jnp.clip(y - (Q @ y + c), low, high)))
+
+
+def _polish(Q, c, low, high, y):
+    """Solve exactly for the entries that are not held by a bound at `y`."""
     gradient = Q @ y + c
-    kkt_residual = jnp.max(jnp.abs(y - jnp.clip(y - gradient, low, high)))
-    return QPStep(y * level / size, kkt_residual)
+    near = lambda bound: jnp.abs(y - bound) <= 1e-6 * (1.0 + jnp.abs(bound))
+    at_low, at_high = near(low) & (gradient > 0.0), near(high) & (gradient < 0.0)
+    held = at_low | at_high
+    bound = jnp.where(at_low, low, jnp.where(at_high, high, 0.0))
+    either = held[:, None] | held[None, :]
+    reduced = jnp.where(either, jnp.eye(y.shape[0]), Q)
+    exact = jnp.linalg.solve(reduced, jnp.where(held, bound, -c - Q @ bound))
+    # A singular reduced matrix keeps what the iteration found.
+    return jnp.where(jnp.all(jnp.isfinite(exact)), jnp.clip(exact, low, high), y)

@@ -166,7 +166,7 @@ class CalibrationResult(eqx.Module):
 
 
 def parameter_estimates(
-    space: ParameterSpace, z: Float[HostArray, " n_p"], spread: Uncertainty
+    space: ParameterSpace, z: Float[Array, " n_p"], spread: Uncertainty
 ) -> tuple[ParameterEstimate, ...]:
     """Values and standard errors of the parameters, in SI units."""
     values = np.asarray(space.from_scaled(z))

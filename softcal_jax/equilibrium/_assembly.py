@@ -143,6 +143,7 @@ def gravity_load(
     model: Model, gravity: Float[Array, "3"]
 ) -> Float[Array, "n_nodes 3"]:
     """Weight of the body as nodal forces [N], for an acceleration [m/s2]."""
-    mass = jnp.asarray(model.density)[..., None] * model.node_volumes
+    density = jnp.broadcast_to(model.density, (model.n_tets,))
+    mass = density[:, None] * model.node_volumes
     nodal = jnp.zeros(model.mesh.points.shape[0]).at[model.mesh.tets].add(mass)
     return nodal[:, None] * gravity[None, :]

@@ -35,7 +35,7 @@ def deformation_gradients(
     """
     relative = u[1:] - u[:1]
     H = jnp.sum(relative[None, :, :, None] * dN[:, 1:, None, :], axis=1)
-    return jnp.eye(3) + H
+    return jnp.eye(3)[None] + H
 
 
 def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):

@@ -29,7 +29,7 @@ def parameter_forces(
     z: Float[Array, " n_p"],
     *,
     derivative: Derivative = "autodiff",
-    step: float = FINITE_DIFFERENCE_STEP,
+    step: float | Float[Array, ""] = FINITE_DIFFERENCE_STEP,
 ) -> Float[Array, "n_p n_nodes 3"]:
     """H_p^T by rows: the force that a unit step of each parameter puts on the nodes.
 

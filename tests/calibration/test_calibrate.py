@@ -1,0 +1,249 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.calibration import (
+    CalibrationSettings,
+    CalibrationWarning,
+    build_problem,
+    calibrate,
+    levenberg_marquardt,
+)
+from softcal_jax.configurations import (
+    Configuration,
+    Markers,
+    SurfaceForce,
+    Support,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import build_model, solve_equilibrium
+from softcal_jax.fields import Parameter
+from softcal_jax.materials import Corotational, Isotropic, NeoHookean
+from softcal_jax.mesh import beam
+
+E_TRUE, NU_TRUE = 1.6e5, 0.33
+MARKERS = Markers(
+    ("a", "b", "c"), [[0.1, 0.01, 0.02], [0.1, 0.0, 0.0], [0.05, 0.02, 0.01]]
+)
+LOADS = {"hang": 0.0, "pull": 0.05, "push": -0.03}
+
+
+def posed(name, measured=None, mesh_pull=0.0):
+    pull = SurfaceForce("x_max", (0.0, LOADS[name] + mesh_pull, 0.0))
+    return Configuration(
+        name,
+        (Support("x_min"),),
+        (0.0, 0.0, -9.81),
+        (pull,),
+        MARKERS,
+        measured,
+    )
+
+
+@jax.jit
+def positions(model, lanes):
+    X = jnp.asarray(model.mesh.points)
+    one = lambda c: c.effectors.positions(X + solve_equilibrium(model, c).displacement)
+    return jax.vmap(one)(lanes)
+
+
+def measure(mesh, law, names=tuple(LOADS), noise=0.0, seed=0):
+    """Configurations with positions simulated on a mesh of their own."""
+    model = build_model(mesh, law, density=1000.0)
+    lanes = configuration_arrays(mesh, [posed(name) for name in names])
+    seen = np.asarray(positions(model, lanes))
+    seen = seen + noise * np.random.default_rng(seed).normal(size=seen.shape)
+    return [posed(name, seen[i]) for i, name in enumerate(names)]
+
+
+def parameter(start=1e5, lower=3e4, upper=1e6):
+    return Parameter("E", "E", start, lower, upper, unit="Pa")
+
+
+@pytest.fixture(scope="module")
+def model():
+    mesh = beam(0.1, 0.02, 0.02, (5, 2, 2))
+    return build_model(mesh, NeoHookean(1e5, NU_TRUE), density=1000.0)
+
+
+@pytest.fixture(scope="module")
+def exact(model):
+    """Data of the model itself, so that the answer is known to rounding."""
+    return measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE))
+
+
+@pytest.fixture(scope="module")
+def recovered(model, exact):
+    return calibrate(model, [parameter()], exact[:2], validation=exact[2:])
+
+
+def test_two_parameters_are_recovered(model, exact):
+    nu = Parameter("nu", "nu", 0.2, 0.0, 0.45, scale="linear")
+    result = calibrate(model, [parameter(), nu], exact)
+    assert result.converged
+    assert result.value("E") == pytest.approx(E_TRUE, rel=1e-6)
+    assert result.value("nu") == pytest.approx(NU_TRUE, rel=1e-5)
+
+
+def test_held_out_configuration_is_predicted_and_never_used(model, exact, recovered):
+    roles = {fit.name: fit.role for fit in recovered.configurations}
+    assert roles == {"hang": "calibration", "pull": "calibration", "push": "validation"}
+    assert recovered.configurations[2].rms_after < 1e-8
+    wrong = posed("push", exact[2].measured + 0.01)
+    again = calibrate(model, [parameter()], exact[:2], validation=[wrong])
+    assert again.value("E") == recovered.value("E")
+    np.testing.assert_allclose(
+        again.configurations[2].rms_after, np.sqrt(3) * 0.01, rtol=1e-6
+    )
+
+
+def test_history_falls_to_the_solution(recovered):
+    cost = [entry.cost for entry in recovered.history if entry.accepted]
+    assert all(b <= a for a, b in zip(cost, cost[1:], strict=False))
+    assert max(abs(v) for v in recovered.history[-1].lambda_p) <= 1e-6
+    assert all(entry.kkt_residual < 1e-8 for entry in recovered.history)
+
+
+def test_modulus_is_recovered_from_data_of_another_mesh_and_element():
+    """Data: finer quadratic tets of another formulation; model: coarse quadratic."""
+    fine = beam(0.1, 0.02, 0.02, (12, 4, 4), order=2)
+    coarse = beam(0.1, 0.02, 0.02, (12, 2, 2), order=2)
+    data = measure(fine, NeoHookean(E_TRUE, NU_TRUE), ("hang", "pull"))
+    model = build_model(coarse, NeoHookean(1e5, NU_TRUE), density=1000.0)
+    result = calibrate(model, [parameter()], data)
+    assert result.converged
+    # The coarse mesh is 0.35 % too stiff in bending; with 8 x 2 x 2 cells it is 1.1 %.
+    assert result.value("E") == pytest.approx(E_TRUE, rel=5e-3)
+
+
+def test_linear_tets_say_that_their_modulus_is_effective(recovered):
+    assert any("effective numbers" in note for note in recovered.notes)
+
+
+def test_quadratic_tets_do_not():
+    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
+    data = measure(mesh, Corotational(Isotropic(E_TRUE, NU_TRUE)), ("hang",))
+    model = build_model(
+        mesh, Corotational(Isotropic(1e5, NU_TRUE)), density=1000.0
+    )
+    result = calibrate(model, [parameter()], data)
+    assert result.value("E") == pytest.approx(E_TRUE, rel=1e-6)
+    assert not any("effective" in note for note in result.notes)
+
+
+def test_both_optimisers_agree(model):
+    data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-4)
+    nu = Parameter("nu", "nu", 0.3, 0.0, 0.45, scale="linear")
+    ours = calibrate(model, [parameter(), nu], data)
+    problem = build_problem(model, [parameter(), nu], data)
+    z, converged = levenberg_marquardt(problem)
+    assert converged
+    # Both stop where the gradient vanishes, each by its own rule; the minimum is flat.
+    np.testing.assert_allclose(z, ours.z, atol=2e-6)
+
+
+def test_standard_error_predicts_the_scatter_of_noisy_data(model):
+    """Sixty noisy data sets: the scatter of E is what its standard error says."""
+    sigma, estimates, errors = 5e-4, [], []
+    for seed in range(60):
+        data = measure(
+            model.mesh, NeoHookean(E_TRUE, NU_TRUE), ("hang",), noise=sigma, seed=seed
+        )
+        result = calibrate(model, [parameter()], data)
+        estimates.append(np.log(result.value("E")))
+        errors.append(result.parameters[0].standard_error / result.value("E"))
+    # The scatter of 60 draws has a standard error of 1 / sqrt(118) = 9 %: 3 of them.
+    assert np.std(estimates, ddof=1) / np.mean(errors) == pytest.approx(1.0, abs=0.28)
+    assert abs(np.mean(estimates) - np.log(E_TRUE)) < 3 * np.mean(errors) / np.sqrt(60)
+
+
+def test_stated_noise_scales_the_standard_error(model):
+    data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-4)
+    stated = calibrate(model, [parameter()], data, noise="stated")
+    estimated = calibrate(model, [parameter()], data, noise="estimated")
+    W = np.asarray(stated.W_ep)[:, 0]
+    by_hand = stated.value("E") / np.sqrt(np.sum(W**2))
+    assert stated.parameters[0].standard_error == pytest.approx(by_hand, rel=1e-9)
+    ratio = (
+        estimated.parameters[0].standard_error / stated.parameters[0].standard_error
+    )
+    dof = 3 * 3 * 3 - 1
+    assert estimated.uncertainty.degrees_of_freedom == dof
+    assert ratio == pytest.approx(np.sqrt(stated.uncertainty.chi_squared / dof))
+
+
+def test_parameter_on_its_bound_has_no_standard_error(model, exact):
+    result = calibrate(model, [parameter(1e5, 3e4, 1.2e5)], exact)
+    assert result.value("E") == pytest.approx(1.2e5, rel=1e-9)
+    assert result.parameters[0].at_bound
+    assert np.isnan(result.parameters[0].standard_error)
+    assert any("ended on a bound" in note for note in result.notes)
+
+
+def test_unfinished_run_says_so(model, exact):
+    settings = CalibrationSettings(max_steps=1)
+    result = calibrate(model, [parameter()], exact, settings=settings)
+    assert not result.converged
+    assert any("Not converged" in note for note in result.notes)
+
+
+def test_step_bound_is_kept_when_not_adapted(model, exact):
+    settings = CalibrationSettings(step_bound=0.05, adapt=False, max_steps=30)
+    result = calibrate(model, [parameter()], exact, settings=settings)
+    sizes = [abs(entry.lambda_p[0]) for entry in result.history[1:]]
+    assert result.converged
+    np.testing.assert_allclose(sizes[:9], 0.05, rtol=1e-6)
+
+
+def test_more_parameters_than_data_warns_and_says_what_is_missing(model, exact):
+    few = Markers(("a",), MARKERS.positions[:1], axes="z")
+    data = [
+        Configuration(
+            "hang", (Support("x_min"),), markers=few, measured=exact[0].measured[:1]
+        )
+    ]
+    nu = Parameter("nu", "nu", 0.2, 0.0, 0.45, scale="linear")
+    with pytest.warns(CalibrationWarning, match="2 parameters but only 1 measured"):
+        result = calibrate(model, [parameter(), nu], data)
+    assert np.all(np.isfinite(result.z))
+    assert np.isnan(result.parameters[0].standard_error)
+
+
+def test_configuration_without_equilibrium_is_named(model):
+    crushed = Configuration(
+        "crushed",
+        (Support("x_min"),),
+        (0.0, 0.0, 0.0),
+        (SurfaceForce("x_max", (-1e6, 0.0, 0.0)),),
+        MARKERS,
+        MARKERS.positions,
+    )
+    good = posed("hang", MARKERS.positions)
+    with pytest.raises(RuntimeError, match="configuration 'crushed'") as error:
+        calibrate(model, [parameter()], [good, crushed])
+    assert "hang" not in str(error.value)
+
+
+def test_unmeasured_configuration_is_refused(model):
+    with pytest.raises(ValueError, match="'hang' has no measured positions"):
+        calibrate(model, [parameter()], [posed("hang")])
+
+
+def test_name_used_for_fit_and_validation_is_refused(model, exact):
+    with pytest.raises(ValueError, match="'hang' is named more than once"):
+        calibrate(model, [parameter()], exact[:1], validation=exact[:1])
+
+
+def test_nothing_is_compiled_after_the_first_run(model, exact, recovered):
+    """Another start, other data and other bounds reuse the compiled programs."""
+    compiled = []
+    listen = lambda event, seconds, **_: compiled.append((event, seconds))
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        other = [posed(c.name, c.measured + 1e-4) for c in exact]
+        calibrate(model, [parameter(2e5, 5e4)], other[:2], validation=other[2:])
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    names = [event for event, _ in compiled if "backend_compile" in event]
+    assert names == []
