@@ -23,6 +23,6 @@ class RESULTS(eqx.Enumeration):
         "the tangent is singular: a part of the body is not held; check the supports"
     )
     inverted = (
-        "equilibrium found, but some tets are inverted (det F <= 0): refine the mesh or "
-        "reduce the load, the result is not physical"
+        "equilibrium found, but some tets are inverted (det F <= 0): refine the mesh "
+        "or reduce the load, the result is not physical"
     )

@@ -14,7 +14,7 @@ jaxtyping.install_import_hook("softcal_jax", "typechecking.typechecked")
 
 @pytest.fixture
 def unchecked():
-    """Annotations off, as a user runs it: wrong shapes must meet the package's message."""
+    """Annotations off, as a user has it: wrong shapes meet the package's messages."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)

@@ -58,7 +58,10 @@ SOLID_KAPPA_5 = Tip(0.497474, 0.154189)
 GREENHILL_KAPPA = 7.8373474
 
 # Compressible neo-Hookean (ln J) bar, E = 1, nu = 0.3: stretch, lateral stretch, P.
-NEO_HOOKEAN_UNIAXIAL = [(1.3, 0.921999955, 0.248495883), (0.7, 1.107934733, -0.405230424)]
+NEO_HOOKEAN_UNIAXIAL = [
+    (1.3, 0.921999955, 0.248495883),
+    (0.7, 1.107934733, -0.405230424),
+]
 
 # Cook's membrane, quasi-static finite-strain elasticity of the deal.II code gallery:
 # rise of the point (48, 52) mm.

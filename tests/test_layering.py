@@ -24,14 +24,13 @@ LAYERS = [
     {"export"},
     {"plotting"},
     {"project"},
+    {"report"},
     {"cli"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 SHARED = {"_typing", "_results"}
 
-MODULES = sorted(
-    path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py"
-)
+MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 
 
 def imported_modules(path: Path):

@@ -124,7 +124,9 @@ def calibrate(
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
     settings = settings or CalibrationSettings()
     problem = build_problem(model, parameters, configurations, newton)
-    held_out = build_problem(model, parameters, validation, newton) if validation else None
+    held_out = (
+        build_problem(model, parameters, validation, newton) if validation else None
+    )
     names = [c.name for c in (*configurations, *validation)]
     for name in names:
         if names.count(name) > 1:
@@ -148,7 +150,11 @@ def calibrate(
             progress(history[-1])
     after = state.evaluation
     fits = configuration_fits(
-        configurations, "calibration", before.positions, after.positions, after.equilibrium
+        configurations,
+        "calibration",
+        before.positions,
+        after.positions,
+        after.equilibrium,
     )
     if held_out is not None:
         guess = at_rest(held_out)
@@ -157,9 +163,7 @@ def calibrate(
         held_out_names = tuple(c.name for c in validation)
         check_converged(first[0], held_out_names)
         check_converged(last[0], held_out_names)
-        fits += configuration_fits(
-            validation, "validation", first[1], last[1], last[0]
-        )
+        fits += configuration_fits(validation, "validation", first[1], last[1], last[0])
     return _result(problem, noise, settings, state, history, fits, clock)
 
 
@@ -208,14 +212,14 @@ def _notes(problem, state, spread, settings) -> tuple[str, ...]:
     for name, flag in zip(problem.space.names, spread.at_bound, strict=True):
         if flag:
             notes.append(
-                f"{name} ended on a bound: widen it, or the model cannot match the data. "
-                "It has no standard error."
+                f"{name} ended on a bound: widen it, or the model cannot match the "
+                "data. It has no standard error."
             )
     if spread.noise == "estimated":
         notes.append(
             "Standard errors rest on the noise estimated from the residuals "
-            f"({spread.degrees_of_freedom} degrees of freedom), which holds model error "
-            "as well."
+            f"({spread.degrees_of_freedom} degrees of freedom), which holds model "
+            "error as well."
         )
     return tuple(notes)
 

@@ -116,8 +116,8 @@ def evaluate(
     compliance = jax.vmap(
         lambda c, u: parameter_compliance(model, c, u, problem.space, z)
     )(problem.configurations, solution.displacement)
-    weight = problem.configurations.effectors.inverse_std
-    error = (weight * delta_e).ravel()
+    weight = jnp.asarray(problem.configurations.effectors.inverse_std)
+    error = jnp.ravel(weight * delta_e)
     W = compliance.W_ep.reshape(-1, z.shape[0]) * weight.reshape(-1, 1)
     ok = jnp.all(solution.converged) & jnp.all(compliance.ok)
     ok = ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W))

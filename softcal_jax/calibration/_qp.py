@@ -29,8 +29,8 @@ def bounded_step(
 ) -> QPStep:
     """Minimise ||W lambda_p + error||^2 / 2 for lower <= lambda_p <= upper.
 
-    By `jaxopt.BoxOSQP` on a problem scaled to unit columns and unit error, started at the
-    unbounded least-squares step and polished: the bounds that it found active are
+    By `jaxopt.BoxOSQP` on a problem scaled to unit columns and unit error, started at
+    the unbounded least-squares step and polished: the bounds that it found active are
     taken as equalities, and the rest is solved exactly (Stellato et al., OSQP, Math.
     Prog. Comp. 12, 2020, Sec. 5.2). Its default inner solver, conjugate gradients,
     ended up to 1e2 away from optimal on flat valleys; the direct one does not.

@@ -117,7 +117,7 @@ def decide(
     linear = 0.5 * jnp.sum((now.W_ep @ lambda_p + now.error) ** 2)
     gain = (now.cost - tried.cost) / jnp.maximum(now.cost - linear, 1e-300)
     size = jnp.max(jnp.abs(lambda_p))
-    # A vanishing step changes the cost by rounding only: it is taken, and ends the loop.
+    # A vanishing step changes the cost by rounding only; it is taken, and is the last.
     vanished = (size <= settings.tol) & tried.ok
     accepted = tried.ok & ((gain > 1e-4) | vanished | (not settings.adapt))
     bound = state.step_bound

@@ -24,9 +24,7 @@ class EffectorArrays(eqx.Module):
     measured: Float[AnyArray, "*batch n_markers 3"]
     inverse_std: Float[AnyArray, "*batch n_markers 3"]
 
-    def positions(
-        self, x: Float[AnyArray, "n_nodes 3"]
-    ) -> Float[AnyArray, "n_markers 3"]:
+    def positions(self, x: Float[AnyArray, "n_nodes 3"]) -> Float[Array, "n_markers 3"]:
         """Simulated positions for the nodal positions `x` [m]."""
         return jnp.sum(jnp.asarray(self.weights)[:, :, None] * x[self.nodes], axis=1)
 

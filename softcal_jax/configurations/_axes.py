@@ -9,6 +9,7 @@ def parse_axes(axes: str) -> list[int]:
     """
     if not axes or set(axes) - set("xyz") or len(set(axes)) != len(axes):
         raise ValueError(
-            f'axes must be made of the letters x, y, z, like "xyz" or "z", got {axes!r}.'
+            'axes must be made of the letters x, y, z, like "xyz" or "z", '
+            f"got {axes!r}."
         )
     return ["xyz".index(letter) for letter in axes]

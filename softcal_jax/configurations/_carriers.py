@@ -46,8 +46,8 @@ def _patch(mesh, volume, foot, position, radius, name):
     if nodes.size < 4 or singular[-1] < 1e-3 * singular[0]:
         raise ValueError(
             f"marker {name!r}: only {nodes.size} nodes lie within base_radius "
-            f"{radius:g} m of its foot, too few to carry a post. Refine the mesh there, "
-            "or raise base_radius above the edge length."
+            f"{radius:g} m of its foot, too few to carry a post. Refine the mesh "
+            "there, or raise base_radius above the edge length."
         )
     at_marker = np.concatenate([[1.0], (position - centre) / radius])
     return nodes, at_marker @ np.linalg.pinv(share[:, None] * A) * share

@@ -48,7 +48,8 @@ class Configuration(eqx.Module):
         if self.measured is not None:
             if self.markers is None:
                 raise ValueError(
-                    f"configuration {self.name!r} has measured positions but no markers."
+                    f"configuration {self.name!r} has measured positions but no "
+                    "markers."
                 )
             self.markers.check_measured(self.measured, self.name)
 

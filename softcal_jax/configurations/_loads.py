@@ -13,7 +13,9 @@ from softcal_jax.mesh import TetMesh, boundary_faces, locate
 def _vector(name: str, unit: str, value) -> HostArray:
     vector = np.asarray(value, float)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise ValueError(f"{name} must be three finite numbers [{unit}], got {value!r}.")
+        raise ValueError(
+            f"{name} must be three finite numbers [{unit}], got {value!r}."
+        )
     return vector
 
 
@@ -42,7 +44,10 @@ class PointForce(AbstractLoad):
         Raises:
             ValueError: If the point lies outside the mesh.
         """
-        point, force = _vector("point", "m", self.point), _vector("force", "N", self.force)
+        point, force = (
+            _vector("point", "m", self.point),
+            _vector("force", "N", self.force),
+        )
         at = locate(mesh, point[None], max_distance=1e-3 * mesh.size)
         out = np.zeros_like(mesh.points)
         np.add.at(out, at.nodes[0], at.weights[0][:, None] * force)
@@ -91,8 +96,8 @@ class EdgeForce(AbstractLoad):
         edges = edges[np.all(np.isin(edges[:, :2], nodes), axis=1)]
         if len(edges) == 0:
             raise ValueError(
-                f"no edge of the boundary has both ends in {self.where!r}: an edge force "
-                "needs the nodes along an edge, at least two neighbours."
+                f"no edge of the boundary has both ends in {self.where!r}: an edge "
+                "force needs the nodes along an edge, at least two neighbours."
             )
         ends = mesh.points[edges[:, :2]]
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -147,9 +152,7 @@ def _surface_shares(
     N = shape_functions(rule.barycentric, n_fn)
     dN = shape_gradients(rule.barycentric, n_fn)
     tangents = np.einsum("fai,qaj->fqji", mesh.points[faces], dN)
-    area = 0.5 * np.linalg.norm(
-        np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1
-    )
+    area = 0.5 * np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
     out = np.zeros(mesh.n_nodes)
     np.add.at(out, faces, (area * rule.weights) @ N)
     return out

@@ -15,8 +15,6 @@ from softcal_jax._typing import Float, HostArray
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
 """Length units of marker files."""
 
-_AXES = ("x", "y", "z")
-
 
 class MarkerTable(eqx.Module):
     """Marker positions as they were read, in the frame and order of the file.
@@ -166,35 +164,33 @@ def _coordinates(
             f"unknown length unit {length_unit!r}.{_near(length_unit, METRES)} "
             f"Known: {', '.join(METRES)}."
         )
-    if "marker" not in header:
-        raise _missing(path, "marker", header)
-    suffixes = [unit for unit in METRES if f"x_{unit}" in header]
-    if not suffixes:
-        for axis in _AXES:
-            if axis not in header:
-                raise _missing(path, axis, header)
-        if length_unit is None:
-            raise ValueError(
-                f"{path}: its columns x, y, z carry no unit; name them like x_mm, or "
-                "give length_unit."
-            )
-        return list(_AXES), METRES[length_unit]
-    if len(suffixes) > 1:
+    unit = _unit_of_columns(path, header)
+    if unit is None and length_unit is None and {"x", "y", "z"} <= set(header):
         raise ValueError(
-            f"{path}: it has the coordinates in more than one unit "
-            f"({', '.join(f'x_{unit}' for unit in suffixes)}); keep one."
+            f"{path}: its columns x, y, z carry no unit; name them like x_mm, or give "
+            "length_unit."
         )
-    (unit,) = suffixes
-    if length_unit not in (None, unit):
+    if None not in (unit, length_unit) and unit != length_unit:
         raise ValueError(
             f"{path}: its columns are in {unit!r} (x_{unit}), but length_unit is "
             f"{length_unit!r}; leave length_unit out."
         )
-    columns = [f"{axis}_{unit}" for axis in _AXES]
-    for column in columns:
+    columns = [axis if unit is None else f"{axis}_{unit}" for axis in "xyz"]
+    for column in ("marker", *columns):
         if column not in header:
             raise _missing(path, column, header)
-    return columns, METRES[unit]
+    return columns, METRES[unit or str(length_unit)]
+
+
+def _unit_of_columns(path: Path, header: list[str]) -> str | None:
+    """The unit that the column of x carries in its name, if any."""
+    units = [unit for unit in METRES if f"x_{unit}" in header]
+    if len(units) > 1:
+        raise ValueError(
+            f"{path}: it has the coordinates in more than one unit "
+            f"({', '.join(f'x_{unit}' for unit in units)}); keep one."
+        )
+    return units[0] if units else None
 
 
 def _selected(

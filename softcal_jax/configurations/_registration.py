@@ -63,11 +63,11 @@ def register(
             f"(n, 3) each [m], got {measured.shape} and {nominal.shape}."
         )
     if len(measured) < 3:
-        raise ValueError(
-            f"registration needs at least 3 markers, got {len(measured)}."
-        )
+        raise ValueError(f"registration needs at least 3 markers, got {len(measured)}.")
     if not (np.all(np.isfinite(measured)) and np.all(np.isfinite(nominal))):
-        raise ValueError("registration markers must be finite; drop those that are not.")
+        raise ValueError(
+            "registration markers must be finite; drop those that are not."
+        )
     w = np.ones(len(measured)) if weights is None else np.asarray(weights, float)
     centre_m, centre_n = np.average(measured, 0, w), np.average(nominal, 0, w)
     spread = np.linalg.svd(nominal - centre_n, compute_uv=False)
@@ -76,7 +76,9 @@ def register(
             "registration markers lie on a line, which leaves a rotation free: "
             "choose three that span a triangle."
         )
-    turn, _ = Rotation.align_vectors(nominal - centre_n, measured - centre_m, weights=w)
+    turn, *_ = Rotation.align_vectors(
+        nominal - centre_n, measured - centre_m, weights=w
+    )
     R = turn.as_matrix()
     t = centre_n - R @ centre_m
     return Registration(R, t, measured @ R.T + t - nominal)

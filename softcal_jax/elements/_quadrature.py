@@ -40,7 +40,8 @@ def tet_rule(degree: int) -> QuadratureRule:
     if degree == 1:
         return QuadratureRule(np.full((1, 4), 0.25), np.ones(1))
     if degree == 2:
-        return QuadratureRule(_permuted(4, (5.0 - np.sqrt(5.0)) / 20.0), np.full(4, 0.25))
+        inner = (5.0 - np.sqrt(5.0)) / 20.0
+        return QuadratureRule(_permuted(4, inner), np.full(4, 0.25))
     if degree in (3, 4):
         a, b = (1.0 + np.sqrt(5.0 / 14.0)) / 4.0, (1.0 - np.sqrt(5.0 / 14.0)) / 4.0
         pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
@@ -48,7 +49,9 @@ def tet_rule(degree: int) -> QuadratureRule:
         for row, (i, j) in enumerate(pairs):
             edge[row, [i, j]] = a
         points = np.vstack([np.full((1, 4), 0.25), _permuted(4, 1.0 / 14.0), edge])
-        weights = np.array([-148.0 / 1875.0] + [343.0 / 7500.0] * 4 + [56.0 / 375.0] * 6)
+        weights = np.array(
+            [-148.0 / 1875.0] + [343.0 / 7500.0] * 4 + [56.0 / 375.0] * 6
+        )
         return QuadratureRule(points, weights)
     raise ValueError(f"tet rules are kept for degree 1 to 4, got {degree}.")
 

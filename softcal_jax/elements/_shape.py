@@ -8,7 +8,7 @@ Node order is VTK's: corners first, then the edges of `TET_EDGES`.
 
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Float, HostArray
 
 TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
 """Corner pairs of the edge nodes 4 to 9 of a quadratic tet."""

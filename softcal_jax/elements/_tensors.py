@@ -93,10 +93,7 @@ def rotation(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     Returns:
         The orthogonal factor; a proper rotation where det F > 0.
     """
-    R = F
-    for _ in range(_POLAR_STEPS):
-        R = _scaled_newton_step(R)
-    return R
+    return jax.lax.fori_loop(0, _POLAR_STEPS, lambda _, R: _scaled_newton_step(R), F)
 
 
 @rotation.defjvp

@@ -18,7 +18,7 @@ from softcal_jax.equilibrium._sparsity import upper_entries
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_nodes _"], function, *per_tet):
-    """Apply a function of (u, dN, w, law, active, ...) of one tet to all, block by block.
+    """Apply a function of (u, dN, w, law, active, ...) to all tets, block by block.
 
     Returns arrays with axes (block number, ..., tet in block).
     """
@@ -83,9 +83,7 @@ def energy_and_force(model: Model, u: Float[Array, "n_nodes 3"]):
     return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
 
 
-def tangent_values(
-    model: Model, u: Float[Array, "n_nodes 3"]
-) -> Float[Array, " nnz"]:
+def tangent_values(model: Model, u: Float[Array, "n_nodes 3"]) -> Float[Array, " nnz"]:
     """Tangent stiffness K = df/du, upper triangle in the order of the pattern [N/m]."""
     p, q = upper_entries(model.nodes.shape[1])
 
@@ -113,7 +111,7 @@ def mixed_tangent(
 def predicted_dilatation(
     model: Model, u: Float[Array, "n_nodes 3"], du: Float[Array, "n_nodes 3"]
 ) -> Float[Array, "n_blocks block"]:
-    """Volume ratio of each tet after a step, to first order: J_bar + dJ_bar/du du [-]."""
+    """Volume ratio of each tet after a step, to first order: J_bar + dJ_bar du [-]."""
 
     def linear(both, dN, w, law, active):
         del law, active
@@ -139,9 +137,7 @@ def _add_forces(
     return zero.at[model.nodes].add(jnp.moveaxis(forces, -1, 2))
 
 
-def gravity_load(
-    model: Model, gravity: Float[Array, "3"]
-) -> Float[Array, "n_nodes 3"]:
+def gravity_load(model: Model, gravity: Float[Array, "3"]) -> Float[Array, "n_nodes 3"]:
     """Weight of the body as nodal forces [N], for an acceleration [m/s2]."""
     density = jnp.broadcast_to(model.density, (model.n_tets,))
     mass = density[:, None] * model.node_volumes

@@ -133,10 +133,12 @@ def _pull(
     """
     half = sum(A[:, None, :, J] * dN[:, :, None, J, None, None] for J in range(3))
     half = jax.lax.optimization_barrier(half)  # point, node, i, k, L
-    return sum(
-        half[q, :, :, None, :, L] * dN[q, None, None, :, None, L]
-        for q in range(A.shape[0])
-        for L in range(3)
+    return jnp.asarray(
+        sum(
+            half[q, :, :, None, :, L] * dN[q, None, None, :, None, L]
+            for q in range(A.shape[0])
+            for L in range(3)
+        )
     )
 
 
@@ -197,9 +199,7 @@ def mixed_newton(
         + wide(w * both + pressure * share) * _outer(G, G)
         + wide(w * mean_stress - pressure * share) * swapped
     )
-    force = _push(
-        _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G, dN
-    )
+    force = _push(_each(w) * P_bar + _each(pressure * share - w * mean_stress) * G, dN)
     g = _push(_each(share) * G, dN)
     h = _push(_each(w / 3.0) * Q - _each(w * both) * G, dN)
     K = _pull(A_eff, dN) + _outer(g, h) + _outer(h, g) + curvature * _outer(g, g)

@@ -7,7 +7,7 @@ name of the solver is part of every result.
 
 from abc import abstractmethod
 from importlib.util import find_spec
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,8 +35,8 @@ class LinearSolution(NamedTuple):
 class AbstractLinearSolver(eqx.Module):
     """Factorizes symmetric matrices of one sparsity pattern."""
 
-    name: eqx.AbstractVar[str]
     sparsity: eqx.AbstractVar[Sparsity]
+    name: eqx.AbstractVar[str]
 
     @abstractmethod
     def _factor_solve(
@@ -56,7 +56,7 @@ class AbstractLinearSolver(eqx.Module):
         Returns:
             The solutions; flagged, and zero, where they do not exist.
         """
-        return _factor_solve(self, values, rhs)
+        return LinearSolution(*_factor_solve(self, values, rhs))
 
 
 @jax.custom_batching.custom_vmap
@@ -68,7 +68,7 @@ def _factor_solve(solver, values, rhs):
         jnp.where(finite, values, unit), jnp.where(finite, rhs, 0.0)
     )
     ok = ok & finite & jnp.all(jnp.isfinite(x))
-    return LinearSolution(jnp.where(ok, x, 0.0), n_negative, ok)
+    return jnp.where(ok, x, 0.0), n_negative, ok
 
 
 @_factor_solve.def_vmap
@@ -77,12 +77,12 @@ def _factor_solve_rule(axis_size, in_batched, solver, values, rhs):
     if values_batched:  # one factorization per lane
         rhs = rhs if rhs_batched else jnp.broadcast_to(rhs, (axis_size, *rhs.shape))
         out = jax.lax.map(lambda lane: _factor_solve(solver, *lane), (values, rhs))
-        return out, LinearSolution(True, True, True)
+        return out, (True, True, True)
     # one factorization, all right-hand sides in one call
     x, n_negative, ok = _factor_solve(solver, values, rhs.reshape(-1, rhs.shape[-1]))
     return (
-        LinearSolution(x.reshape(rhs.shape), n_negative, ok),
-        LinearSolution(True, False, False),
+        (x.reshape(rhs.shape), n_negative, ok),
+        (True, False, False),
     )
 
 
@@ -94,7 +94,7 @@ class Pardiso(AbstractLinearSolver):
     """
 
     sparsity: Sparsity
-    token: object
+    token: Any
     name: str = eqx.field(static=True, default="PARDISO (pardiso-mkl-jax)")
 
     @classmethod
@@ -108,7 +108,7 @@ class Pardiso(AbstractLinearSolver):
             jnp.ones(sparsity.nnz),
             matrix_type=MatrixType.REAL_SYMMETRIC_INDEFINITE,
         )
-        return cls(sparsity, token)
+        return cls(sparsity=sparsity, token=token)
 
     def _factor_solve(self, values, rhs):
         from pardiso_mkl_jax import MatrixType, primitive
@@ -200,8 +200,8 @@ def analyse(sparsity: Sparsity, solver: str | None = None) -> AbstractLinearSolv
         if find_spec(package) is not None:
             return kind.analyse(sparsity)
     raise ImportError(
-        "no sparse direct solver is installed: `pip install softcal-jax` brings the one "
-        "of your platform (pardiso-mkl-jax, sparsax or klujax)."
+        "no sparse direct solver is installed: `pip install softcal-jax` brings the "
+        "one of your platform (pardiso-mkl-jax, sparsax or klujax)."
     )
 
 

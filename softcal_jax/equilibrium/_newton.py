@@ -6,6 +6,7 @@ are imposed). One state machine in one `while_loop`: an iteration is a Newton st
 the end of a load step, or its failure, only changes t.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
@@ -87,7 +88,8 @@ def external_force(
     model: Model, configuration: ConfigurationArrays
 ) -> Float[Array, "n_nodes 3"]:
     """Dead loads and weight as nodal forces, f_ext(p) [N]."""
-    return configuration.force + gravity_load(model, configuration.gravity)
+    weight = gravity_load(model, jnp.asarray(configuration.gravity))
+    return jnp.asarray(configuration.force) + weight
 
 
 def symmetric_product(sparsity, values, v):
@@ -108,114 +110,124 @@ def mask_supports(sparsity, values, fixed):
     return jnp.where(held, 0.0, values).at[sparsity.diagonal].set(on_diagonal), scale
 
 
-def newton(
-    model: Model,
-    configuration: ConfigurationArrays,
-    u0: Float[Array, "n_nodes 3"],
-    settings: NewtonSettings,
-) -> NewtonState:
-    """Solve one configuration from the guess `u0`, at full load first.
+@dataclass(frozen=True, eq=False)  # JAX caches its methods by identity
+class _Equilibrium:
+    """One configuration while it is solved: the parts of a Newton iteration."""
 
-    A guess that does not lead to the solution at full load is dropped, and load
-    stepping begins from rest.
-    """
-    X = jnp.asarray(model.mesh.points)
-    f_ext = external_force(model, configuration)
-    fixed = configuration.fixed
-    sparsity = model.solver.sparsity
-    eps = jnp.finfo(X.dtype).eps
-    size = jnp.max(jnp.ptp(X, axis=0))
-    rest = jnp.zeros_like(u0)
-    mixed = is_mixed(model.formulation, model.weights.shape[1])
+    model: Model
+    fixed: Bool[Array, "n_nodes 3"]
+    imposed: Float[Array, "n_nodes 3"]
+    f_ext: Float[Array, "n_nodes 3"]
+    settings: NewtonSettings
 
-    def evaluate(u):
-        return energy_and_force(model, u)
+    @property
+    def mixed(self) -> bool:
+        """Whether the volume ratios are unknowns of the Newton step."""
+        return is_mixed(self.model.formulation, self.model.weights.shape[1])
 
-    def relative_residual(force, load, stiffness):
+    def evaluate(self, u):
+        """Energy, its scale, internal force and smallest det F."""
+        return energy_and_force(self.model, u)
+
+    def strict(self, s: NewtonState):
+        """Whether only steps that lower Pi are taken."""
+        return s.increment < self.settings.strict_below
+
+    def dilatation(self, s: NewtonState, u, du):
+        """Volume ratios after a step; nothing to do in the displacement formulation."""
+        return predicted_dilatation(self.model, u, du) if self.mixed else s.theta
+
+    def unbalanced(self, force, load):
+        """Out-of-balance force on the free coordinates."""
+        return jnp.where(self.fixed, 0.0, force - load * self.f_ext)
+
+    def relative_residual(self, force, load, stiffness):
         """Residual on free nodes, relative to external, internal and reaction force."""
-        free = jnp.where(fixed, 0.0, force - load * f_ext)
-        scale = jnp.maximum(jnp.linalg.norm(load * f_ext), jnp.linalg.norm(force))
+        points = jnp.asarray(self.model.mesh.points)
+        size = jnp.max(jnp.ptp(points, axis=0))
+        norm = jnp.linalg.norm
+        scale = jnp.maximum(norm(load * self.f_ext), norm(force))
         # Without any load, what remains is the rounding of positions.
-        rounding = eps / settings.rtol * stiffness * size
-        return jnp.linalg.norm(free) / jnp.maximum(scale, rounding)
+        eps = jnp.finfo(points.dtype).eps
+        rounding = eps / self.settings.rtol * stiffness * size
+        return norm(self.unbalanced(force, load)) / jnp.maximum(scale, rounding)
 
-    def strict(s):
-        return s.increment < settings.strict_below
-
-    def direction(s, du_held):
-        if mixed:
-            theta = jnp.where(strict(s), predicted_dilatation(model, s.u, rest), s.theta)
-            values, force = mixed_tangent(model, s.u, theta)
+    def direction(self, s: NewtonState, du_held):
+        """Newton step at the current load, and the mean stiffness of a node."""
+        sparsity, fixed = self.model.solver.sparsity, self.fixed.ravel()
+        if self.mixed:
+            at_u = self.dilatation(s, s.u, jnp.zeros_like(s.u))
+            theta = jnp.where(self.strict(s), at_u, s.theta)
+            values, force = mixed_tangent(self.model, s.u, theta)
         else:
-            values, force = tangent_values(model, s.u), s.force
+            values, force = tangent_values(self.model, s.u), s.force
         # Held nodes that still have to move pull on the free ones: - K du_held.
         pull = jax.lax.cond(
             jnp.any(du_held != 0.0),
             lambda: symmetric_product(sparsity, values, du_held.ravel()),
             lambda: jnp.zeros_like(du_held.ravel()),
         )
-        rhs = (s.load * f_ext - force).ravel() - pull
-        masked, scale = mask_supports(sparsity, values, fixed.ravel())
-        rhs = jnp.where(fixed.ravel(), scale * du_held.ravel(), rhs)
-        solved = model.solver.factor_solve(masked, rhs[None])
-        return solved, solved.x[0].reshape(s.u.shape), scale
+        masked, stiffness = mask_supports(sparsity, values, fixed)
+        rhs = (s.load * self.f_ext - force).ravel() - pull
+        rhs = jnp.where(fixed, stiffness * du_held.ravel(), rhs)
+        solved = self.model.solver.factor_solve(masked, rhs[None])
+        return solved, solved.x[0].reshape(s.u.shape), stiffness
 
-    def line_search(s, d, slope, moving):
+    def line_search(self, s: NewtonState, d, slope, moving):
         """Backtrack until Pi has gone down enough (Armijo) and is finite.
 
         Full steps are taken first, downhill or not: the first step of a large rotation
         always raises Pi, and of a nearly incompressible body by orders of magnitude; a
         strict search then creeps (ten times the iterations). They are only trusted
-        when they end in a stable state; see `body`.
+        when they end in a stable state; see `step`.
         """
-        potential = s.energy - s.load * jnp.sum(f_ext * s.u)
-        work = jnp.sum(jnp.abs(f_ext * s.u))
+        potential = s.energy - s.load * jnp.sum(self.f_ext * s.u)
+        work = jnp.sum(jnp.abs(self.f_ext * s.u))
 
         def trial(alpha):
             u = s.u + alpha * d
-            energy, scale, force, det = evaluate(u)
-            new = energy - s.load * jnp.sum(f_ext * u)
+            energy, scale, force, det = self.evaluate(u)
+            new = energy - s.load * jnp.sum(self.f_ext * u)
             armijo = new <= potential + 1e-4 * alpha * slope
             # Near the solution Pi changes by less than its own rounding, and the slope
             # decides (approximate Wolfe condition of Hager and Zhang, SIAM J. Optim.
             # 16, 2005).
-            slope_new = jnp.sum(jnp.where(fixed, 0.0, force - s.load * f_ext) * d)
+            slope_new = jnp.sum(self.unbalanced(force, s.load) * d)
             flat = (slope_new <= 0.8 * jnp.abs(slope)) & (
                 new <= potential + 1e-6 * (scale + s.energy_scale + work)
             )
             finite = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force))
-            good = (armijo | flat | moving | ~strict(s)) & finite
+            good = (armijo | flat | moving | ~self.strict(s)) & finite
             return u, energy, scale, force, det, good
 
         def keep_trying(carry):
             _, backtracks, (*_, good) = carry
-            return ~good & (backtracks < settings.max_backtracks) & ~moving
+            return ~good & (backtracks < self.settings.max_backtracks) & ~moving
 
         def halve(carry):
             alpha, backtracks, _ = carry
             return 0.5 * alpha, backtracks + 1, trial(0.5 * alpha)
 
-        one = jnp.ones((), X.dtype)
-        _, _, tried = jax.lax.while_loop(keep_trying, halve, (one, 0, trial(one)))
-        return tried
+        one = jnp.ones((), s.u.dtype)
+        return jax.lax.while_loop(keep_trying, halve, (one, 0, trial(one)))[2]
 
-    def body(s: NewtonState) -> NewtonState:
-        target = s.load * configuration.imposed
-        du_held = jnp.where(fixed, target - s.u, 0.0)
+    def step(self, s: NewtonState) -> NewtonState:
+        """One Newton iteration, and what follows from it for the load."""
+        du_held = jnp.where(self.fixed, s.load * self.imposed - s.u, 0.0)
         moving = jnp.any(du_held != 0.0)
-        solved, d, stiffness = direction(s, du_held)
-        slope = jnp.sum(jnp.where(fixed, 0.0, s.force - s.load * f_ext) * d)
-        downhill = moving | (slope <= 0.0) | ~strict(s)
-        u, energy, scale, force, det, good = line_search(s, d, slope, moving)
+        solved, d, stiffness = self.direction(s, du_held)
+        slope = jnp.sum(self.unbalanced(s.force, s.load) * d)
+        downhill = moving | (slope <= 0.0) | ~self.strict(s)
+        u, energy, scale, force, det, good = self.line_search(s, d, slope, moving)
         good = good & solved.ok & downhill
+        residual = self.relative_residual(force, s.load, stiffness)
+        residual = jnp.where(good, residual, jnp.inf)
         s = s._replace(
             step=s.step + 1,
             step_in_load=s.step_in_load + 1,
             n_negative=solved.n_negative,
             any_singular=~solved.ok,
         )
-        residual = relative_residual(force, s.load, stiffness)
-        residual = jnp.where(good, residual, jnp.inf)
         moved = s._replace(
             u=u,
             force=force,
@@ -223,18 +235,20 @@ def newton(
             energy_scale=scale,
             residual=residual,
             min_det_F=det,
-            theta=predicted_dilatation(model, s.u, u - s.u) if mixed else s.theta,
+            theta=self.dilatation(s, s.u, u - s.u),
         )
-        converged = residual <= settings.rtol
+        converged = residual <= self.settings.rtol
         # Full steps may have jumped to a saddle; load stepping finds the stable path.
-        astray = converged & (s.n_negative > 0) & ~strict(s)
+        astray = converged & (s.n_negative > 0) & ~self.strict(s)
         good, converged = good & ~astray, converged & ~astray
-        failed = ~good | (~converged & (s.step_in_load >= settings.max_steps_per_load))
+        out_of_steps = s.step_in_load >= self.settings.max_steps_per_load
+        failed = ~good | (~converged & out_of_steps)
         s = _select(good, moved, s)
-        s = _select(converged, _next_load(s), s)
-        return jax.lax.cond(failed, back, lambda s: s, s)
+        s = _select(converged, self.next_load(s), s)
+        return jax.lax.cond(failed, self.back, lambda s: s, s)
 
-    def _next_load(s: NewtonState) -> NewtonState:
+    def next_load(self, s: NewtonState) -> NewtonState:
+        """Keep an equilibrium; raise the load, or finish."""
         increment = jnp.minimum(2.0 * s.increment, 1.0 - s.load)
         finished = s.load >= 1.0
         outcome = RESULTS.where(s.min_det_F > 0.0, RESULTS.converged, RESULTS.inverted)
@@ -250,21 +264,18 @@ def newton(
             done=finished,
         )
 
-    def back(s: NewtonState) -> NewtonState:
+    def back(self, s: NewtonState) -> NewtonState:
         """Return to the last equilibrium and take half the load increment."""
         increment = 0.5 * s.increment
-        give_up = increment < settings.smallest_load_step
-        why = RESULTS.where(
-            s.any_singular,
-            RESULTS.singular,
-            RESULTS.where(
-                s.n_negative > 0, RESULTS.unstable, RESULTS.load_step_too_small
-            ),
+        give_up = increment < self.settings.smallest_load_step
+        buckled = RESULTS.where(
+            s.n_negative > 0, RESULTS.unstable, RESULTS.load_step_too_small
         )
-        energy, scale, force, det = evaluate(s.u_ok)
+        why = RESULTS.where(s.any_singular, RESULTS.singular, buckled)
+        energy, scale, force, _ = self.evaluate(s.u_ok)
         return s._replace(
             u=s.u_ok,
-            theta=predicted_dilatation(model, s.u_ok, rest) if mixed else s.theta,
+            theta=self.dilatation(s, s.u_ok, jnp.zeros_like(s.u_ok)),
             force=force,
             energy=energy,
             energy_scale=scale,
@@ -275,36 +286,53 @@ def newton(
             done=give_up,
         )
 
-    def keep_going(s: NewtonState):
-        return ~s.done & (s.step < settings.max_steps)
+    def start(self, u0: Float[Array, "n_nodes 3"]) -> NewtonState:
+        """State before the first iteration, at full load."""
+        energy, scale, force, det = self.evaluate(u0)
+        # A guess with inverted tets or infinite energy is worth less than rest.
+        usable = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force))
+        keep = lambda value, rest: jnp.where(usable, value, rest)
+        zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
+        rest, count = jnp.zeros_like(u0), jnp.zeros((), jnp.int32)
+        state = NewtonState(
+            u=keep(u0, rest),
+            theta=zero,
+            force=keep(force, rest),
+            energy=keep(energy, zero),
+            energy_scale=keep(scale, zero),
+            u_ok=rest,
+            load=one,
+            load_ok=zero,
+            increment=one,
+            step=count,
+            step_in_load=count,
+            load_steps=count,
+            residual=jnp.full_like(zero, jnp.inf),
+            min_det_F=keep(det, one),
+            n_negative=count,
+            any_singular=jnp.zeros((), bool),
+            result=RESULTS.max_steps,
+            done=jnp.zeros((), bool),
+        )
+        return state._replace(theta=self.dilatation(state, state.u, rest))
 
-    one, zero = jnp.ones((), X.dtype), jnp.zeros((), X.dtype)
-    energy, scale, force, det = evaluate(u0)
-    # A guess with inverted or infinite energy is worth less than the rest shape.
-    usable = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force))
-    u0 = jnp.where(usable, u0, rest)
-    count = jnp.zeros((), jnp.int32)
-    start = NewtonState(
-        u=u0,
-        theta=predicted_dilatation(model, u0, rest) if mixed else zero,
-        force=jnp.where(usable, force, rest),
-        energy=jnp.where(usable, energy, zero),
-        energy_scale=jnp.where(usable, scale, zero),
-        u_ok=rest,
-        load=one,
-        load_ok=zero,
-        increment=one,
-        step=count,
-        step_in_load=count,
-        load_steps=count,
-        residual=jnp.full_like(zero, jnp.inf),
-        min_det_F=jnp.where(usable, det, one),
-        n_negative=count,
-        any_singular=jnp.zeros((), bool),
-        result=RESULTS.max_steps,
-        done=jnp.zeros((), bool),
-    )
-    return jax.lax.while_loop(keep_going, body, start)
+
+def newton(
+    model: Model,
+    configuration: ConfigurationArrays,
+    u0: Float[Array, "n_nodes 3"],
+    settings: NewtonSettings,
+) -> NewtonState:
+    """Solve one configuration from the guess `u0`, at full load first.
+
+    A guess that does not lead to the solution at full load is dropped, and load
+    stepping begins from rest.
+    """
+    f_ext = external_force(model, configuration)
+    fixed, imposed = map(jnp.asarray, (configuration.fixed, configuration.imposed))
+    body = _Equilibrium(model, fixed, imposed, f_ext, settings)
+    keep_going = lambda s: ~s.done & (s.step < settings.max_steps)
+    return jax.lax.while_loop(keep_going, body.step, body.start(u0))
 
 
 def _select(flag, new: NewtonState, old: NewtonState) -> NewtonState:

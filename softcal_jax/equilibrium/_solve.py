@@ -1,4 +1,4 @@
-"""Static equilibrium of a configuration, differentiable, batched over configurations."""
+"""Static equilibrium of a configuration, differentiable and batched."""
 
 import equinox as eqx
 import jax
@@ -55,8 +55,8 @@ def residual(
 ) -> Float[Array, "n_nodes 3"]:
     """Out-of-balance force f_int(x; p) - f_ext(p), all nodes [N]; paper Eq. (1).
 
-    On held nodes it is the reaction with its sign reversed: the force that the body
-    exerts on the support is `-residual`... see `reactions`.
+    Zero on free coordinates at equilibrium; on held ones it is the reaction, the force
+    of the support on the body.
     """
     return internal_force(model, u) - external_force(model, configuration)
 
@@ -111,7 +111,7 @@ def _equilibrium(model, configuration, u0, *, settings):
 
 @_equilibrium.def_jvp
 def _equilibrium_jvp(primals, tangents, *, settings):
-    """Implicit derivative K du = -(dR/dp) dp - K_held du_held, paper Eqs. (7) to (9)."""
+    """Implicit derivative K du = -(dR/dp) dp - K_held du_held; Eqs. (7) to (9)."""
     model, configuration, u0 = primals
     t_model, t_configuration, _ = tangents
     solution = _equilibrium(model, configuration, u0, settings=settings)
@@ -129,7 +129,9 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     masked, _ = mask_supports(sparsity, values, fixed.ravel())
 
     def solve(_, b):
-        return model.solver.factor_solve(masked, b[None]).x[0]
+        solved = model.solver.factor_solve(masked, b[None])
+        # A derivative that does not exist must not pass for zero.
+        return jnp.where(solved.ok, solved.x[0], jnp.nan)
 
     du = jax.lax.custom_linear_solve(
         lambda v: symmetric_product(sparsity, masked, v),
@@ -154,9 +156,9 @@ def solve_equilibrium(
 ) -> EquilibriumSolution:
     """Static equilibrium of one configuration; traceable, differentiable, for `vmap`.
 
-    Derivatives with respect to the model's law and density, and to the loads and imposed
-    displacements, are implicit (forward and reverse): the Newton iterations are not
-    differentiated.
+    Derivatives with respect to the model's law and density, and to the loads and the
+    imposed displacements, are implicit (forward and reverse): the Newton iterations are
+    not differentiated.
 
     Args:
         model: The body.
@@ -169,9 +171,7 @@ def solve_equilibrium(
         lanes that fail. `check_converged` raises.
     """
     u0 = jnp.zeros(model.mesh.points.shape) if guess is None else guess
-    return _equilibrium(
-        model, configuration, u0, settings=settings or NewtonSettings()
-    )
+    return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())
 
 
 def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:

@@ -1,4 +1,4 @@
-"""Results as files that other programs read: JSON, CSV and VTK; units on the way out."""
+"""Results as files that other programs read: JSON, CSV and VTK."""
 
 from softcal_jax.export._folder import check_results_folder, results_folder
 from softcal_jax.export._json import marker_motion, result_dict, simulation_dict

@@ -5,7 +5,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 INDEX_FILES = ("result.json", "simulation.json")
@@ -75,7 +75,8 @@ def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Pa
             shutil.rmtree(partial, ignore_errors=True)
     except BaseException:
         for parent in reversed(made):
-            parent.rmdir()
+            with suppress(OSError):  # someone else put something there meanwhile
+                parent.rmdir()
         raise
 
 
@@ -96,7 +97,8 @@ def _own_files(directory: Path) -> set[str]:
             own |= {index, *data["files"]}
         except (OSError, ValueError, KeyError, TypeError):
             continue  # not an index of ours
-    return {name for name in own if (directory / name).is_file()}
+    # A name that leads out of the folder is not ours, whatever the index says.
+    return {n for n in own if Path(n).name == n and (directory / n).is_file()}
 
 
 def _move_into_place(partial: Path, directory: Path) -> None:
@@ -113,14 +115,16 @@ def _move_into_place(partial: Path, directory: Path) -> None:
     directory.mkdir(exist_ok=True)
     backup = partial / ".replaced"
     backup.mkdir()
+    moved = []
     try:
         for name in sorted(old):
             os.replace(directory / name, backup / name)
         for name in new:
             os.replace(partial / name, directory / name)
+            moved.append(name)
     except BaseException:
-        for name in new:
-            (directory / name).unlink(missing_ok=True)
+        for name in moved:
+            (directory / name).unlink()
         for path in backup.iterdir():
             os.replace(path, directory / path.name)
         if fresh:

@@ -1,4 +1,4 @@
-"""Results as plain dictionaries that JSON can hold: millimetres for markers, SI else."""
+"""Results as dictionaries that JSON can hold: markers in mm, the rest in SI."""
 
 import dataclasses
 import math

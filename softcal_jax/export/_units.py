@@ -59,6 +59,7 @@ def readable_estimate(value: float, standard_error: float, unit: str) -> str:
     elif error == 0.0:
         text = f"{value:.4g} ± 0"
     else:
+        error = float(f"{error:.1e}")  # first, since 0.996 becomes 1.0
         decimals = 1 - math.floor(math.log10(error))
         if decimals > 9:  # too many digits to read
             text = f"{value:.4g} ± {error:.1e}"

@@ -59,9 +59,7 @@ def write_vtu(
                 f"field {name!r} needs one value per tet ({mesh.n_tets}), "
                 f"got shape {values.shape}."
             )
-        cells[name] = values.reshape(mesh.n_tets, -1).squeeze(axis=-1) if (
-            values.size == mesh.n_tets
-        ) else values.reshape(mesh.n_tets, -1)
+        cells[name] = _columns(values)
     kind = "tetra" if mesh.order == 1 else "tetra10"
     meshio.Mesh(
         mesh.points,
@@ -73,20 +71,22 @@ def write_vtu(
 
 def _material(model: Model) -> dict[str, HostArray]:
     """Density and fields of the law, one value per tet."""
-    leaves = [(("density",), model.density)]
+    leaves: list[tuple[tuple[str, ...], ArrayLike]] = [(("density",), model.density)]
     for path, leaf in jax.tree_util.tree_leaves_with_path(model.law):
         parts = jax.tree_util.keystr(path).strip(".").split(".")
         leaves.append((tuple(parts), leaf))
     names = Counter(parts[-1] for parts, _ in leaves)
-    return {
+    cells = {}
+    for parts, leaf in leaves:
         # Two elasticities in one law have two E: then the whole path is the name.
-        (parts[-1] if names[parts[-1]] == 1 else ".".join(parts)): _per_tet(model, leaf)
-        for parts, leaf in leaves
-    }
+        name = parts[-1] if names[parts[-1]] == 1 else ".".join(parts)
+        values = np.asarray(leaf, float)
+        if values.ndim == 0:
+            values = np.full(model.n_tets, values)
+        cells[name] = _columns(values)
+    return cells
 
 
-def _per_tet(model: Model, leaf: Float[ArrayLike, "..."]) -> HostArray:
-    values = np.asarray(leaf, float)
-    if values.ndim == 0:
-        return np.full(model.n_tets, values)
-    return values if values.ndim == 1 else values.reshape(model.n_tets, -1)
+def _columns(values: Float[HostArray, "..."]) -> HostArray:
+    """Numbers or vectors per tet; VTK knows no tensors of other shapes."""
+    return values if values.ndim == 1 else values.reshape(len(values), -1)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, is_traced
 
 
 def _number(value) -> Float[Array, ""]:
@@ -44,7 +44,7 @@ class Parameter(eqx.Module):
     unit: str = eqx.field(static=True, default="")
 
     def __check_init__(self):
-        if any(isinstance(v, jax.core.Tracer) for v in (self.start, self.lower)):
+        if any(is_traced(v) for v in (self.start, self.lower)):
             return
         start, lower, upper = float(self.start), float(self.lower), float(self.upper)
         what = f"parameter {self.name!r}"

@@ -1,11 +1,10 @@
 """Range checks of material constants, at construction and only on concrete values."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, is_traced
 
 
 def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
@@ -15,7 +14,7 @@ def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
 
 def _concrete(value: Float[Array, "..."]) -> np.ndarray | None:
     """The values on the host, at least one; None while they are traced."""
-    if isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
+    if is_traced(value) or not hasattr(value, "shape"):
         return None
     return np.atleast_1d(np.asarray(value))
 
@@ -39,7 +38,7 @@ def check_poisson_ratio(name: str, value: Float[Array, "..."]) -> None:
         return
     bad = ~((values > -1.0) & (values < 0.5))
     if np.any(bad):
-        hint = " For an incompressible rubber take 0.499." if values.max() >= 0.5 else ""
-        raise ValueError(
-            f"{name} must lie in (-1, 0.5), got {values[bad][0]:g}.{hint}"
+        hint = (
+            " For an incompressible rubber take 0.499." if values.max() >= 0.5 else ""
         )
+        raise ValueError(f"{name} must lie in (-1, 0.5), got {values[bad][0]:g}.{hint}")

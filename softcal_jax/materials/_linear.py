@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.elements import axial, matmul, rotation, skew, spin, symmetric
+from softcal_jax.elements import matmul, rotation, skew, spin, symmetric
 from softcal_jax.materials._elasticity import AbstractElasticity
 from softcal_jax.materials._law import AbstractLaw
 

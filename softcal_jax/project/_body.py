@@ -74,11 +74,17 @@ def _with_group(mesh: TetMesh, name: str, table: GroupTable) -> TetMesh:
     # A millionth of the body: far below a cell, far above the rounding of a file.
     tolerance = 1e-6 * mesh.size if table.tolerance is None else table.tolerance
     if table.box is not None:
-        region = Box(table.box.lower, table.box.upper, tolerance)
+        region = Box(lower=table.box.lower, upper=table.box.upper, tolerance=tolerance)
     elif table.plane is not None:
-        region = Plane(table.plane.point, table.plane.normal, tolerance)
+        region = Plane(
+            point=table.plane.point, normal=table.plane.normal, tolerance=tolerance
+        )
     elif table.sphere is not None:
-        region = Sphere(table.sphere.centre, table.sphere.radius, tolerance)
+        region = Sphere(
+            centre=table.sphere.centre,
+            radius=table.sphere.radius,
+            tolerance=tolerance,
+        )
     else:
         raise AssertionError("the schema asks for one of the three")
     if table.of == "nodes":
@@ -115,9 +121,7 @@ def _law(
     return StVenantKirchhoff(Isotropic(E, nu))
 
 
-def _constant(
-    mesh: TetMesh, table: MaterialTable, key: str
-) -> Float[HostArray, "..."]:
+def _constant(mesh: TetMesh, table: MaterialTable, key: str) -> Float[HostArray, "..."]:
     """A constant of the whole body, or one value per tet where regions differ."""
     base = np.asarray(getattr(table, key), float)
     for name, region in table.regions.items():

@@ -1,6 +1,8 @@
 """From the tables of a project file to configurations with measured positions."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +12,6 @@ from softcal_jax.configurations import (
     Configuration,
     EdgeForce,
     Markers,
-    MarkerTable,
     PointForce,
     Registration,
     Support,
@@ -31,45 +32,151 @@ from softcal_jax.project._schema import (
 )
 
 
-def build_configuration(
+class Pose(NamedTuple):
+    """A configuration, and what its camera frame left at the registered markers."""
+
+    configuration: Configuration
+    registration: Registration | None
+
+
+def build_pose(
     path: Path, table: ConfigurationTable, markers: MarkersTable | None, mesh: TetMesh
-) -> tuple[Configuration, Registration | None]:
-    """One posed robot, and the registration of its measurement if it has one.
+) -> Pose:
+    """One posed robot with its measurement.
+
+    Args:
+        path: The project file, for messages and as the base of relative paths.
+        table: The configuration, with [shared] merged in.
+        markers: All markers of the project.
+        mesh: The mesh, which knows the groups.
 
     Raises:
         ProjectError: If a group, a marker, a file or a value in it is wrong.
     """
     key = f"configurations.{table.name}"
-    supports = []
+    supports, loads = [], []
     for i, support in enumerate(table.supports, start=1):
         with at(path, f"{key}.supports[{i}]"):
-            mesh.nodes(support.group)
-            supports.append(
-                Support(support.group, support.axes, support.displacement)
-            )
-    loads = []
+            mesh.nodes(support.group)  # names a group that is not there
+            supports.append(Support(support.group, support.axes, support.displacement))
     for i, load in enumerate(table.loads, start=1):
         with at(path, f"{key}.loads[{i}]"):
             loads.append(_load(load))
-            loads[-1].nodal_forces(mesh)
+            loads[-1].nodal_forces(mesh)  # names a place that is not there
     with at(path, f"{key}.markers"):
-        chosen = None if markers is None else _markers(markers, table.markers)
-    if markers is None and table.markers is not None:
-        raise_without_markers(path, f"{key}.markers")
+        chosen = _markers(markers, table.markers)
     measured = registration = None
     if table.measured is not None:
-        if markers is None or chosen is None:
-            raise_without_markers(path, f"{key}.measured")
         with at(path, f"{key}.measured"):
             measured, registration = _measured(
                 path.parent, table.measured, markers, chosen
             )
-    gravity = table.gravity
-    if isinstance(gravity, GravityTable):
-        x, y, z = (gravity.size * v for v in gravity.direction)
-        gravity = (x, y, z)
     with at(path, key):
-        configuration = Configuration(
-            table.name, supports, gravity, loads, chosen, measured
+        return Pose(
+            Configuration(
+                table.name,
+                tuple(supports),
+                _gravity(table),
+                tuple(loads),
+                chosen,
+                measured,
+            ),
+            registration,
         )
-    return configuration, registration
+
+
+def _gravity(table: ConfigurationTable) -> tuple[float, float, float]:
+    if not isinstance(table.gravity, GravityTable):
+        return table.gravity
+    x, y, z = (table.gravity.size * v for v in table.gravity.direction)
+    return x, y, z
+
+
+def _load(table: LoadTable) -> AbstractLoad:
+    if table.point is not None and table.force is not None:
+        return PointForce(table.point, table.force)
+    if table.edge is not None and table.force is not None:
+        return EdgeForce(table.edge, table.force)
+    if table.surface is not None and table.force is not None:
+        return SurfaceForce(table.surface, table.force)
+    if table.surface is not None and table.traction is not None:
+        return SurfaceTraction(table.surface, table.traction)
+    raise AssertionError("the schema asks for one of the four")
+
+
+def _positions(
+    table: MarkersTable | None, names: Sequence[str]
+) -> Float[HostArray, "n_markers 3"]:
+    """Nominal positions of some markers [m]."""
+    if table is None:
+        raise ValueError("the project has no markers; add a table [markers].")
+    rows = []
+    for name in names:
+        if name not in table.positions:
+            raise ValueError(
+                f"unknown marker {name!r}.{suggestion(name, table.positions)} "
+                f"Known: {', '.join(table.positions)}."
+            )
+        entry = table.positions[name]
+        rows.append(entry.position if isinstance(entry, MarkerEntry) else entry)
+    return np.array(rows, float).reshape(-1, 3)
+
+
+def _markers(
+    table: MarkersTable | None, names: tuple[str, ...] | None
+) -> Markers | None:
+    """The markers of one configuration; all of the project if it names none."""
+    if names is None:
+        if table is None:
+            return None
+        names = tuple(table.positions)
+    positions = _positions(table, names)
+    if table is None or not names:
+        raise ValueError("the list of markers is empty; leave it out to use all.")
+    own = [table.positions[name] for name in names]
+    std = [(e.std if isinstance(e, MarkerEntry) else None) or table.std for e in own]
+    return Markers(
+        names,
+        positions,
+        np.array(std),
+        table.axes,
+        table.max_distance,
+        table.base_radius,
+    )
+
+
+def _measured(
+    folder: Path,
+    table: MeasuredTable,
+    nominal: MarkersTable | None,
+    markers: Markers | None,
+) -> tuple[Float[HostArray, "n_markers 3"], Registration | None]:
+    """Measured positions in the frame of the mesh [m].
+
+    With `displacement_from`, the nominal position plus the motion between the two
+    states, so that where exactly a marker was glued does not matter.
+    """
+    if markers is None:
+        raise ValueError("the project has no markers; add a table [markers].")
+
+    def read(select):
+        return read_markers(
+            folder / table.file,
+            length_unit=table.length_unit,
+            select={**table.recording, **select},
+        )
+
+    loaded = read(table.select).positions_of(markers.names)
+    start = None
+    if table.displacement_from is not None:
+        start = read(table.displacement_from).positions_of(markers.names)
+    registration = None
+    if table.registration is not None:
+        names = table.registration.markers
+        seen = read(table.registration.select).positions_of(names)
+        registration = register(seen, _positions(nominal, names))
+        loaded = registration.apply(loaded)
+        start = None if start is None else registration.apply(start)
+    if start is not None:
+        loaded = markers.positions + (loaded - start)
+    return loaded, registration

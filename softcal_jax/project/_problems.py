@@ -2,6 +2,7 @@
 
 import contextlib
 import difflib
+import re
 import typing
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -78,6 +79,8 @@ def _message(
             f"{where}: unknown key.{suggestion(str(keys[-1]), known)} "
             f"Known here: {', '.join(known)}."
         )
+    if kind == "missing" and isinstance(keys[-1], int):
+        return f"{where}: missing; the list is too short."
     if kind == "missing":
         model, key = _model_at(schema, keys[:-1]), str(keys[-1])
         field = model.model_fields.get(key)
@@ -92,12 +95,12 @@ def _wrong_value(details: ErrorDetails) -> str:
         return str(context.get("problem") or context.get("error"))
     got = f"got {_shown(value)}; expected "
     if kind == "literal_error":
-        choices = [get for get in context["expected"].replace("'", "").split(", ")]
-        choices = [c for choice in choices for c in choice.split(" or ")]
+        # pydantic writes them as 'a', 'b' or 'c'.
+        choices = re.findall("'([^']*)'", context["expected"])
         listed = ", ".join(f'"{choice}"' for choice in choices)
         return f"{got}one of {listed}.{suggestion(str(value), choices)}"
-    if kind == "too_short":
-        return f"expected at least {context['min_length']}, got none."
+    if kind == "too_long":
+        return f"expected {context['max_length']} values, got {len(value)}."
     if kind in _EXPECTED:
         return f"{got}{_EXPECTED[kind]}."
     return f"{got}{details['msg'].removeprefix('Input should be ')}."
@@ -153,7 +156,7 @@ def _model_at(schema: type[BaseModel], keys: tuple[str | int, ...]) -> type[Base
             here = here.model_fields[str(key)].annotation
         else:
             # Into a list by number or into a table of tables by name: its members.
-            here = [a for a in get_args(here) if a not in (str, type(None))][0]
+            here = next(a for a in get_args(here) if a is not str)
         here = _plain(here)
     return here
 

@@ -137,25 +137,33 @@ def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]
     unit = dimension.example.split()[-1]
     example = f'"(0, 0, -1) {unit}"'
     expected = f"expected three numbers with a unit, like {example}"
-    if isinstance(value, str):
-        match = _VECTOR.fullmatch(value)
-        if match is None:
-            raise _wrong(f'got "{value}"; {expected}.')
-        numbers = [part.strip() for part in match[1].split(",")]
-        parts = [f"{number} {match[2]}" for number in numbers]
-        for number in numbers:
-            if not re.fullmatch(_NUMBER, number):
-                raise _wrong(f'"{value}": "{number}" is not a number; {expected}.')
-        if not match[2]:
-            raise _wrong(f'"{value}" has no unit; {expected}.')
-    elif isinstance(value, list):
-        parts = value
+    if isinstance(value, list):
+        parts = [parse_scalar(part, dimension) for part in value]
+    elif isinstance(value, str):
+        parts = _vector_of_text(value, dimension, expected)
     else:
         raise _wrong(f"got {_shown(value)}; {expected}.")
     if len(parts) != 3:
         raise _wrong(f"got {len(parts)} numbers; {expected}.")
-    x, y, z = (parse_scalar(part, dimension) for part in parts)
+    x, y, z = parts
     return x, y, z
+
+
+def _vector_of_text(value: str, dimension: Dimension, expected: str) -> list[float]:
+    match = _VECTOR.fullmatch(value)
+    if match is None:
+        raise _wrong(f'got "{value}"; {expected}.')
+    if not match[2]:
+        raise _wrong(f'"{value}" has no unit; {expected}.')
+    numbers = [part.strip() for part in match[1].split(",")]
+    for number in numbers:
+        if not re.fullmatch(_NUMBER, number):
+            raise _wrong(f'"{value}": "{number}" is not a number; {expected}.')
+    try:
+        factor = unit_factor(match[2], dimension)
+    except PydanticCustomError as error:
+        raise _wrong(f'"{value}": {error.message()}') from error
+    return [float(number) * factor for number in numbers]
 
 
 def scalar(dimension: Dimension) -> Callable[[Any], float]:

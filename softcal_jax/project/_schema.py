@@ -5,7 +5,7 @@ The description of each key is also what a message says about it when it is miss
 
 import math
 import re
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -15,7 +15,6 @@ from pydantic import (
     Field,
     Strict,
     Tag,
-    ValidationInfo,
     field_validator,
     model_validator,
 )
@@ -27,7 +26,6 @@ from softcal_jax.project._quantities import (
     LENGTH,
     PRESSURE,
     parse_scalar,
-    parse_vector,
     scalar,
     vector,
 )
@@ -89,7 +87,7 @@ class MeshTable(Table):
     element: Literal["quadratic", "linear"] = "quadratic"
 
     @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> "MeshTable":
         if _one_of(self, "file", "beam") == "file" and self.length_unit is None:
             raise ValueError('a mesh file needs its length_unit, like "mm".')
         return self
@@ -126,7 +124,7 @@ class GroupTable(Table):
     tolerance: Length | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> "GroupTable":
         _one_of(self, "box", "plane", "sphere")
         return self
 
@@ -169,7 +167,7 @@ class ParameterTable(Table):
 
     @field_validator("lower", "upper", "start", "S", mode="before")
     @classmethod
-    def _parse(cls, value: Any, info: ValidationInfo) -> Any:
+    def _parse(cls, value: Any, info: Any) -> Any:
         # `field` stands first, so it is known here unless it was wrong itself.
         dimension = _FIELDS.get(info.data.get("field", "nu"))
         if dimension is not None:
@@ -198,7 +196,8 @@ class MarkersTable(Table):
     positions: dict[
         str,
         Annotated[
-            Annotated[MarkerEntry, Tag("(table)")] | Annotated[Position, Tag("(vector)")],
+            Annotated[MarkerEntry, Tag("(table)")]
+            | Annotated[Position, Tag("(vector)")],
             Discriminator(_kind),
         ],
     ] = Field(description="names and positions of the markers")
@@ -226,7 +225,7 @@ class LoadTable(Table):
     traction: Traction | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> "LoadTable":
         where = _one_of(self, "point", "edge", "surface")
         if _one_of(self, "force", "traction") == "traction" and where != "surface":
             raise ValueError(
@@ -287,11 +286,10 @@ class ConfigurationTable(Table):
     name: str = Field(description="name in results, tables and pictures")
     role: Literal["calibration", "validation"] = "calibration"
     gravity: Annotated[
-        Annotated[GravityTable, Tag("(table)")] | Annotated[Acceleration, Tag("(vector)")],
+        Annotated[GravityTable, Tag("(table)")]
+        | Annotated[Acceleration, Tag("(vector)")],
         Discriminator(_kind),
-    ] = Field(
-        description='"(0, 0, -9.81) m/s^2", here or for all in [shared]'
-    )
+    ] = Field(description='"(0, 0, -9.81) m/s^2", here or for all in [shared]')
     supports: tuple[SupportTable, ...] = ()
     loads: tuple[LoadTable, ...] = ()
     markers: tuple[str, ...] | None = None
@@ -327,7 +325,14 @@ class ProjectTable(Table):
     parameters: tuple[ParameterTable, ...] = ()
     markers: MarkersTable | None = None
     configurations: tuple[ConfigurationTable, ...] = Field(
-        description="at least one table [[configurations]]", min_length=1
+        description="at least one table [[configurations]]"
     )
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
+
+    @field_validator("configurations")
+    @classmethod
+    def _check(cls, tables: tuple[ConfigurationTable, ...]) -> Any:
+        if not tables:
+            raise ValueError("expected at least one table [[configurations]].")
+        return tables

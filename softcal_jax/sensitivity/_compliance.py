@@ -111,4 +111,4 @@ def parameter_compliance(
     (rows,) = jax.vmap(pull_back)(unit)
     solved = factor_solve(model, configuration, u, rows)
     W = jnp.sum(solved.x[:, None] * forces[None], axis=(2, 3))
-    return Compliance(W, None, solved.ok)
+    return Compliance(jnp.asarray(W), None, solved.ok)

@@ -1,3 +1,5 @@
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,8 +15,8 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import (
     Configuration,
     Markers,
-    SurfaceForce,
     Support,
+    SurfaceForce,
     configuration_arrays,
 )
 from softcal_jax.equilibrium import build_model, solve_equilibrium
@@ -100,7 +102,7 @@ def test_held_out_configuration_is_predicted_and_never_used(model, exact, recove
 
 def test_history_falls_to_the_solution(recovered):
     cost = [entry.cost for entry in recovered.history if entry.accepted]
-    assert all(b <= a for a, b in zip(cost, cost[1:], strict=False))
+    assert all(b <= a for a, b in itertools.pairwise(cost))
     assert max(abs(v) for v in recovered.history[-1].lambda_p) <= 1e-6
     assert all(entry.kkt_residual < 1e-8 for entry in recovered.history)
 
@@ -124,9 +126,7 @@ def test_linear_tets_say_that_their_modulus_is_effective(recovered):
 def test_quadratic_tets_do_not():
     mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
     data = measure(mesh, Corotational(Isotropic(E_TRUE, NU_TRUE)), ("hang",))
-    model = build_model(
-        mesh, Corotational(Isotropic(1e5, NU_TRUE)), density=1000.0
-    )
+    model = build_model(mesh, Corotational(Isotropic(1e5, NU_TRUE)), density=1000.0)
     result = calibrate(model, [parameter()], data)
     assert result.value("E") == pytest.approx(E_TRUE, rel=1e-6)
     assert not any("effective" in note for note in result.notes)
@@ -165,9 +165,7 @@ def test_stated_noise_scales_the_standard_error(model):
     W = np.asarray(stated.W_ep)[:, 0]
     by_hand = stated.value("E") / np.sqrt(np.sum(W**2))
     assert stated.parameters[0].standard_error == pytest.approx(by_hand, rel=1e-9)
-    ratio = (
-        estimated.parameters[0].standard_error / stated.parameters[0].standard_error
-    )
+    ratio = estimated.parameters[0].standard_error / stated.parameters[0].standard_error
     dof = 3 * 3 * 3 - 1
     assert estimated.uncertainty.degrees_of_freedom == dof
     assert ratio == pytest.approx(np.sqrt(stated.uncertainty.chi_squared / dof))

@@ -61,7 +61,9 @@ def test_lanes_with_fewer_markers_are_padded_with_no_weight():
     ).effectors
     assert lanes.weights.shape == (3, 3, 10)
     np.testing.assert_array_equal(lanes.measured[0, :2], measured)
-    np.testing.assert_array_equal(lanes.inverse_std[0], [[1000.0] * 3] * 2 + [[0.0] * 3])
+    np.testing.assert_array_equal(
+        lanes.inverse_std[0], [[1000.0] * 3] * 2 + [[0.0] * 3]
+    )
     np.testing.assert_array_equal(lanes.weights[1], 0.0)
     # Followed, not measured: positions yes, weight in the fit no.
     np.testing.assert_array_equal(lanes.inverse_std[2], 0.0)
@@ -82,7 +84,10 @@ def test_an_axis_that_is_not_measured_may_be_missing():
     ("changed", "message"),
     [
         ({"names": ["a", "a"]}, "marker 'a' is named more than once"),
-        ({"names": ["a"]}, r"1 marker names need positions of shape \(1, 3\).*\(2, 3\)"),
+        (
+            {"names": ["a"]},
+            r"1 marker names need positions of shape \(1, 3\).*\(2, 3\)",
+        ),
         ({"positions": [INSIDE, [0, np.nan, 0]]}, "marker 'b' has the position .*nan"),
         ({"std": 0.0}, r"std must be positive and finite \[m\], got 0"),
         ({"std": [1e-3, -1.0]}, "got -1; leave a coordinate out with `axes`"),
@@ -122,7 +127,9 @@ def test_measured_without_markers():
 def test_marker_far_outside_the_mesh():
     """The message names the markers, the configuration, and the likely unit error."""
     far = markers(positions=[INSIDE, [0.1, 0.01, 0.05]])
-    with pytest.raises(ValueError, match=r"markers a, b of configuration 'one'.*0\.03 m"):
+    with pytest.raises(
+        ValueError, match=r"markers a, b of configuration 'one'.*0\.03 m"
+    ):
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=far)])
     in_mm = markers(positions=1e3 * np.array([INSIDE, POST]))
     with pytest.raises(ValueError, match="millimetres: give both in metres"):

@@ -19,7 +19,10 @@ def worst_error(rule, total):
     """Largest error over the monomials of one total degree."""
     n = rule.barycentric.shape[1]
     return max(
-        abs(rule.weights @ np.prod(rule.barycentric**np.array(p), axis=1) - exact_mean(p))
+        abs(
+            rule.weights @ np.prod(rule.barycentric ** np.array(p), axis=1)
+            - exact_mean(p)
+        )
         for p in product(range(total + 1), repeat=n)
         if sum(p) == total
     )

@@ -50,14 +50,18 @@ def test_gradients_are_those_of_the_functions(n_corners, n_nodes):
         difference = shape_functions(points + step, n_nodes) - shape_functions(
             points - step, n_nodes
         )
-        np.testing.assert_allclose(dN[:, :, j], difference / (2 * h), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            dN[:, :, j], difference / (2 * h), rtol=0, atol=1e-12
+        )
 
 
 def test_faces_look_outwards():
     X = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     for face in TET_FACES:
         a, b, c = X[list(face)]
-        assert np.cross(b - a, c - a) @ (X[list(face)].mean(axis=0) - X.mean(axis=0)) > 0
+        assert (
+            np.cross(b - a, c - a) @ (X[list(face)].mean(axis=0) - X.mean(axis=0)) > 0
+        )
 
 
 def test_wrong_number_of_nodes():

@@ -83,17 +83,17 @@ def tips(model, lanes, tip_node):
 
 @pytest.mark.parametrize("kappa", ELASTICA_OWN_WEIGHT)
 def test_own_weight_against_the_elastica(tips, kappa):
-    """Shear softens by 4 EI/kGA = 0.2 % at L/h = 20, and the mesh by 0.1 %."""
+    """Softer by the shear, 4 EI/kGA L^2 = 0.2 %, and by the law's own terms (h/L)^2."""
     np.testing.assert_allclose(
-        tips[f"kappa {kappa}"], ELASTICA_OWN_WEIGHT[kappa], rtol=8e-3
+        tips[f"kappa {kappa}"], ELASTICA_OWN_WEIGHT[kappa], rtol=6e-3
     )
 
 
 @pytest.mark.parametrize("kappa", ELASTICA_OWN_WEIGHT)
 def test_own_weight_against_the_shear_beam(tips, kappa):
-    """With shear and stretch of Reissner's beam; see the convergence study below."""
+    """With shear, stretch and the law of the fibres, only the mesh is left (0.03 %)."""
     np.testing.assert_allclose(
-        tips[f"kappa {kappa}"], shear_beam(kappa, SLENDERNESS), rtol=4e-3
+        tips[f"kappa {kappa}"], shear_beam(kappa, SLENDERNESS), rtol=1e-3
     )
 
 
@@ -104,11 +104,17 @@ def test_shear_beam_tends_to_the_elastica():
         np.testing.assert_allclose(shear_beam(kappa, 1e4), tip, rtol=1e-6, atol=1e-8)
 
 
+def test_shear_beam_of_the_reference():
+    """Reissner's beam at L/h = 20 and kappa = 5 with linear fibres: 0.496893."""
+    down = shear_beam(5.0, SLENDERNESS, kirchhoff=0.0).down
+    np.testing.assert_allclose(down, 0.496893, rtol=0, atol=5e-7)
+
+
 @pytest.mark.parametrize("alpha", ELASTICA_END_LOAD)
 def test_end_load_against_the_elastica(tips, alpha):
-    """Shear softens by 3 EI/kGA = 0.15 % at L/h = 20."""
+    """Softer by the shear, 3 EI/kGA L^2 = 0.15 %, and by the law's terms (h/L)^2."""
     np.testing.assert_allclose(
-        tips[f"alpha {alpha}"], ELASTICA_END_LOAD[alpha], rtol=8e-3
+        tips[f"alpha {alpha}"], ELASTICA_END_LOAD[alpha], rtol=6e-3
     )
 
 
@@ -121,9 +127,9 @@ def test_linear_limit(tips):
     """Timoshenko: w L^4/8EI + w L^2/2kGA, and P L^3/3EI + P L/kGA."""
     shear = EI / (5.0 / 6.0 * E / 2.0 * AREA)
     weight, load = TINY * (1 / 8 + shear / 2), TINY * (1 / 3 + shear)
-    # The clamp of the solid and the mesh: 0.1 %, see the convergence study below.
-    np.testing.assert_allclose(tips["tiny weight"].down, weight, rtol=2e-3)
-    np.testing.assert_allclose(tips["tiny load"].down, load, rtol=2e-3)
+    # What the mesh leaves, as above.
+    np.testing.assert_allclose(tips["tiny weight"].down, weight, rtol=1e-3)
+    np.testing.assert_allclose(tips["tiny load"].down, load, rtol=1e-3)
 
 
 def test_derivatives_in_E_against_the_elastica(model, lanes, tip_node):
@@ -141,6 +147,5 @@ def test_derivatives_in_E_against_the_elastica(model, lanes, tip_node):
 
     used = [NAMES.index(f"kappa {kappa}") for kappa in ELASTICA_SENSITIVITY]
     got = slopes(jnp.asarray(E), lane(lanes, np.array(used)))
-    print(got / np.array(list(ELASTICA_SENSITIVITY.values())))
-    # The solid's own shear and clamp: 0.3 % of the deflection, so below 1 % here.
-    np.testing.assert_allclose(got, list(ELASTICA_SENSITIVITY.values()), rtol=1e-2)
+    # The solid's own shear: 0.2 % of the deflection, and as much of its slope.
+    np.testing.assert_allclose(got, list(ELASTICA_SENSITIVITY.values()), rtol=4e-3)

@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from bodies import lane, solve
 from problems import COOK_MU, COOK_NU, COOK_RISE, cook_mesh, nearest_node
 
@@ -52,8 +51,11 @@ def rise(cells):
     return float(solution.displacement[0, node, 1])
 
 
-@pytest.mark.parametrize("cells", [4, 8, 16])
-def test_rise_of_the_edge(cells):
-    """The reference has four digits."""
-    print(cells, rise(cells))
-    np.testing.assert_allclose(rise(cells), COOK_RISE, rtol=2e-3)
+def test_rise_of_the_edge():
+    """Falls short by the mesh, half as much on the finer one; then the reference.
+
+    Measured 14.715 and 14.731 mm on 8 and 16 cells; the clamped corner is singular.
+    """
+    short = [COOK_RISE - rise(cells) for cells in (8, 16)]
+    assert 0.0 < short[1] < short[0] / 2.0
+    np.testing.assert_allclose(short[1], 0.0, atol=1e-3 * COOK_RISE)

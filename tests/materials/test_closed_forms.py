@@ -150,7 +150,9 @@ def test_energy_of_uniaxial_stretch():
     """Energies themselves, not only their slopes: work done by the bar, to rounding."""
     s = 1.3
     lateral = 1.0 - NU * (s - 1.0)
-    psi = LAWS["corotational"].energy_density(jnp.diag(jnp.array([s, lateral, lateral])))
+    psi = LAWS["corotational"].energy_density(
+        jnp.diag(jnp.array([s, lateral, lateral]))
+    )
     np.testing.assert_allclose(psi, E * (s - 1.0) ** 2 / 2.0, rtol=1e-13)
     lateral = np.sqrt(1.0 - NU * (s**2 - 1.0))
     F = jnp.diag(jnp.array([s, lateral, lateral]))

@@ -19,7 +19,6 @@ from laws import (
 from problems import central_difference
 from scipy.spatial.transform import Rotation
 
-
 each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 
 
@@ -58,9 +57,7 @@ def test_closed_forms_equal_automatic_differentiation(law):
         np.testing.assert_allclose(
             stress(law, F), derived_stress(law, F), rtol=0, atol=1e-13
         )
-        np.testing.assert_allclose(
-            tangent(law, F), hessian(law, F), rtol=0, atol=1e-12
-        )
+        np.testing.assert_allclose(tangent(law, F), hessian(law, F), rtol=0, atol=1e-12)
 
 
 @each_law
@@ -68,9 +65,7 @@ def test_objectivity(law):
     """psi(Q F) = psi(F) and P(Q F) = Q P(F) for a rotation Q of the observer."""
     for seed, F in enumerate(GRADIENTS):
         Q = jnp.asarray(Rotation.random(rng=seed).as_matrix())
-        np.testing.assert_allclose(
-            energy(law, Q @ F), energy(law, F), rtol=1e-12
-        )
+        np.testing.assert_allclose(energy(law, Q @ F), energy(law, F), rtol=1e-12)
         np.testing.assert_allclose(
             stress(law, Q @ F), Q @ stress(law, F), rtol=0, atol=1e-13
         )
@@ -81,9 +76,7 @@ def test_isotropy(law):
     """psi(F Q) = psi(F) for a rotation Q of the rest shape."""
     Q = jnp.asarray(Rotation.random(rng=1).as_matrix())
     for F in GRADIENTS:
-        np.testing.assert_allclose(
-            energy(law, F @ Q), energy(law, F), rtol=1e-12
-        )
+        np.testing.assert_allclose(energy(law, F @ Q), energy(law, F), rtol=1e-12)
 
 
 @each_law

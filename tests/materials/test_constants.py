@@ -36,7 +36,9 @@ def test_bad_poisson_ratio(law, nu):
 
 @each_class
 def test_incompressible_rubber_gets_a_hint(law):
-    with pytest.raises(ValueError, match=r"got 0.5\. For an incompressible rubber .*499"):
+    with pytest.raises(
+        ValueError, match=r"got 0.5\. For an incompressible rubber .*499"
+    ):
         law(1e5, np.array([0.3, 0.5]))
 
 

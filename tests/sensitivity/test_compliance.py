@@ -32,7 +32,7 @@ SPACE = ParameterSpace(
 
 @pytest.fixture(scope="module")
 def body():
-    """A soft beam that sags by a third of its length, two markers, one of them off it."""
+    """A soft beam that sags by a third of its length, and a marker on a post."""
     mesh = beam(0.1, 0.02, 0.02, (5, 2, 2))
     model = build_model(mesh, NeoHookean(1e5, 0.3), density=1000.0)
     markers = Markers(("tip", "post"), [[0.1, 0.01, 0.01], [0.1, 0.01, 0.025]])
@@ -66,7 +66,9 @@ def compliances(z, model, lanes, u):
     changed = SPACE.apply(model, z)
 
     def lane(c, u):
-        one = lambda method: parameter_compliance(changed, c, u, SPACE, z, method=method)
+        one = lambda method: parameter_compliance(
+            changed, c, u, SPACE, z, method=method
+        )
         return one("direct").W_ep, one("adjoint").W_ep
 
     return jax.vmap(lane)(lanes, u)

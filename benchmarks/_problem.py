@@ -1,0 +1,131 @@
+"""What a benchmark is given, what it returns, and how it is found."""
+
+import ast
+import difflib
+import importlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Literal, NamedTuple
+
+Figure = float | int | str
+"""A number, or a word."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a problem is run.
+
+    Attributes:
+        output: Folder for pictures and other files of the problem.
+        say: Tells the user what is being done.
+    """
+
+    output: Path
+    say: Callable[[str], None] = print
+
+    def folder(self) -> Path:
+        """The output folder, made when the first problem writes into it."""
+        self.output.mkdir(parents=True, exist_ok=True)
+        return self.output
+
+
+class Goal(NamedTuple):
+    """What a figure is meant to be."""
+
+    sense: Literal["at least", "at most"]
+    bound: float
+
+    def met(self, value: Figure) -> bool:
+        """Whether a figure reaches the goal; a word never does."""
+        if isinstance(value, str):
+            return False
+        return value >= self.bound if self.sense == "at least" else value <= self.bound
+
+    def __str__(self) -> str:
+        return f"{self.sense} {self.bound:g}"
+
+
+class Table(NamedTuple):
+    """A table for a person to read; the cells are formatted already."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a problem found.
+
+    Attributes:
+        figures: The results, flat: name to a finite number or a word.
+        samples: The raw repeats behind them, name to values.
+        goals: What some of the figures are meant to be.
+        tables: The results again, for a person to read.
+    """
+
+    figures: Mapping[str, Figure]
+    samples: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    goals: Mapping[str, Goal] = field(default_factory=dict)
+    tables: Sequence[Table] = ()
+
+    def __post_init__(self):
+        for name, value in self.figures.items():
+            if isinstance(value, str):
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise TypeError(
+                    f"figure {name!r} must be a number or a word, got {value!r}."
+                )
+            if not math.isfinite(value):
+                raise ValueError(
+                    f"figure {name!r} is {value}; JSON has no such number. Leave it "
+                    "out, or use a word."
+                )
+        for name in self.goals:
+            if name not in self.figures:
+                raise ValueError(f"goal {name!r} belongs to no figure.")
+
+
+class UnknownProblem(ValueError):
+    """No problem has the name; the text suggests the near one."""
+
+
+def discover(package: ModuleType) -> dict[str, str]:
+    """Names of all problems and what they measure; nothing is imported.
+
+    Args:
+        package: The package that holds the problems as public modules.
+
+    Returns:
+        Name to first line of the docstring, sorted by name.
+    """
+    found = {}
+    for folder in package.__path__:
+        for path in Path(folder).glob("[!_]*.py"):
+            text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            found[path.stem] = text.partition("\n")[0]
+    return dict(sorted(found.items()))
+
+
+def load(package: ModuleType, name: str) -> Callable[[Options], Outcome]:
+    """The `run` function of a problem.
+
+    Args:
+        package: The package that holds the problems.
+        name: Name of one of them.
+
+    Raises:
+        UnknownProblem: If there is none of that name.
+    """
+    known = discover(package)
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise UnknownProblem(
+            f"unknown benchmark {name!r}.{hint} Known: {', '.join(known)}."
+        )
+    return importlib.import_module(f"{package.__name__}.{name}").run

@@ -1,0 +1,151 @@
+"""The JSON record of a run: figures, samples, and what they were measured on."""
+
+import json
+import os
+import platform
+import re
+import subprocess
+import tempfile
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from benchmarks._problem import Outcome
+
+_PACKAGES = (
+    "jax",
+    "jaxlib",
+    "equinox",
+    "jaxopt",
+    "optimistix",
+    "numpy",
+    "scipy",
+    "pardiso-mkl-jax",
+    "sparsax",
+    "klujax",
+    "mkl",
+    "felupe",
+    "pypardiso",
+)
+
+
+def record(name: str, outcome: Outcome, load_before: float | None) -> dict[str, Any]:
+    """The content of the JSON file.
+
+    Args:
+        name: Name of the problem.
+        outcome: What it found.
+        load_before: Load of the machine before the run, `load_average()`.
+
+    Returns:
+        `name`, `hardware`, `versions`, `figures`, `goals` and `samples`.
+    """
+    return {
+        "name": name,
+        "hardware": {**hardware(), "load_before": load_before},
+        "versions": versions(),
+        "figures": dict(outcome.figures),
+        "goals": {
+            figure: {"goal": str(goal), "met": goal.met(outcome.figures[figure])}
+            for figure, goal in outcome.goals.items()
+        },
+        "samples": {key: list(values) for key, values in outcome.samples.items()},
+    }
+
+
+def hardware() -> dict[str, Any]:
+    """The machine: processor, cores, memory [GB], operating system."""
+    return {
+        "cpu": _cpu(),
+        "cores": _usable_cores(),
+        "memory_gb": _memory_gb(),
+        "os": platform.platform(),
+    }
+
+
+def load_average() -> float | None:
+    """Processes that wanted a core during the last minute; None if it is not known.
+
+    Timings taken while others compute are worth little, and the record should tell.
+    """
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, this package and its commit, and all that computes."""
+    return {
+        "python": platform.python_version(),
+        "softcal_jax": _version("softcal-jax"),
+        "commit": _commit(),
+        **{package: _version(package) for package in _PACKAGES},
+    }
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a file whole or not at all.
+
+    Args:
+        path: The file; replaced if it exists.
+        content: What goes in; NaN and infinity are refused.
+
+    Raises:
+        ValueError: If a number is not finite.
+    """
+    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    handle, partial = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        # mkstemp keeps the file to its owner; a result is for everyone.
+        os.chmod(partial, 0o644)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(partial, path)
+    except BaseException:
+        Path(partial).unlink(missing_ok=True)
+        raise
+
+
+def _cpu() -> str:
+    info = Path("/proc/cpuinfo")  # Linux; elsewhere `platform` knows
+    if info.exists():
+        found = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
+        if found:
+            return found.group(1).strip()
+    return platform.processor() or platform.machine()
+
+
+def _usable_cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _memory_gb() -> float | None:
+    try:
+        size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return None  # Windows has no sysconf
+    return round(size / 1e9, 1)
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _commit() -> str:
+    def git(*words: str) -> str:
+        done = subprocess.run(
+            ["git", "-C", str(Path(__file__).parent), *words],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout.strip()
+
+    try:
+        changed = git("status", "--porcelain", "--untracked-files=no")
+        return git("rev-parse", "--short", "HEAD") + ("-changed" if changed else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"  # run from outside a checkout

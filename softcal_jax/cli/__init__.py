@@ -1,0 +1,8 @@
+"""The command line: `softcal demo`, `softcal calibrate`, `softcal simulate`.
+
+Exit codes: 0 all is well, 1 not converged or no equilibrium, 2 bad input, 130 Ctrl-C.
+"""
+
+from softcal_jax.cli._main import main
+
+__all__ = ["main"]

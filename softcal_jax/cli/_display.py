@@ -1,0 +1,102 @@
+"""What a command shows while it works."""
+
+import os
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console, RenderableType
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+
+class Display:
+    """Lines for what is done; on a terminal, a spinner for what is under way.
+
+    Attributes:
+        laps: Wall time of the parts so far [s].
+    """
+
+    def __init__(self, begin: float):
+        self.console = Console(file=sys.stdout)
+        self.begin = self.last = begin
+        self.laps: dict[str, float] = {}
+        self.progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            TimeElapsedColumn(),
+            console=self.console,
+            transient=True,
+            disable=not self.console.is_terminal,
+        )
+
+    def __enter__(self) -> "Display":
+        self.progress.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.progress.stop()
+
+    def now(self, what: str, *, log: bool = True) -> None:
+        """Says what begins; in a log only where that is worth a line."""
+        if self.progress.disable:
+            if log:
+                self.line(f"{what} ...")
+            return
+        for task in self.progress.task_ids:
+            self.progress.remove_task(task)
+        self.progress.add_task(what, total=None)
+
+    def line(self, text: RenderableType = "") -> None:
+        """Prints something that stays."""
+        if isinstance(text, str):
+            self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        else:
+            self.console.print(text)
+
+    def lap(self, name: str) -> None:
+        """Ends a part of the run, and keeps its wall time."""
+        now = time.time()
+        self.laps[name] = now - self.last
+        self.last = now
+
+    def total(self) -> float:
+        """Wall time since the process began [s]."""
+        return time.time() - self.begin
+
+
+@contextmanager
+def warnings_as_lines(show: Display) -> Iterator[None]:
+    """Shows the package's own warnings as lines, without file and line of code."""
+    from softcal_jax.calibration import CalibrationWarning
+    from softcal_jax.mesh import MeshWarning
+    from softcal_jax.report import PictureWarning
+
+    own = (CalibrationWarning, MeshWarning, PictureWarning)
+    with warnings.catch_warnings():
+        plain = warnings.showwarning
+
+        def line(message, category, *where, **more):
+            if issubclass(category, own):
+                show.line(f"warning: {message}")
+            else:
+                plain(message, category, *where, **more)
+
+        warnings.showwarning = line
+        for category in own:
+            warnings.simplefilter("always", category)
+        yield
+
+
+def process_start() -> float:
+    """When this process began [s since 1970]; where that is unknown, now."""
+    try:
+        ticks = float(
+            Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19]
+        )
+        up = float(Path("/proc/uptime").read_text().split()[0])
+        return time.time() - (up - ticks / os.sysconf("SC_CLK_TCK"))
+    except (OSError, ValueError, IndexError, AttributeError):
+        return time.time()  # no /proc on macOS and Windows

@@ -1,0 +1,13 @@
+"""Pictures of results, drawn without a screen."""
+
+from softcal_jax.plotting._configuration import render_body, render_configuration
+from softcal_jax.plotting._convergence import plot_convergence
+from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
+
+__all__ = [
+    "RenderingError",
+    "plot_convergence",
+    "render_body",
+    "render_configuration",
+    "rendering_problem",
+]

@@ -1,0 +1,195 @@
+"""Markers, title, scales and legend around the picture of a body."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.plotting._colours import (
+    BAD,
+    DISPLACEMENT_MAP,
+    FAINT,
+    MEASURED,
+    OUTLINE,
+    SIMULATED,
+    TEXT,
+)
+from softcal_jax.plotting._view import View
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+WARNING_HEIGHT = 60
+"""Pixels of the band of a warning, above the title."""
+
+_MOST_NAMES = 16
+"""More markers than this are not named: the names would cover each other."""
+
+_RING = {"marker": "o", "ms": 13, "mew": 2.6, "mec": MEASURED, "mfc": "none"}
+_CROSS = {"marker": "+", "ms": 13, "mew": 2.6, "mec": SIMULATED}
+
+
+def _halo(width: float):
+    from matplotlib import patheffects
+
+    return [patheffects.withStroke(linewidth=width, foreground="white")]
+
+
+def draw_markers(
+    axes: "matplotlib.axes.Axes",
+    measured: Float[HostArray, "n_markers 2"] | None,
+    simulated: Float[HostArray, "n_markers 2"] | None,
+    names: Sequence[str],
+) -> None:
+    """Rings where markers were measured, crosses where they are simulated."""
+    if measured is not None and simulated is not None:
+        for pair in zip(measured, simulated, strict=True):
+            axes.plot(*np.transpose(pair), color=MEASURED, lw=2.5)
+    for points, style in ((measured, _RING), (simulated, _CROSS)):
+        if points is not None:
+            axes.plot(*points.T, ls="none", path_effects=_halo(5.0), **style)
+    places = simulated if measured is None else measured
+    if places is None or len(names) > _MOST_NAMES:
+        return
+    for name, place in zip(names, places, strict=False):
+        if np.isfinite(place).all():
+            axes.annotate(
+                name,
+                place,
+                xytext=(13, 10),
+                textcoords="offset points",
+                fontsize=15,
+                color=TEXT,
+                path_effects=_halo(4.0),
+                parse_math=False,
+            )
+
+
+def draw_title(
+    axes: "matplotlib.axes.Axes", title: str, subtitle: str, warning: str
+) -> None:
+    """Title and a line below it, in axes of their own; a warning is a band above."""
+    width, height = axes.get_window_extent().size
+    axes.set(xlim=(0, width), ylim=(height, 0))
+    axes.set_axis_off()
+    top = 0
+    if warning:
+        axes.axhspan(0, WARNING_HEIGHT, color=BAD, lw=0)
+        _line(axes, 0.5 * WARNING_HEIGHT, warning, 20, weight="bold", color="white")
+        top = WARNING_HEIGHT
+    _line(axes, top + 40, title, 23, weight="bold", color=TEXT)
+    _line(axes, top + 90, subtitle, 18, color=TEXT)
+
+
+def _line(axes: "matplotlib.axes.Axes", y: float, text: str, size: float, **style):
+    """One line of text, as large as given or as fits the width."""
+    left, room = 24, axes.get_xlim()[1] - 48
+    drawn = axes.text(
+        left, y, text, fontsize=size, va="center", parse_math=False, **style
+    )
+    # Hinting rounds the width of every letter, so that it does not scale with the size.
+    while size > 1.0 and drawn.get_window_extent().width > room:
+        size *= 0.95
+        drawn.set_fontsize(size)
+
+
+def draw_colour_scale(axes: "matplotlib.axes.Axes", largest_mm: float) -> None:
+    """What the colours of the body mean."""
+    import matplotlib
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colorbar import Colorbar
+    from matplotlib.colors import Normalize
+
+    colours = ScalarMappable(
+        Normalize(0.0, largest_mm or 1.0), matplotlib.colormaps[DISPLACEMENT_MAP]
+    )
+    bar = Colorbar(axes, colours)
+    bar.set_label("displacement [mm]", fontsize=17, color=TEXT)
+    bar.ax.tick_params(labelsize=15)
+    bar.ax.set_title(f"max {largest_mm:.3g}", fontsize=15, color=TEXT, pad=10)
+
+
+def draw_triad(axes: "matplotlib.axes.Axes", view: View) -> None:
+    """Directions of the axes x, y, z."""
+    tips = np.stack([view.right, view.up], axis=1)
+    low, high = np.minimum(tips.min(axis=0), 0.0), np.maximum(tips.max(axis=0), 0.0)
+    half, middle = 0.5 * np.max(high - low) + 0.45, 0.5 * (low + high)
+    axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
+    axes.set_axis_off()
+    for i in np.argsort(view.towards):  # what points away is drawn first
+        tip = tips[i]
+        colour = ("#c0392b", "#1e8449", "#1f4fa0")[i]
+        axes.annotate(
+            "",
+            (float(tip[0]), float(tip[1])),
+            (0.0, 0.0),
+            arrowprops={
+                "arrowstyle": "-|>",
+                "color": colour,
+                "lw": 2.5,
+                "shrinkA": 0,
+                "shrinkB": 0,
+                "mutation_scale": 14,
+            },
+        )
+        length = np.linalg.norm(tip)
+        away = tip / length * (length + 0.28) if length > 0.1 else np.full(2, 0.2)
+        axes.text(
+            float(away[0]),
+            float(away[1]),
+            "xyz"[i],
+            fontsize=15,
+            color=colour,
+            weight="bold",
+            ha="center",
+            va="center",
+        )
+
+
+def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
+    """A bar of a round length; `width` is that of the axes [m]."""
+    axes.set(xlim=(0, width), ylim=(0, 1))
+    axes.set_axis_off()
+    power = 10.0 ** np.floor(np.log10(0.6 * width))
+    length = max(s * power for s in (1, 2, 5) if s * power <= 0.6 * width)
+    right = 0.97 * width
+    axes.plot([right - length, right], [0.25, 0.25], color=TEXT, lw=3)
+    for x in (right - length, right):
+        axes.plot([x, x], [0.12, 0.38], color=TEXT, lw=3)
+    axes.text(
+        right - 0.5 * length,
+        0.5,
+        f"{1e3 * length:g} mm",
+        fontsize=15,
+        color=TEXT,
+        ha="center",
+    )
+
+
+def draw_legend(
+    figure: "matplotlib.figure.Figure", groups: Sequence[str], height: float
+) -> None:
+    """What the symbols mean; `groups` says which kinds of markers are drawn."""
+    from matplotlib.lines import Line2D
+
+    none = {"ls": "none", "path_effects": _halo(5.0)}
+    handles = []
+    if "measured" in groups:
+        handles.append(Line2D([], [], label="measured", **_RING, **none))
+    if "simulated" in groups:
+        handles.append(Line2D([], [], label="simulated", **_CROSS, **none))
+    if len(handles) == 2:
+        handles.append(Line2D([], [], color=MEASURED, lw=2.5, label="distance"))
+    handles.append(Line2D([], [], color=OUTLINE, lw=2.5, label="at rest"))
+    figure.legend(
+        handles=handles,
+        loc="center left",
+        bbox_to_anchor=(0.13, height),
+        ncols=len(handles),
+        fontsize=16,
+        frameon=False,
+        labelcolor=FAINT if not groups else TEXT,
+        columnspacing=1.8,
+    )

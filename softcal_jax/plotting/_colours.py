@@ -1,0 +1,14 @@
+"""Colours of all pictures; markers differ in shape too, for those who see no red."""
+
+MEASURED = "#e3001b"
+SIMULATED = "#000000"
+OUTLINE = "#8a8a8a"
+TEXT = "#1a1a1a"
+FAINT = "#6b6b6b"
+GOOD = "#1b7837"
+BAD = "#c00000"
+SERIES = ("#0b5fa5", "#d95f02", "#1b9e77", "#7570b3", "#a6761d", "#e7298a", "#444444")
+"""Lines of a diagram, in this order."""
+
+DISPLACEMENT_MAP = "viridis"
+"""Perceptually uniform, and neither black nor red, which are the markers'."""

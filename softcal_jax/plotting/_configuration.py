@@ -1,0 +1,153 @@
+"""One configuration as a picture: body, markers, and what they say.
+
+VTK draws the body; text, markers and scales are drawn over it by Matplotlib, in places
+of their own, so that markers inside or behind the body are seen and nothing overlaps.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import ConfigurationFit
+from softcal_jax.equilibrium import Model
+from softcal_jax.export import marker_motion
+from softcal_jax.plotting import _annotations as annotations
+from softcal_jax.plotting._scene import body_image
+from softcal_jax.plotting._view import choose_view
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+
+_DPI = 100
+_WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130
+"""Pixels: whole width, colour scale, title, legend."""
+_LOWEST, _HIGHEST = 420, 900
+"""Pixels: height of the body's part of the picture."""
+_MARGIN = 60
+"""Pixels around the body, room for marker symbols and their names."""
+
+
+def render_configuration(
+    model: Model,
+    fit: ConfigurationFit,
+    path: str | Path,
+    *,
+    converged: bool,
+) -> None:
+    """Draw a calibrated configuration with its measured and simulated markers.
+
+    Args:
+        model: The body.
+        fit: The configuration.
+        path: PNG file.
+        converged: Whether the calibration converged; if not, the picture says so.
+
+    Raises:
+        RenderingError: If the machine has no OpenGL that works without a screen.
+    """
+    motion = marker_motion(fit)
+    percent = (
+        f" ({100 * fit.rms_after / motion:.1f} % of their motion)" if motion else ""
+    )
+    role = "fitted" if fit.role == "calibration" else "predicted, not fitted"
+    render_body(
+        model,
+        fit.displacement,
+        path,
+        title=f"{fit.name} - {fit.role} ({role})",
+        subtitle=(
+            f"rms distance of the markers: {1e3 * fit.rms_before:.2f} mm before, "
+            f"{1e3 * fit.rms_after:.2f} mm after{percent}"
+        ),
+        measured=fit.measured,
+        simulated=fit.after,
+        marker_names=fit.marker_names,
+        warning="" if converged else "NOT CONVERGED: do not use these values",
+    )
+
+
+def render_body(
+    model: Model,
+    displacement: Float[HostArray, "n_nodes 3"],
+    path: str | Path,
+    *,
+    title: str,
+    subtitle: str = "",
+    measured: Float[HostArray, "n_markers 3"] | None = None,
+    simulated: Float[HostArray, "n_markers 3"] | None = None,
+    marker_names: Sequence[str] = (),
+    warning: str = "",
+) -> None:
+    """Draw a deformed body, coloured by displacement, over its outline at rest.
+
+    Args:
+        model: The body.
+        displacement: Nodal displacement [m].
+        path: PNG file.
+        title: First line.
+        subtitle: Second line.
+        measured: Measured marker positions; rows with a NaN are left out [m].
+        simulated: Simulated marker positions [m].
+        marker_names: Names beside the markers.
+        warning: Printed large and red.
+
+    Raises:
+        RenderingError: If the machine has no OpenGL that works without a screen.
+    """
+    from matplotlib.figure import Figure
+
+    u = np.asarray(displacement, float)
+    groups = {"measured": _finite(measured), "simulated": _finite(simulated)}
+    view = choose_view(model.mesh.points, u, np.concatenate([*groups.values()]))
+    width = _WIDTH - _SIDE
+    scale, height = _fit_body(view.width, view.height, width)
+    largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
+    pixels = body_image(model, u, view, width, height, scale, largest)
+
+    top = _TOP + (annotations.WARNING_HEIGHT if warning else 0)
+    total = height + top + _BOTTOM
+    figure = Figure(figsize=(_WIDTH / _DPI, total / _DPI), dpi=_DPI, facecolor="white")
+
+    def axes(left, bottom, width, height) -> "matplotlib.axes.Axes":
+        """Axes by their place in pixels, from the lower left corner."""
+        return figure.add_axes(
+            (left / _WIDTH, bottom / total, width / _WIDTH, height / total)
+        )
+
+    body = axes(0, _BOTTOM, width, height)
+    w, h = 0.5 * width / scale, 0.5 * height / scale
+    body.imshow(pixels, extent=(-w, w, -h, h), interpolation="none")
+    body.set(xlim=(-w, w), ylim=(-h, h))
+    body.set_axis_off()
+    annotations.draw_markers(
+        body,
+        None if measured is None else view.project(measured),
+        None if simulated is None else view.project(simulated),
+        marker_names,
+    )
+    heading = axes(0, total - top, _WIDTH, top)
+    annotations.draw_title(heading, title, subtitle, warning)
+    bar = axes(_WIDTH - _SIDE + 20, _BOTTOM + 0.06 * height, 28, 0.88 * height)
+    annotations.draw_colour_scale(bar, largest)
+    annotations.draw_triad(axes(20, 5, _BOTTOM - 10, _BOTTOM - 10), view)
+    annotations.draw_length_scale(axes(_WIDTH - 420, 20, 400, 70), 400 / scale)
+    names = [name for name, points in groups.items() if len(points)]
+    annotations.draw_legend(figure, names, 62 / total)
+    figure.savefig(path, dpi=_DPI, format="png")
+
+
+def _fit_body(w: float, h: float, width: int) -> tuple[float, int]:
+    """Pixels per metre, and height in pixels, of a picture that the body fills."""
+    room = width - 2 * _MARGIN
+    scale = room / w
+    height = int(np.clip(h * scale + 2 * _MARGIN, _LOWEST, _HIGHEST))
+    return min(scale, (height - 2 * _MARGIN) / h), height
+
+
+def _finite(points: Float[HostArray, "n_markers 3"] | None):
+    if points is None:
+        return np.zeros((0, 3))
+    return points[np.isfinite(points).all(axis=1)]

@@ -1,0 +1,80 @@
+"""The boundary of a body as flat triangles, fine enough to look curved."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.elements import shape_functions
+from softcal_jax.mesh import TetMesh, boundary_faces
+
+_PARTS = 4
+"""Parts of every edge of a quadratic face."""
+
+
+class Tessellation(NamedTuple):
+    """Triangles on the boundary, and how nodal values reach their corners.
+
+    Attributes:
+        nodes: Nodes of the face that carries each point.
+        weights: Their shape functions [-].
+        triangles: Points of each triangle, normals outwards.
+    """
+
+    nodes: Int[HostArray, "n_points n_fn"]
+    weights: Float[HostArray, "n_points n_fn"]
+    triangles: Int[HostArray, "n_triangles 3"]
+
+    def interpolate(
+        self, values: Float[HostArray, "n_nodes 3"]
+    ) -> Float[HostArray, "n_points 3"]:
+        """Nodal vectors at the points."""
+        return np.einsum("pn,pni->pi", self.weights, values[self.nodes])
+
+
+def tessellate(mesh: TetMesh) -> Tessellation:
+    """Cut the boundary faces into triangles that share their points.
+
+    Args:
+        mesh: The mesh; its quadratic faces are cut, its linear ones are flat already.
+
+    Returns:
+        The triangles.
+    """
+    faces = boundary_faces(mesh)
+    parts = _PARTS if mesh.order == 2 else 1
+    grid = np.array(
+        [(parts - i - j, i, j) for j in range(parts + 1) for i in range(parts + 1 - j)]
+    )
+    weights = shape_functions(grid / parts, faces.shape[1])
+    # Two faces share a point if it has the same weights at the same corners: exact,
+    # where a comparison of coordinates would need a tolerance.
+    corner = np.where(grid > 0, faces[:, None, :3], -1)
+    weight = np.broadcast_to(grid, corner.shape)
+    order = np.argsort(corner, axis=-1)
+    key = np.concatenate(
+        [np.take_along_axis(a, order, axis=-1) for a in (corner, weight)], axis=-1
+    )
+    _, first, point = np.unique(
+        key.reshape(-1, 6), axis=0, return_index=True, return_inverse=True
+    )
+    face, local = np.divmod(first, len(grid))
+    points = point.reshape(len(faces), len(grid))
+    return Tessellation(
+        faces[face], weights[local], points[:, _triangles(grid)].reshape(-1, 3)
+    )
+
+
+def _triangles(grid: Int[HostArray, "n_grid 3"]) -> Int[HostArray, "n_local 3"]:
+    """Triangles between the grid points of one face."""
+    number = {(int(i), int(j)): k for k, (_, i, j) in enumerate(grid)}
+    found = []
+    for i, j in number:
+        upright = ((i, j), (i + 1, j), (i, j + 1))
+        turned = ((i + 1, j), (i + 1, j + 1), (i, j + 1))
+        found += [
+            [number[c] for c in corners]
+            for corners in (upright, turned)
+            if all(c in number for c in corners)
+        ]
+    return np.array(found)

@@ -1,0 +1,86 @@
+"""Where to look at a body from, by its shape and its motion."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+
+_AZIMUTH, _ELEVATION = np.radians(20.0), np.radians(18.0)
+
+
+class View(NamedTuple):
+    """A parallel projection.
+
+    Attributes:
+        right: Unit vector that points right in the picture.
+        up: Unit vector that points up in the picture.
+        towards: Unit vector from the body to the viewer.
+        centre: Point in the middle of the picture [m].
+        width: Width of what must be seen [m].
+        height: Height of what must be seen [m].
+    """
+
+    right: Float[HostArray, "3"]
+    up: Float[HostArray, "3"]
+    towards: Float[HostArray, "3"]
+    centre: Float[HostArray, "3"]
+    width: float
+    height: float
+
+    def project(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 2"]:
+        """Picture coordinates of points, from the centre [m]."""
+        return (points - self.centre) @ np.stack([self.right, self.up], axis=1)
+
+
+def choose_view(
+    points: Float[HostArray, "n_nodes 3"],
+    displacement: Float[HostArray, "n_nodes 3"],
+    more: Float[HostArray, "n 3"],
+) -> View:
+    """Look across the plane of the longest axis and the motion, slightly from above.
+
+    Args:
+        points: Nodes at rest [m].
+        displacement: Their displacement [m].
+        more: Other points that must be seen, like markers [m].
+
+    Returns:
+        The view; what moves most is on the right, nearer to the viewer.
+    """
+    centred = points - points.mean(axis=0)
+    _, _, axes = np.linalg.svd(centred, full_matrices=False)
+    axis, across = axes[0], axes[1]
+    motion = _main_direction(displacement, 1e-9 * np.ptp(points, axis=0).max())
+    motion = motion - (motion @ axis) * axis
+    if np.linalg.norm(motion) < 0.3:  # no motion, or along the axis
+        motion = across if abs(axis[2]) > 0.9 else np.eye(3)[2] - axis[2] * axis
+    normal = _unit(np.cross(axis, motion))
+    vertical = np.eye(3)[2 if abs(normal[2]) < 0.9 else 1]
+    right = _unit(np.cross(vertical, normal))
+    weight = np.linalg.norm(displacement, axis=1)
+    side = weight @ (centred @ right)
+    if side <= 1e-6 * weight.sum() * np.ptp(centred @ right):
+        side = right[np.argmax(np.abs(right))]  # nothing decides: axes point right
+    if side < 0:
+        normal, right = -normal, -right
+    # Turned a little, so that the far end and the top are seen too.
+    towards = _unit(normal + np.tan(_AZIMUTH) * right + np.tan(_ELEVATION) * vertical)
+    right = _unit(np.cross(vertical, towards))
+    up = np.cross(towards, right)
+    seen = np.concatenate([points, points + displacement, more])
+    flat = seen @ np.stack([right, up, towards], axis=1)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    middle = np.stack([right, up, towards], axis=1) @ (0.5 * (low + high))
+    width, height, _ = high - low
+    return View(right, up, towards, middle, float(width), float(height))
+
+
+def _main_direction(u: Float[HostArray, "n 3"], negligible: float):
+    if np.abs(u).max() <= negligible:
+        return np.zeros(3)
+    return np.linalg.svd(u, full_matrices=False)[2][0]
+
+
+def _unit(v: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
+    return v / np.linalg.norm(v)

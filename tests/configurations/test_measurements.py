@@ -1,0 +1,187 @@
+"""Marker files: what is read, and what is refused with which words."""
+
+import re
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from softcal_jax.configurations import read_markers
+
+TABLE = """\
+# Two states of one run.
+phase,marker,x_mm,y_mm,z_mm
+
+rest,tip,0,1.5,-2e1
+rest,base,10,11,12
+# lost: the tip under load
+pulled,tip,,1,2
+pulled,base,11,11,12
+"""
+
+
+@pytest.fixture
+def table(tmp_path):
+    path = tmp_path / "markers.csv"
+
+    def write(text):
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@contextmanager
+def refused(*texts):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        yield
+    for text in texts:
+        assert text in str(caught.value)
+
+
+def test_selected_rows_in_metres(table):
+    markers = read_markers(table(TABLE), select={"phase": "rest"})
+    assert markers.names == ("tip", "base")
+    assert markers.lines == (4, 5)
+    expected = [[0.0, 0.0015, -0.02], [0.010, 0.011, 0.012]]
+    np.testing.assert_allclose(markers.positions, expected, rtol=1e-15)
+
+
+def test_positions_come_in_the_order_of_the_names(table):
+    markers = read_markers(table(TABLE), select={"phase": "rest"})
+    np.testing.assert_array_equal(
+        markers.positions_of(["base", "tip"]), markers.positions[::-1]
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"), [("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("inch", 0.0254)]
+)
+def test_unit_from_outside_or_from_the_columns(table, unit, metres):
+    bare = table("marker,x,y,z\na,1,2,3\n")
+    np.testing.assert_allclose(
+        read_markers(bare, length_unit=unit).positions,
+        [[metres, 2 * metres, 3 * metres]],
+    )
+    named = table(f"marker,x_{unit},y_{unit},z_{unit}\na,1,2,3\n")
+    np.testing.assert_allclose(
+        read_markers(named, length_unit=unit).positions,
+        read_markers(named).positions,
+    )
+    np.testing.assert_allclose(read_markers(named).positions[0, 2], 3 * metres)
+
+
+def test_a_byte_order_mark_and_spaces_are_forgiven(table):
+    path = table("\ufeffmarker, x_mm, y_mm, z_mm\r\n a, 1, 2, 3\r\n")
+    assert read_markers(path).names == ("a",)
+
+
+def test_a_lost_marker_is_refused_only_where_it_is_asked_for(table):
+    markers = read_markers(table(TABLE), select={"phase": "pulled"})
+    np.testing.assert_allclose(markers.positions_of(["base"]), [[0.011, 0.011, 0.012]])
+    with refused("(phase = pulled), line 7: the position of marker 'tip' is missing"):
+        markers.positions_of(["base", "tip"])
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", ""])
+def test_what_is_not_finite(table, cell):
+    markers = read_markers(table(f"marker,x_mm,y_mm,z_mm\na,1,{cell},3\n"))
+    with refused("line 2: the position of marker 'a' is missing or not finite."):
+        markers.positions_of(["a"])
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(
+        FileNotFoundError, match=r"marker file .*no\.csv does not exist"
+    ):
+        read_markers(tmp_path / "no.csv")
+
+
+def test_directory(tmp_path):
+    with refused("is a directory"):
+        read_markers(tmp_path)
+
+
+def test_not_a_text(tmp_path):
+    path = tmp_path / "markers.csv"
+    path.write_bytes(b"marker,x\n\xff\xfe\x00")
+    with refused(f"marker file {path} cannot be read: 'utf-8' codec"):
+        read_markers(path)
+
+
+@pytest.mark.parametrize("text", ["", "# a comment\n", "marker,x_mm,y_mm,z_mm\n"])
+def test_no_rows(table, text):
+    with refused("holds no rows below a header"):
+        read_markers(table(text))
+
+
+@pytest.mark.parametrize(
+    ("header", "texts"),
+    [
+        (
+            "markr,x_mm,y_mm,z_mm",
+            [
+                "column 'marker' is missing. Did you mean 'markr'?",
+                "Columns there: markr",
+            ],
+        ),
+        ("marker,x_mm,z_mm,n", ["column 'y_mm' is missing."]),
+        ("marker,x_mm,y_cm,z_mm", ["column 'y_mm' is missing. Did you mean"]),
+        ("marker,a,b,c", ["column 'x' is missing."]),
+        ("marker;x_mm;y_mm;z_mm", ["Separate the columns by commas."]),
+        ("marker,x_mm,x_cm,z_mm", ["more than one unit (x_cm, x_mm); keep one"]),
+        ("marker,x,y,z", ["carry no unit; name them like x_mm, or give length_unit"]),
+        ("marker,x_mm,x_mm,z_mm", ["its header has the column 'x_mm' twice"]),
+    ],
+)
+def test_bad_header(table, header, texts):
+    row = ",".join("1" for _ in header.split(","))
+    with refused(*texts):
+        read_markers(table(f"{header}\n{row}\n"))
+
+
+def test_units_that_contradict(table):
+    with refused("its columns are in 'mm' (x_mm), but length_unit is 'm'"):
+        read_markers(table(TABLE), length_unit="m", select={"phase": "rest"})
+
+
+def test_unknown_unit(table):
+    with refused("unknown length unit 'milimm'. Did you mean 'mm'? Known: m, cm"):
+        read_markers(table(TABLE), length_unit="milimm")
+
+
+def test_selection_that_matches_nothing(table):
+    with refused(
+        "no row has phase = 'puled'. Did you mean 'pulled'?", "there: rest, pulled."
+    ):
+        read_markers(table(TABLE), select={"phase": "puled"})
+    with refused("column 'phas' is missing. Did you mean 'phase'?"):
+        read_markers(table(TABLE), select={"phas": "rest"})
+    path = table("run,marker,x,y,z\n1,a,0,0,0\n2,b,0,0,0\n")
+    with refused("no row has run = 1, marker = b together"):
+        read_markers(path, length_unit="m", select={"run": "1", "marker": "b"})
+
+
+def test_not_a_number_names_the_line(table):
+    path = table(TABLE.replace("1.5", "1;5"))
+    with refused("line 4: y_mm of marker 'tip' is '1;5', not a number."):
+        read_markers(path, select={"phase": "rest"})
+
+
+def test_a_row_of_another_length(table):
+    with refused("line 5: 4 cells under a header of 5 columns"):
+        read_markers(table(TABLE.replace("10,11", "10")), select={"phase": "rest"})
+
+
+def test_a_marker_twice(table):
+    with refused(
+        "marker 'tip' is there twice, in lines 4 and 7; select the rows of one"
+    ):
+        read_markers(table(TABLE))
+
+
+def test_a_marker_that_is_not_there(table):
+    markers = read_markers(table(TABLE), select={"phase": "rest"})
+    with refused("has no marker 'tp'. Did you mean 'tip'? It has tip, base."):
+        markers.positions_of(["tp"])
+    assert re.search(r"markers\.csv \(phase = rest\)$", markers.source)

@@ -1,0 +1,182 @@
+"""A batch gives what its members give alone; failing lanes are named, not averaged."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import (
+    CLAMP,
+    DENSITY,
+    LENGTH,
+    SIDE,
+    force,
+    hanging,
+    lane,
+    small_lanes,
+    small_model,
+    solve,
+)
+from problems import nearest_node
+
+from softcal_jax.configurations import (
+    Configuration,
+    Support,
+    SurfaceForce,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import (
+    RESULTS,
+    NewtonSettings,
+    build_model,
+    check_converged,
+    external_force,
+    solve_equilibrium,
+)
+from softcal_jax.materials import Isotropic, StVenantKirchhoff
+from softcal_jax.mesh import beam
+
+PULL = SurfaceForce("x_max", (0.1, 0.2, -0.1))
+CONFIGURATIONS = [
+    hanging("down"),
+    hanging("held right", supports=(Support("x_max"),), loads=(PULL,)),
+    hanging("up, moved", 0.3, supports=(*CLAMP, Support("x_max", "z", (0, 0, 0.01)))),
+    Configuration("idle", CLAMP, gravity=(0.0, 0.0, 0.0)),
+]
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return small_lanes(*CONFIGURATIONS)
+
+
+@pytest.fixture(scope="module")
+def together(batch):
+    return solve(small_model(), batch)
+
+
+def assert_same(one, other):
+    np.testing.assert_array_equal(one.displacement, other.displacement)
+    assert bool(one.result == other.result)
+    for name in ("steps", "load_steps", "residual", "min_det_F", "n_negative"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("index", range(len(CONFIGURATIONS)))
+def test_a_member_alone_gives_bit_for_bit_the_same(batch, together, index):
+    alone = solve(small_model(), lane(batch, np.array([index])))
+    assert_same(lane(alone, 0), lane(together, index))
+
+
+def test_all_lanes_converged_and_say_how(together):
+    check_converged(together, tuple(c.name for c in CONFIGURATIONS))
+    assert bool(jnp.all(together.converged))
+    assert bool(jnp.all(together.residual <= NewtonSettings().rtol))
+    assert bool(jnp.all(together.min_det_F > 0.5))
+    assert bool(jnp.all(together.n_negative == 0))
+
+
+def test_a_body_without_load_stays_where_it_is(together):
+    np.testing.assert_array_equal(together.displacement[3], 0.0)
+    np.testing.assert_array_equal(together.min_det_F[3], 1.0)
+
+
+def test_reactions_carry_the_load(batch, together):
+    """On held nodes internal minus external force; their sum is minus all loads."""
+    weight = DENSITY * LENGTH * SIDE**2 * 9.81 * np.array([1.0, 1.0, 0.3])
+    for index, extra in enumerate([np.zeros(3), np.array(PULL.force)]):
+        one = lane(batch, index)
+        out = force(small_model(), together.displacement[index]) - external_force(
+            small_model(), one
+        )
+        reaction = np.where(one.fixed, out, 0.0).sum(axis=0)
+        load = np.array([0.0, 0.0, -weight[index]]) + extra
+        # What Newton leaves on some hundred free nodes, 1e-8 of the norm of all forces.
+        np.testing.assert_allclose(reaction, -load, rtol=0, atol=1e-6 * weight[index])
+
+
+def test_a_failing_lane_does_not_disturb_the_others(batch, together):
+    """A NaN force is flagged; the process lives and the other lanes do not change."""
+    broken = eqx.tree_at(lambda c: c.force, batch, batch.force.at[1, 7, 2].set(jnp.nan))
+    solution = solve(small_model(), broken)
+    assert not bool(lane(solution, 1).converged)
+    assert bool(jnp.all(jnp.isfinite(solution.displacement)))
+    for index in (0, 2, 3):
+        assert_same(lane(solution, index), lane(together, index))
+    with pytest.raises(RuntimeError) as error:
+        check_converged(solution, tuple(c.name for c in CONFIGURATIONS))
+    assert "configuration 'held right'" in str(error.value)
+    assert "'down'" not in str(error.value)
+
+
+def test_a_nan_in_the_law_is_flagged(batch):
+    """Also where a traced parameter went wrong, past all checks at construction."""
+    model = eqx.tree_at(
+        lambda m: m.law.elasticity.E, small_model(), jnp.asarray(jnp.nan)
+    )
+    solution = solve(model, batch)
+    assert not bool(jnp.any(solution.converged))
+
+
+def block(*configurations):
+    """Two cubes of linear tets in a row, St. Venant-Kirchhoff with nu = 0."""
+    mesh = beam(2.0, 1.0, 1.0, (2, 1, 1))
+    model = build_model(mesh, StVenantKirchhoff(Isotropic(1.0, 0.0)), density=1.0)
+    return model, configuration_arrays(mesh, configurations)
+
+
+def test_a_load_beyond_the_limit_point_is_reported_with_its_lane():
+    """A bar of this law carries at most 0.19245 E in compression, at 1/sqrt(3)."""
+    rest = (0.0, 0.0, 0.0)
+    everywhere = Support(np.arange(12), axes="yz")
+    push = lambda name, load: Configuration(
+        name,
+        (Support("x_min"), everywhere),
+        gravity=rest,
+        loads=(SurfaceForce("x_max", (-load, 0.0, 0.0)),),
+    )
+    names = ("below", "beyond")
+    model, lanes = block(push("below", 0.19), push("beyond", 0.21))
+    solution = solve(model, lanes)
+    # Homogeneous: E s (s^2 - 1) / 2 = -0.19 between 1/sqrt(3) and 1.
+    s = np.roots([0.5, 0.0, -0.5, 0.19])
+    s = s[(s > 1 / np.sqrt(3)) & (s < 1)].item()
+    end = nearest_node(model.mesh, (2.0, 0.0, 0.0))
+    below = lane(solution, 0)
+    assert bool(below.result == RESULTS.converged)
+    np.testing.assert_allclose(below.displacement[end, 0], 2.0 * (s - 1.0), rtol=1e-6)
+    assert not bool(lane(solution, 1).converged)
+    with pytest.raises(RuntimeError) as error:
+        check_converged(solution, names)
+    message = str(error.value)
+    assert message.startswith("no equilibrium found.\nconfiguration 'beyond': ")
+    assert RESULTS[lane(solution, 1).result] in message
+    assert "Newton steps" in message
+    assert "'below'" not in message
+
+
+def test_too_few_steps_are_reported():
+    down = Configuration("hanging", CLAMP, gravity=(0.0, 0.0, -0.02))
+    model, lanes = block(down)
+    solution = solve(model, lanes, NewtonSettings(max_steps=2))
+    assert bool(lane(solution, 0).result == RESULTS.max_steps)
+    assert int(solution.steps[0]) == 2
+    with pytest.raises(
+        RuntimeError, match=r"'hanging': Newton did not converge .* raise"
+    ):
+        check_converged(solution, ("hanging",))
+
+
+def test_an_inverted_state_is_reported():
+    """Ends pulled through each other: F = diag(-1, 1, 1) has no stress in this law."""
+    through = Support("x_max", displacement=(-4.0, 0.0, 0.0))
+    turned = Configuration(
+        "turned", (Support("x_min"), through), gravity=(0.0, 0.0, 0.0)
+    )
+    model, lanes = block(turned)
+    guess = model.mesh.points * np.array([-2.0, 0.0, 0.0])
+    solution = solve_equilibrium(model, lane(lanes, 0), guess=jnp.asarray(guess))
+    np.testing.assert_allclose(solution.displacement, guess, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(solution.min_det_F, -1.0, rtol=1e-12)
+    assert bool(solution.result == RESULTS.inverted)
+    with pytest.raises(RuntimeError, match=r"'turned': .*inverted \(det F <= 0\)"):
+        check_converged(solution, ("turned",))

@@ -1,0 +1,171 @@
+"""Results put together by hand: every number in them is known."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax.calibration import (
+    CalibrationResult,
+    CalibrationSettings,
+    ConfigurationFit,
+    HistoryEntry,
+    ParameterEstimate,
+    Uncertainty,
+)
+from softcal_jax.configurations import Configuration, Markers, Support
+from softcal_jax.equilibrium import (
+    RESULTS,
+    EquilibriumSolution,
+    NewtonSettings,
+    build_model,
+)
+from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
+from softcal_jax.mesh import beam
+
+AT_REST = np.array([[0.1, 0.02, 0.02], [0.1, 0.0, 0.02]])
+"""Two markers at the end of the beam [m]."""
+
+
+def small_model(order=1):
+    """A beam of 10 cm, neo-Hookean, with another modulus in every tet."""
+    mesh = beam(0.1, 0.02, 0.02, (5, 1, 1), order=order)
+    E = jnp.linspace(1e5, 3e5, mesh.n_tets)
+    return build_model(mesh, NeoHookean(E, 0.4), density=1000.0)
+
+
+def sag(mesh, tip=0.02):
+    """A displacement that bends the beam downwards by `tip` [m]."""
+    s = mesh.points[:, 0] / 0.1
+    return np.stack([-0.2 * tip * s**2, 0.0 * s, -tip * s**2], axis=1)
+
+
+def make_fit(mesh, name="droop", role="calibration", error=(0.001, 0.0, 0.0)):
+    """Markers move down by 20 mm; simulated ones miss by `error`, 4 times as before."""
+    error = np.broadcast_to(np.array(error), AT_REST.shape)
+    measured = AT_REST - np.array([0.0, 0.0, 0.02])
+    return ConfigurationFit(
+        name=name,
+        role=role,
+        marker_names=("left", "right"),
+        measured=measured,
+        at_rest=AT_REST,
+        before=measured + 4.0 * error,
+        after=measured + error,
+        # As written by a calibration: computed, so that rounding is the real one.
+        error_before=measured + 4.0 * error - measured,
+        error_after=measured + error - measured,
+        displacement=sag(mesh),
+        newton_steps=5,
+        residual=1e-9,
+        min_det_F=0.9,
+    )
+
+
+def make_history(rejected=()):
+    """Four steps on E and nu, the last below the tolerance."""
+    sizes = [np.inf, 0.3, 0.1, 1e-3, 1e-8]
+    return tuple(
+        HistoryEntry(
+            step=k,
+            cost=10.0 / (k + 1),
+            rms=0.004 / (k + 1),
+            lambda_p=(-size, 0.5 * size),
+            step_bound=1.0,
+            accepted=k not in rejected,
+            kkt_residual=0.0,
+            newton_steps=(4, 5),
+            values={"E": 2e5 + 1e4 * k, "nu": 0.4 + 0.01 * k},
+            seconds=0.1 * k,
+        )
+        for k, size in enumerate(sizes)
+    )
+
+
+def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed):
+    """A calibration of E (kept) and nu (ended on its bound, so without an error)."""
+    model = model or small_model()
+    if fits is None:
+        fits = (
+            make_fit(model.mesh),
+            make_fit(model.mesh, "held out", "validation", (0.0, 0.002, 0.0)),
+        )
+    covariance = np.full((2, 2), np.nan)
+    covariance[0, 0] = 4e-4
+    fields = {
+        "parameters": (
+            ParameterEstimate("E", 2.4e5, 4.8e3, 2e5, 1e5, 1e6, "Pa", False),
+            ParameterEstimate("nu", 0.44, np.nan, 0.4, 0.3, 0.44, "", True),
+        ),
+        "uncertainty": Uncertainty(
+            covariance, "estimated", 1.5, 10, 22.5, np.array([False, True])
+        ),
+        "history": make_history(rejected),
+        "notes": ("nu ended on a bound.",),
+    }
+    return CalibrationResult(
+        converged=converged,
+        configurations=tuple(fits),
+        model=model,
+        z=jnp.zeros(2),
+        W_ep=np.zeros((12, 2)),
+        settings=CalibrationSettings(),
+        newton=NewtonSettings(),
+        timing_s={"steps": 1.5},
+        **(fields | changed),
+    )
+
+
+class Pair(AbstractLaw):
+    """A law with two fields of one name."""
+
+    first: Isotropic
+    second: Isotropic
+
+    def energy_density(self, F):
+        strain = 0.5 * (F + F.T) - jnp.eye(3)
+        stress = self.first.stress(strain) + self.second.stress(strain)
+        return 0.5 * jnp.sum(strain * stress)
+
+
+def two_elasticities():
+    """A beam of such a law."""
+    mesh = beam(0.1, 0.02, 0.02, (5, 1, 1))
+    law = Pair(Isotropic(1e5, 0.3), Isotropic(2e5, 0.3))
+    return build_model(mesh, law, density=1000.0)
+
+
+def make_simulation(model, outcomes=(True, False)):
+    """Configurations and their equilibria; where False, the tets are inverted."""
+    configurations = [
+        Configuration(
+            f"lane {i}",
+            [Support("x_min")],
+            markers=Markers(("left", "right"), AT_REST) if i == 0 else None,
+        )
+        for i in range(len(outcomes))
+    ]
+    n = len(outcomes)
+    result = jax.vmap(
+        lambda ok: RESULTS.where(ok, RESULTS.converged, RESULTS.inverted)
+    )(jnp.array(outcomes))
+    solution = EquilibriumSolution(
+        displacement=jnp.stack([jnp.asarray(sag(model.mesh))] * n),
+        result=result,
+        steps=jnp.arange(4, 4 + n),
+        load_steps=jnp.ones(n, int),
+        residual=jnp.full(n, 1e-9),
+        min_det_F=jnp.where(jnp.array(outcomes), 0.9, -0.1),
+        n_negative=jnp.zeros(n, int),
+    )
+    return configurations, solution
+
+
+def replaced(result, **changed):
+    """The result with other values of some fields."""
+    return eqx.tree_at(
+        lambda r: [getattr(r, name) for name in changed],
+        result,
+        list(changed.values()),
+        is_leaf=lambda leaf: leaf is None,
+    )

@@ -1,0 +1,159 @@
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from softcal_jax.export import check_results_folder, results_folder
+
+
+def write(folder, **texts):
+    """Files `name.txt` with texts, and the index that lists them."""
+    for name, text in texts.items():
+        (folder / f"{name}.txt").write_text(text)
+    files = [f"{name}.txt" for name in texts]
+    (folder / "result.json").write_text(json.dumps({"files": files}))
+
+
+def contents(folder):
+    """Texts of all files below a folder but the index, by name."""
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != "result.json"
+    }
+
+
+def test_files_appear_at_the_end(tmp_path):
+    target = tmp_path / "a" / "b"
+    with results_folder(target) as folder:
+        write(folder, one="1")
+        assert not target.exists()
+    assert contents(tmp_path) == {"a/b/one.txt": "1"}
+
+
+def test_the_folder_is_as_open_as_any_other(tmp_path):
+    """The temporary one is private to its owner; the result must not be."""
+    with results_folder(tmp_path / "a") as folder:
+        write(folder, one="1")
+    (tmp_path / "ordinary").mkdir()
+    mode = (tmp_path / "ordinary").stat().st_mode
+    assert (tmp_path / "a").stat().st_mode == mode
+
+
+def test_a_shell_in_an_empty_folder_stays_in_it(tmp_path, monkeypatch):
+    target = tmp_path / "a"
+    target.mkdir()
+    monkeypatch.chdir(target)
+    with results_folder(".") as folder:
+        write(folder, one="1")
+    assert Path("one.txt").read_text() == "1"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_failure_leaves_nothing(tmp_path):
+    with pytest.raises(RuntimeError, match="disk full"):
+        write_and_fail(tmp_path / "a" / "b")
+    assert list(tmp_path.iterdir()) == []
+
+
+def write_and_fail(target, **kwargs):
+    with results_folder(target, **kwargs) as folder:
+        write(folder, one="new")
+        raise RuntimeError("disk full")
+
+
+def test_a_full_folder_is_refused_without_force(tmp_path):
+    with results_folder(tmp_path / "a") as folder:
+        write(folder, one="1")
+    for check in (check_results_folder, lambda d: results_folder(d).__enter__()):
+        with pytest.raises(FileExistsError, match=r"a is not empty.*--force"):
+            check(tmp_path / "a")
+    assert contents(tmp_path) == {"a/one.txt": "1"}
+
+
+def test_force_replaces_results_and_keeps_what_a_user_added(tmp_path):
+    with results_folder(tmp_path / "a") as folder:
+        write(folder, one="1", two="2")
+    (tmp_path / "a" / "notes.md").write_text("mine")
+    with results_folder(tmp_path / "a", force=True) as folder:
+        write(folder, two="new", three="3")
+        assert contents(tmp_path / "a")["two.txt"] == "2"
+    assert contents(tmp_path) == {
+        "a/notes.md": "mine",
+        "a/two.txt": "new",
+        "a/three.txt": "3",
+    }
+
+
+def test_force_keeps_the_old_results_if_the_new_ones_fail(tmp_path):
+    with results_folder(tmp_path / "a") as folder:
+        write(folder, one="1")
+    with pytest.raises(RuntimeError, match="disk full"):
+        write_and_fail(tmp_path / "a", force=True)
+    assert contents(tmp_path) == {"a/one.txt": "1"}
+
+
+@pytest.mark.parametrize("fails_at", range(7))
+def test_a_move_that_fails_is_undone(tmp_path, monkeypatch, fails_at):
+    """Three files move out and four move in; any of the moves may fail."""
+    with results_folder(tmp_path / "a") as folder:
+        write(folder, one="1", two="2")
+    index = (tmp_path / "a" / "result.json").read_text()
+    moves = []
+    replace = os.replace
+
+    def failing(source, target):
+        moves.append(target)
+        if len(moves) == fails_at + 1:
+            raise OSError("no permission")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", failing)
+    with (
+        pytest.raises(OSError, match="no permission"),
+        results_folder(tmp_path / "a", force=True) as folder,
+    ):
+        write(folder, one="new", two="new", another="new")
+    assert contents(tmp_path) == {"a/one.txt": "1", "a/two.txt": "2"}
+    assert (tmp_path / "a" / "result.json").read_text() == index
+
+
+def test_force_does_not_touch_what_is_not_ours(tmp_path):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.tex").write_text("years of work")
+    with pytest.raises(FileExistsError, match="does not hold earlier results"):
+        check_results_folder(tmp_path / "home", force=True)
+    # An index of another program, or a broken one, does not count.
+    for text in ("{", "[]", '{"files": 3}', '{"other": []}'):
+        (tmp_path / "home" / "result.json").write_text(text)
+        with pytest.raises(FileExistsError, match="does not hold earlier results"):
+            check_results_folder(tmp_path / "home", force=True)
+
+
+def test_force_does_not_overwrite_a_users_file(tmp_path):
+    with results_folder(tmp_path / "a") as folder:
+        write(folder, one="1")
+    (tmp_path / "a" / "two.txt").write_text("mine")
+    with (
+        pytest.raises(FileExistsError, match=r"two\.txt is not part of the earlier"),
+        results_folder(tmp_path / "a", force=True) as folder,
+    ):
+        write(folder, one="new", two="new")
+    assert contents(tmp_path) == {"a/one.txt": "1", "a/two.txt": "mine"}
+
+
+def test_an_index_cannot_point_out_of_the_folder(tmp_path):
+    (tmp_path / "outside.txt").write_text("mine")
+    with results_folder(tmp_path / "a") as folder:
+        write(folder, one="1")
+    (tmp_path / "a" / "result.json").write_text('{"files": ["../outside.txt"]}')
+    with results_folder(tmp_path / "a", force=True) as folder:
+        write(folder, two="2")
+    assert (tmp_path / "outside.txt").read_text() == "mine"
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "a").write_text("text")
+    with pytest.raises(FileExistsError, match=r"a is a file; results need a folder"):
+        check_results_folder(tmp_path / "a", force=True)

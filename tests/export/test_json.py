@@ -1,0 +1,180 @@
+import json
+from importlib.metadata import version
+
+import numpy as np
+import pytest
+from export.handmade import (
+    make_fit,
+    make_result,
+    make_simulation,
+    replaced,
+    small_model,
+)
+
+from softcal_jax.calibration import Uncertainty
+from softcal_jax.equilibrium import RESULTS
+from softcal_jax.export import marker_motion, result_dict, simulation_dict
+
+
+@pytest.fixture(scope="module")
+def data():
+    return result_dict(make_result(), name="beam", timing_s={"import": 2.5})
+
+
+def test_result_is_strict_json_with_all_its_keys(data):
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert list(data) == [
+        "format",
+        "name",
+        "converged",
+        "parameters",
+        "configurations",
+        "history",
+        "solver",
+        "settings",
+        "uncertainty",
+        "notes",
+        "versions",
+        "timing_s",
+    ]
+    assert (data["name"], data["converged"]) == ("beam", True)
+    assert data["timing_s"] == {"steps": 1.5, "import": 2.5}
+
+
+def test_parameters_are_in_si_and_a_missing_error_is_null(data):
+    E, nu = data["parameters"]
+    assert E == {
+        "name": "E",
+        "value": 2.4e5,
+        "standard_error": 4.8e3,
+        "start": 2e5,
+        "lower": 1e5,
+        "upper": 1e6,
+        "unit": "Pa",
+        "at_bound": False,
+    }
+    assert nu["standard_error"] is None
+    assert nu["at_bound"] is True
+
+
+def test_markers_are_in_millimetres(data):
+    fit, held_out = data["configurations"]
+    assert (fit["name"], fit["role"]) == ("droop", "calibration")
+    assert (held_out["name"], held_out["role"]) == ("held out", "validation")
+    # An error of 1 mm after and 4 mm before, on a motion of 20 mm; rounding only.
+    np.testing.assert_allclose(fit["rms_before_mm"], 4.0, rtol=1e-12)
+    np.testing.assert_allclose(fit["rms_after_mm"], 1.0, rtol=1e-12)
+    np.testing.assert_allclose(fit["motion_mm"], 20.0, rtol=1e-12)
+    np.testing.assert_allclose(fit["rms_after_percent_of_motion"], 5.0, rtol=1e-12)
+    left = fit["markers"][0]
+    assert left["name"] == "left"
+    close = {"rtol": 1e-12, "atol": 1e-12}
+    np.testing.assert_allclose(left["measured_mm"], [100.0, 20.0, 0.0], **close)
+    np.testing.assert_allclose(left["simulated_before_mm"], [104.0, 20.0, 0.0], **close)
+    np.testing.assert_allclose(left["simulated_mm"], [101.0, 20.0, 0.0], **close)
+    np.testing.assert_allclose(left["residual_mm"], [1.0, 0.0, 0.0], **close)
+
+
+def test_a_coordinate_that_was_not_measured_is_null_and_counts_for_nothing():
+    fit = make_fit(small_model().mesh)
+    unseen = np.array([False, True, False])
+    fit = replaced(
+        fit,
+        # Of the two lost axes one holds a number that nobody measured.
+        measured=fit.measured + np.array([0.0, 1.0, 0.0]),
+        error_after=np.where(unseen, 0.0, fit.error_after),
+    )
+    entry = result_dict(make_result(fits=[fit]))["configurations"][0]
+    marker = entry["markers"][0]
+    assert marker["measured_mm"][1] is None
+    assert marker["residual_mm"][1] is None
+    assert marker["simulated_mm"][1] is not None
+    assert marker["measured_mm"][0] is not None
+    np.testing.assert_allclose(marker_motion(fit), 0.02, rtol=1e-12)
+
+    lost = replaced(fit, measured=np.where(unseen, np.nan, fit.measured))
+    entry = result_dict(make_result(fits=[lost]))["configurations"][0]
+    assert entry["markers"][0]["measured_mm"][1] is None
+    np.testing.assert_allclose(entry["motion_mm"], 20.0, rtol=1e-12)
+
+
+def test_markers_that_did_not_move_have_no_percentage():
+    fit = make_fit(small_model().mesh)
+    fit = replaced(fit, at_rest=fit.measured)
+    entry = result_dict(make_result(fits=[fit]))["configurations"][0]
+    assert entry["motion_mm"] == 0.0
+    assert entry["rms_after_percent_of_motion"] is None
+
+
+def test_history_keeps_every_step_and_the_start_has_no_step(data):
+    history = data["history"]
+    assert [entry["step"] for entry in history] == [0, 1, 2, 3, 4]
+    assert history[0]["lambda_p"] == [None, None]
+    assert history[2]["lambda_p"] == [-0.1, 0.05]
+    assert history[1]["rms_mm"] == 2.0
+    assert history[1]["values"] == {"E": 2.1e5, "nu": 0.4 + 0.01}
+    assert history[1]["newton_steps"] == [4, 5]
+
+
+def test_what_it_was_computed_with(data):
+    assert data["solver"]["name"] == make_result().model.solver.name
+    assert data["solver"]["law"] == "NeoHookean"
+    assert data["solver"]["formulation"] == "displacement"
+    assert data["solver"]["element_order"] == 1
+    assert data["solver"]["n_tets"] == 30
+    assert data["versions"]["jax"] == version("jax")
+    package = data["solver"]["name"].split("(")[1].rstrip(")")
+    assert data["versions"][package] == version(package)
+    assert data["settings"]["calibration"]["tol"] == 1e-6
+    assert data["settings"]["newton"]["rtol"] == 1e-8
+    assert data["settings"]["noise"] == "estimated"
+
+
+def test_uncertainty(data):
+    uncertainty = data["uncertainty"]
+    assert uncertainty["covariance"] == [[4e-4, None], [None, None]]
+    assert uncertainty["correlation"] == [[1.0, None], [None, None]]
+    assert uncertainty["degrees_of_freedom"] == 10
+    assert uncertainty["noise_scale"] == 1.5
+
+
+def test_an_exact_fit_has_no_correlation_and_no_warning():
+    exact = Uncertainty(np.zeros((2, 2)), "estimated", 0.0, 10, 0.0, np.zeros(2, bool))
+    data = result_dict(make_result(uncertainty=exact))
+    assert data["uncertainty"]["covariance"] == [[0.0, 0.0], [0.0, 0.0]]
+    assert data["uncertainty"]["correlation"] == [[None, None], [None, None]]
+
+
+def test_not_converged_is_said():
+    assert result_dict(make_result(converged=False))["converged"] is False
+
+
+def test_simulation_lists_lanes_that_failed_with_the_reason():
+    model = small_model(order=2)
+    configurations, solution = make_simulation(model)
+    data = simulation_dict(model, configurations, solution, name="poses")
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert (data["name"], data["converged"]) == ("poses", False)
+    good, bad = data["configurations"]
+    assert good["outcome"] == "converged"
+    assert good["newton_steps"] == 4
+    # The tip goes down by 20 mm and back by 4 mm.
+    np.testing.assert_allclose(
+        good["largest_displacement_mm"], np.hypot(20.0, 4.0), rtol=1e-12
+    )
+    assert [marker["name"] for marker in good["markers"]] == ["left", "right"]
+    np.testing.assert_allclose(
+        good["markers"][0]["simulated_mm"], [96.0, 20.0, 0.0], atol=1e-9
+    )
+    assert bad["outcome"] == RESULTS[RESULTS.inverted]
+    assert bad["largest_displacement_mm"] is None
+    assert bad["min_det_F"] == -0.1
+    assert bad["markers"] == []
+
+
+def test_a_failed_lane_has_no_marker_positions():
+    model = small_model()
+    configurations, solution = make_simulation(model, (False, True))
+    data = simulation_dict(model, configurations, solution)
+    assert data["configurations"][0]["markers"][0]["simulated_mm"] is None
+    assert data["configurations"][0]["markers"][0]["at_rest_mm"] is not None

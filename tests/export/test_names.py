@@ -1,0 +1,25 @@
+import re
+
+from softcal_jax.export import file_stems
+
+
+def test_plain_names_stay():
+    assert file_stems(["gravity", "load-1.5", "a_b"]) == ["gravity", "load-1.5", "a_b"]
+
+
+def test_nothing_leads_out_of_the_folder():
+    names = ["../../etc/passwd", "a b/c", "..", "", "ü", ".hidden", "x" * 300]
+    stems = file_stems(names)
+    assert stems[:2] == ["etc_passwd", "a_b_c"]
+    assert stems[2:5] == ["configuration", "configuration_2", "configuration_3"]
+    assert stems[5] == "hidden"
+    assert all(re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,85}", s) for s in stems)
+
+
+def test_no_two_configurations_share_a_file():
+    # Case does not count on macOS and Windows.
+    assert file_stems(["a b", "a/b", "A_B"]) == ["a_b", "a_b_2", "A_B_3"]
+
+
+def test_the_other_files_of_the_folder_are_safe():
+    assert file_stems(["convergence", "Result"]) == ["convergence_2", "Result_2"]

@@ -1,0 +1,47 @@
+import csv
+
+import numpy as np
+import pytest
+from export.handmade import make_fit, make_result, replaced, small_model
+
+from softcal_jax.export import result_dict, write_json, write_markers_csv
+
+
+def test_one_line_per_marker_and_configuration(tmp_path):
+    write_markers_csv(tmp_path / "m.csv", result_dict(make_result()))
+    with (tmp_path / "m.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["configuration"], r["role"], r["marker"]) for r in rows] == [
+        ("droop", "calibration", "left"),
+        ("droop", "calibration", "right"),
+        ("held out", "validation", "left"),
+        ("held out", "validation", "right"),
+    ]
+    first = rows[0]
+    assert first["measured_x_mm"] == "100.000000"
+    assert first["simulated_before_x_mm"] == "104.000000"
+    assert first["simulated_x_mm"] == "101.000000"
+    assert first["residual_x_mm"] == "1.000000"
+    assert first["distance_mm"] == "1.000000"
+
+
+def test_what_was_not_measured_is_empty(tmp_path):
+    fit = make_fit(small_model().mesh)
+    lost = np.array([True, False, False])
+    fit = replaced(
+        fit,
+        measured=np.where(lost, np.nan, fit.measured),
+        error_after=np.where(lost, 0.0, fit.error_after),
+    )
+    write_markers_csv(tmp_path / "m.csv", result_dict(make_result(fits=[fit])))
+    with (tmp_path / "m.csv").open(newline="") as file:
+        row = next(csv.DictReader(file))
+    assert row["measured_x_mm"] == row["residual_x_mm"] == ""
+    assert row["measured_y_mm"] == "20.000000"
+    assert row["distance_mm"] == "0.000000"
+
+
+def test_json_refuses_nan(tmp_path):
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "a.json", {"value": float("nan")})
+    assert not (tmp_path / "a.json").exists()

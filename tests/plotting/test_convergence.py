@@ -1,0 +1,99 @@
+import numpy as np
+from export.handmade import make_result
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+
+from softcal_jax.calibration import ParameterEstimate
+from softcal_jax.plotting import plot_convergence
+from softcal_jax.plotting._colours import BAD, GOOD
+from softcal_jax.plotting._convergence import convergence_figure
+
+
+def texts(axes):
+    legend = axes.get_legend()
+    return [text.get_text() for text in legend.get_texts()] if legend else []
+
+
+def drawn(axes, n):
+    """The line with n points."""
+    return next(line for line in axes.lines if len(line.get_xdata()) == n)
+
+
+def test_figure_is_1200_pixels_wide(tmp_path):
+    plot_convergence(make_result(), tmp_path / "c.png")
+    assert imread(tmp_path / "c.png").shape[1] == 1200
+
+
+def test_what_is_drawn():
+    """rms, lambda_p and one panel per unit, in units that are written on the axes."""
+    rms, step, E, nu = convergence_figure(make_result(), "beam").axes
+    np.testing.assert_allclose(drawn(rms, 5).get_ydata(), 4.0 / np.arange(1, 6))
+    assert rms.get_ylabel() == "rms marker\ndistance [mm]"
+    assert rms.get_ylim()[0] == 0.0
+    np.testing.assert_allclose(drawn(step, 4).get_ydata(), [0.3, 0.1, 1e-3, 1e-8])
+    np.testing.assert_array_equal(drawn(step, 4).get_xdata(), [1, 2, 3, 4])
+    assert step.get_yscale() == "log"
+    assert texts(step) == ["tolerance 1e-06"]
+    np.testing.assert_allclose(drawn(step, 2).get_ydata(), 1e-6)
+    np.testing.assert_allclose(drawn(E, 5).get_ydata(), [200, 210, 220, 230, 240])
+    assert E.get_ylabel() == "E [kPa]"
+    assert texts(E) == ["E = 240.0 ± 4.8 kPa"]
+    assert nu.get_ylabel() == "nu [-]"
+    assert texts(nu) == ["nu = 0.44 (on a bound)"]
+    assert nu.get_xlabel() == "step"
+
+
+def test_a_converged_run_says_so():
+    figure = convergence_figure(make_result(), "beam $1$")
+    assert figure.get_suptitle() == "beam $1$: converged in 4 steps"
+    assert figure._suptitle.get_color() == GOOD
+    assert to_rgb(figure.get_facecolor()) == (1.0, 1.0, 1.0)
+
+
+def test_a_run_that_did_not_converge_never_looks_good():
+    figure = convergence_figure(make_result(converged=False), "beam")
+    title = "beam: NOT converged after 4 steps, do not use these values"
+    assert figure.get_suptitle() == title
+    assert figure._suptitle.get_color() == BAD
+    assert to_rgb(figure.get_facecolor()) != (1.0, 1.0, 1.0)
+
+
+def test_steps_that_were_not_taken_are_marked():
+    for axes in convergence_figure(make_result(rejected=(2, 3)), "beam").axes:
+        crosses = [line for line in axes.lines if line.get_marker() == "x"]
+        assert [line.get_xdata()[0] for line in crosses] == [2, 3]
+        assert texts(axes).count("step not taken") == 1
+    for axes in convergence_figure(make_result(), "beam").axes:
+        assert "step not taken" not in texts(axes)
+
+
+def test_only_the_start():
+    """A calibration that stopped before its first step can still be drawn."""
+    result = make_result(converged=False)
+    short = make_result(converged=False, history=result.history[:1])
+    assert len(convergence_figure(short, "beam").axes) == 4
+
+
+def test_many_parameters_have_no_legend():
+    names = [f"E{i}" for i in range(9)]
+    parameters = tuple(
+        ParameterEstimate(n, 2e5, 1e3, 2e5, 1e5, 1e6, "Pa", False) for n in names
+    )
+    base = make_result()
+    history = tuple(
+        type(e)(**{**vars(e), "values": dict.fromkeys(names, 2e5)})
+        for e in base.history
+    )
+    result = make_result(parameters=parameters, history=history)
+    *_, axes = convergence_figure(result, "beam").axes
+    assert axes.get_ylabel() == "parameters [kPa]"
+    assert len([line for line in axes.lines if len(line.get_xdata()) == 5]) == 9
+    assert texts(axes) == []
+
+
+def test_a_step_without_a_logarithm_can_be_drawn(tmp_path):
+    history = tuple(
+        type(e)(**{**vars(e), "lambda_p": (0.0, 0.0)}) for e in make_result().history
+    )
+    plot_convergence(make_result(history=history), tmp_path / "c.png")
+    assert (tmp_path / "c.png").stat().st_size > 10_000

@@ -1,0 +1,72 @@
+import os
+import sys
+
+import pytest
+
+from softcal_jax.plotting import RenderingError, _offscreen, rendering_problem
+from softcal_jax.plotting._offscreen import offscreen
+
+CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
+
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="elsewhere VTK draws by itself"
+)
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """A machine with the given libraries, and EGL that works or does not."""
+
+    def make(*libraries, egl=True):
+        monkeypatch.delenv(CHOICE, raising=False)
+        _offscreen._headless_backend.cache_clear()
+        monkeypatch.setattr(_offscreen, "_can_load", lambda name: name in libraries)
+        monkeypatch.setattr(_offscreen, "_egl_works", lambda: egl)
+
+    yield make
+    _offscreen._headless_backend.cache_clear()
+
+
+def test_no_opengl_is_an_error_and_not_a_crash(machine):
+    machine()
+    problem = rendering_problem()
+    assert problem is not None
+    assert "no OpenGL that works without a screen" in problem
+    assert "sudo apt install libegl1 libgl1-mesa-dri" in problem
+    with pytest.raises(RenderingError, match="cannot be drawn"), offscreen():
+        pass
+
+
+def test_egl_without_a_driver_does_not_count(machine):
+    machine("libEGL.so.1", egl=False)
+    assert rendering_problem() is not None
+
+
+@pytest.mark.parametrize(
+    ("libraries", "egl", "window"),
+    [
+        (("libEGL.so.1", "libOSMesa.so.8"), True, "vtkEGLRenderWindow"),
+        (("libEGL.so.1", "libOSMesa.so.8"), False, "vtkOSOpenGLRenderWindow"),
+        (("libOSMesa.so.6",), True, "vtkOSOpenGLRenderWindow"),
+    ],
+)
+def test_vtk_is_told_what_to_take_only_while_it_draws(machine, libraries, egl, window):
+    machine(*libraries, egl=egl)
+    assert rendering_problem() is None
+    with offscreen():
+        assert os.environ[CHOICE] == window
+    assert CHOICE not in os.environ
+
+
+def test_the_users_choice_stands(machine, monkeypatch):
+    machine()
+    monkeypatch.setenv(CHOICE, "vtkXOpenGLRenderWindow")
+    assert rendering_problem() is None
+    with offscreen():
+        assert os.environ[CHOICE] == "vtkXOpenGLRenderWindow"
+    assert os.environ[CHOICE] == "vtkXOpenGLRenderWindow"
+
+
+def test_a_missing_library_cannot_be_loaded():
+    assert not _offscreen._can_load("libNoSuchThing.so.1")
+    assert _offscreen._can_load("libc.so.6")

@@ -1,0 +1,407 @@
+"""Project files that must be refused: each names the key and says what to write."""
+
+import json
+import re
+
+import jax
+import meshio
+import pytest
+from small_project import write_small_project
+
+from softcal_jax.project import ProjectError, load_project
+
+BEAM = 'beam = { size = "(60, 20, 20) mm", cells = [3, 1, 1] }'
+
+
+def refusal(folder, *changes):
+    path = write_small_project(folder, *changes)
+    with pytest.raises(ProjectError) as caught:
+        load_project(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    return text.removeprefix(f"{path}: ")
+
+
+CASES = {
+    "unknown key": (
+        ('element = "linear"', 'elemnt = "linear"'),
+        'mesh.elemnt: unknown key. Did you mean "element"? Known here: file, '
+        "length_unit, unused_nodes, beam, element.",
+    ),
+    "unknown key of an entry": (
+        ('group = "x_min"', 'grup = "x_min", group = "x_min"'),
+        'shared.supports[1].grup: unknown key. Did you mean "group"?',
+    ),
+    "unknown key of a shared table": (
+        ("displacement_from =", "displacement_form ="),
+        'shared.measured.displacement_form: unknown key. Did you mean "displacement_f',
+    ),
+    "unknown shared key": (
+        ("[shared.measured]", "[shared.measurd]"),
+        'shared.measurd: unknown key. Did you mean "measured"?',
+    ),
+    "unknown key of a marker": (
+        ('std = "0.2 mm"', 'sdt = "0.2 mm"'),
+        'markers.positions.side.sdt: unknown key. Did you mean "std"?',
+    ),
+    "unknown table": (
+        ("[groups.tip]", "[group.tip]"),
+        'group: unknown key. Did you mean "groups"? Known here: name, mesh,',
+    ),
+    "missing key": (
+        ("nu = 0.3\n", ""),
+        "material.nu: missing. Expected Poisson's ratio: 0.499.",
+    ),
+    "missing gravity": (
+        ('gravity = "(0, 0, -9.81) m/s^2"\n', ""),
+        'configurations.weight.gravity: missing. Expected "(0, 0, -9.81) m/s^2", '
+        "here or for all in [shared].",
+    ),
+    "unknown unit": (
+        ('E = "200 kPa"', 'E = "200 kpa"'),
+        'material.E: "200 kpa": unknown unit "kpa"; expected a pressure or modulus, '
+        'like "200 kPa". Did you mean "kPa"?',
+    ),
+    "wrong dimension": (
+        ('density = "1 g/cm^3"', 'density = "1 g/cm^2"'),
+        'material.density: "1 g/cm^2": "g/cm^2" is not a density; expected a density, '
+        'like "1070 kg/m^3".',
+    ),
+    "bare number": (
+        ('lower = "100 kPa"', "lower = 100000"),
+        "parameters.E.lower: 100000 has no unit; expected a pressure or modulus, in "
+        'quotes and with its unit, like "200 kPa".',
+    ),
+    "text for a number": (
+        ("nu = 0.3", 'nu = "0.3"'),
+        'material.nu: got "0.3"; expected a number.',
+    ),
+    "fraction of a cell": (
+        ("cells = [3, 1, 1]", "cells = [3, 1.5, 1]"),
+        "mesh.beam.cells[2]: got 1.5; expected a whole number.",
+    ),
+    "two cells": (
+        ("cells = [3, 1, 1]", "cells = [3, 1]"),
+        "mesh.beam.cells[3]: missing; the list is too short.",
+    ),
+    "four cells": (
+        ("cells = [3, 1, 1]", "cells = [3, 1, 1, 1]"),
+        "mesh.beam.cells: expected 3 values, got 4.",
+    ),
+    "no cells": (
+        ("cells = [3, 1, 1]", "cells = [3, 0, 1]"),
+        "mesh: cells must be three positive integers, got (3, 0, 1).",
+    ),
+    "unknown law": (
+        ('law = "neo-hookean"', 'law = "neo-hokean"'),
+        'material.law: got "neo-hokean"; expected one of "neo-hookean", '
+        '"corotational", "st-venant-kirchhoff". Did you mean "neo-hookean"?',
+    ),
+    "nu": (
+        ("nu = 0.3", "nu = 0.5"),
+        "material: nu must lie in (-1, 0.5), got 0.5. For an incompressible rubber",
+    ),
+    "unknown region": (
+        ("[[parameters]]", '[material.regions.tipp]\nE = "1 MPa"\n\n[[parameters]]'),
+        "material: unknown tet group 'tipp'.",
+    ),
+    "unknown parameter": (
+        ('field = "E"', 'field = "young"'),
+        'parameters.young.field: got "young"; expected one of "E", "nu", "density".',
+    ),
+    "bounds crossed": (
+        ('lower = "100 kPa"', 'lower = "2 MPa"'),
+        "parameters.E: parameter 'E': the bounds are crossed, lower 2e+06 is not below "
+        "upper 1e+06.",
+    ),
+    "start outside": (
+        ('lower = "100 kPa"', 'lower = "250 kPa"'),
+        "parameters.E: parameter 'E': the start 200000 lies outside its bounds "
+        "[250000, 1e+06].",
+    ),
+    "negative modulus": (
+        ('lower = "100 kPa"', 'lower = "-1 Pa"\nscale = "linear"'),
+        "parameters.E: lower must be positive, got -1 (SI).",
+    ),
+    "bounds of nu": (
+        (
+            'field = "E"\nlower = "100 kPa"\nupper = "1 MPa"',
+            'field = "nu"\nlower = 0.2\nupper = 0.5',
+        ),
+        "parameters.nu: the bounds of nu must lie in (-1, 0.5), got [0.2, 0.5].",
+    ),
+    "parameter twice": (
+        (
+            "[markers]\n",
+            '[[parameters]]\nfield = "E"\nlower = "1 kPa"\nupper = "1 MPa"\n'
+            "[markers]\n",
+        ),
+        "parameters: parameter 'E' is named more than once.",
+    ),
+    "nothing clamped": (
+        ('supports = [{ group = "x_min" }]', "supports = []"),
+        "configurations: configuration 'weight' is not held: its supports (0 nodes) "
+        "leave 6 of the 6 rigid motions free. Clamp a surface, or add supports.",
+    ),
+    "held too little": (
+        ('group = "x_min"', 'group = "x_min", axes = "z"'),
+        "configurations: configuration 'weight' is not held: its supports (4 nodes)",
+    ),
+    "unknown group": (
+        ('group = "x_min"', 'group = "x_mn"'),
+        "configurations.weight.supports[1]: unknown group 'x_mn'. Did you mean 'x_min'",
+    ),
+    "unknown axes": (
+        ('group = "x_min"', 'group = "x_min", axes = "xw"'),
+        "configurations.weight.supports[1]: axes must be made of the letters x, y, z",
+    ),
+    "empty group": (
+        ('point = "(60, 0, 0) mm"', 'point = "(61, 0, 0) mm"'),
+        "groups.tip: no node lies in ",
+    ),
+    "group without a place": (
+        ("plane = {", 'of = "faces"\n#'),
+        "groups.tip: expected exactly one of box, plane, sphere; got none.",
+    ),
+    "load without a force": (
+        (', force = "(20, 0, -50) mN"', ""),
+        "configurations.pulled.loads[1]: expected exactly one of force, traction; got",
+    ),
+    "traction on an edge": (
+        (
+            'surface = "x_max", force = "(20, 0, -50) mN"',
+            'edge = "x_max", traction = "(0, 0, 1) kPa"',
+        ),
+        "configurations.pulled.loads[1]: a traction acts on a surface, not on the "
+        "edge; give a force.",
+    ),
+    "load on an unknown surface": (
+        ('surface = "x_max"', 'surface = "tip"'),
+        "configurations.pulled.loads[1]: unknown surface group 'tip'.",
+    ),
+    "marker far outside": (
+        ('tip = "(60, 10, 10) mm"', 'tip = "(600, 10, 10) mm"'),
+        "configurations: markers tip, side of configuration 'weight': 1 of 2 points "
+        "lie farther than 0.01 m from the mesh",
+    ),
+    "unknown marker": (
+        ('markers = ["tip", "side"]', 'markers = ["tip", "sides"]'),
+        "configurations.weight.markers: unknown marker 'sides'. Did you mean \"side\"? "
+        "Known: tip, side, a, b, c.",
+    ),
+    "marker twice": (
+        ('markers = ["tip", "side"]', 'markers = ["tip", "tip"]'),
+        "configurations.weight.markers: marker 'tip' is named more than once.",
+    ),
+    "marker of a wrong kind": (
+        ('markers = ["tip", "side"]', "markers = [1]"),
+        "shared.markers[1]: got 1; expected a text in quotes.",
+    ),
+    "no precision": (
+        ('std = "0.1 mm"', 'std = "0 mm"'),
+        "configurations.weight.markers: std must be positive and finite [m], got 0;",
+    ),
+    "registration on a line": (
+        ('markers = ["a", "b", "c"]', 'markers = ["a", "b"]'),
+        "configurations.weight.measured: registration needs at least 3 markers, got 2.",
+    ),
+    "missing file": (
+        ('file = "markers.csv"', 'file = "marker.csv"'),
+        "configurations.weight.measured: marker file ",
+    ),
+    "unknown recording": (
+        ('recording = { run = "pulled" }', 'recording = { run = "pull" }'),
+        "configurations.pulled.measured: ",
+    ),
+    "configuration twice": (
+        ('name = "pulled"', 'name = "weight"'),
+        "configurations: configuration 'weight' is named more than once.",
+    ),
+    "unknown role": (
+        ('role = "validation"', 'role = "validaton"'),
+        'configurations.pulled.role: got "validaton"; expected one of "calibration", '
+        '"validation". Did you mean "validation"?',
+    ),
+    "gravity of one number": (
+        ('gravity = "(0, 0, -9.81) m/s^2"', 'gravity = "9.81 m/s^2"'),
+        'shared.gravity: got "9.81 m/s^2"; expected three numbers with a unit',
+    ),
+    "direction of gravity": (
+        (
+            'gravity = "(0, 0, -9.81) m/s^2"',
+            'gravity = { size = "9.81 m/s^2", direction = "down" }',
+        ),
+        'shared.gravity.direction: got "down"; expected "-z" or [0, 0, -1].',
+    ),
+    "tolerance": (
+        (
+            '[[configurations]]\nname = "weight"',
+            '[settings]\ntol = 2.0\n\n[[configurations]]\nname = "weight"',
+        ),
+        "settings: tol must lie in (0, 1), got 2.0.",
+    ),
+    "newton": (
+        (
+            '[[configurations]]\nname = "weight"',
+            '[newton]\nmax_steps = 0\n\n[[configurations]]\nname = "weight"',
+        ),
+        "newton: max_steps and max_steps_per_load must be at least 1",
+    ),
+    "mesh from nowhere": (
+        (BEAM, ""),
+        "mesh: expected exactly one of file, beam; got none.",
+    ),
+    "mesh without a unit": (
+        (BEAM, 'file = "robot.msh"'),
+        'mesh: a mesh file needs its length_unit, like "mm".',
+    ),
+    "missing mesh": (
+        (BEAM, 'file = "robot.msh"\nlength_unit = "mm"'),
+        "mesh: mesh file ",
+    ),
+    "no markers": (
+        ("[markers.positions]", "[markers.position]"),
+        'markers.position: unknown key. Did you mean "positions"?',
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_refused(tmp_path, case):
+    change, message = CASES[case]
+    lines = refusal(tmp_path, change).split("\n- ")
+    assert any(line.startswith(message) for line in lines), lines
+
+
+def test_every_problem_is_listed_once(tmp_path):
+    text = refusal(
+        tmp_path,
+        ('element = "linear"', 'elemnt = "linear"'),
+        ('E = "200 kPa"', "E = 200000"),
+        ('select = { phase = "loaded" }', "select = 3"),
+    )
+    first, *problems = text.split("\n- ")
+    assert first == "3 problems."
+    assert [problem.split(":")[0] for problem in problems] == [
+        "mesh.elemnt",
+        "material.E",
+        "shared.measured.select",
+    ]
+
+
+def test_selection_lists_what_is_there(tmp_path):
+    text = refusal(tmp_path, ('{ run = "pulled" }', '{ run = "pull" }'))
+    assert (
+        "no row has run = 'pull'. Did you mean 'pulled'? Values there: weight" in text
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "weight,loaded,tip,124.627615364",
+            "weight,loaded,tip,nan",
+            "line 7: the posit",
+        ),
+        (
+            "weight,loaded,tip,124.627615364",
+            "weight,loaded,tip,",
+            "line 7: the position",
+        ),
+        (
+            "weight,loaded,tip,124.627615364",
+            "weight,loaded,tip,1O",
+            "'1O', not a number",
+        ),
+        ("weight,loaded,side", "weight,loaded,tip", "'tip' is there twice, in lines 7"),
+        ("weight,loaded,side", "weight,loaded,new", "has no marker 'side'."),
+        ("run,phase,marker", "run,state,marker", "column 'phase' is missing."),
+    ],
+)
+def test_bad_measurements(tmp_path, old, new, message):
+    path = write_small_project(tmp_path)
+    csv = path.with_name("markers.csv")
+    text = csv.read_text()
+    assert text.count(old) == 1
+    csv.write_text(text.replace(old, new))
+    with pytest.raises(
+        ProjectError, match=r"configurations\.weight\.measured: "
+    ) as got:
+        load_project(path)
+    assert message in str(got.value)
+
+
+def test_bad_mesh(tmp_path):
+    """What `mesh` refuses is told with the file and the key."""
+    points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]
+    meshio.Mesh(points, [("tetra", [[0, 2, 1, 3]])]).write(tmp_path / "bad.vtu")
+    text = refusal(tmp_path, (BEAM, 'file = "bad.vtu"\nlength_unit = "mm"'))
+    assert re.match(r"mesh: .*bad\.vtu: bad mesh: 1 of 1 tets are inverted", text)
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(
+        FileNotFoundError, match=r"project file .*no\.toml does not exist"
+    ):
+        load_project(tmp_path / "no.toml")
+
+
+def test_directory(tmp_path):
+    with pytest.raises(ProjectError, match="is a directory; name the file in it"):
+        load_project(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content", [b"[mesh", b"\xff\xfe\x00", json.dumps({}).encode()]
+)
+def test_no_toml(tmp_path, content):
+    path = tmp_path / "project.toml"
+    path.write_bytes(content)
+    with pytest.raises(ProjectError, match="cannot be read as TOML: "):
+        load_project(path)
+
+
+def test_empty_file(tmp_path):
+    path = tmp_path / "project.toml"
+    path.write_text("")
+    with pytest.raises(ProjectError) as caught:
+        load_project(path)
+    for key in ("name", "mesh", "material", "configurations"):
+        assert f"- {key}: missing. Expected " in str(caught.value)
+
+
+def test_nothing_to_calibrate(tmp_path):
+    start = '[[parameters]]\nfield = "E"\nlower = "100 kPa"\nupper = "1 MPa"\n'
+    project = load_project(write_small_project(tmp_path, (start, "")))
+    with pytest.raises(
+        ProjectError, match=r"parameters: nothing to calibrate; add \[\["
+    ):
+        project.calibrate()
+
+
+def test_nothing_measured(tmp_path):
+    changes = [
+        ('name = "weight"\nmeasured.recording = { run = "weight" }', 'name = "weight"'),
+        ('measured.recording = { run = "pulled" }', ""),
+    ]
+    path = write_small_project(tmp_path, *changes)
+    text = path.read_text()
+    start, end = text.index("[shared.measured]"), text.index("[[configurations]]")
+    path.write_text(text[:start] + text[end:])
+    project = load_project(path)
+    with pytest.raises(ProjectError) as caught:
+        project.calibrate()
+    assert "- configurations.weight: it has no `measured` positions." in str(
+        caught.value
+    )
+    assert "- configurations.pulled: it has no `measured` pos" in str(caught.value)
+
+
+def test_float32(tmp_path):
+    path = write_small_project(tmp_path)
+    with (
+        jax.enable_x64(False),
+        pytest.raises(ValueError, match="needs float64, which is"),
+    ):
+        load_project(path)

@@ -1,0 +1,125 @@
+"""Quantities with units, and what a reader is told about the others."""
+
+import math
+
+import pytest
+from pydantic_core import PydanticCustomError
+
+from softcal_jax.project._quantities import (
+    ACCELERATION,
+    DENSITY,
+    FORCE,
+    LENGTH,
+    PRESSURE,
+    parse_scalar,
+    parse_vector,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "value"),
+    [
+        ("200 kPa", PRESSURE, 200e3),
+        ("2e5Pa", PRESSURE, 2e5),
+        ("0.2 N/mm^2", PRESSURE, 2e5),
+        ("0.2 N/mm²", PRESSURE, 2e5),
+        ("1 kgf", FORCE, 9.80665),
+        ("-3 mm", LENGTH, -3e-3),
+        (" 1 inch ", LENGTH, 0.0254),
+        ("5 µm", LENGTH, 5e-6),
+        ("1070 kg/m^3", DENSITY, 1070.0),
+        ("1070 kg/m3", DENSITY, 1070.0),
+        ("1.07 g/cm**3", DENSITY, 1070.0),
+        ("9.81 m/s2", ACCELERATION, 9.81),
+        ("9.81 m*s^-2", ACCELERATION, 9.81),
+        ("-inf mm", LENGTH, -math.inf),
+    ],
+)
+def test_scalar(text, dimension, value):
+    assert parse_scalar(text, dimension) == pytest.approx(value, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("value", "dimension", "message"),
+    [
+        (
+            200000,
+            PRESSURE,
+            "200000 has no unit; expected a pressure or modulus, in quotes and with "
+            'its unit, like "200 kPa".',
+        ),
+        (
+            "0.5",
+            FORCE,
+            "0.5 has no unit; expected a force, in quotes and with its unit, like "
+            '"0.51 N".',
+        ),
+        (
+            "200 kpa",
+            PRESSURE,
+            '"200 kpa": unknown unit "kpa"; expected a pressure or modulus, like '
+            '"200 kPa". Did you mean "kPa"?',
+        ),
+        (
+            "3 furlongz",
+            LENGTH,
+            '"3 furlongz": unknown unit "furlongz"; expected a length, like "100 mm".',
+        ),
+        (
+            "3 mm",
+            FORCE,
+            '"3 mm": "mm" is not a force; expected a force, like "0.51 N".',
+        ),
+        (
+            "3 m//s",
+            LENGTH,
+            '"3 m//s": cannot read the unit "m//s"; expected a length, like "100 mm".',
+        ),
+        (
+            True,
+            LENGTH,
+            'got True; expected a length in quotes, like "100 mm".',
+        ),
+        ("long", LENGTH, 'got "long"; expected a length in quotes, like "100 mm".'),
+        ("nan mm", LENGTH, 'got "nan mm"; expected a length in quotes, like "100 mm".'),
+    ],
+)
+def test_bad_scalar(value, dimension, message):
+    with pytest.raises(PydanticCustomError) as caught:
+        parse_scalar(value, dimension)
+    assert caught.value.message() == message
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "(0, -15, 36.5) mm",
+        "[0, -15, 3.65e1]mm",
+        ["0 m", "-1.5 cm", "36.5 mm"],
+    ],
+)
+def test_vector(value):
+    assert parse_vector(value, LENGTH) == pytest.approx(
+        (0.0, -0.015, 0.0365), rel=1e-14
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("(0, 15) mm", "got 2 numbers; expected three numbers with a unit"),
+        ("0, 15, 36 mm", 'got "0, 15, 36 mm"; expected three numbers with a unit'),
+        (
+            "(0, 15, 36)",
+            '"(0, 15, 36)" has no unit; expected three numbers with a unit',
+        ),
+        ("(0, x, 36) mm", '"(0, x, 36) mm": "x" is not a number; expected three'),
+        ("(0, 15, 36) N", '"(0, 15, 36) N": "N" is not a length; expected a length'),
+        ([0, 15, 36], "0 has no unit; expected a length"),
+        (36, 'got 36; expected three numbers with a unit, like "(0, 0, -1) mm".'),
+    ],
+)
+def test_bad_vector(value, message):
+    with pytest.raises(PydanticCustomError) as caught:
+        parse_vector(value, LENGTH)
+    assert caught.value.message().startswith(message)

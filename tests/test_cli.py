@@ -1,0 +1,204 @@
+"""The command line: exit codes, what is printed, and what is left on the disk."""
+
+import json
+import subprocess
+import sys
+from importlib.metadata import version
+
+import pytest
+from small_project import write_small_project
+
+from softcal_jax.cli import main
+from softcal_jax.robots import silicone_beam_path
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out"
+
+
+def left_behind(folder):
+    """Everything in a folder that the project did not bring, hidden files too."""
+    return {p.name for p in folder.iterdir()} - {"project.toml", "markers.csv"}
+
+
+def test_version():
+    done = subprocess.run(
+        [sys.executable, "-c", "from softcal_jax.cli import main; main(['--version'])"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == f"softcal {version('softcal-jax')}\n"
+
+
+def test_help(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["--help"])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    assert "softcal demo --write my_robot" in text
+    assert "exit codes: 0" in text
+
+
+@pytest.mark.parametrize("argv", [[], ["callibrate"], ["calibrate", "p.toml"]])
+def test_wrong_usage(argv, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(argv)
+    assert caught.value.code == 2
+    assert "usage: softcal" in capsys.readouterr().err
+
+
+def test_calibrate(tmp_path, out, capsys):
+    path = write_small_project(tmp_path)
+    assert main(["calibrate", str(path), "-o", str(out)]) == 0
+    text, errors = capsys.readouterr()
+    assert errors == ""
+    assert "16 nodes, 18 linear tets, NeoHookean (displacement)" in text
+    assert "fit: weight\npredict: pulled\n" in text
+    assert "rms left at the markers: weight 0.00 mm, pulled 0.00 mm" in text
+    assert "step 1 " in text
+    assert "E = 300.00 kPa" in text
+    assert "predicting pulled ..." in text
+    assert (
+        "Held-out error, pulled: 0.00 mm rms over 2 markers, 0.0 % of how far" in text
+    )
+    assert f"Results in {out}: " in text
+    for part in ("import", "reading", "compile and solve", "results and pictures"):
+        assert f"{part} " in text.split("Time: ")[1]
+
+    result = json.loads((out / "result.json").read_text())
+    assert result["converged"]
+    (E,) = result["parameters"]
+    assert E["value"] == pytest.approx(300e3, rel=1e-8)
+    assert {"import", "reading", "compile and solve"} <= set(result["timing_s"])
+    assert {"weight.vtu", "pulled.vtu", "convergence.png"} <= {
+        p.name for p in out.iterdir()
+    }
+    assert left_behind(tmp_path) == {"out"}
+
+    # Once more: refused, and untouched; nothing was even read.
+    before = (out / "result.json").stat().st_mtime_ns
+    assert main(["calibrate", str(tmp_path / "no.toml"), "-o", str(out)]) == 2
+    assert "is not empty. Choose another one, or replace" in capsys.readouterr().err
+    assert (out / "result.json").stat().st_mtime_ns == before
+
+
+def test_force_replaces_and_not_converged_says_so(tmp_path, out, capsys):
+    """One step is too few: the results are there, marked, and the exit code is 1."""
+    settings = "[settings]\nmax_steps = 1\n\n[markers]\n"
+    path = write_small_project(tmp_path, ("[markers]\n", settings))
+    out.mkdir()
+    (out / "result.json").write_text('{"files": []}')
+    assert main(["calibrate", str(path), "-o", str(out), "--force"]) == 1
+    text, errors = capsys.readouterr()
+    assert errors == "not converged after 1 steps: do not use the values.\n"
+    assert "NOT CONVERGED" in text
+    assert json.loads((out / "result.json").read_text())["converged"] is False
+
+
+def test_simulate(tmp_path, out, capsys):
+    path = write_small_project(tmp_path)
+    assert main(["simulate", str(path), "-o", str(out)]) == 0
+    text, errors = capsys.readouterr()
+    assert errors == ""
+    assert "equilibrium of weight, pulled (compiling)" in text
+    assert "Time: import " in text
+    lanes = json.loads((out / "simulation.json").read_text())["configurations"]
+    assert [lane["name"] for lane in lanes] == ["weight", "pulled"]
+    # Twice the softness of the recordings, which went down by 0.56 mm.
+    assert 0.7 < -(lanes[0]["markers"][0]["simulated_mm"][2] - 10.0) < 1.0
+
+
+@pytest.mark.parametrize("command", ["calibrate", "simulate"])
+def test_no_equilibrium_names_the_configuration(tmp_path, out, capsys, command):
+    path = write_small_project(
+        tmp_path,
+        ("(20, 0, -50) mN", "(-500000, 0, 0) N"),
+        ('role = "validation"', 'role = "calibration"'),
+        ("[markers]\n", "[newton]\nmax_steps = 5\n\n[markers]\n"),
+    )
+    assert main([command, str(path), "-o", str(out)]) == 1
+    errors = capsys.readouterr().err
+    assert errors.startswith("error: no equilibrium found.\nconfiguration 'pulled': ")
+    assert "'weight'" not in errors
+    assert errors.endswith("Nothing was written.\n")
+    assert left_behind(tmp_path) == set()
+
+
+@pytest.mark.parametrize("command", ["calibrate", "simulate"])
+def test_bad_input_leaves_nothing(tmp_path, out, capsys, command):
+    path = write_small_project(tmp_path, ('E = "200 kPa"', 'E = "200 kpa"'))
+    assert main([command, str(path), "-o", str(out)]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith(
+        f'error: {path}: material.E: "200 kpa": unknown unit "kpa"'
+    )
+    assert errors.endswith('Did you mean "kPa"?\n')
+    assert left_behind(tmp_path) == set()
+
+
+def test_missing_project(tmp_path, out, capsys):
+    assert main(["calibrate", str(tmp_path / "no.toml"), "-o", str(out)]) == 2
+    errors = capsys.readouterr().err
+    assert errors == f"error: project file {tmp_path / 'no.toml'} does not exist.\n"
+    assert left_behind(tmp_path) == set()
+
+
+def test_nothing_to_calibrate(tmp_path, out, capsys):
+    start = '[[parameters]]\nfield = "E"\nlower = "100 kPa"\nupper = "1 MPa"\n'
+    path = write_small_project(tmp_path, (start, ""))
+    assert main(["calibrate", str(path), "-o", str(out)]) == 2
+    assert "parameters: nothing to calibrate" in capsys.readouterr().err
+    assert left_behind(tmp_path) == set()
+
+
+def test_warnings_are_lines(tmp_path, out, capsys, monkeypatch):
+    """More parameters than data: the warning is a line, without code in it."""
+    more = '[[parameters]]\nfield = "nu"\nlower = 0.1\nupper = 0.45\n\n'
+    more += '[markers]\naxes = "z"\n'
+    path = write_small_project(
+        tmp_path,
+        ("[markers]\n", more),
+        ('markers = ["tip", "side"]', 'markers = ["tip"]'),
+    )
+    stop_at_the_first_solve(monkeypatch)
+    assert main(["calibrate", str(path), "-o", str(out)]) == 130
+    text = capsys.readouterr().out
+    assert "warning: 2 parameters but only 1 measured coordinates: at least 1 " in text
+    assert ".py" not in text
+
+
+def stop_at_the_first_solve(monkeypatch):
+    from softcal_jax.calibration import _calibrate
+
+    def interrupt(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_calibrate, "_evaluate", interrupt)
+
+
+def test_interrupted(tmp_path, out, capsys, monkeypatch):
+    stop_at_the_first_solve(monkeypatch)
+    path = write_small_project(tmp_path)
+    assert main(["calibrate", str(path), "-o", str(out)]) == 130
+    assert capsys.readouterr().err == "interrupted; nothing was written.\n"
+    assert left_behind(tmp_path) == set()
+
+
+def test_demo_writes_its_project(tmp_path, capsys):
+    folder = tmp_path / "mine"
+    assert main(["demo", "--write", str(folder)]) == 0
+    assert f"softcal calibrate {folder / 'project.toml'} -o" in capsys.readouterr().out
+    source = silicone_beam_path().parent
+    for name in ("project.toml", "markers.csv", "README.md"):
+        assert (folder / name).read_bytes() == (source / name).read_bytes()
+
+    (folder / "project.toml").write_text("mine")
+    assert main(["demo", "--write", str(folder)]) == 2
+    assert (
+        "has README.md, markers.csv, project.toml already." in capsys.readouterr().err
+    )
+    assert (folder / "project.toml").read_text() == "mine"
+    assert main(["demo", "--write", str(folder), "--force"]) == 0
+    assert (folder / "project.toml").read_text() != "mine"

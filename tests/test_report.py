@@ -1,0 +1,240 @@
+import io
+import json
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from export.handmade import make_fit, make_result, make_simulation, small_model
+from matplotlib.image import imread
+from rich.console import Console
+
+from softcal_jax import report
+from softcal_jax.calibration import ParameterEstimate
+from softcal_jax.export import simulation_dict
+from softcal_jax.plotting import rendering_problem
+from softcal_jax.report import (
+    PictureWarning,
+    simulation_table,
+    summary_table,
+    write_results,
+    write_simulation,
+)
+
+needs_opengl = pytest.mark.skipif(
+    rendering_problem() is not None, reason=str(rendering_problem())
+)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def printed(table):
+    """What a terminal of 80 columns shows."""
+    console = Console(width=80, file=io.StringIO())
+    console.print(table)
+    return console.file.getvalue()
+
+
+@pytest.fixture
+def no_opengl(monkeypatch):
+    monkeypatch.setattr(report, "rendering_problem", lambda: "no OpenGL here")
+
+
+@needs_opengl
+def test_a_calibration_as_a_folder(tmp_path):
+    written = write_results(
+        make_result(), tmp_path / "out", name="beam", timing_s={"import": 2.0}
+    )
+    assert written == tmp_path / "out"
+    assert names(tmp_path) == ["out"]
+    data = json.loads((written / "result.json").read_text())
+    assert names(written) == sorted(["result.json", *data["files"]])
+    assert names(written) == [
+        "convergence.png",
+        "droop.png",
+        "droop.vtu",
+        "held_out.png",
+        "held_out.vtu",
+        "markers.csv",
+        "result.json",
+    ]
+    assert (data["name"], data["converged"]) == ("beam", True)
+    assert data["timing_s"] == {"steps": 1.5, "import": 2.0}
+    fit, held_out = data["configurations"]
+    assert fit["files"] == ["droop.vtu", "droop.png"]
+    assert held_out["files"] == ["held_out.vtu", "held_out.png"]
+    for picture in ("convergence", "droop", "held_out"):
+        assert imread(written / f"{picture}.png").shape[1] >= 1200
+
+
+def test_without_opengl_the_rest_is_written_and_it_is_said(tmp_path, no_opengl):
+    with pytest.warns(PictureWarning, match="no OpenGL here"):
+        write_results(make_result(), tmp_path / "out")
+    assert names(tmp_path / "out") == [
+        "convergence.png",
+        "droop.vtu",
+        "held_out.vtu",
+        "markers.csv",
+        "result.json",
+    ]
+    data = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert data["notes"] == ["nu ended on a bound.", "no OpenGL here"]
+    assert data["configurations"][0]["files"] == ["droop.vtu"]
+
+
+@pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+@pytest.mark.usefixtures("no_opengl")
+class TestWholeOrNotAtAll:
+    def test_refused_without_force(self, tmp_path):
+        write_results(make_result(), tmp_path / "out")
+        with pytest.raises(FileExistsError, match=r"out is not empty.*--force"):
+            write_results(make_result(converged=False), tmp_path / "out")
+        data = json.loads((tmp_path / "out" / "result.json").read_text())
+        assert data["converged"] is True
+
+    def test_replaced_with_force(self, tmp_path):
+        write_results(make_result(), tmp_path / "out")
+        one = [make_fit(small_model().mesh, "other")]
+        write_results(
+            make_result(converged=False, fits=one), tmp_path / "out", force=True
+        )
+        assert names(tmp_path / "out") == [
+            "convergence.png",
+            "markers.csv",
+            "other.vtu",
+            "result.json",
+        ]
+        data = json.loads((tmp_path / "out" / "result.json").read_text())
+        assert data["converged"] is False
+        assert names(tmp_path) == ["out"]
+
+    @pytest.mark.parametrize(
+        "part", ["plot_convergence", "write_markers_csv", "write_vtu", "write_json"]
+    )
+    def test_a_failure_leaves_nothing_or_what_was_there(
+        self, tmp_path, monkeypatch, part
+    ):
+        write_results(make_result(), tmp_path / "old")
+        before = (tmp_path / "old" / "result.json").read_text()
+
+        def fail(*args, **kwargs):
+            raise OSError("disk full")
+
+        monkeypatch.setattr(report, part, fail)
+        for name in ("new", "old"):
+            with pytest.raises(OSError, match="disk full"):
+                write_results(make_result(converged=False), tmp_path / name, force=True)
+        assert names(tmp_path) == ["old"]
+        assert "droop.vtu" in names(tmp_path / "old")
+        assert (tmp_path / "old" / "result.json").read_text() == before
+
+    def test_a_simulation_too(self, tmp_path, monkeypatch):
+        model = small_model()
+        arguments = (model, *make_simulation(model, (True,)))
+        write_simulation(*arguments, tmp_path / "out")
+        with pytest.raises(FileExistsError, match="--force"):
+            write_simulation(*arguments, tmp_path / "out")
+        write_simulation(*arguments, tmp_path / "out", force=True)
+        assert names(tmp_path / "out") == ["lane_0.vtu", "simulation.json"]
+
+        def fail(*args, **kwargs):
+            raise OSError("disk full")
+
+        monkeypatch.setattr(report, "write_json", fail)
+        with pytest.raises(OSError, match="disk full"):
+            write_simulation(*arguments, tmp_path / "new")
+        assert names(tmp_path) == ["out"]
+
+
+@needs_opengl
+def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
+    model = small_model()
+    configurations, solution = make_simulation(model, (True, False, True))
+    write_simulation(model, configurations, solution, tmp_path / "out", name="poses")
+    assert names(tmp_path / "out") == [
+        "lane_0.png",
+        "lane_0.vtu",
+        "lane_2.png",
+        "lane_2.vtu",
+        "simulation.json",
+    ]
+    data = json.loads((tmp_path / "out" / "simulation.json").read_text())
+    assert (data["name"], data["converged"]) == ("poses", False)
+    assert data["files"] == ["lane_0.vtu", "lane_0.png", "lane_2.vtu", "lane_2.png"]
+    failed = data["configurations"][1]
+    assert failed["files"] == []
+    assert "inverted" in failed["outcome"]
+
+
+def test_summary_in_80_columns():
+    text = printed(summary_table(make_result()))
+    assert "240.0 ± 4.8 kPa │ 200 kPa │ 100 to 1000 kPa" in text
+    assert "0.44 (on a bound) │     0.4 │     0.3 to 0.44" in text
+    rows = [line for line in text.splitlines() if line.startswith("│")]
+    for name, role, numbers in (
+        ("droop", "calibration", ("4.00 mm", "1.00 mm", "20.00 mm", "5.0 %")),
+        ("held out", "validation", ("8.00 mm", "2.00 mm", "20.00 mm", "10.0 %")),
+    ):
+        row = next(line for line in rows if name in line)
+        assert [cell.strip() for cell in row.strip("│").split("│")] == [
+            name,
+            role,
+            *numbers,
+        ]
+    assert "Converged in 4 steps." in text
+    assert "Note: nu ended on a bound." in text
+    assert "…" not in text
+
+
+def test_summary_says_that_it_did_not_converge():
+    text = printed(summary_table(make_result(converged=False)))
+    assert "NOT CONVERGED after 4 steps: do not use these values." in text
+    assert "Converged in" not in text
+
+
+def test_names_are_no_markup():
+    """`rich` would take "[red]" for a colour and swallow it."""
+    fit = make_fit(small_model().mesh, "[red]pose[/]")
+    estimate = ParameterEstimate("[b]E", 2e5, 1e3, 2e5, 1e5, 1e6, "Pa", False)
+    parameters = (estimate,)
+    result = make_result(fits=[fit], parameters=parameters, notes=("[b]bold",))
+    text = printed(summary_table(result))
+    assert "[red]pose[/]" in text
+    assert "[b]E" in text
+    assert "Note: [b]bold" in text
+
+
+def test_simulation_table():
+    model = small_model()
+    data = simulation_dict(model, *make_simulation(model))
+    rows = [
+        [cell.strip() for cell in line.strip("│").split("│")]
+        for line in printed(simulation_table(data)).splitlines()
+        if line.startswith("│")
+    ]
+    assert rows[0] == ["lane 0", f"{np.hypot(20, 4):.2f} mm", "4", "converged"]
+    assert rows[1][:3] == ["lane 1", "-", "5"]
+    assert rows[1][3].startswith("equilibrium found, but")
+
+
+def test_importing_the_report_loads_no_graphics():
+    """`import softcal_jax` must stay quick: VTK alone takes half a second."""
+    code = (
+        "import sys, softcal_jax.report; "
+        "print({'pyvista', 'vtkmodules', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "set()"
+
+
+@needs_opengl
+def test_nothing_is_written_to_the_terminal(tmp_path, capfd):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_results(make_result(), tmp_path / "out")
+    assert capfd.readouterr() == ("", "")
