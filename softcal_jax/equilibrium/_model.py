@@ -86,8 +86,8 @@ def _check_fields(law: AbstractLaw, n_tets: int) -> None:
     for path, leaf in jax.tree_util.tree_leaves_with_path(law):
         if jnp.ndim(leaf) > 0 and jnp.shape(leaf)[0] != n_tets:
             raise ValueError(
-                f"law{jax.tree_util.keystr(path)} has shape {jnp.shape(leaf)}; expected "
-                f"one value, or one per tet: the mesh has {n_tets} tets."
+                f"law{jax.tree_util.keystr(path)} has shape {jnp.shape(leaf)}; "
+                f"expected one value, or one per tet: the mesh has {n_tets} tets."
             )
 
 
