@@ -6,6 +6,7 @@ files come from memory. The parts of the demo are those that its `result.json` r
 """
 
 import json
+import re
 import statistics
 import sys
 import tempfile
@@ -63,8 +64,13 @@ def _cold_demo() -> dict[str, float]:
         run_process([str(program), "demo", "-o", str(results)], _cold(home))
         wall = time.perf_counter() - begin
         told = json.loads((results / "result.json").read_text(encoding="utf-8"))
-    parts = {f"demo_{name}_s": seconds for name, seconds in told["timing_s"].items()}
-    return {"demo_cold_s": wall, **parts}
+    parts = told["timing_s"].items()
+    return {"demo_cold_s": wall, **{_part(name): seconds for name, seconds in parts}}
+
+
+def _part(name: str) -> str:
+    """Name of the figure for a part of the demo."""
+    return f"demo_{re.sub(r'[^a-z0-9]+', '_', name.lower())}_s"
 
 
 def _cold(home: str) -> dict[str, str]:
