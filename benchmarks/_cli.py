@@ -109,7 +109,8 @@ def _print(name: str, outcome: Outcome) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    # In a file or a pipe, a name that is cut helps no one.
+    console = Console(width=None if sys.stdout.isatty() else 120)
     for given in outcome.tables:
         table = Table(title=given.title, title_justify="left")
         for i, column in enumerate(given.columns):
@@ -120,12 +121,13 @@ def _print(name: str, outcome: Outcome) -> None:
     figures = Table(title=f"{name}: figures", title_justify="left")
     figures.add_column("figure")
     figures.add_column("value", justify="right")
-    figures.add_column("goal")
+    if outcome.goals:
+        figures.add_column("goal")
     for figure, value in outcome.figures.items():
         goal = outcome.goals.get(figure)
         shown = value if isinstance(value, str) else f"{value:.4g}"
         verdict = "" if goal is None else f"{goal}: {_verdict(goal.met(value))}"
-        figures.add_row(figure, shown, verdict)
+        figures.add_row(figure, shown, *([verdict] if outcome.goals else []))
     console.print(figures)
 
 

@@ -21,7 +21,6 @@ _PACKAGES = (
     "numpy",
     "scipy",
     "pardiso-mkl-jax",
-    "sparsax",
     "klujax",
     "mkl",
     "felupe",

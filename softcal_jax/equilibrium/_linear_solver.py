@@ -1,8 +1,8 @@
 """Sparse direct solvers behind one small interface, usable inside jit and vmap.
 
-`default_solver` picks the one that pyproject.toml installs on the platform: PARDISO
-on x86-64, CHOLMOD on Linux for ARM, KLU on macOS. Nothing else is tried silently; the
-name of the solver is part of every result.
+`analyse` picks the one that pyproject.toml installs on the platform: PARDISO on x86-64
+Linux and Windows, KLU elsewhere. Nothing else is tried; the name of the solver is part
+of every result.
 """
 
 from abc import abstractmethod
@@ -125,54 +125,46 @@ class Pardiso(AbstractLinearSolver):
         return x, negative_eigenvalues, perturbed_pivots == 0
 
 
-class Cholmod(AbstractLinearSolver):
-    """CHOLMOD through sparsax, for definite matrices.
+class Klu(AbstractLinearSolver):
+    """KLU through klujax, for any matrix; it does not count negative eigenvalues.
 
-    An indefinite tangent has no Cholesky factor; it is reported as not solved.
+    For the platforms without PARDISO. CHOLMOD would be several times faster there, but
+    its package stops the whole program at the first indefinite tangent of a batch.
+
+    Attributes:
+        full_rows: Row of each entry of the full matrix: upper triangle, then lower.
+        full_cols: Its column.
+        source: Where its value stands in the upper triangle.
     """
 
     sparsity: Sparsity
-    name: str = eqx.field(static=True, default="CHOLMOD (sparsax)")
-
-    @classmethod
-    def analyse(cls, sparsity: Sparsity) -> "Cholmod":
-        """Keep the pattern; sparsax caches its analysis by content."""
-        return cls(sparsity)
-
-    def _factor_solve(self, values, rhs):
-        import sparsax
-
-        x = sparsax.solve(self.sparsity.rows, self.sparsity.indices, values, rhs.T).T
-        return x, jnp.zeros((), jnp.int32), jnp.all(jnp.isfinite(x))
-
-
-class Klu(AbstractLinearSolver):
-    """KLU through klujax, for any matrix; it does not count negative eigenvalues."""
-
-    sparsity: Sparsity
+    full_rows: Int[Array, " n_full"]
+    full_cols: Int[Array, " n_full"]
+    source: Int[Array, " n_full"]
     name: str = eqx.field(static=True, default="KLU (klujax)")
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Klu":
-        """Keep the pattern."""
-        return cls(sparsity)
+        """Keep the pattern, with both triangles."""
+        rows, cols = sparsity.rows, sparsity.indices
+        off = np.flatnonzero(rows != cols)
+        source = np.concatenate([np.arange(rows.size), off])
+        return cls(
+            sparsity=sparsity,
+            full_rows=jnp.asarray(np.concatenate([rows, cols[off]])),
+            full_cols=jnp.asarray(np.concatenate([cols, rows[off]])),
+            source=jnp.asarray(source.astype(np.int32)),
+        )
 
     def _factor_solve(self, values, rhs):
         import klujax
 
-        rows, cols = np.asarray(self.sparsity.rows), np.asarray(self.sparsity.indices)
-        off = np.flatnonzero(rows != cols)
-        x = klujax.solve(
-            jnp.asarray(np.concatenate([rows, cols[off]])),
-            jnp.asarray(np.concatenate([cols, rows[off]])),
-            jnp.concatenate([values, values[off]]),
-            rhs.T,
-        ).T
+        x = klujax.solve(self.full_rows, self.full_cols, values[self.source], rhs.T).T
         return x, jnp.full((), -1, jnp.int32), jnp.all(jnp.isfinite(x))
 
 
-_PACKAGES = {"pardiso_mkl_jax": Pardiso, "sparsax": Cholmod, "klujax": Klu}
-_BY_NAME = {"pardiso": Pardiso, "cholmod": Cholmod, "klu": Klu}
+_PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
+_BY_NAME = {"pardiso": Pardiso, "klu": Klu}
 
 
 def analyse(sparsity: Sparsity, solver: str | None = None) -> AbstractLinearSolver:
@@ -180,7 +172,7 @@ def analyse(sparsity: Sparsity, solver: str | None = None) -> AbstractLinearSolv
 
     Args:
         sparsity: Pattern of the matrices to come.
-        solver: "pardiso", "cholmod" or "klu"; by default the one that pyproject.toml
+        solver: "pardiso" or "klu"; by default the one that pyproject.toml
             installs on this platform.
 
     Returns:
@@ -201,7 +193,7 @@ def analyse(sparsity: Sparsity, solver: str | None = None) -> AbstractLinearSolv
             return kind.analyse(sparsity)
     raise ImportError(
         "no sparse direct solver is installed: `pip install softcal-jax` brings the "
-        "one of your platform (pardiso-mkl-jax, sparsax or klujax)."
+        "one of your platform (pardiso-mkl-jax or klujax)."
     )
 
 

@@ -132,9 +132,10 @@ def build_model(
             f"density must be one value or one per tet, shape ({mesh.n_tets},), "
             f"got shape {density.shape}."
         )
-    if not bool(jnp.all(jnp.isfinite(density) & (density >= 0))):
+    bad = np.atleast_1d(density)[~(np.atleast_1d(density) >= 0) | np.isinf(density)]
+    if bad.size:
         raise ValueError(
-            f"density must be finite and not negative [kg/m3], got {density.min():g}."
+            f"density must be finite and not negative [kg/m3], got {bad[0]:g}."
         )
     n_tets, n_en = mesh.tets.shape
     block = BLOCK

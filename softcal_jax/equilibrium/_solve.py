@@ -189,7 +189,7 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
         return
     lines = []
     for lane in bad:
-        one = jax.tree.map(lambda leaf, lane=lane: np.atleast_1d(leaf)[lane], solution)
+        one = jax.tree.map(lambda leaf, lane=lane: jnp.atleast_1d(leaf)[lane], solution)
         lines.append(
             f"configuration {names[lane]!r}: {RESULTS[one.result]} "
             f"({int(one.steps)} Newton steps, {int(one.load_steps)} load steps done, "

@@ -1,7 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import irregular_cube, nearest_node
+from problems import irregular_cube, nearest_node, straight_mid_nodes
 
 from softcal_jax.configurations import (
     EdgeForce,
@@ -12,7 +12,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import build_model, gravity_load
 from softcal_jax.materials import Isotropic, StVenantKirchhoff
-from softcal_jax.mesh import TetMesh, beam
+from softcal_jax.mesh import TetMesh, beam, to_quadratic
 
 FORCE = (1.0, -2.0, 0.5)
 each_order = pytest.mark.parametrize("order", [1, 2])
@@ -54,8 +54,8 @@ def test_edge_force(order):
     """A line of nodes named by a group; edges of unequal length share by length."""
     mesh = box(order)
     graded = mesh.points.copy()
-    graded[:, 1] = graded[:, 1] ** 2 / 0.3  # straight mid nodes come next
-    graded = TetMesh(graded[: graded.shape[0]], mesh.tets)
+    graded[:, 1] = graded[:, 1] ** 2 / 0.3
+    graded = TetMesh(graded, mesh.tets)
     mesh = graded if order == 1 else straightened(graded)
     line = np.flatnonzero((mesh.points[:, 0] == 0.4) & (mesh.points[:, 2] == 0.2))
     forces = EdgeForce(line, FORCE).nodal_forces(mesh)
@@ -71,8 +71,6 @@ def test_edge_force(order):
 
 def straightened(mesh):
     """Mid nodes put back in the middle of their edges."""
-    from problems import straight_mid_nodes
-
     points = mesh.points.copy()
     points[mesh.tets[:, 4:]] = straight_mid_nodes(mesh)
     return TetMesh(points, mesh.tets)
@@ -144,8 +142,6 @@ def test_corners_of_a_quadratic_tet_carry_minus_a_twentieth():
     """Consistent body force: -1/20 at corners, 1/5 at mid nodes of the tet's mass."""
     X = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0.5, 0.3, 3]])
     linear = TetMesh(X, [[0, 1, 2, 3]])
-    from softcal_jax.mesh import to_quadratic
-
     mesh = to_quadratic(linear)
     law = StVenantKirchhoff(Isotropic(1.0, 0.0))
     model = build_model(mesh, law, density=10.0)
