@@ -6,6 +6,7 @@ from softcal_jax.calibration._calibrate import (
     calibrate,
     levenberg_marquardt,
 )
+from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
@@ -34,6 +35,7 @@ __all__ = [
     "CalibrationSettings",
     "CalibrationState",
     "CalibrationWarning",
+    "Clock",
     "ConfigurationFit",
     "Evaluation",
     "HistoryEntry",

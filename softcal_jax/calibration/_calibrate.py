@@ -1,16 +1,15 @@
 """The calibration loop: from configurations and measurements to parameters."""
 
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     at_rest,
@@ -20,6 +19,7 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
+    ConfigurationFit,
     HistoryEntry,
     configuration_fits,
     parameter_estimates,
@@ -124,47 +124,59 @@ def calibrate(
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
     settings = settings or CalibrationSettings()
     problem = build_problem(model, parameters, configurations, newton)
-    held_out = (
-        build_problem(model, parameters, validation, newton) if validation else None
-    )
+    if validation:  # found wrong now, not after the fit
+        build_problem(model, parameters, validation, newton)
     names = [c.name for c in (*configurations, *validation)]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"configuration {name!r} is named more than once.")
     _warn_if_too_few_data(problem)
 
-    clock = _Clock()
-    start = problem.space.start()
-    before = clock("first_evaluation", _evaluate, problem, start, at_rest(problem))
-    check_converged(before.equilibrium, tuple(c.name for c in configurations))
-    state = initial_state(settings, start, before)
-    history = [_entry(state, problem, clock)]
-    if progress:
-        progress(history[-1])
-    while not state.converged and len(history) <= settings.max_steps:
-        proposal = clock("steps", _propose, problem, state)
-        tried = clock("steps", _evaluate, problem, proposal.z, proposal.guess)
-        state = clock("steps", _decide, settings, state, proposal, tried)
-        history.append(_entry(state, problem, clock))
-        if progress:
-            progress(history[-1])
-    after = state.evaluation
-    fits = configuration_fits(
-        configurations,
-        "calibration",
-        before.positions,
-        after.positions,
-        after.equilibrium,
-    )
-    if held_out is not None:
-        guess = at_rest(held_out)
-        first = clock("validation", _simulate, held_out, start, guess)
-        last = clock("validation", _simulate, held_out, state.z, guess)
-        held_out_names = tuple(c.name for c in validation)
-        check_converged(first[0], held_out_names)
-        check_converged(last[0], held_out_names)
-        fits += configuration_fits(validation, "validation", first[1], last[1], last[0])
+    with Clock() as clock:
+
+        def note(state):
+            history.append(_entry(state, problem, clock.elapsed()))
+            if progress:
+                progress(history[-1])
+
+        history: list[HistoryEntry] = []
+        start = problem.space.start()
+        before = _evaluate(problem, start, at_rest(problem))
+        names = tuple(c.name for c in configurations)
+        check_converged(before.equilibrium, names)
+        state = initial_state(settings, start, before)
+        note(state)
+        while not state.converged and len(history) <= settings.max_steps:
+            proposal = _propose(problem, state)
+            tried = _evaluate(problem, proposal.z, proposal.guess)
+            state = _decide(settings, state, proposal, tried)
+            note(state)
+        after = state.evaluation
+        fits = configuration_fits(
+            configurations,
+            "calibration",
+            before.positions,
+            after.positions,
+            after.equilibrium,
+        )
+        if validation:
+            fits += _predict(model, parameters, validation, newton, state)
     return _result(problem, noise, settings, state, history, fits, clock)
+
+
+def _predict(
+    model, parameters, validation, newton, state
+) -> tuple[ConfigurationFit, ...]:
+    """The held-out configurations with the start and the calibrated parameters."""
+    problem = build_problem(model, parameters, validation, newton)
+    names = tuple(c.name for c in validation)
+    guess = at_rest(problem)
+    positions = []
+    for z in (problem.space.start(), state.z):
+        solution, simulated = _simulate(problem, z, guess)
+        check_converged(solution, names)
+        positions.append(simulated)
+    return configuration_fits(validation, "validation", *positions, solution)
 
 
 def _result(problem, noise, settings, state, history, fits, clock) -> CalibrationResult:
@@ -190,7 +202,7 @@ def _result(problem, noise, settings, state, history, fits, clock) -> Calibratio
         W_ep=np.asarray(state.evaluation.W_ep),
         settings=settings,
         newton=problem.newton,
-        timing_s=dict(clock.seconds),
+        timing_s=clock.seconds,
         notes=_notes(problem, state, spread, settings),
     )
 
@@ -237,22 +249,8 @@ def _warn_if_too_few_data(problem: CalibrationProblem) -> None:
         )
 
 
-class _Clock:
-    """Wall time per part of a run [s]."""
-
-    def __init__(self):
-        self.seconds: dict[str, float] = {}
-
-    def __call__(self, name, function, *args):
-        begin = time.perf_counter()
-        out = jax.block_until_ready(function(*args))
-        seconds = time.perf_counter() - begin
-        self.seconds[name] = self.seconds.get(name, 0.0) + seconds
-        return out
-
-
 def _entry(
-    state: CalibrationState, problem: CalibrationProblem, clock: _Clock
+    state: CalibrationState, problem: CalibrationProblem, seconds: float
 ) -> HistoryEntry:
     evaluation = state.evaluation
     weight = problem.configurations.effectors.inverse_std
@@ -269,7 +267,7 @@ def _entry(
         kkt_residual=float(state.kkt_residual),
         newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
         values={n: float(v) for n, v in zip(problem.space.names, p, strict=True)},
-        seconds=sum(clock.seconds.values()),
+        seconds=seconds,
     )
 
 

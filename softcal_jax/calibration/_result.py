@@ -133,7 +133,7 @@ class CalibrationResult(eqx.Module):
         W_ep: Stacked compliances in noise units, for identifiability [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
-        timing_s: Wall time per part [s].
+        timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
         notes: What the user should know before using the numbers.
     """
 

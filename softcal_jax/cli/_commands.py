@@ -62,7 +62,8 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     show.now("first equilibrium (compiling)")
     with _no_equilibrium():
         result = project.calibrate(progress=_step_lines(project, show))
-    show.lap("compile and solve")
+    show.lap("solve")
+    show.split("solve", "compile", result.timing_s["compile"])
 
     show.now("writing results and pictures")
     with _bad_input():
@@ -90,15 +91,18 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     """Solves all configurations of a project with the start values."""
     _check_folder(args)
     from softcal_jax import export, report
+    from softcal_jax.calibration import Clock
     from softcal_jax.equilibrium import check_converged
 
     project = _load(args.project, show)
     names = tuple(c.name for c in project.configurations)
     show.now(f"equilibrium of {', '.join(names)} (compiling)")
-    solution = project.simulate()
+    with Clock() as clock:
+        solution = project.simulate()
     with _no_equilibrium():
         check_converged(solution, names)
-    show.lap("compile and solve")
+    show.lap("solve")
+    show.split("solve", "compile", clock.seconds["compile"])
 
     show.now("writing results and pictures")
     with _bad_input():

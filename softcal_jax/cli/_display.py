@@ -62,6 +62,11 @@ class Display:
         self.laps[name] = now - self.last
         self.last = now
 
+    def split(self, name: str, part: str, seconds: float) -> None:
+        """Shows a part of the last lap as a lap of its own, before it [s]."""
+        whole = self.laps.pop(name)
+        self.laps |= {part: seconds, name: whole - seconds}
+
     def total(self) -> float:
         """Wall time since the process began [s]."""
         return time.time() - self.begin

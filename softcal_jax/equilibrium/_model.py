@@ -102,9 +102,11 @@ def build_model(
     """Prepare a body for equilibrium: shape gradients, sparsity, symbolic analysis.
 
     Which element: quadratic tets (`to_quadratic`) for anything that bends; linear tets
-    lock and their moduli are effective, mesh-dependent numbers. Which formulation:
-    "displacement" converges one order faster while nu < 0.49; "mean-dilatation" does
-    not lock when the material is nearly incompressible (see `benchmarks`, `locking`).
+    lock and their moduli are effective, mesh-dependent numbers. Which formulation, for
+    quadratic tets: "displacement" is a little too stiff, and the more accurate one up
+    to nu = 0.45; "mean-dilatation" is a little too soft, and the more accurate one from
+    nu = 0.49 on, where it needs a quarter of the Newton steps as well
+    (`python -m benchmarks run locking`).
 
     Args:
         mesh: The mesh [m], linear or quadratic.

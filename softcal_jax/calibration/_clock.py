@@ -1,0 +1,42 @@
+"""Where the time of a run goes: compiling, or solving."""
+
+import time
+
+import jax
+
+
+class Clock:
+    """Context that tells the seconds JAX spent tracing and compiling from the rest.
+
+    JAX reports how long each trace, lowering and compilation took when it ends; nested
+    ones are counted once.
+
+    Attributes:
+        seconds: "compile" and "solve", after the context has ended [s].
+    """
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+        self._compiling: list[tuple[float, float]] = []
+
+    def __enter__(self) -> "Clock":
+        self._begin = time.perf_counter()
+        jax.monitoring.register_event_duration_secs_listener(self._listen)
+        return self
+
+    def __exit__(self, *_) -> None:
+        jax.monitoring.unregister_event_duration_listener(self._listen)
+        compiling, reached = 0.0, self._begin
+        for begin, end in sorted(self._compiling):
+            compiling += max(0.0, end - max(begin, reached))
+            reached = max(reached, end)
+        self.seconds = {"compile": compiling, "solve": self.elapsed() - compiling}
+
+    def elapsed(self) -> float:
+        """Seconds since the context began [s]."""
+        return time.perf_counter() - self._begin
+
+    def _listen(self, event: str, duration_secs: float, **_) -> None:
+        if event.startswith("/jax/core/compile/"):
+            now = time.perf_counter()
+            self._compiling.append((now - duration_secs, now))
