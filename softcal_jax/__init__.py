@@ -36,9 +36,10 @@ from softcal_jax.equilibrium import (
     NewtonSettings,
     build_model,
     check_converged,
+    marker_positions,
     solve_equilibrium,
 )
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import Parameter, ParameterSpace, set_field
 from softcal_jax.materials import (
     AbstractLaw,
     Corotational,
@@ -46,7 +47,7 @@ from softcal_jax.materials import (
     NeoHookean,
     StVenantKirchhoff,
 )
-from softcal_jax.mesh import beam, read_mesh, select_nodes, to_quadratic
+from softcal_jax.mesh import TetMesh, beam, read_mesh, select_nodes, to_quadratic
 
 __version__ = version("softcal-jax")
 
@@ -71,6 +72,7 @@ __all__ = [
     "Support",
     "SurfaceForce",
     "SurfaceTraction",
+    "TetMesh",
     "beam",
     "build_model",
     "calibrate",
@@ -81,12 +83,14 @@ __all__ = [
     "elements",
     "equilibrium",
     "fields",
+    "marker_positions",
     "materials",
     "mesh",
     "read_mesh",
     "register",
     "select_nodes",
     "sensitivity",
+    "set_field",
     "solve_equilibrium",
     "to_quadratic",
 ]

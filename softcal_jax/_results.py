@@ -20,7 +20,8 @@ class RESULTS(eqx.Enumeration):
         "stable equilibrium follows this load path"
     )
     singular = (
-        "the tangent is singular: a part of the body is not held; check the supports"
+        "the tangent could not be factorized: it is singular, as for a mechanism or at "
+        "the onset of buckling, or not finite; check the supports and the material"
     )
     inverted = (
         "equilibrium found, but some tets are inverted (det F <= 0): refine the mesh "

@@ -1,5 +1,6 @@
 """The results folder and the tables for the terminal."""
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -51,6 +52,7 @@ def write_results(
     The folder holds `result.json` (see `result_dict`; its `files` lists the others),
     `markers.csv`, `convergence.png` and, for each configuration, a .vtu for ParaView
     and a .png. A calibration that did not converge is written too, and says so in all.
+    A configuration without an equilibrium has neither .vtu nor .png.
 
     Args:
         result: The calibration.
@@ -76,7 +78,10 @@ def write_results(
         for fit, entry, stem in zip(
             result.configurations, data["configurations"], stems, strict=True
         ):
-            entry["files"] = [f"{stem}.vtu"]
+            entry["files"] = []
+            if math.isnan(fit.rms_after):
+                continue
+            entry["files"].append(f"{stem}.vtu")
             write_vtu(folder / f"{stem}.vtu", result.model, fit.displacement)
             if problem is None:
                 entry["files"].append(f"{stem}.png")
@@ -252,12 +257,16 @@ def _configuration_table(result: CalibrationResult) -> "rich.table.Table":
         table.add_row(
             _plain(entry["name"]),
             _plain(entry["role"]),
-            _plain(f"{entry['rms_before_mm']:.2f} mm"),
-            _plain(f"{entry['rms_after_mm']:.2f} mm", "bold"),
+            _plain(_distance(entry["rms_before_mm"])),
+            _plain(_distance(entry["rms_after_mm"]), "bold"),
             _plain(f"{entry['motion_mm']:.2f} mm"),
             _plain("-" if percent is None else f"{percent:.1f} %"),
         )
     return table
+
+
+def _distance(millimetres: float | None) -> str:
+    return "-" if millimetres is None else f"{millimetres:.2f} mm"
 
 
 def _table(title: str, first: str, columns: Sequence[str]) -> "rich.table.Table":

@@ -5,10 +5,14 @@ import subprocess
 import sys
 from importlib.metadata import version
 
+import numpy as np
 import pytest
+from export.handmade import make_fit, make_result, replaced, small_model
 from small_project import write_small_project
 
 from softcal_jax.cli import main
+from softcal_jax.cli._commands import _print_held_out
+from softcal_jax.cli._display import Display
 from softcal_jax.robots import silicone_beam_path
 
 
@@ -64,7 +68,7 @@ def test_calibrate(tmp_path, out, capsys):
         "Held-out error, pulled: 0.00 mm rms over 2 markers, 0.0 % of how far" in text
     )
     assert f"Results in {out}: " in text
-    for part in ("import", "reading", "compile and solve", "results and pictures"):
+    for part in ("import", "reading", "compile", "solve", "results and pictures"):
         assert f"{part} " in text.split("Time: ")[1]
 
     result = json.loads((out / "result.json").read_text())
@@ -110,15 +114,32 @@ def test_simulate(tmp_path, out, capsys):
     assert 0.7 < -(lanes[0]["markers"][0]["simulated_mm"][2] - 10.0) < 1.0
 
 
-@pytest.mark.parametrize("command", ["calibrate", "simulate"])
-def test_no_equilibrium_names_the_configuration(tmp_path, out, capsys, command):
-    path = write_small_project(
-        tmp_path,
-        ("(20, 0, -50) mN", "(-500000, 0, 0) N"),
-        ('role = "validation"', 'role = "calibration"'),
-        ("[markers]\n", "[newton]\nmax_steps = 5\n\n[markers]\n"),
-    )
-    assert main([command, str(path), "-o", str(out)]) == 1
+CRUSHED = (
+    ("(20, 0, -50) mN", "(-500000, 0, 0) N"),
+    ('role = "validation"', 'role = "calibration"'),
+    ("[markers]\n", "[newton]\nmax_steps = 5\n\n[markers]\n"),
+)
+"""A project whose second configuration has no equilibrium."""
+
+
+def test_simulate_writes_what_has_an_equilibrium(tmp_path, out, capsys):
+    path = write_small_project(tmp_path, *CRUSHED)
+    assert main(["simulate", str(path), "-o", str(out)]) == 1
+    text, errors = capsys.readouterr()
+    assert errors.startswith("error: no equilibrium found.\nconfiguration 'pulled': ")
+    assert "'weight'" not in errors
+    assert errors.endswith("The results hold the others, if any.\n")
+    assert "Simulation" in text
+    weight, pulled = json.loads((out / "simulation.json").read_text())["configurations"]
+    assert (weight["converged"], pulled["converged"]) == (True, False)
+    assert "weight.vtu" in weight["files"]
+    assert (out / "weight.vtu").exists()
+    assert not (out / "pulled.vtu").exists()
+
+
+def test_no_equilibrium_names_the_configuration(tmp_path, out, capsys):
+    path = write_small_project(tmp_path, *CRUSHED)
+    assert main(["calibrate", str(path), "-o", str(out)]) == 1
     errors = capsys.readouterr().err
     assert errors.startswith("error: no equilibrium found.\nconfiguration 'pulled': ")
     assert "'weight'" not in errors
@@ -202,3 +223,10 @@ def test_demo_writes_its_project(tmp_path, capsys):
     assert (folder / "project.toml").read_text() == "mine"
     assert main(["demo", "--write", str(folder), "--force"]) == 0
     assert (folder / "project.toml").read_text() != "mine"
+
+
+def test_a_prediction_without_equilibrium_has_no_error(capsys):
+    fit = make_fit(small_model().mesh, "crushed", "validation")
+    fit = replaced(fit, error_after=np.full(fit.after.shape, np.nan))
+    _print_held_out(make_result(fits=[fit]), Display(0.0))
+    assert capsys.readouterr().out == "Held-out error, crushed: no equilibrium.\n"

@@ -10,7 +10,7 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
-    {"_typing", "_results"},
+    {"_names", "_typing", "_results"},
     {"elements"},
     {"mesh"},
     {"materials"},
@@ -28,7 +28,7 @@ LAYERS = [
     {"cli"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-SHARED = {"_typing", "_results"}
+SHARED = {"_names", "_typing", "_results"}
 
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 

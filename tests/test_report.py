@@ -6,7 +6,13 @@ import warnings
 
 import numpy as np
 import pytest
-from export.handmade import make_fit, make_result, make_simulation, small_model
+from export.handmade import (
+    make_fit,
+    make_result,
+    make_simulation,
+    replaced,
+    small_model,
+)
 from matplotlib.image import imread
 from rich.console import Console
 
@@ -238,3 +244,25 @@ def test_nothing_is_written_to_the_terminal(tmp_path, capfd):
         warnings.simplefilter("error")
         write_results(make_result(), tmp_path / "out")
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+def test_no_equilibrium_is_said_instead_of_nan(tmp_path):
+    """Lost at the start: the rest is there. Lost at the end: nothing to draw."""
+    fit = make_fit(small_model().mesh)
+    nowhere = np.full(fit.before.shape, np.nan)
+    late = replaced(fit, before=nowhere, error_before=nowhere)
+    lost = replaced(late, name="lost", after=nowhere, error_after=nowhere)
+    result = make_result(fits=[late, lost])
+    table = printed(summary_table(result))
+    (droop,) = [line for line in table.splitlines() if "droop" in line]
+    (gone,) = [line for line in table.splitlines() if " lost " in line]
+    assert [cell.strip() for cell in droop.split("│")[3:5]] == ["-", "1.00 mm"]
+    assert [cell.strip() for cell in gone.split("│")[3:5]] == ["-", "-"]
+    assert "nan" not in table
+    folder = write_results(result, tmp_path / "out")
+    assert "droop.vtu" in names(folder)
+    assert not {"lost.vtu", "lost.png"} & set(names(folder))
+    data = json.loads((folder / "result.json").read_text())
+    assert data["configurations"][1]["files"] == []
+    assert "nan" not in (folder / "markers.csv").read_text()

@@ -1,12 +1,12 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
 from softcal_jax.calibration._calibrate import (
-    CalibrationWarning,
     build_problem,
     calibrate,
-    levenberg_marquardt,
 )
 from softcal_jax.calibration._clock import Clock
+from softcal_jax.calibration._levenberg_marquardt import levenberg_marquardt
+from softcal_jax.calibration._notes import CalibrationWarning, fit_notes
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
@@ -25,7 +25,9 @@ from softcal_jax.calibration._step import (
     CalibrationSettings,
     CalibrationState,
     calibration_step,
+    decide,
     initial_state,
+    propose,
 )
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 
@@ -47,9 +49,12 @@ __all__ = [
     "build_problem",
     "calibrate",
     "calibration_step",
+    "decide",
     "evaluate",
+    "fit_notes",
     "initial_state",
     "levenberg_marquardt",
+    "propose",
     "simulate",
     "uncertainty",
 ]

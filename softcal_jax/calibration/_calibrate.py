@@ -1,25 +1,30 @@
 """The calibration loop: from configurations and measurements to parameters."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._clock import Clock
+from softcal_jax.calibration._notes import (
+    fit_notes,
+    mesh_notes,
+    misfit_notes,
+    uncertainty_notes,
+    warn_if_locking,
+    warn_if_too_few_data,
+)
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     at_rest,
-    effector_errors,
     evaluate,
     simulate,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
-    ConfigurationFit,
     HistoryEntry,
     configuration_fits,
     parameter_estimates,
@@ -34,7 +39,12 @@ from softcal_jax.calibration._step import (
 from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import Configuration, configuration_arrays
 from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
-from softcal_jax.fields import Parameter, ParameterSpace, as_space
+from softcal_jax.fields import (
+    Parameter,
+    ParameterSpace,
+    as_space,
+    check_parameters,
+)
 
 # Three programs instead of one per step: `evaluate`, which takes seconds to compile,
 # serves the start and every step.
@@ -44,14 +54,10 @@ _decide = eqx.filter_jit(decide)
 _simulate = eqx.filter_jit(simulate)
 
 
-class CalibrationWarning(UserWarning):
-    """Something about a calibration that its user should know."""
-
-
 def build_problem(
     model: Model,
-    parameters: ParameterSpace | Sequence[Parameter],
-    configurations: Sequence[Configuration],
+    parameters: ParameterSpace | Parameter | Sequence[Parameter],
+    configurations: Configuration | Sequence[Configuration],
     newton: NewtonSettings | None = None,
 ) -> CalibrationProblem:
     """Stack a calibration into arrays.
@@ -68,6 +74,7 @@ def build_problem(
     Raises:
         ValueError: If a configuration has no measurement, or a parameter no field.
     """
+    configurations = _as_sequence(configurations)
     for configuration in configurations:
         if configuration.measured is None:
             raise ValueError(
@@ -75,7 +82,8 @@ def build_problem(
                 "`markers` and `measured`."
             )
     space = as_space(parameters)
-    space.apply(model, space.start())  # finds unknown fields before any work is done
+    check_parameters(model, space)
+    warn_if_locking(model, space)
     return CalibrationProblem(
         model,
         space,
@@ -86,10 +94,10 @@ def build_problem(
 
 def calibrate(
     model: Model,
-    parameters: ParameterSpace | Sequence[Parameter],
-    configurations: Sequence[Configuration],
+    parameters: ParameterSpace | Parameter | Sequence[Parameter],
+    configurations: Configuration | Sequence[Configuration],
     *,
-    validation: Sequence[Configuration] = (),
+    validation: Configuration | Sequence[Configuration] = (),
     noise: Literal["estimated", "stated"] = "estimated",
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
@@ -117,12 +125,15 @@ def calibrate(
 
     Raises:
         ValueError: If an input is wrong.
-        RuntimeError: If a configuration has no equilibrium at the start; the text names
-            it. Later failures only shorten the step.
+        RuntimeError: If a fitted configuration has no equilibrium at the start; the
+            text names it. Later failures only shorten the step, and a held-out
+            configuration without equilibrium is left out with a note.
     """
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
     settings = settings or CalibrationSettings()
+    configurations = _as_sequence(configurations)
+    validation = _as_sequence(validation)
     problem = build_problem(model, parameters, configurations, newton)
     if validation:  # found wrong now, not after the fit
         build_problem(model, parameters, validation, newton)
@@ -130,7 +141,7 @@ def calibrate(
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"configuration {name!r} is named more than once.")
-    _warn_if_too_few_data(problem)
+    warn_if_too_few_data(problem)
 
     with Clock() as clock:
 
@@ -146,10 +157,12 @@ def calibrate(
         check_converged(before.equilibrium, names)
         state = initial_state(settings, start, before)
         note(state)
-        while not state.converged and len(history) <= settings.max_steps:
+        while not (state.converged or state.stalled) and (
+            len(history) <= settings.max_steps
+        ):
             proposal = _propose(problem, state)
             tried = _evaluate(problem, proposal.z, proposal.guess)
-            state = _decide(settings, state, proposal, tried)
+            state = _decide(problem, settings, state, proposal, tried)
             note(state)
         after = state.evaluation
         fits = configuration_fits(
@@ -159,27 +172,42 @@ def calibrate(
             after.positions,
             after.equilibrium,
         )
+        missing: tuple[str, ...] = ()
         if validation:
-            fits += _predict(model, parameters, validation, newton, state)
-    return _result(problem, noise, settings, state, history, fits, clock)
+            predicted, missing = _predict(model, parameters, validation, newton, state)
+            fits += predicted
+    notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
+    return _result(problem, noise, settings, state, history, fits, notes, clock)
 
 
-def _predict(
-    model, parameters, validation, newton, state
-) -> tuple[ConfigurationFit, ...]:
-    """The held-out configurations with the start and the calibrated parameters."""
+def _predict(model, parameters, validation, newton, state):
+    """The held-out configurations with the start and the calibrated parameters.
+
+    One that has no equilibrium is left out, with a note: it must neither pass for a
+    prediction nor cost the user the fit.
+    """
     problem = build_problem(model, parameters, validation, newton)
-    names = tuple(c.name for c in validation)
     guess = at_rest(problem)
-    positions = []
-    for z in (problem.space.start(), state.z):
-        solution, simulated = _simulate(problem, z, guess)
-        check_converged(solution, names)
-        positions.append(simulated)
-    return configuration_fits(validation, "validation", *positions, solution)
+    first, before = _simulate(problem, problem.space.start(), guess)
+    last, after = _simulate(problem, state.z, guess)
+    # A pose that only the start parameters cannot hold has no "before".
+    before = jnp.where(first.converged[:, None, None], before, jnp.nan)
+    lanes = np.flatnonzero(np.asarray(last.converged))
+    notes = [
+        f"{c.name} is not predicted: with the calibrated parameters it has no "
+        "equilibrium. `softcal simulate` or `solve_equilibrium` tells why."
+        for lane, c in enumerate(validation)
+        if lane not in lanes
+    ]
+    kept = [validation[lane] for lane in lanes]
+    solution = jax.tree.map(lambda leaf: leaf[lanes], last)
+    fits = configuration_fits(kept, "validation", before[lanes], after[lanes], solution)
+    return fits, tuple(notes)
 
 
-def _result(problem, noise, settings, state, history, fits, clock) -> CalibrationResult:
+def _result(
+    problem, noise, settings, state, history, fits, notes, clock
+) -> CalibrationResult:
     z = np.asarray(state.z)
     lower, upper = np.asarray(problem.space.lower()), np.asarray(problem.space.upper())
     at_bound = (z - lower <= 1e-9) | (upper - z <= 1e-9)
@@ -203,50 +231,14 @@ def _result(problem, noise, settings, state, history, fits, clock) -> Calibratio
         settings=settings,
         newton=problem.newton,
         timing_s=clock.seconds,
-        notes=_notes(problem, state, spread, settings),
+        notes=(*notes, *uncertainty_notes(problem, spread), *mesh_notes(problem)),
     )
 
 
-def _notes(problem, state, spread, settings) -> tuple[str, ...]:
-    notes = []
-    if not state.converged:
-        notes.append(
-            f"Not converged: after {int(state.step)} steps lambda_p is still "
-            f"{float(jnp.max(jnp.abs(state.lambda_p))):.1e} (tol {settings.tol:g}). Do "
-            "not use these values; raise max_steps or look at the history."
-        )
-    if problem.model.mesh.order == 1:
-        notes.append(
-            "Linear tets lock in bending: the calibrated moduli are effective numbers "
-            "of this mesh, not properties of the material. Use quadratic tets "
-            "(to_quadratic) to compare with data sheets."
-        )
-    for name, flag in zip(problem.space.names, spread.at_bound, strict=True):
-        if flag:
-            notes.append(
-                f"{name} ended on a bound: widen it, or the model cannot match the "
-                "data. It has no standard error."
-            )
-    if spread.noise == "estimated":
-        notes.append(
-            "Standard errors rest on the noise estimated from the residuals "
-            f"({spread.degrees_of_freedom} degrees of freedom), which holds model "
-            "error as well."
-        )
-    return tuple(notes)
-
-
-def _warn_if_too_few_data(problem: CalibrationProblem) -> None:
-    measured = int(np.sum(problem.configurations.effectors.inverse_std > 0))
-    wanted = len(problem.space.names)
-    if wanted > measured:
-        warnings.warn(
-            f"{wanted} parameters but only {measured} measured coordinates: at least "
-            f"{wanted - measured} more are missing (another marker gives 3, another "
-            "configuration as many as it has markers times 3). The fit is not unique.",
-            CalibrationWarning,
-            stacklevel=3,
-        )
+def _as_sequence(configurations) -> tuple[Configuration, ...]:
+    if isinstance(configurations, Configuration):
+        return (configurations,)
+    return tuple(configurations)
 
 
 def _entry(
@@ -269,50 +261,3 @@ def _entry(
         values={n: float(v) for n, v in zip(problem.space.names, p, strict=True)},
         seconds=seconds,
     )
-
-
-def levenberg_marquardt(
-    problem: CalibrationProblem,
-    *,
-    rtol: float = 1e-10,
-    atol: float = 1e-10,
-    max_steps: int = 100,
-) -> tuple[Float[Array, " n_p"], bool]:
-    """Fit by `optimistix.least_squares`, the second, independent optimiser.
-
-    Levenberg-Marquardt on the same stacked errors, with the Jacobian by autodiff
-    through the implicit derivative of the equilibrium. It knows no bounds.
-
-    Args:
-        problem: The calibration.
-        rtol: Relative tolerance of optimistix.
-        atol: Absolute tolerance of optimistix.
-        max_steps: Steps after which it gives up.
-
-    Returns:
-        Scaled parameters, and whether it converged inside the bounds.
-    """
-    import optimistix as optx
-
-    guess = at_rest(problem)
-    weight = problem.configurations.effectors.inverse_std
-
-    def errors(z, problem):
-        solution, positions = simulate(problem, z, guess)
-        delta_e = effector_errors(problem, positions)
-        # A configuration without equilibrium makes the step cost infinitely much.
-        ok = solution.converged[:, None, None]
-        return jnp.where(ok, weight * delta_e, jnp.inf).ravel()
-
-    solution = optx.least_squares(
-        errors,
-        optx.LevenbergMarquardt(rtol=rtol, atol=atol),
-        problem.space.start(),
-        args=problem,
-        options={"jac": "fwd"},
-        max_steps=max_steps,
-        throw=False,
-    )
-    z = solution.value
-    inside = jnp.all((z >= problem.space.lower()) & (z <= problem.space.upper()))
-    return z, bool(inside & (solution.result == optx.RESULTS.successful))

@@ -10,6 +10,7 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
+    marker_positions,
     solve_equilibrium,
 )
 from softcal_jax.fields import ParameterSpace
@@ -75,13 +76,12 @@ def simulate(
         Solutions and positions, one lane per configuration.
     """
     model = problem.space.apply(problem.model, z)
-    X = jnp.asarray(model.mesh.points)
 
     def lane(configuration, u0):
         solution = solve_equilibrium(
             model, configuration, guess=u0, settings=problem.newton
         )
-        return solution, configuration.effectors.positions(X + solution.displacement)
+        return solution, marker_positions(model, configuration, solution)
 
     return jax.vmap(lane)(problem.configurations, guess)
 

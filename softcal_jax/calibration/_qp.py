@@ -7,6 +7,14 @@ from jaxopt import BoxOSQP
 
 from softcal_jax._typing import Array, Float
 
+DAMPING = 1e-10
+"""Damping of the step, for columns of W of unit length [-].
+
+Along a direction that the data do not see, rounding in the errors would move the
+parameters anywhere; this leaves them where they are. The minimum is not shifted: the
+error itself, not the parameters, is what a step still reduces.
+"""
+
 
 class QPStep(NamedTuple):
     """Solution of the QP and its check.
@@ -30,7 +38,7 @@ def bounded_step(
     """Minimise ||W lambda_p + error||^2 / 2 for lower <= lambda_p <= upper.
 
     By `jaxopt.BoxOSQP` on a problem scaled to unit columns and unit error, started at
-    the unbounded least-squares step and polished: the bounds that it found active are
+    the unbounded step and polished: the bounds that it found active are
     taken as equalities, and the rest is solved exactly (Stellato et al., OSQP, Math.
     Prog. Comp. 12, 2020, Sec. 5.2). Its default inner solver, conjugate gradients,
     ended up to 1e2 away from optimal on flat valleys; the direct one does not.
@@ -49,13 +57,14 @@ def bounded_step(
     size = jnp.where(size > 0.0, size, 1.0)
     V = W / size[None, :]
     level = jnp.maximum(jnp.linalg.norm(error), jnp.finfo(error.dtype).tiny)
-    Q, c = V.T @ V, V.T @ (error / level)
+    c = V.T @ (error / level)
+    Q = V.T @ V + DAMPING * jnp.eye(W.shape[1])
     low, high = lower * size / level, upper * size / level
     A = jnp.eye(W.shape[1])
     solver = BoxOSQP(
         eq_qp_solve="lu", tol=1e-10, maxiter=4000, check_primal_dual_infeasability=False
     )
-    start = jnp.clip(jnp.linalg.lstsq(V, -error / level)[0], low, high)
+    start = jnp.clip(jnp.linalg.solve(Q, -c), low, high)
     params, _ = solver.run(
         solver.init_params(start, (Q, c), A, (low, high)), (Q, c), A, (low, high)
     )

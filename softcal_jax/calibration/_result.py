@@ -6,7 +6,7 @@ from typing import Literal
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.configurations import Configuration
@@ -65,6 +65,12 @@ class HistoryEntry(eqx.Module):
     values: dict[str, float]
     seconds: float
 
+    def __str__(self) -> str:
+        """One line: the fit and the parameters after the step."""
+        values = ", ".join(f"{name} {value:.5g}" for name, value in self.values.items())
+        refused = "" if self.accepted else " (step refused)"
+        return f"step {self.step}: rms {1e3 * self.rms:.3f} mm, {values}{refused}"
+
 
 class ConfigurationFit(eqx.Module):
     """Measured and simulated markers of one configuration.
@@ -74,9 +80,12 @@ class ConfigurationFit(eqx.Module):
         role: Whether it was fitted, or only predicted.
         marker_names: Names of the markers.
         measured: Measured positions [m].
+        seen: Which of their coordinates were measured; the others are NaN, or numbers
+            that mean nothing.
         at_rest: Marker positions on the undeformed mesh [m].
-        before: Simulated positions with the start parameters [m].
-        after: Simulated positions with the calibrated parameters [m].
+        before: Simulated positions with the start parameters; NaN if these have no
+            equilibrium [m].
+        after: Simulated positions with the calibrated parameters; likewise [m].
         error_before: Simulated minus measured, 0 where not measured [m].
         error_after: The same after calibration [m].
         displacement: Nodal displacement after calibration [m].
@@ -89,6 +98,7 @@ class ConfigurationFit(eqx.Module):
     role: Literal["calibration", "validation"]
     marker_names: tuple[str, ...]
     measured: Float[HostArray, "n_markers 3"]
+    seen: Bool[HostArray, "n_markers 3"]
     at_rest: Float[HostArray, "n_markers 3"]
     before: Float[HostArray, "n_markers 3"]
     after: Float[HostArray, "n_markers 3"]
@@ -101,18 +111,27 @@ class ConfigurationFit(eqx.Module):
 
     @property
     def rms_before(self) -> float:
-        """Root mean square of the marker distances with the start parameters [m]."""
+        """Root mean square of the marker distances with the start parameters [m].
+
+        NaN if there is no equilibrium with them.
+        """
         return _rms(self.error_before)
 
     @property
     def rms_after(self) -> float:
-        """Root mean square of the marker distances after calibration [m]."""
+        """Root mean square of the marker distances after calibration [m].
+
+        NaN if there is no equilibrium.
+        """
         return _rms(self.error_after)
 
     @property
     def motion(self) -> float:
-        """Root mean square of how far the markers moved from rest [m]."""
-        return _rms(self.measured - self.at_rest)
+        """Root mean square of how far the markers moved from rest [m].
+
+        Over the measured coordinates, like the distances.
+        """
+        return _rms(np.where(self.seen, self.measured - self.at_rest, 0.0))
 
 
 def _rms(distances: Float[HostArray, "n_markers 3"]) -> float:
@@ -149,6 +168,22 @@ class CalibrationResult(eqx.Module):
     newton: NewtonSettings
     timing_s: dict[str, float]
     notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """The parameters, the fits and the notes, in a few lines."""
+        verdict = "converged" if self.converged else "NOT CONVERGED"
+        lines = [f"Calibration {verdict} in {len(self.history) - 1} steps."]
+        lines += [
+            f"  {p.name} = {p.value:.5g} +- {p.standard_error:.2g} {p.unit} "
+            f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
+            for p in self.parameters
+        ]
+        lines += [
+            f"  {fit.name} ({fit.role}): rms {1e3 * fit.rms_before:.3f} to "
+            f"{1e3 * fit.rms_after:.3f} mm"
+            for fit in self.configurations
+        ]
+        return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:
         """Calibrated value of a parameter.
@@ -224,6 +259,7 @@ def configuration_fits(
                 role,
                 c.markers.names,
                 measured,
+                seen,
                 c.markers.positions,
                 first,
                 last,

@@ -12,6 +12,14 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation, evaluate
 from softcal_jax.calibration._qp import QPStep, bounded_step
+from softcal_jax.fields import ParameterSpace
+
+KKT_TOLERANCE = 1e-6
+"""Largest optimality residual with which a vanishing QP step is believed [-]."""
+
+
+FLAT = 1e-3
+"""Largest relative slope of the cost at which a refused step means a minimum [-]."""
 
 
 class CalibrationSettings(eqx.Module):
@@ -51,7 +59,8 @@ class CalibrationState(eqx.Module):
         kkt_residual: Its optimality residual [-].
         accepted: Whether it was kept.
         step: Steps so far.
-        converged: Whether lambda_p has vanished.
+        converged: Whether lambda_p has vanished, with no bound on the step in its way.
+        stalled: Whether steps were refused until the bound itself was below `tol`.
     """
 
     z: Float[Array, " n_p"]
@@ -62,6 +71,7 @@ class CalibrationState(eqx.Module):
     accepted: Bool[Array, ""]
     step: Int[Array, ""]
     converged: Bool[Array, ""]
+    stalled: Bool[Array, ""]
 
 
 class Proposal(eqx.Module):
@@ -91,6 +101,7 @@ def initial_state(
         jnp.ones((), bool),
         jnp.zeros((), jnp.int32),
         jnp.zeros((), bool),
+        jnp.zeros((), bool),
     )
 
 
@@ -107,6 +118,7 @@ def propose(problem: CalibrationProblem, state: CalibrationState) -> Proposal:
 
 
 def decide(
+    problem: CalibrationProblem,
     settings: CalibrationSettings,
     state: CalibrationState,
     proposal: Proposal,
@@ -114,18 +126,22 @@ def decide(
 ) -> CalibrationState:
     """Keep a proposed step if it helps, and adapt the bound on the next."""
     now, lambda_p = state.evaluation, proposal.qp.lambda_p
-    linear = 0.5 * jnp.sum((now.W_ep @ lambda_p + now.error) ** 2)
-    gain = (now.cost - tried.cost) / jnp.maximum(now.cost - linear, 1e-300)
-    size = jnp.max(jnp.abs(lambda_p))
-    # A vanishing step changes the cost by rounding only; it is taken, and is the last.
-    vanished = (size <= settings.tol) & tried.ok
-    accepted = tried.ok & ((gain > 1e-4) | vanished | (not settings.adapt))
     bound = state.step_bound
+    linear = 0.5 * jnp.sum((now.W_ep @ lambda_p + now.error) ** 2)
+    predicted = now.cost - linear
+    gain = (now.cost - tried.cost) / jnp.maximum(predicted, 1e-300)
+    size = jnp.max(jnp.abs(lambda_p))
+    at_bound = size >= 0.99 * bound
+    # A step is small because nothing is left to gain, not because it was held short.
+    vanished = tried.ok & (size <= settings.tol) & ~at_bound
+    vanished = vanished & (proposal.qp.kkt_residual <= KKT_TOLERANCE)
+    accepted = tried.ok & ((gain > 1e-4) | vanished | (not settings.adapt))
     if settings.adapt:
-        at_bound = size >= 0.99 * bound
         grown = jnp.where((gain > 0.75) & at_bound, 2.0 * bound, bound)
         bound = jnp.where(gain > 0.25, grown, 0.25 * size)
-        bound = jnp.where(vanished, state.step_bound, bound)
+    # Steps were refused until none was left: a minimum only if the slope is gone too.
+    collapsed = ~vanished & (bound < settings.tol)
+    flat = _slope(now, state.z, problem.space) <= FLAT
     keep = lambda new, old: jnp.where(accepted, new, old)
     return CalibrationState(
         keep(proposal.z, state.z),
@@ -135,8 +151,17 @@ def decide(
         proposal.qp.kkt_residual,
         accepted,
         state.step + 1,
-        vanished,
+        vanished | (collapsed & flat),
+        collapsed & ~flat,
     )
+
+
+def _slope(now: Evaluation, z: Float[Array, " n_p"], space: ParameterSpace):
+    """Relative fall of the cost per unit of lambda_p, within the bounds on p."""
+    gradient = now.W_ep.T @ now.error
+    step = z - jnp.clip(z - gradient, space.lower(), space.upper())
+    blocked = jnp.where(step == 0.0, 0.0, gradient)
+    return jnp.max(jnp.abs(blocked)) / jnp.maximum(2.0 * now.cost, 1e-300)
 
 
 def calibration_step(
@@ -154,4 +179,4 @@ def calibration_step(
     """
     proposal = propose(problem, state)
     tried = evaluate(problem, proposal.z, proposal.guess)
-    return decide(settings, state, proposal, tried)
+    return decide(problem, settings, state, proposal, tried)

@@ -7,6 +7,9 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
 
+BLIND = 1e-6
+"""Singular value, over the largest, below which a direction is rounding only [-]."""
+
 
 class Uncertainty(eqx.Module):
     """Covariance of the parameters, to first order.
@@ -67,9 +70,10 @@ def uncertainty(
     if noise == "estimated":
         scale = float(np.sqrt(chi_squared / dof)) if dof > 0 else np.nan
     if len(free):
-        V = W[:, free]
-        _, singular, Vt = np.linalg.svd(V, full_matrices=False)
-        if len(singular) == len(free) and singular[-1] > 1e-12 * singular[0]:
-            inverse = Vt.T @ np.diag(singular**-2.0) @ Vt
+        # Columns of unit length, so that a small parameter is not a blind direction.
+        size = np.maximum(np.linalg.norm(W[:, free], axis=0), 1e-300)
+        _, singular, Vt = np.linalg.svd(W[:, free] / size, full_matrices=False)
+        if len(singular) == len(free) and singular[-1] > BLIND * singular[0]:
+            inverse = Vt.T @ np.diag(singular**-2.0) @ Vt / np.outer(size, size)
             covariance[np.ix_(free, free)] = scale**2 * inverse
     return Uncertainty(covariance, noise, scale, dof, chi_squared, at_bound)

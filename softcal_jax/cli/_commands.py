@@ -1,6 +1,7 @@
 """What the commands do; heavy packages are imported when one runs."""
 
 import argparse
+import math
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -60,7 +61,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         project.check_calibration()
     _print_registrations(project, show)
     show.now("first equilibrium (compiling)")
-    with _no_equilibrium():
+    with _no_equilibrium("Nothing was written."):
         result = project.calibrate(progress=_step_lines(project, show))
     show.lap("solve")
     show.split("solve", "compile", result.timing_s["compile"])
@@ -88,7 +89,10 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
 
 
 def simulate(args: argparse.Namespace, show: Display) -> int:
-    """Solves all configurations of a project with the start values."""
+    """Solves all configurations of a project with the start values.
+
+    Those without an equilibrium are named at the end, after the others are written.
+    """
     _check_folder(args)
     from softcal_jax import export, report
     from softcal_jax.calibration import Clock
@@ -99,8 +103,6 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     show.now(f"equilibrium of {', '.join(names)} (compiling)")
     with Clock() as clock:
         solution = project.simulate()
-    with _no_equilibrium():
-        check_converged(solution, names)
     show.lap("solve")
     show.split("solve", "compile", clock.seconds["compile"])
 
@@ -120,6 +122,8 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     data = export.simulation_dict(project.model, project.configurations, solution)
     show.line(report.simulation_table(data))
     _print_end(where, show)
+    with _no_equilibrium("The results hold the others, if any."):
+        check_converged(solution, names)
     return OK
 
 
@@ -200,6 +204,9 @@ def _shown(value: float, unit: str) -> str:
 def _print_held_out(result: "CalibrationResult", show: Display) -> None:
     for fit in result.configurations:
         if fit.role == "validation":
+            if math.isnan(fit.rms_after):
+                show.line(f"Held-out error, {fit.name}: no equilibrium.")
+                continue
             percent = (
                 f", {100 * fit.rms_after / fit.motion:.1f} % of how far they moved "
                 f"({1e3 * fit.motion:.1f} mm)"
@@ -220,7 +227,7 @@ def _print_end(where: Path, show: Display) -> None:
 
 
 @contextmanager
-def _no_equilibrium() -> Iterator[None]:
+def _no_equilibrium(written: str) -> Iterator[None]:
     import jax
 
     try:
@@ -228,7 +235,7 @@ def _no_equilibrium() -> Iterator[None]:
     except jax.errors.JaxRuntimeError:
         raise  # a fault of the program, not of the robot
     except RuntimeError as error:
-        raise Stop(NOT_CONVERGED, f"error: {error}\nNothing was written.") from error
+        raise Stop(NOT_CONVERGED, f"error: {error}\n{written}") from error
 
 
 @contextmanager

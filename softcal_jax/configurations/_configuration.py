@@ -1,11 +1,12 @@
 """One posed robot: how it is held and loaded, and what was measured on it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations._arrays import ConfigurationArrays, EffectorArrays
@@ -19,24 +20,43 @@ STANDARD_GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s2]."""
 
 
+def _as_supports(
+    supports: str | Support | Iterable[str | Support],
+) -> tuple[Support, ...]:
+    several = [supports] if isinstance(supports, str | Support) else supports
+    return tuple(Support(s) if isinstance(s, str) else s for s in several)
+
+
+def _as_loads(loads: AbstractLoad | Iterable[AbstractLoad]) -> tuple[AbstractLoad, ...]:
+    return (loads,) if isinstance(loads, AbstractLoad) else tuple(loads)
+
+
+def _as_measured(
+    measured: Float[ArrayLike, "..."] | Sequence | None,
+) -> Float[HostArray, "..."] | None:
+    return None if measured is None else np.asarray(measured, float)
+
+
 class Configuration(eqx.Module):
     """A static pose of the robot.
 
     Attributes:
         name: Name in results, tables and pictures.
-        supports: How the body is held.
+        supports: How the body is held: one or several; the name of a group clamps it.
         gravity: Acceleration of gravity, in the frame of the mesh [m/s2].
-        loads: Dead loads.
+        loads: Dead loads, one or several.
         markers: Points that are measured or followed; may be left out.
         measured: Measured marker positions in the frame of the mesh [m].
     """
 
     name: str
-    supports: tuple[Support, ...] = eqx.field(converter=tuple)
+    supports: tuple[Support, ...] = eqx.field(converter=_as_supports)
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
-    loads: tuple[AbstractLoad, ...] = eqx.field(converter=tuple, default=())
+    loads: tuple[AbstractLoad, ...] = eqx.field(converter=_as_loads, default=())
     markers: Markers | None = None
-    measured: Float[HostArray, "n_markers 3"] | None = None
+    measured: Float[HostArray, "n_markers 3"] | None = eqx.field(
+        converter=_as_measured, default=None
+    )
 
     def __check_init__(self):
         gravity = np.asarray(self.gravity, float)

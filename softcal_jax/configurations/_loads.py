@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.configurations._nodes import node_indices
 from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
 from softcal_jax.mesh import TetMesh, boundary_faces, locate
 
@@ -66,9 +67,27 @@ class NodalForces(AbstractLoad):
     forces: Float[HostArray, "n 3"]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """The forces, added where a node is named twice [N]."""
+        """The forces, added where a node is named twice [N].
+
+        Raises:
+            ValueError: If a node is not in the mesh, or the forces are not three
+                finite numbers for each.
+        """
+        nodes = node_indices(mesh, self.nodes, "a nodal force")
+        forces = np.asarray(self.forces, float)
+        if forces.shape != (len(nodes), 3):
+            raise ValueError(
+                f"{len(nodes)} nodes need forces of shape ({len(nodes)}, 3) [N], "
+                f"got {forces.shape}."
+            )
+        bad = np.flatnonzero(~np.isfinite(forces).all(axis=1))
+        if bad.size:
+            raise ValueError(
+                f"the force on node {nodes[bad[0]]} is {forces[bad[0]]}: expected "
+                "three finite numbers [N]."
+            )
         out = np.zeros_like(mesh.points)
-        np.add.at(out, self.nodes, self.forces)
+        np.add.at(out, nodes, forces)
         return out
 
 
@@ -88,10 +107,11 @@ class EdgeForce(AbstractLoad):
         """Consistent forces: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N].
 
         Raises:
-            ValueError: If the group holds no edge of the boundary.
+            ValueError: If the group or a node is unknown, or they hold no edge of the
+                boundary.
         """
         force = _vector("force", "N", self.force)
-        nodes = mesh.nodes(self.where) if isinstance(self.where, str) else self.where
+        nodes = node_indices(mesh, self.where, "an edge force")
         edges = _boundary_edges(mesh)
         edges = edges[np.all(np.isin(edges[:, :2], nodes), axis=1)]
         if len(edges) == 0:

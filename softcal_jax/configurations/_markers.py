@@ -1,11 +1,22 @@
 """Markers: material points whose positions are measured."""
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations._axes import parse_axes
+
+
+def _as_names(names: Iterable[str]) -> tuple[str, ...]:
+    if isinstance(names, str):
+        raise ValueError(
+            f"marker names must be a list of names, got the text {names!r}; a single "
+            f"marker is written [{names!r}]."
+        )
+    return tuple(names)
 
 
 class Markers(eqx.Module):
@@ -20,10 +31,12 @@ class Markers(eqx.Module):
         max_distance: How far from the mesh a marker may stand [m].
         base_radius: For markers on posts: the post follows the affine motion fitted to
             the nodes within this radius of its foot. 0 takes the tet at the marker
-            alone, whose local strain a post would magnify [m].
+            alone, whose local strain a post would magnify. The nodes are picked by
+            straight distance: stay below the distance to another part of the body,
+            like the far side of a slit or a second finger [m].
     """
 
-    names: tuple[str, ...] = eqx.field(converter=tuple)
+    names: tuple[str, ...] = eqx.field(converter=_as_names)
     positions: Float[HostArray, "n_markers 3"] = eqx.field(
         converter=lambda value: np.asarray(value, float)
     )

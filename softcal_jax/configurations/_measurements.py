@@ -1,7 +1,6 @@
 """Measured marker positions from a CSV file."""
 
 import csv
-import difflib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -10,10 +9,8 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._names import METRES, suggestion
 from softcal_jax._typing import Float, HostArray
-
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
-"""Length units of marker files."""
 
 
 class MarkerTable(eqx.Module):
@@ -44,8 +41,8 @@ class MarkerTable(eqx.Module):
         for name in names:
             if name not in self.names:
                 raise ValueError(
-                    f"{self.source} has no marker {name!r}.{_near(name, self.names)} "
-                    f"It has {', '.join(self.names)}."
+                    f"{self.source} has no marker {name!r}."
+                    f"{suggestion(name, self.names)} It has {', '.join(self.names)}."
                 )
             row = self.names.index(name)
             if not np.all(np.isfinite(self.positions[row])):
@@ -161,7 +158,7 @@ def _coordinates(
     """Names of the three coordinate columns, and their unit in metres."""
     if length_unit is not None and length_unit not in METRES:
         raise ValueError(
-            f"unknown length unit {length_unit!r}.{_near(length_unit, METRES)} "
+            f"unknown length unit {length_unit!r}.{suggestion(length_unit, METRES)} "
             f"Known: {', '.join(METRES)}."
         )
     unit = _unit_of_columns(path, header)
@@ -202,7 +199,7 @@ def _selected(
         present = list(dict.fromkeys(row.cells[column] for row in rows))
         if value not in present:
             raise ValueError(
-                f"{path}: no row has {column} = {value!r}.{_near(value, present)} "
+                f"{path}: no row has {column} = {value!r}.{suggestion(value, present)} "
                 f"Values there: {', '.join(present)}."
             )
     chosen = [
@@ -232,18 +229,13 @@ def _number(path: Path, row: _Row, column: str) -> float:
 
 
 def _missing(path: Path, column: str, header: list[str]) -> ValueError:
-    hint = _near(column, header)
+    hint = suggestion(column, header)
     if len(header) == 1:
         hint += " Separate the columns by commas."
     return ValueError(
         f"{path}: column {column!r} is missing.{hint} Columns there: "
         f"{', '.join(header)}."
     )
-
-
-def _near(name: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f" Did you mean {near[0]!r}?" if near else ""
 
 
 def _listed(pairs: Iterable[tuple[str, str]]) -> str:

@@ -1,5 +1,7 @@
 """From the frame of the cameras to the frame of the mesh."""
 
+import warnings
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
@@ -53,8 +55,9 @@ def register(
         The motion and what it leaves at each marker.
 
     Raises:
-        ValueError: If fewer than three markers are given, they lie on a line, their
-            numbers differ, or a value is not finite.
+        ValueError: If fewer than three markers are given, they lie on a line or in one
+            place in either frame, their numbers differ, a value is not finite, or the
+            two sets are so unlike that no rotation is best.
     """
     measured, nominal = np.asarray(measured, float), np.asarray(nominal, float)
     if measured.shape != nominal.shape or measured.ndim != 2 or measured.shape[1] != 3:
@@ -62,23 +65,50 @@ def register(
             "registration needs as many measured as nominal markers, shape "
             f"(n, 3) each [m], got {measured.shape} and {nominal.shape}."
         )
-    if len(measured) < 3:
-        raise ValueError(f"registration needs at least 3 markers, got {len(measured)}.")
     if not (np.all(np.isfinite(measured)) and np.all(np.isfinite(nominal))):
         raise ValueError(
             "registration markers must be finite; drop those that are not."
         )
     w = np.ones(len(measured)) if weights is None else np.asarray(weights, float)
-    centre_m, centre_n = np.average(measured, 0, w), np.average(nominal, 0, w)
-    spread = np.linalg.svd(nominal - centre_n, compute_uv=False)
-    if spread[1] < 1e-6 * spread[0]:
+    if w.shape != (len(measured),) or not np.all(np.isfinite(w) & (w >= 0.0)):
         raise ValueError(
-            "registration markers lie on a line, which leaves a rotation free: "
-            "choose three that span a triangle."
+            f"weights must be {len(measured)} finite numbers, none of them negative, "
+            f"got {weights!r}."
         )
-    turn, *_ = Rotation.align_vectors(
-        nominal - centre_n, measured - centre_m, weights=w
-    )
+    used = w > 0.0
+    if used.sum() < 3:
+        positive = "" if weights is None else " of positive weight"
+        raise ValueError(
+            f"registration needs at least 3 markers, got {used.sum()}{positive}."
+        )
+    centre_m, centre_n = np.average(measured, 0, w), np.average(nominal, 0, w)
+    for kind, points in (("measured", measured), ("nominal", nominal)):
+        _check_spread(kind, points[used])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)
+            turn, *_ = Rotation.align_vectors(
+                nominal - centre_n, measured - centre_m, weights=w
+            )
+    except UserWarning as error:
+        raise ValueError(
+            "no rotation takes the measured markers best onto the nominal ones: check "
+            "that both list the same markers in the same order."
+        ) from error
     R = turn.as_matrix()
     t = centre_n - R @ centre_m
     return Registration(R, t, measured @ R.T + t - nominal)
+
+
+def _check_spread(kind: str, points: Float[HostArray, "n_used 3"]) -> None:
+    """Raise unless the points span a triangle."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    # Far from the origin, rounding spreads even points that coincide.
+    rounding = 1e-12 * np.abs(points).max()
+    if spread[1] > max(1e-6 * spread[0], rounding):
+        return
+    where = "lie on a line" if spread[0] > rounding else "are all in one place"
+    raise ValueError(
+        f"the {kind} markers of the registration {where}, which leaves a rotation "
+        "free: choose at least three that span a triangle, and check their positions."
+    )

@@ -5,6 +5,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.configurations._axes import parse_axes
+from softcal_jax.configurations._nodes import node_indices
 from softcal_jax.mesh import TetMesh
 
 
@@ -40,16 +41,17 @@ class Support(eqx.Module):
         """Write the support into the masks of a configuration.
 
         Raises:
-            ValueError: If the group is unknown, or a node is given two displacements.
+            ValueError: If the group or a node is unknown, or a node is given two
+                displacements.
         """
-        nodes = mesh.nodes(self.where) if isinstance(self.where, str) else self.where
+        nodes = node_indices(mesh, self.where, "a support")
         for axis in parse_axes(self.axes):
             clash = fixed[nodes, axis] & (
                 imposed[nodes, axis] != self.displacement[axis]
             )
             if np.any(clash):
                 raise ValueError(
-                    f"node {np.asarray(nodes)[clash][0]} is held twice along "
+                    f"node {nodes[clash][0]} is held twice along "
                     f"{'xyz'[axis]} with different displacements."
                 )
             fixed[nodes, axis] = True

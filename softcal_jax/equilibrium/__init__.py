@@ -15,6 +15,7 @@ from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
     check_converged,
     factor_solve,
+    marker_positions,
     residual,
     solve_equilibrium,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "factor_solve",
     "gravity_load",
     "internal_force",
+    "marker_positions",
     "residual",
     "solve_equilibrium",
     "strain_energy",

@@ -37,6 +37,7 @@ class AbstractLinearSolver(eqx.Module):
 
     sparsity: eqx.AbstractVar[Sparsity]
     name: eqx.AbstractVar[str]
+    counts_negative: eqx.AbstractVar[bool]
 
     @abstractmethod
     def _factor_solve(
@@ -96,6 +97,7 @@ class Pardiso(AbstractLinearSolver):
     sparsity: Sparsity
     token: Any
     name: str = eqx.field(static=True, default="PARDISO (pardiso-mkl-jax)")
+    counts_negative: bool = eqx.field(static=True, default=True)
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Pardiso":
@@ -142,6 +144,7 @@ class Klu(AbstractLinearSolver):
     full_cols: Int[Array, " n_full"]
     source: Int[Array, " n_full"]
     name: str = eqx.field(static=True, default="KLU (klujax)")
+    counts_negative: bool = eqx.field(static=True, default=False)
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Klu":

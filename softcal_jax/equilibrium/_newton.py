@@ -131,6 +131,9 @@ class _Equilibrium:
 
     def strict(self, s: NewtonState):
         """Whether only steps that lower Pi are taken."""
+        if not self.model.solver.counts_negative:
+            # Nobody would notice that full steps had ended in an unstable state.
+            return jnp.ones((), bool)
         return s.increment < self.settings.strict_below
 
     def dilatation(self, s: NewtonState, u, du):

@@ -25,10 +25,11 @@ class EquilibriumSolution(eqx.Module):
     """Equilibrium of one configuration, or of a batch (leading axis on every field).
 
     Attributes:
-        displacement: Nodal displacement u [m].
+        displacement: Nodal displacement u [m]; nan where no equilibrium was found.
         result: Outcome; only `RESULTS.converged` is an equilibrium.
         steps: Newton iterations, all load steps together.
         load_steps: Load increments that were taken (1: full load at once).
+        load_reached: Share of the load that the body was found to carry [-]; 1 if done.
         residual: Residual relative to the largest of external force, internal force
             and reaction [-].
         min_det_F: Smallest det F over all quadrature points [-].
@@ -40,6 +41,7 @@ class EquilibriumSolution(eqx.Module):
     result: RESULTS
     steps: Int[Array, "*batch"]
     load_steps: Int[Array, "*batch"]
+    load_reached: Float[Array, "*batch"]
     residual: Float[Array, "*batch"]
     min_det_F: Float[Array, "*batch"]
     n_negative: Int[Array, "*batch"]
@@ -91,11 +93,14 @@ def _lane(settings: NewtonSettings):
     @lane_by_lane
     def lane(model, configuration, u0):
         state = newton(model, configuration, u0, settings)
+        carried = state.done & (state.load_ok >= 1.0)
         return EquilibriumSolution(
-            state.u,
+            # Where there is no equilibrium, no displacement may pass for one.
+            jnp.where(carried, state.u, jnp.nan),
             state.result,
             state.step,
             state.load_steps,
+            state.load_ok,
             state.residual,
             state.min_det_F,
             state.n_negative,
@@ -142,6 +147,8 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     )
     none = jax.tree.map(lambda _: None, solution)
     du = jnp.where(fixed, du_held, du.reshape(u.shape))
+    # Where there is no equilibrium there is no derivative of it.
+    du = jnp.where(solution.converged, du, jnp.nan)
     return solution, eqx.tree_at(
         lambda s: s.displacement, none, du, is_leaf=lambda leaf: leaf is None
     )
@@ -174,6 +181,23 @@ def solve_equilibrium(
     return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())
 
 
+def marker_positions(
+    model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
+) -> Float[Array, "n_markers 3"]:
+    """Simulated positions of the markers of one configuration [m].
+
+    Args:
+        model: The body.
+        configuration: One configuration, with markers.
+        solution: Its equilibrium.
+
+    Returns:
+        Positions in the frame of the mesh; nan where there is no equilibrium.
+    """
+    x = jnp.asarray(model.mesh.points) + solution.displacement
+    return configuration.effectors.positions(x)
+
+
 def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
     """Raise RuntimeError that names every configuration without an equilibrium.
 
@@ -192,8 +216,8 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
         one = jax.tree.map(lambda leaf, lane=lane: jnp.atleast_1d(leaf)[lane], solution)
         lines.append(
             f"configuration {names[lane]!r}: {RESULTS[one.result]} "
-            f"({int(one.steps)} Newton steps, {int(one.load_steps)} load steps done, "
-            f"residual {float(one.residual):.1e}, smallest det F "
+            f"({int(one.steps)} Newton steps, {100 * float(one.load_reached):.0f} % of "
+            f"the load carried, residual {float(one.residual):.1e}, smallest det F "
             f"{float(one.min_det_F):.3g})"
         )
     raise RuntimeError("no equilibrium found.\n" + "\n".join(lines))

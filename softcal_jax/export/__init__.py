@@ -1,7 +1,7 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
 from softcal_jax.export._folder import check_results_folder, results_folder
-from softcal_jax.export._json import marker_motion, result_dict, simulation_dict
+from softcal_jax.export._json import result_dict, simulation_dict
 from softcal_jax.export._names import file_stems
 from softcal_jax.export._tables import write_json, write_markers_csv
 from softcal_jax.export._units import Readable, readable_estimate, readable_unit
@@ -12,7 +12,6 @@ __all__ = [
     "Readable",
     "check_results_folder",
     "file_stems",
-    "marker_motion",
     "readable_estimate",
     "readable_unit",
     "result_dict",

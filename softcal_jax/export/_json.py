@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ConfigurationFit
 from softcal_jax.configurations import Configuration, configuration_arrays
 from softcal_jax.equilibrium import RESULTS, EquilibriumSolution, Model
@@ -107,22 +107,10 @@ def simulation_dict(
     )
 
 
-def marker_motion(fit: ConfigurationFit) -> float:
-    """Root mean square of how far the markers moved, measured coordinates only [m]."""
-    moved = np.where(_seen(fit), fit.measured - fit.at_rest, 0.0)
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
-
-
-def _seen(fit: ConfigurationFit) -> Bool[HostArray, "n_markers 3"]:
-    """Coordinates that were measured; the error of any other is exactly zero."""
-    return (fit.error_after != 0.0) | (fit.after == fit.measured)
-
-
 def _fit(fit: ConfigurationFit) -> dict[str, Any]:
-    motion = marker_motion(fit)
-    seen = _seen(fit)
-    measured = np.where(seen, fit.measured, np.nan)
-    residual = np.where(seen, fit.error_after, np.nan)
+    motion = fit.motion
+    measured = np.where(fit.seen, fit.measured, np.nan)
+    residual = np.where(fit.seen, fit.error_after, np.nan)
     return {
         "name": fit.name,
         "role": fit.role,

@@ -5,6 +5,15 @@ from softcal_jax.fields._parameters import (
     ParameterSpace,
     as_space,
     find_field,
+    set_field,
 )
+from softcal_jax.fields._validation import check_parameters
 
-__all__ = ["Parameter", "ParameterSpace", "as_space", "find_field"]
+__all__ = [
+    "Parameter",
+    "ParameterSpace",
+    "as_space",
+    "check_parameters",
+    "find_field",
+    "set_field",
+]

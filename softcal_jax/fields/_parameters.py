@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float, is_traced
 
@@ -146,17 +147,34 @@ class ParameterSpace(eqx.Module):
         """
         values = self.from_scaled(z)
         for value, parameter in zip(values, self.parameters, strict=True):
-            model = _set(model, parameter, value)
+            model = set_field(model, parameter.field, value, parameter.region)
         return model
 
 
-def _set(model: Any, parameter: Parameter, value: Float[Array, ""]) -> Any:
-    where = find_field(model, parameter.field)
+def set_field(
+    model: Any, field: str, value: Float[ArrayLike, "..."], region: str | None = None
+) -> Any:
+    """The model with one constant changed; traceable and differentiable.
+
+    Args:
+        model: Anything with `law`, `density` and `mesh`.
+        field: Name of a field of the law, like "E", or "density".
+        value: Its new value, in SI units.
+        region: Tet group that it applies to; the whole body by default.
+
+    Returns:
+        The changed model.
+
+    Raises:
+        ValueError: If the field or the region does not exist, or the field is not
+            unique.
+    """
+    where = find_field(model, field)
     old = where(model)
-    if parameter.region is None:
-        new = jnp.broadcast_to(value, old.shape)
+    if region is None:
+        new = jnp.broadcast_to(jnp.asarray(value, float), jnp.shape(old))
     else:
-        tets = model.mesh.tets_of(parameter.region)
+        tets = model.mesh.tets_of(region)
         per_tet = jnp.broadcast_to(old, (model.mesh.tets.shape[0],))
         new = per_tet.at[tets].set(value)
     return eqx.tree_at(where, model, new)
@@ -195,8 +213,12 @@ def find_field(model: Any, field: str):
     return where
 
 
-def as_space(parameters: "ParameterSpace | Sequence[Parameter]") -> ParameterSpace:
-    """A parameter space of a sequence of parameters."""
+def as_space(
+    parameters: "ParameterSpace | Parameter | Sequence[Parameter]",
+) -> ParameterSpace:
+    """A parameter space of one parameter or several."""
     if isinstance(parameters, ParameterSpace):
         return parameters
+    if isinstance(parameters, Parameter):
+        return ParameterSpace((parameters,))
     return ParameterSpace(tuple(parameters))

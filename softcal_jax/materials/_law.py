@@ -14,8 +14,8 @@ class AbstractLaw(eqx.Module):
     Stress and tangent follow by automatic differentiation. A law that knows closed
     forms overrides `stress` or `tangent`; they are tested against the energy.
 
-    Methods see one material point: array fields of the law are scalars there (or one
-    tensor), although in a model each may hold one value per tet. Write 3x3 algebra
+    Methods see one material point: a field of the law is one value there, although in a
+    model it may hold one value (a scalar or a tensor) per tet. Write 3x3 algebra
     with `softcal_jax.elements` (`determinant`, `matmul`, ...), which vectorises;
     `jnp.linalg` works too and is slower.
 
@@ -23,9 +23,9 @@ class AbstractLaw(eqx.Module):
         A law of one's own, ready for every solver of this package::
 
             class Yeoh(AbstractLaw):
-                c1: Float[Array, ""]
-                c2: Float[Array, ""]
-                bulk: Float[Array, ""]
+                c1: float | Array
+                c2: float | Array
+                bulk: float | Array
 
                 def energy_density(self, F):
                     J = determinant(F)

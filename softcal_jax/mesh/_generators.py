@@ -4,9 +4,10 @@ from itertools import permutations, product
 
 import numpy as np
 
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import HostArray
 from softcal_jax.mesh._order import to_quadratic
-from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh, unknown_name
+from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
 _PATTERNS = ("mirrored", "centred")

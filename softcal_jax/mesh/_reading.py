@@ -8,16 +8,14 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from softcal_jax._names import METRES, unknown_name
 from softcal_jax._typing import HostArray
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._groups import RawGroups, raw_groups
 from softcal_jax.mesh._meshio import MeshWarning, read_raw
 from softcal_jax.mesh._order import to_linear, to_quadratic
-from softcal_jax.mesh._tet_mesh import TetMesh, unknown_name
+from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import tet_faces, volumes
-
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
-"""Length units of mesh files."""
 
 # A robot outside this range [m] is more likely read in the wrong unit.
 _SMALL, _LARGE = 5e-4, 20.0

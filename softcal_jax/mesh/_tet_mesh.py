@@ -1,11 +1,11 @@
 """The tetrahedral mesh and its named groups."""
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 
 ArrayData = HostArray | Sequence
@@ -34,15 +34,6 @@ def _as_indices(indices: ArrayData) -> HostArray:
 
 def _as_groups(groups: Mapping[str, ArrayData]) -> dict[str, HostArray]:
     return {str(name): _as_indices(members) for name, members in groups.items()}
-
-
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
-    """The error for a name that is not in a list, with the near one suggested."""
-    names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    listed = ", ".join(map(repr, names)) or "none"
-    return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")
 
 
 class TetMesh(eqx.Module):

@@ -4,6 +4,7 @@ VTK draws the body; text, markers and scales are drawn over it by Matplotlib, in
 of their own, so that markers inside or behind the body are seen and nothing overlaps.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,6 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationFit
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import marker_motion
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._view import choose_view
@@ -48,25 +48,29 @@ def render_configuration(
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
     """
-    motion = marker_motion(fit)
-    percent = (
-        f" ({100 * fit.rms_after / motion:.1f} % of their motion)" if motion else ""
-    )
     role = "fitted" if fit.role == "calibration" else "predicted, not fitted"
     render_body(
         model,
         fit.displacement,
         path,
         title=f"{fit.name} - {fit.role} ({role})",
-        subtitle=(
-            f"rms distance of the markers: {1e3 * fit.rms_before:.2f} mm before, "
-            f"{1e3 * fit.rms_after:.2f} mm after{percent}"
-        ),
+        subtitle=_distances(fit),
         measured=fit.measured,
         simulated=fit.after,
         marker_names=fit.marker_names,
         warning="" if converged else "NOT CONVERGED: do not use these values",
     )
+
+
+def _distances(fit: ConfigurationFit) -> str:
+    before, after = (
+        "no equilibrium" if math.isnan(rms) else f"{1e3 * rms:.2f} mm"
+        for rms in (fit.rms_before, fit.rms_after)
+    )
+    text = f"rms distance of the markers: {before} before, {after} after"
+    if fit.motion > 0.0 and not math.isnan(fit.rms_after):
+        text += f" ({100 * fit.rms_after / fit.motion:.1f} % of their motion)"
+    return text
 
 
 def render_body(

@@ -1,7 +1,6 @@
 """What is wrong with a project file, in words: the key, what it needs, a near one."""
 
 import contextlib
-import difflib
 import re
 import typing
 from collections.abc import Iterable, Iterator
@@ -10,6 +9,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
+
+from softcal_jax import _names
 
 # The parts of a union are told apart by these tags, which are no keys of the file.
 _TAGS = ("(table)", "(vector)")
@@ -111,10 +112,8 @@ def _shown(value: Any) -> str:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """A sentence that names the near one, or nothing."""
-    lower = {k.lower(): k for k in known}
-    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
-    return f' Did you mean "{lower[near[0]]}"?' if near else ""
+    """The near one in a sentence, quoted as project files quote."""
+    return _names.suggestion(name, known, quote='"')
 
 
 def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:

@@ -1,6 +1,5 @@
 """Numbers with units, as a project file writes them: "200 kPa", "(0, 0, -1) N"."""
 
-import difflib
 import functools
 import re
 from collections.abc import Callable
@@ -8,6 +7,8 @@ from typing import Any, NamedTuple
 
 import pint
 from pydantic_core import PydanticCustomError
+
+from softcal_jax._names import METRES, suggestion
 
 
 class Dimension(NamedTuple):
@@ -26,7 +27,7 @@ class Dimension(NamedTuple):
     usual: tuple[str, ...]
 
 
-LENGTH = Dimension("a length", "m", "100 mm", ("m", "cm", "mm", "um", "inch"))
+LENGTH = Dimension("a length", "m", "100 mm", tuple(METRES))
 PRESSURE = Dimension(
     "a pressure or modulus",
     "Pa",
@@ -73,11 +74,7 @@ def unit_factor(unit: str, dimension: Dimension) -> float:
     try:
         one = registry.Quantity(1.0, registry.parse_units(spelt))
     except pint.UndefinedUnitError as error:
-        near = difflib.get_close_matches(
-            unit.lower(), [u.lower() for u in dimension.usual], n=1, cutoff=0.5
-        )
-        usual = {u.lower(): u for u in dimension.usual}
-        hint = f' Did you mean "{usual[near[0]]}"?' if near else ""
+        hint = suggestion(unit, dimension.usual, quote='"')
         raise _wrong(f'unknown unit "{unit}"; {expected}.{hint}') from error
     if not one.is_compatible_with(dimension.si):
         raise _wrong(f'"{unit}" is not {dimension.name}; {expected}.')

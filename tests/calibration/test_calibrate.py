@@ -1,5 +1,6 @@
 import itertools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,9 +9,15 @@ import pytest
 from softcal_jax.calibration import (
     CalibrationSettings,
     CalibrationWarning,
+    at_rest,
     build_problem,
     calibrate,
+    decide,
+    evaluate,
+    fit_notes,
+    initial_state,
     levenberg_marquardt,
+    propose,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -134,13 +141,13 @@ def test_quadratic_tets_do_not():
 
 def test_both_optimisers_agree(model):
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-4)
-    nu = Parameter("nu", "nu", 0.3, 0.0, 0.45, scale="linear")
-    ours = calibrate(model, [parameter(), nu], data)
-    problem = build_problem(model, [parameter(), nu], data)
-    z, converged = levenberg_marquardt(problem)
+    parameters = [parameter(), Parameter("rho", "density", 800.0, 100.0, 5e3)]
+    ours = calibrate(model, parameters, data)
+    z, converged = levenberg_marquardt(build_problem(model, parameters, data))
+    assert ours.converged
     assert converged
     # Both stop where the gradient vanishes, each by its own rule; the minimum is flat.
-    np.testing.assert_allclose(z, ours.z, atol=2e-6)
+    np.testing.assert_allclose(z, ours.z, rtol=0, atol=2e-6)
 
 
 def test_standard_error_predicts_the_scatter_of_noisy_data(model):
@@ -245,3 +252,93 @@ def test_nothing_is_compiled_after_the_first_run(model, exact, recovered):
         jax.monitoring.unregister_event_duration_listener(listen)
     names = [event for event, _ in compiled if "backend_compile" in event]
     assert names == []
+
+
+def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
+    """No equilibrium beyond the start: the bound collapses where the slope is steep."""
+    settings = CalibrationSettings()
+    problem = build_problem(model, parameter(), exact)
+    z = problem.space.start()
+    evaluation = jax.jit(evaluate)(problem, z, at_rest(problem))
+    state = initial_state(settings, z, evaluation)
+    failed = eqx.tree_at(lambda e: e.ok, evaluation, jnp.zeros((), bool))
+    for _ in range(12):
+        proposal = propose(problem, state)
+        state = decide(problem, settings, state, proposal, failed)
+    assert bool(state.stalled)
+    assert not bool(state.converged)
+    np.testing.assert_array_equal(state.z, z)
+    notes = fit_notes(problem, state, settings)
+    assert len(notes) == 1
+    assert "steps were refused" in notes[0]
+
+
+def test_blind_direction_is_left_alone(model):
+    """Under gravity alone only E over density shows: neither may run away."""
+    data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), ("hang",))
+    rho = Parameter("rho", "density", 1e3, 100.0, 1e4)
+    result = calibrate(model, [parameter(), rho], data)
+    assert result.converged
+    assert result.configurations[0].rms_after < 1e-7
+    # The shortest way to the valley E / rho = const shares the ratio evenly.
+    ratio = np.sqrt(E_TRUE / 1e5)
+    assert result.value("E") == pytest.approx(1e5 * ratio, rel=1e-2)
+    assert result.value("rho") == pytest.approx(1e3 / ratio, rel=1e-2)
+    assert any("the data cannot tell them apart" in note for note in result.notes)
+
+
+def test_pose_that_the_model_cannot_explain_is_named(model, exact):
+    strange = posed("push", exact[2].measured + np.array([0.0, 0.0, 0.03]))
+    result = calibrate(model, parameter(), [exact[0], strange])
+    assert any(note.startswith("push ") for note in result.notes)
+
+
+def test_unpredictable_pose_costs_no_fit(model, exact):
+    """A held-out load that the body cannot carry is left out, with a note."""
+    crushed = Configuration(
+        "crushed",
+        (Support("x_min"),),
+        (0.0, 0.0, 0.0),
+        (SurfaceForce("x_max", (-1e6, 0.0, 0.0)),),
+        MARKERS,
+        MARKERS.positions,
+    )
+    result = calibrate(model, parameter(), exact[:2], validation=[exact[2], crushed])
+    assert result.converged
+    assert [fit.name for fit in result.configurations] == ["hang", "pull", "push"]
+    assert any("crushed is not predicted" in note for note in result.notes)
+
+
+def test_stated_noise_that_is_too_small_is_flagged(model):
+    data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-3)
+    result = calibrate(model, parameter(), data, noise="stated")
+    assert any("larger than the stated noise" in note for note in result.notes)
+    honest = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=1e-3)
+    result = calibrate(model, parameter(), honest, noise="stated")
+    assert result.notes == result.notes[:1]  # only the one on linear tets
+
+
+def test_undetermined_parameters_are_named(model):
+    few = Markers(("a",), MARKERS.positions[:1], axes="z")
+    seen = MARKERS.positions[:1] - [0.0, 0.0, 0.01]
+    data = Configuration("hang", (Support("x_min"),), markers=few, measured=seen)
+    result = calibrate(model, parameter(), data)
+    assert result.converged
+    assert np.isnan(result.parameters[0].standard_error)
+    assert any("No standard error for E" in note for note in result.notes)
+
+
+def test_poisson_ratio_that_may_lock_warns():
+    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
+    model = build_model(mesh, NeoHookean(1e5, 0.3), density=1000.0)
+    nu = Parameter("nu", "nu", 0.3, 0.0, 0.499, scale="linear")
+    with pytest.warns(CalibrationWarning, match="may reach nu = 0.499, where"):
+        build_problem(model, nu, posed("hang", MARKERS.positions))
+
+
+def test_result_and_history_print_for_a_person(recovered):
+    text = str(recovered)
+    assert text.startswith(f"Calibration converged in {len(recovered.history) - 1} st")
+    assert "E = 1.6e+05 +- " in text
+    assert "push (validation): rms " in text
+    assert str(recovered.history[0]).startswith("step 0: rms ")

@@ -167,3 +167,25 @@ def test_bad_loads():
         EdgeForce("edge", FORCE).nodal_forces(mesh)
     with pytest.raises(ValueError, match="at least two neighbours"):
         EdgeForce(np.array([0]), FORCE).nodal_forces(mesh)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("kind", "nodes", "force", "message"),
+    [
+        (EdgeForce, np.ones(60, bool), FORCE, "an edge force needs .*flatnonzero"),
+        (EdgeForce, [0, -1], FORCE, "an edge force: node -1 is not in the mesh"),
+        (NodalForces, [60], [FORCE], "a nodal force: node 60 is not in the mesh"),
+        (NodalForces, [-1], [FORCE], "node -1 is not in the mesh, .* are 0 to 59"),
+        (NodalForces, [4, 5], FORCE, r"2 nodes need forces of shape \(2, 3\) \[N\]"),
+        (
+            NodalForces,
+            [4, 5],
+            [FORCE, (0.0, np.nan, 0.0)],
+            r"the force on node 5 is \[ 0\. nan  0\.\]: expected three finite num",
+        ),
+    ],
+)
+def test_bad_nodes_and_forces(kind, nodes, force, message):
+    with pytest.raises(ValueError, match=message):
+        kind(nodes, force).nodal_forces(box(1))

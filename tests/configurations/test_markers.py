@@ -136,3 +136,18 @@ def test_marker_far_outside_the_mesh():
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=in_mm)])
     near = markers(positions=far.positions, max_distance=0.04)
     configuration_arrays(MESH, [Configuration("one", CLAMP, markers=near)])
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_names_as_a_text():
+    with pytest.raises(ValueError, match=r"list of names, got the text 'ab'.*\['ab'\]"):
+        markers(names="ab")
+
+
+def test_measured_as_lists():
+    """Whole numbers too: they become floats."""
+    at = [[1, 0, 0], [2, 0, 0]]
+    configuration = Configuration("one", CLAMP, markers=markers(), measured=at)
+    assert isinstance(configuration.measured, np.ndarray)
+    assert configuration.measured.dtype == np.float64
+    np.testing.assert_array_equal(configuration.measured, at)

@@ -9,6 +9,15 @@ NOMINAL = RNG.uniform(-0.1, 0.1, (6, 3))
 Q, T = Rotation.random(rng=1).as_matrix(), np.array([1.2, -0.7, 3.1])
 # What the cameras see: the registration has to undo this motion.
 SEEN = (NOMINAL - T) @ Q
+LINE = np.outer(np.arange(4.0), T)
+# One is wide where the other is narrow: every turn about x fits as badly.
+UNLIKE = np.array(
+    [
+        [[-3, 1, 0], [-1, -1, 0], [1, -1, 0], [3, 1, 0]],
+        [[-3, 0, -1], [-1, 0, 3], [1, 0, -3], [3, 0, 1]],
+    ],
+    float,
+)
 
 
 def test_recovers_a_rigid_motion():
@@ -64,9 +73,38 @@ def test_a_marker_without_weight_is_not_heard():
         (SEEN[:5], NOMINAL, r"as many measured as nominal .*\(5, 3\) and \(6, 3\)"),
         (SEEN[:, :2], NOMINAL[:, :2], r"shape \(n, 3\)"),
         (np.where(SEEN == SEEN[1], np.nan, SEEN), NOMINAL, "must be finite"),
-        (np.outer(np.arange(4.0), T), np.outer(np.arange(4.0), T), "lie on a line"),
+        (LINE, LINE, "the measured markers of the registration lie on a line"),
+        (SEEN[:4], LINE, "the nominal markers of the registration lie on a line"),
+        (
+            LINE,
+            NOMINAL[:4],
+            "measured markers .* choose at least three that span a tri",
+        ),
+        (SEEN[:4], np.tile(T, (4, 1)), "the nominal markers .* are all in one place"),
+        (np.tile(T, (4, 1)), NOMINAL[:4], "the measured markers .* all in one place"),
+        (UNLIKE[0], UNLIKE[1], "both list the same markers in the same order"),
     ],
 )
 def test_bad_registration(seen, nominal, message):
     with pytest.raises(ValueError, match=message):
         register(seen, nominal)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ([1.0, 1, 0, 0, 0, 0], "at least 3 markers, got 2 of positive weight"),
+        ([1.0, 1, 1, 1, 1, -1], "weights must be 6 finite numbers, none .*negative"),
+        ([1.0, 1, 1], "weights must be 6 finite numbers"),
+    ],
+)
+def test_bad_weights(weights, message):
+    with pytest.raises(ValueError, match=message):
+        register(SEEN, NOMINAL, weights=weights)
+
+
+def test_markers_on_a_line_but_for_one_without_weight():
+    seen, nominal = np.vstack([LINE, SEEN[:1]]), np.vstack([LINE, NOMINAL[:1]])
+    with pytest.raises(ValueError, match="lie on a line"):
+        register(seen, nominal, weights=np.array([1.0, 1, 1, 1, 0]))

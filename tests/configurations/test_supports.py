@@ -110,3 +110,32 @@ def test_bad_configurations():
         configuration_arrays(MESH, twice)
     with pytest.raises(ValueError, match=r"gravity of configuration 'one' .* \[m/s2\]"):
         Configuration("one", (CLAMP,), gravity=(0.0, 0.0, np.inf))
+
+
+@pytest.mark.parametrize("supports", [CLAMP, "x_min", ["x_min"], (CLAMP,), [CLAMP]])
+def test_one_support_or_the_name_of_a_group(supports):
+    configuration = Configuration("one", supports)
+    assert configuration.supports == (CLAMP,)
+    fixed = configuration_arrays(MESH, [configuration]).fixed[0]
+    np.testing.assert_array_equal(np.flatnonzero(fixed.any(axis=1)), X_MIN)
+
+
+def test_one_load():
+    load = SurfaceForce("x_max", (1.0, 0.0, 0.0))
+    assert Configuration("one", CLAMP, loads=load).loads == (load,)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        (MESH.points[:, 0] == 0.0, r"a support needs .*np\.flatnonzero .*got bool"),
+        (np.array([0.0, 1.0]), r"list of integer node indices, got float64 of shape"),
+        (3, r"name of a group or a list .*of shape \(\)"),
+        (np.array([0, -1]), r"node -1 is not in the mesh, whose nodes are 0 to 44\."),
+        (np.array([45, 0]), "a support: node 45 is not in the mesh"),
+    ],
+)
+def test_bad_nodes(where, message):
+    with pytest.raises(ValueError, match=message):
+        one(CLAMP, Support(where))

@@ -13,7 +13,7 @@ from export.handmade import (
 
 from softcal_jax.calibration import Uncertainty
 from softcal_jax.equilibrium import RESULTS
-from softcal_jax.export import marker_motion, result_dict, simulation_dict
+from softcal_jax.export import result_dict, simulation_dict
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +82,7 @@ def test_a_coordinate_that_was_not_measured_is_null_and_counts_for_nothing():
         fit,
         # Of the two lost axes one holds a number that nobody measured.
         measured=fit.measured + np.array([0.0, 1.0, 0.0]),
+        seen=np.broadcast_to(~unseen, fit.measured.shape),
         error_after=np.where(unseen, 0.0, fit.error_after),
     )
     entry = result_dict(make_result(fits=[fit]))["configurations"][0]
@@ -90,7 +91,7 @@ def test_a_coordinate_that_was_not_measured_is_null_and_counts_for_nothing():
     assert marker["residual_mm"][1] is None
     assert marker["simulated_mm"][1] is not None
     assert marker["measured_mm"][0] is not None
-    np.testing.assert_allclose(marker_motion(fit), 0.02, rtol=1e-12)
+    np.testing.assert_allclose(fit.motion, 0.02, rtol=1e-12)
 
     lost = replaced(fit, measured=np.where(unseen, np.nan, fit.measured))
     entry = result_dict(make_result(fits=[lost]))["configurations"][0]
@@ -104,6 +105,16 @@ def test_markers_that_did_not_move_have_no_percentage():
     entry = result_dict(make_result(fits=[fit]))["configurations"][0]
     assert entry["motion_mm"] == 0.0
     assert entry["rms_after_percent_of_motion"] is None
+
+
+def test_no_equilibrium_at_the_start_is_null():
+    fit = make_fit(small_model().mesh)
+    nowhere = np.full(fit.before.shape, np.nan)
+    fit = replaced(fit, before=nowhere, error_before=nowhere)
+    entry = result_dict(make_result(fits=[fit]))["configurations"][0]
+    assert entry["rms_before_mm"] is None
+    assert entry["markers"][0]["simulated_before_mm"] == [None, None, None]
+    np.testing.assert_allclose(entry["rms_after_mm"], 1.0, rtol=1e-12)
 
 
 def test_history_keeps_every_step_and_the_start_has_no_step(data):

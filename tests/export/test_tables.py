@@ -31,6 +31,7 @@ def test_what_was_not_measured_is_empty(tmp_path):
     fit = replaced(
         fit,
         measured=np.where(lost, np.nan, fit.measured),
+        seen=np.broadcast_to(~lost, fit.measured.shape),
         error_after=np.where(lost, 0.0, fit.error_after),
     )
     write_markers_csv(tmp_path / "m.csv", result_dict(make_result(fits=[fit])))

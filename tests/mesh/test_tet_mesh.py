@@ -21,6 +21,8 @@ def test_unknown_group_suggests_the_near_one():
         ValueError, match=r"group 'x_mim'. Did you mean 'x_min'\?.*'z_m"
     ):
         mesh.nodes("x_mim")
+    with pytest.raises(ValueError, match=r"group 'X_MIN'. Did you mean 'x_min'\?"):
+        mesh.nodes("X_MIN")
     with pytest.raises(
         ValueError, match=r"unknown surface group 'tip'. Known: 'x_max'"
     ):

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
-from export.handmade import make_fit, sag, small_model
+from export.handmade import make_fit, replaced, sag, small_model
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from softcal_jax.plotting import render_body, render_configuration, rendering_problem
 from softcal_jax.plotting._colours import BAD, MEASURED
-from softcal_jax.plotting._configuration import _fit_body
+from softcal_jax.plotting._configuration import _distances, _fit_body
 from softcal_jax.plotting._view import choose_view
 
 pytestmark = pytest.mark.skipif(
@@ -133,3 +133,15 @@ def test_the_body_fits_and_fills_its_part(w, h):
     assert max(w * scale / (1410 - 120), h * scale / (height - 120)) == (
         pytest.approx(1.0, abs=0.01)  # whole pixels
     )
+
+
+def test_the_subtitle_says_no_equilibrium_instead_of_nan():
+    fit = make_fit(small_model().mesh)
+    assert _distances(fit).endswith(
+        "4.00 mm before, 1.00 mm after (5.0 % of their motion)"
+    )
+    nowhere = np.full(fit.before.shape, np.nan)
+    fit = replaced(fit, error_before=nowhere)
+    assert "no equilibrium before, 1.00 mm after (5.0 %" in _distances(fit)
+    fit = replaced(fit, error_after=nowhere)
+    assert _distances(fit).endswith("no equilibrium before, no equilibrium after")

@@ -1,0 +1,22 @@
+"""Names that a user types: units of length, and what is said of a misspelt one."""
+
+import difflib
+from collections.abc import Iterable
+
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
+"""Length units of meshes and marker files."""
+
+
+def suggestion(name: str, known: Iterable[str], *, quote: str = "'") -> str:
+    """A sentence, after a space, that names the near one; empty if none is near."""
+    by_lower = {k.lower(): k for k in known}
+    near = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
+    return f" Did you mean {quote}{by_lower[near[0]]}{quote}?" if near else ""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
+    """The error for a name that is not in a list, with the near one suggested."""
+    names = sorted(known)
+    listed = ", ".join(map(repr, names)) or "none"
+    hint = suggestion(name, names)
+    return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")

@@ -1,0 +1,57 @@
+"""A second, independent optimiser on the same stacked errors."""
+
+import jax.numpy as jnp
+import optimistix as optx
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    at_rest,
+    effector_errors,
+    simulate,
+)
+
+
+def levenberg_marquardt(
+    problem: CalibrationProblem,
+    *,
+    rtol: float = 1e-10,
+    atol: float = 1e-10,
+    max_steps: int = 100,
+) -> tuple[Float[Array, " n_p"], bool]:
+    """Fit by `optimistix.least_squares`, the second, independent optimiser.
+
+    Levenberg-Marquardt on the same stacked errors, with the Jacobian by autodiff
+    through the implicit derivative of the equilibrium. It knows no bounds.
+
+    Args:
+        problem: The calibration.
+        rtol: Relative tolerance of optimistix.
+        atol: Absolute tolerance of optimistix.
+        max_steps: Steps after which it gives up.
+
+    Returns:
+        Scaled parameters, and whether it converged inside the bounds.
+    """
+    guess = at_rest(problem)
+    weight = problem.configurations.effectors.inverse_std
+
+    def errors(z, problem):
+        solution, positions = simulate(problem, z, guess)
+        delta_e = effector_errors(problem, positions)
+        # A configuration without equilibrium makes the step cost infinitely much.
+        ok = solution.converged[:, None, None]
+        return jnp.where(ok, weight * delta_e, jnp.inf).ravel()
+
+    solution = optx.least_squares(
+        errors,
+        optx.LevenbergMarquardt(rtol=rtol, atol=atol),
+        problem.space.start(),
+        args=problem,
+        options={"jac": "fwd"},
+        max_steps=max_steps,
+        throw=False,
+    )
+    z = solution.value
+    inside = jnp.all((z >= problem.space.lower()) & (z <= problem.space.upper()))
+    return z, bool(inside & (solution.result == optx.RESULTS.successful))

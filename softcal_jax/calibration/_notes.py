@@ -1,0 +1,138 @@
+"""What a user should know about a fit, in words."""
+
+import warnings
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import chdtri
+
+from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._result import ConfigurationFit
+from softcal_jax.calibration._step import CalibrationSettings, CalibrationState
+from softcal_jax.calibration._uncertainty import Uncertainty
+from softcal_jax.equilibrium import Model
+from softcal_jax.fields import ParameterSpace
+
+
+class CalibrationWarning(UserWarning):
+    """Something about a calibration that its user should know."""
+
+
+def fit_notes(
+    problem: CalibrationProblem, state: CalibrationState, settings: CalibrationSettings
+) -> list[str]:
+    """What the user should know about the fit."""
+    notes = []
+    size = float(jnp.max(jnp.abs(state.lambda_p)))
+    if bool(state.stalled):
+        notes.append(
+            "Not converged: steps were refused until they were shorter than "
+            f"{size:.0e}. Beyond here a configuration has no equilibrium, or the "
+            "equilibria are too coarse (newton rtol) to see the fit improve. Do not "
+            "use these values."
+        )
+    elif not bool(state.converged):
+        notes.append(
+            f"Not converged: after {int(state.step)} steps lambda_p is still "
+            f"{size:.1e} (tol {settings.tol:g}). Do not use these values; raise "
+            "max_steps or look at the history."
+        )
+    return notes
+
+
+def misfit_notes(fits: Sequence[ConfigurationFit]) -> list[str]:
+    """Configurations that the calibrated model does not explain."""
+    notes = []
+    for fit in fits:
+        if fit.role == "calibration" and fit.rms_after > fit.rms_before:
+            notes.append(
+                f"{fit.name} fits worse than before the calibration "
+                f"({1e3 * fit.rms_before:.2f} to {1e3 * fit.rms_after:.2f} mm): it "
+                "contradicts the other configurations. Check its load, supports and "
+                "marker names."
+            )
+        elif fit.rms_after > 0.25 * fit.motion:
+            notes.append(
+                f"{fit.name} is not explained by the model: after calibration the "
+                f"markers are still {1e3 * fit.rms_after:.2f} mm off, "
+                f"{100 * fit.rms_after / fit.motion:.0f} % of how far they moved. "
+                "Check units, loads, gravity and marker names."
+            )
+    return notes
+
+
+def mesh_notes(problem: CalibrationProblem) -> list[str]:
+    """What the mesh does to the moduli."""
+    if problem.model.mesh.order == 2:
+        return []
+    return [
+        "Linear tets lock in bending: the calibrated moduli are effective numbers of "
+        "this mesh, not properties of the material. Use quadratic tets (to_quadratic) "
+        "to compare with data sheets."
+    ]
+
+
+def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[str]:
+    """What the user should know about the standard errors."""
+    names, dof = problem.space.names, spread.degrees_of_freedom
+    notes = [
+        f"{name} ended on a bound: widen it, or the model cannot match the data. It "
+        "has no standard error."
+        for name, flag in zip(names, spread.at_bound, strict=True)
+        if flag
+    ]
+    undetermined = np.isnan(np.diag(spread.covariance)) & ~spread.at_bound
+    if np.any(undetermined):
+        blind = ", ".join(
+            n for n, flag in zip(names, undetermined, strict=True) if flag
+        )
+        why = (
+            "more measured coordinates than parameters are needed, and there are "
+            f"{dof} to spare"
+            if dof <= 0
+            else "the data cannot tell them apart"
+        )
+        notes.append(f"No standard error for {blind}: {why}. Add measurements.")
+    elif spread.noise == "estimated":
+        notes.append(
+            f"Standard errors rest on the noise estimated from the residuals ({dof} "
+            "degrees of freedom), which holds model error as well."
+        )
+    elif dof > 0 and spread.chi_squared > chdtri(dof, 0.01):
+        notes.append(
+            f"The residuals are larger than the stated noise: chi-squared "
+            f"{spread.chi_squared:.0f} for {dof} degrees of freedom. The model cannot "
+            "match the data that well, or the noise is larger than stated; standard "
+            "errors are too small."
+        )
+    return notes
+
+
+def warn_if_locking(model: Model, space: ParameterSpace) -> None:
+    """A Poisson's ratio may be calibrated into the range where tets lock."""
+    if model.mesh.order == 1 or model.formulation == "mean-dilatation":
+        return
+    for parameter in space.parameters:
+        if parameter.field.split(".")[-1] == "nu" and float(parameter.upper) >= 0.49:
+            warnings.warn(
+                f"parameter {parameter.name!r} may reach nu = "
+                f"{float(parameter.upper):g}, "
+                'where the formulation "displacement" locks: build the model with '
+                'formulation="mean-dilatation", or lower the bound below 0.49.',
+                CalibrationWarning,
+                stacklevel=4,
+            )
+
+
+def warn_if_too_few_data(problem: CalibrationProblem) -> None:
+    measured = int(np.sum(problem.configurations.effectors.inverse_std > 0))
+    wanted = len(problem.space.names)
+    if wanted > measured:
+        warnings.warn(
+            f"{wanted} parameters but only {measured} measured coordinates: at least "
+            f"{wanted - measured} more are missing (another marker gives 3, another "
+            "configuration as many as it has markers times 3). The fit is not unique.",
+            CalibrationWarning,
+            stacklevel=3,
+        )
