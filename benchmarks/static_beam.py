@@ -192,7 +192,7 @@ def _felupe_call(built: FelupeBeam, solver: Solver):
 def _parts(
     model: Model, lane: ConfigurationArrays, u: jax.Array
 ) -> dict[str, Callable[[], object]]:
-    """Parts of an iteration, and the bare PARDISO on the matrix at the solution."""
+    """Parts of an iteration, and PARDISO bare, with its defaults, on the same matrix."""
     from pardiso_mkl_jax import MatrixType, primitive
 
     assembly = eqx.filter_jit(tangent_values)

@@ -59,6 +59,9 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     project = _load(path, show)
     with _bad_input():
         project.check_calibration()
+    for role, group in (("fit", project.calibration), ("predict", project.validation)):
+        if group:
+            show.line(f"{role}: {', '.join(c.name for c in group)}")
     _print_registrations(project, show)
     show.now("first equilibrium (compiling)")
     with _no_equilibrium("Nothing was written."):
@@ -154,9 +157,6 @@ def _load(path: Path, show: Display) -> "Project":
         f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets, {type(model.law).__name__} "
         f"({model.formulation}), solver {model.solver.name}"
     )
-    for role, group in (("fit", project.calibration), ("predict", project.validation)):
-        if group:
-            show.line(f"{role}: {', '.join(c.name for c in group)}")
     return project
 
 

@@ -14,6 +14,7 @@ from bodies import (
     LENGTH,
     POISSON,
     SIDE,
+    TIGHT,
     YOUNG,
     hanging,
     lane,
@@ -116,10 +117,11 @@ def test_a_body_that_nothing_holds_is_singular(solver):
 
 @each_solver
 def test_the_same_equilibrium(solver):
-    """To 1e-9: a residual of 1e-8, after a last step of quadratic convergence."""
+    """Solved to rounding, since the two walk different paths; KLU's is strict."""
     pytest.importorskip(PACKAGES[solver], reason="not installed on this platform")
     lanes = small_lanes(hanging())
-    ours, default = solve(small_model(solver), lanes), solve(small_model(), lanes)
+    ours = solve(small_model(solver), lanes, TIGHT)
+    default = solve(small_model(), lanes, TIGHT)
     assert bool(jnp.all(ours.converged))
     scale = float(jnp.max(jnp.abs(default.displacement)))
     np.testing.assert_allclose(
