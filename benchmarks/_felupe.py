@@ -26,10 +26,16 @@ class FelupeSolution(NamedTuple):
 
 
 def linear_solvers() -> dict[str, Solver]:
-    """Sparse solvers that FElupe's documentation names: SciPy's, and PyPardiso's.
+    """Sparse solvers that FElupe's documentation names: SciPy's, and PyPardiso's."""
+    from pypardiso import spsolve as pardiso_spsolve
 
-    PARDISO is given the whole matrix, as `pypardiso.spsolve` does, or its upper
-    triangle as a symmetric matrix, which halves the work.
+    return {"SuperLU": spsolve, "PARDISO": pardiso_spsolve}
+
+
+def tuned_solvers() -> dict[str, Solver]:
+    """PARDISO on the upper triangle of a symmetric matrix, which halves its work.
+
+    Nothing that FElupe or PyPardiso offer as it is: what its user could write.
     """
     from pypardiso import PyPardisoSolver
     from pypardiso import spsolve as pardiso_spsolve
@@ -38,12 +44,7 @@ def linear_solvers() -> dict[str, Solver]:
         solver = PyPardisoSolver(mtype=matrix_type)
         return lambda A, b: pardiso_spsolve(triu(A, format="csr"), b, solver=solver)
 
-    return {
-        "SuperLU": spsolve,
-        "PARDISO": pardiso_spsolve,
-        "PARDISO symmetric": symmetric(-2),
-        "PARDISO definite": symmetric(2),
-    }
+    return {"PARDISO symmetric": symmetric(-2), "PARDISO definite": symmetric(2)}
 
 
 class FelupeBeam:

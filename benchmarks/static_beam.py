@@ -27,7 +27,7 @@ from benchmarks._cantilever import (
     solve,
     tip,
 )
-from benchmarks._felupe import FelupeBeam, Solver, linear_solvers
+from benchmarks._felupe import FelupeBeam, Solver, linear_solvers, tuned_solvers
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms, ratio, run_process
 from softcal_jax import Model
@@ -87,6 +87,7 @@ def run(options: Options) -> Outcome:
     options.say("memory, in processes of their own")
     figures |= _memory()
     columns = ["nodes", "ours ms", "steps", "FElupe ms", "steps", "FElupe/ours"]
+    columns += ["tuned FElupe/ours"]
     columns += ["iteration ms", "PARDISO ms", "iteration/PARDISO"]
     table = Table("Static beam, medians", columns, rows)
     return Outcome(figures, samples, GOALS, [table])
@@ -94,6 +95,7 @@ def run(options: Options) -> Outcome:
 
 def _row(n: int, found: dict[str, Figure]) -> list[str]:
     names = ["ours_ms", "steps", "felupe_ms", "felupe_steps", "vs_felupe"]
+    names += ["vs_felupe_tuned"]
     names += ["newton_ms", "pardiso_ms", "newton_vs_pardiso"]
     return [str(n), *(f"{found[f'n{n}_{name}']:.4g}" for name in names)]
 
@@ -106,13 +108,15 @@ def _one_size(n: int, size: Size) -> tuple[dict[str, Figure], dict[str, list[flo
     begin = time.perf_counter()
     solution = equilibrium(model, lane)
     first = time.perf_counter() - begin
-    peer = _fastest_peer(model)
+    peer = _fastest_peer(model, linear_solvers())
+    tuned = _fastest_peer(model, tuned_solvers())
     at_tip = nearest(model.mesh.points, tip(BEAM.size))
     difference = _agreement(solution.displacement[at_tip], peer.tip)
 
     functions: dict[str, Callable[[], object]] = {
         "ours": lambda: jax.block_until_ready(solve(model, lane)),
         "felupe": peer.solve,
+        "felupe_tuned": tuned.solve,
         **_parts(model, lane, solution.displacement),
     }
     if n == min(SIZES):
@@ -123,10 +127,13 @@ def _one_size(n: int, size: Size) -> tuple[dict[str, Figure], dict[str, list[flo
     pardiso = median_ms(seconds["pardiso"])
     figures: dict[str, Figure] = {
         "vs_felupe": ratio(seconds["felupe"], seconds["ours"]),
+        "vs_felupe_tuned": ratio(seconds["felupe_tuned"], seconds["ours"]),
         "newton_vs_pardiso": newton / pardiso,
         "ours_ms": ours,
         "felupe_ms": median_ms(seconds["felupe"]),
         "felupe_solver": peer.name,
+        "felupe_tuned_ms": median_ms(seconds["felupe_tuned"]),
+        "felupe_tuned_solver": tuned.name,
         "newton_ms": newton,
         "pardiso_ms": pardiso,
         "assembly_ms": median_ms(seconds["assembly"]),
@@ -160,8 +167,8 @@ def _agreement(ours: jax.Array, peer: np.ndarray) -> float:
     return difference
 
 
-def _fastest_peer(model: Model) -> Peer:
-    """Try every solver of FElupe, with and without threads, and keep the fastest."""
+def _fastest_peer(model: Model, solvers: dict[str, Solver]) -> Peer:
+    """Try solvers for FElupe, with and without threads, and keep the fastest."""
     mesh = model.mesh
     best: tuple[float, Peer] | None = None
     at_tip = nearest(mesh.points, tip(BEAM.size))
@@ -169,7 +176,7 @@ def _fastest_peer(model: Model) -> Peer:
         begin = time.perf_counter()
         built = FelupeBeam(BEAM, mesh.points, mesh.tets, parallel=parallel)
         setup = time.perf_counter() - begin
-        for name, solver in linear_solvers().items():
+        for name, solver in solvers.items():
             call = _felupe_call(built, solver)
             begin = time.perf_counter()
             found = call()
@@ -192,7 +199,7 @@ def _felupe_call(built: FelupeBeam, solver: Solver):
 def _parts(
     model: Model, lane: ConfigurationArrays, u: jax.Array
 ) -> dict[str, Callable[[], object]]:
-    """Parts of an iteration, and PARDISO bare, with its defaults, on the same matrix."""
+    """Parts of an iteration, and bare PARDISO with its defaults on the same matrix."""
     from pardiso_mkl_jax import MatrixType, primitive
 
     assembly = eqx.filter_jit(tangent_values)
