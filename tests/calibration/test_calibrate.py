@@ -275,6 +275,19 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     assert "steps were refused" in notes[0]
 
 
+def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
+    settings = CalibrationSettings()
+    problem = build_problem(model, parameter(), exact)
+    z = problem.space.start()
+    evaluation = jax.jit(evaluate)(problem, z, at_rest(problem))
+    state = initial_state(settings, z, evaluation)
+    held = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-7))
+    proposal = propose(problem, held)
+    assert float(jnp.max(jnp.abs(proposal.qp.lambda_p))) <= settings.tol
+    state = decide(problem, settings, held, proposal, evaluation)
+    assert not bool(state.converged)
+
+
 def test_blind_direction_is_left_alone(model):
     """Under gravity alone only E over density shows: neither may run away."""
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), ("hang",))
