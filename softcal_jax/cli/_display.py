@@ -1,12 +1,10 @@
 """What a command shows while it works."""
 
-import os
 import sys
 import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from rich.console import Console, RenderableType
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -96,12 +94,8 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
 
 
 def process_start() -> float:
-    """When this process began [s since 1970]; where that is unknown, now."""
-    try:
-        ticks = float(
-            Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19]
-        )
-        up = float(Path("/proc/uptime").read_text().split()[0])
-        return time.time() - (up - ticks / os.sysconf("SC_CLK_TCK"))
-    except (OSError, ValueError, IndexError, AttributeError):
-        return time.time()  # no /proc on macOS and Windows
+    """About when this program began [s since 1970]: now, less the CPU time it has used.
+
+    The start of its process is no measure: a shell may have lived in it before.
+    """
+    return time.time() - time.process_time()
