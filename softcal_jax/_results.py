@@ -8,8 +8,9 @@ class RESULTS(eqx.Enumeration):
 
     converged = "converged"
     max_steps = (
-        "Newton did not converge within max_steps; raise max_steps, or check that the "
-        "load is what you meant (units of force, density, modulus)"
+        "Newton did not converge within max_steps; check that the load is what you "
+        "meant (units of force, density, modulus) and that no region is over 1e5 times "
+        "stiffer than another, or raise max_steps ([newton] in a project file)"
     )
     load_step_too_small = (
         "load stepping gave up: no Newton step succeeded on the smallest load "
