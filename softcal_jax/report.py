@@ -1,6 +1,5 @@
 """The results folder and the tables for the terminal."""
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -78,10 +77,7 @@ def write_results(
         for fit, entry, stem in zip(
             result.configurations, data["configurations"], stems, strict=True
         ):
-            entry["files"] = []
-            if math.isnan(fit.rms_after):
-                continue
-            entry["files"].append(f"{stem}.vtu")
+            entry["files"] = [f"{stem}.vtu"]
             write_vtu(folder / f"{stem}.vtu", result.model, fit.displacement)
             if problem is None:
                 entry["files"].append(f"{stem}.png")

@@ -5,14 +5,10 @@ import subprocess
 import sys
 from importlib.metadata import version
 
-import numpy as np
 import pytest
-from export.handmade import make_fit, make_result, replaced, small_model
 from small_project import write_small_project
 
 from softcal_jax.cli import main
-from softcal_jax.cli._commands import _print_held_out
-from softcal_jax.cli._display import Display
 from softcal_jax.robots import silicone_beam_path
 
 
@@ -223,10 +219,3 @@ def test_demo_writes_its_project(tmp_path, capsys):
     assert (folder / "project.toml").read_text() == "mine"
     assert main(["demo", "--write", str(folder), "--force"]) == 0
     assert (folder / "project.toml").read_text() != "mine"
-
-
-def test_a_prediction_without_equilibrium_has_no_error(capsys):
-    fit = make_fit(small_model().mesh, "crushed", "validation")
-    fit = replaced(fit, error_after=np.full(fit.after.shape, np.nan))
-    _print_held_out(make_result(fits=[fit]), Display(0.0))
-    assert capsys.readouterr().out == "Held-out error, crushed: no equilibrium.\n"

@@ -1,7 +1,6 @@
 """What the commands do; heavy packages are imported when one runs."""
 
 import argparse
-import math
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -204,9 +203,6 @@ def _shown(value: float, unit: str) -> str:
 def _print_held_out(result: "CalibrationResult", show: Display) -> None:
     for fit in result.configurations:
         if fit.role == "validation":
-            if math.isnan(fit.rms_after):
-                show.line(f"Held-out error, {fit.name}: no equilibrium.")
-                continue
             percent = (
                 f", {100 * fit.rms_after / fit.motion:.1f} % of how far they moved "
                 f"({1e3 * fit.motion:.1f} mm)"

@@ -101,9 +101,9 @@ def _load_pardiso():
     wants them for the assembly: a solve then takes up to twice as long.
     """
     os.environ.setdefault("KMP_BLOCKTIME", "1")
-    import pardiso_mkl_jax
+    from pardiso_mkl_jax import MatrixType, primitive
 
-    return pardiso_mkl_jax
+    return primitive, MatrixType.REAL_SYMMETRIC_INDEFINITE
 
 
 class Pardiso(AbstractLinearSolver):
@@ -121,25 +121,25 @@ class Pardiso(AbstractLinearSolver):
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Pardiso":
         """Order and analyse the pattern once, outside jit."""
-        pardiso = _load_pardiso()
-        token, _ = pardiso.primitive.analyze(
+        primitive, kind = _load_pardiso()
+        token, _ = primitive.analyze(
             jnp.asarray(sparsity.indptr),
             jnp.asarray(sparsity.indices),
             jnp.ones(sparsity.nnz),
-            matrix_type=pardiso.MatrixType.REAL_SYMMETRIC_INDEFINITE,
+            matrix_type=kind,
             options=_PARDISO_OPTIONS,
         )
         return cls(sparsity=sparsity, token=token)
 
     def _factor_solve(self, values, rhs):
-        pardiso = _load_pardiso()
-        x, iparm, _ = pardiso.primitive.factor_and_solve_stateful(
+        primitive, kind = _load_pardiso()
+        x, iparm, _ = primitive.factor_and_solve_stateful(
             self.token,
             jnp.asarray(self.sparsity.indptr),
             jnp.asarray(self.sparsity.indices),
             values,
             rhs,
-            matrix_type=pardiso.MatrixType.REAL_SYMMETRIC_INDEFINITE,
+            matrix_type=kind,
             options=_PARDISO_OPTIONS,
         )
         perturbed_pivots, negative_eigenvalues = iparm[13], iparm[22]

@@ -63,12 +63,11 @@ def render_configuration(
 
 
 def _distances(fit: ConfigurationFit) -> str:
-    before, after = (
-        "no equilibrium" if math.isnan(rms) else f"{1e3 * rms:.2f} mm"
-        for rms in (fit.rms_before, fit.rms_after)
-    )
+    missing = math.isnan(fit.rms_before)
+    before = "no equilibrium" if missing else f"{1e3 * fit.rms_before:.2f} mm"
+    after = f"{1e3 * fit.rms_after:.2f} mm"
     text = f"rms distance of the markers: {before} before, {after} after"
-    if fit.motion > 0.0 and not math.isnan(fit.rms_after):
+    if fit.motion > 0.0:
         text += f" ({100 * fit.rms_after / fit.motion:.1f} % of their motion)"
     return text
 
