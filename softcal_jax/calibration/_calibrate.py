@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._notes import (
     fit_notes,
@@ -135,8 +136,10 @@ def calibrate(
     configurations = _as_sequence(configurations)
     validation = _as_sequence(validation)
     problem = build_problem(model, parameters, configurations, newton)
-    if validation:  # found wrong now, not after the fit
-        build_problem(model, parameters, validation, newton)
+    # Built now, so that a wrong held-out configuration is found before the fit.
+    held_out = (
+        build_problem(model, parameters, validation, newton) if validation else None
+    )
     names = [c.name for c in (*configurations, *validation)]
     for name in names:
         if names.count(name) > 1:
@@ -173,23 +176,22 @@ def calibrate(
             after.equilibrium,
         )
         missing: tuple[str, ...] = ()
-        if validation:
-            predicted, missing = _predict(model, parameters, validation, newton, state)
+        if held_out is not None:
+            predicted, missing = _predict(held_out, validation, state.z)
             fits += predicted
     notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
     return _result(problem, noise, settings, state, history, fits, notes, clock)
 
 
-def _predict(model, parameters, validation, newton, state):
+def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
     """The held-out configurations with the start and the calibrated parameters.
 
     One that has no equilibrium is left out, with a note: it must neither pass for a
     prediction nor cost the user the fit.
     """
-    problem = build_problem(model, parameters, validation, newton)
     guess = at_rest(problem)
     first, before = _simulate(problem, problem.space.start(), guess)
-    last, after = _simulate(problem, state.z, guess)
+    last, after = _simulate(problem, z, guess)
     # A pose that only the start parameters cannot hold has no "before".
     before = jnp.where(first.converged[:, None, None], before, jnp.nan)
     lanes = np.flatnonzero(np.asarray(last.converged))

@@ -40,8 +40,8 @@ def bounded_step(
     By `jaxopt.BoxOSQP` on a problem scaled to unit columns and unit error, started at
     the unbounded step and polished: the bounds that it found active are
     taken as equalities, and the rest is solved exactly (Stellato et al., OSQP, Math.
-    Prog. Comp. 12, 2020, Sec. 5.2). Its default inner solver, conjugate gradients,
-    ended up to 1e2 away from optimal on flat valleys; the direct one does not.
+    Prog. Comp. 12, 2020, Sec. 5.2). Its default inner solver, conjugate gradients, can
+    end far from optimal on a flat valley; hence the direct one.
 
     Args:
         W: Stacked compliances in noise units [-].

@@ -128,8 +128,7 @@ def _pull(
     """Stiffness of the tangents: both reference slots contracted with gradients.
 
     Sums are written out and the first contraction is kept from being fused into the
-    second, which would repeat it for every node: together four times faster on
-    quadratic tets than one reduction.
+    second, which would repeat it for every node.
     """
     half = sum(A[:, None, :, J] * dN[:, :, None, J, None, None] for J in range(3))
     half = jax.lax.optimization_barrier(half)  # point, node, i, k, L

@@ -97,8 +97,8 @@ _PARDISO_OPTIONS = {7: 0, 20: 0, 23: 1}
 def _load_pardiso():
     """Import pardiso-mkl-jax, with OpenMP threads that do not spin.
 
-    By default MKL's threads keep their cores busy for 200 ms after each call, while JAX
-    wants them for the assembly: a solve then takes up to twice as long.
+    By default MKL's threads keep their cores busy for a while after each call, and JAX
+    wants these cores for the assembly.
     """
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pardiso_mkl_jax import MatrixType, primitive
@@ -149,8 +149,8 @@ class Pardiso(AbstractLinearSolver):
 class Klu(AbstractLinearSolver):
     """KLU through klujax, for any matrix; it does not count negative eigenvalues.
 
-    For the platforms without PARDISO. CHOLMOD would be several times faster there, but
-    its package stops the whole program at the first indefinite tangent of a batch.
+    For the platforms without PARDISO. CHOLMOD is the faster method, but its package
+    stops the whole program at the first indefinite tangent of a batch.
 
     Attributes:
         full_rows: Row of each entry of the full matrix: upper triangle, then lower.

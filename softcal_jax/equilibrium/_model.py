@@ -105,8 +105,7 @@ def build_model(
     lock and their moduli are effective, mesh-dependent numbers. Which formulation, for
     quadratic tets: "displacement" is a little too stiff, and the more accurate one up
     to nu = 0.45; "mean-dilatation" is a little too soft, and the more accurate one from
-    nu = 0.49 on, where it needs a quarter of the Newton steps as well
-    (`python -m benchmarks run locking`).
+    nu = 0.49 on (`python -m benchmarks run locking`).
 
     Args:
         mesh: The mesh [m], linear or quadratic.

@@ -181,7 +181,7 @@ class _Equilibrium:
 
         Full steps are taken first, downhill or not: the first step of a large rotation
         always raises Pi, and of a nearly incompressible body by orders of magnitude; a
-        strict search then creeps (ten times the iterations). They are only trusted
+        strict search then creeps. They are only trusted
         when they end in a stable state; see `step`.
         """
         potential = s.energy - s.load * jnp.sum(self.f_ext * s.u)

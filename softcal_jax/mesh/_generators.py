@@ -83,10 +83,9 @@ def beam(
     mid-plane whose cell count is even, and a beam loaded in that plane stays in it to
     rounding. With an odd count across, no mesh on the grid nodes alone is symmetric (an
     edge that crosses the mid-plane would have to be perpendicular to it), and a beam
-    under its own weight drifts sideways: by a quarter of its deflection with one linear
-    cell across, 1 % with three, 0.1 % with five, and about thirty times less with
-    quadratic tets. "centred" adds a node in each cell and face and cuts the cell into
-    24 tets: symmetric for every count.
+    under its own weight drifts sideways, most with a single linear cell across and
+    little with several or with quadratic tets. "centred" adds a node in each cell and
+    face and cuts the cell into 24 tets: symmetric for every count.
 
     The node and surface groups "x_min", "x_max", ..., "z_max" are the six sides.
 

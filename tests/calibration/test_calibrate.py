@@ -12,6 +12,7 @@ from softcal_jax.calibration import (
     at_rest,
     build_problem,
     calibrate,
+    calibration_step,
     decide,
     evaluate,
     fit_notes,
@@ -34,6 +35,14 @@ from softcal_jax.mesh import beam
 E_TRUE, NU_TRUE = 1.6e5, 0.33
 MARKERS = Markers(
     ("a", "b", "c"), [[0.1, 0.01, 0.02], [0.1, 0.0, 0.0], [0.05, 0.02, 0.01]]
+)
+CRUSHED = Configuration(
+    "crushed",
+    (Support("x_min"),),
+    (0.0, 0.0, 0.0),
+    (SurfaceForce("x_max", (-1e6, 0.0, 0.0)),),
+    MARKERS,
+    MARKERS.positions,
 )
 LOADS = {"hang": 0.0, "pull": 0.05, "push": -0.03}
 
@@ -218,17 +227,9 @@ def test_more_parameters_than_data_warns_and_says_what_is_missing(model, exact):
 
 
 def test_configuration_without_equilibrium_is_named(model):
-    crushed = Configuration(
-        "crushed",
-        (Support("x_min"),),
-        (0.0, 0.0, 0.0),
-        (SurfaceForce("x_max", (-1e6, 0.0, 0.0)),),
-        MARKERS,
-        MARKERS.positions,
-    )
     good = posed("hang", MARKERS.positions)
     with pytest.raises(RuntimeError, match="configuration 'crushed'") as error:
-        calibrate(model, [parameter()], [good, crushed])
+        calibrate(model, [parameter()], [good, CRUSHED])
     assert "hang" not in str(error.value)
 
 
@@ -288,6 +289,25 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     assert not bool(state.converged)
 
 
+def test_a_batch_of_starts_is_one_vmap(model, exact):
+    """Every start walks as it does alone, and all reach the answer."""
+    settings = CalibrationSettings()
+    problem = build_problem(model, parameter(), exact)
+    starts = jnp.log(jnp.array([[1e5], [3e5]]))
+
+    @jax.jit
+    def walk(z):
+        state = initial_state(settings, z, evaluate(problem, z, at_rest(problem)))
+        step = lambda _, state: calibration_step(problem, settings, state)
+        return jax.lax.fori_loop(0, 5, step, state).z
+
+    together = jax.jit(jax.vmap(walk))(starts)
+    np.testing.assert_allclose(together, np.log(E_TRUE), rtol=0, atol=1e-7)
+    alone = jnp.stack([walk(z) for z in starts])
+    # The equilibria are the same bit for bit; the small QP is batched by XLA.
+    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-9)
+
+
 def test_blind_direction_is_left_alone(model):
     """Under gravity alone only E over density shows: neither may run away."""
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), ("hang",))
@@ -310,15 +330,7 @@ def test_pose_that_the_model_cannot_explain_is_named(model, exact):
 
 def test_unpredictable_pose_costs_no_fit(model, exact):
     """A held-out load that the body cannot carry is left out, with a note."""
-    crushed = Configuration(
-        "crushed",
-        (Support("x_min"),),
-        (0.0, 0.0, 0.0),
-        (SurfaceForce("x_max", (-1e6, 0.0, 0.0)),),
-        MARKERS,
-        MARKERS.positions,
-    )
-    result = calibrate(model, parameter(), exact[:2], validation=[exact[2], crushed])
+    result = calibrate(model, parameter(), exact[:2], validation=[exact[2], CRUSHED])
     assert result.converged
     assert [fit.name for fit in result.configurations] == ["hang", "pull", "push"]
     assert any("crushed is not predicted" in note for note in result.notes)
