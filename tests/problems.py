@@ -187,3 +187,53 @@ def central_difference(function, x, tangent, h):
 def straight_mid_nodes(mesh: TetMesh) -> np.ndarray:
     """Positions of the mid nodes of straight edges, tet by tet."""
     return mesh.points[mesh.tets][:, np.array(TET_EDGES)].mean(axis=2)
+
+
+# Young's modulus of the reduced transversely isotropic set with (E_t, E_l) = (1000,
+# 250), load and fibre at an angle in degrees, any nu: E(theta) = 1 / (cos^2 / sqrt(E_l)
+# + sin^2 / sqrt(E_t))^2, evaluated by hand.
+REDUCED_OFF_AXIS = [(0.0, 250.0), (30.0, 326.530612), (45.0, 444.444444), (90.0, 1e3)]
+
+
+class Foam(NamedTuple):
+    """Transversely isotropic foam: moduli in kPa, fibre along the soft axis."""
+
+    E_t: float
+    E_l: float
+    nu_t: float
+    nu_tl: float
+    mu_l: float
+
+
+# Published homogenised foam of the parallel robot of the paper's Sec. VI.
+FOAM_OF_THE_ROBOT = Foam(1390.0, 94.22, 0.26162, 0.4161, 16.28)
+
+
+class OrthotropicFoam(NamedTuple):
+    """Published homogenised foam over the solid's moduli; x is the soft axis."""
+
+    Ex: float
+    Ey: float
+    Ez: float
+    nu_zx: float
+    nu_yz: float
+    Gzx: float
+    Gxy: float
+
+
+# Young's and shear modulus of the solid TPU [kPa], and foams of density .0918 to .3422.
+FOAM_SOLID_MODULI = (12e3, 4615.0)
+ORTHOTROPIC_FOAM = [
+    OrthotropicFoam(
+        7.19095e-3, 0.0677105, 0.0618133, 0.38956, 0.24037, 2.8035e-3, 2.7014e-3
+    ),
+    OrthotropicFoam(
+        8.23011e-3, 0.1462979, 0.1372145, 0.42970, 0.27253, 4.0740e-3, 3.8334e-3
+    ),
+    OrthotropicFoam(
+        9.43911e-3, 0.2214149, 0.2104164, 0.47179, 0.27893, 5.4764e-3, 5.1390e-3
+    ),
+    OrthotropicFoam(
+        1.094113e-2, 0.2942527, 0.2842800, 0.50585, 0.28156, 7.1086e-3, 6.6729e-3
+    ),
+]

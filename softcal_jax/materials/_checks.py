@@ -42,3 +42,79 @@ def check_poisson_ratio(name: str, value: Float[Array, "..."]) -> None:
             " For an incompressible rubber take 0.499." if values.max() >= 0.5 else ""
         )
         raise ValueError(f"{name} must lie in (-1, 0.5), got {values[bad][0]:g}.{hint}")
+
+
+def check_finite(name: str, value: Float[Array, "..."], unit: str) -> None:
+    """Raise ValueError unless every value is finite."""
+    values = _concrete(value)
+    if values is not None and not np.all(np.isfinite(values)):
+        bad = values[~np.isfinite(values)][0]
+        raise ValueError(f"{name} must be finite [{unit}], got {bad:g}.")
+
+
+def _together(**fields: Float[Array, "..."]) -> list[np.ndarray] | None:
+    """Concrete values, one per tet where any has that; None while one is traced."""
+    values = {name: _concrete(value) for name, value in fields.items()}
+    known = [value for value in values.values() if value is not None]
+    if len(known) < len(values):
+        return None
+    sizes = {name: v.size for name, v in values.items() if v is not None and v.size > 1}
+    if len(set(sizes.values())) > 1:
+        counts = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise ValueError(
+            f"Fields of a law must hold one value or one per tet, got {counts} values."
+        )
+    return list(np.broadcast_arrays(*known))
+
+
+def check_plane_ratio(name: str, value: Float[Array, "..."]) -> None:
+    """Raise ValueError unless every ratio in the transverse plane is in (-1, 1)."""
+    values = _concrete(value)
+    if values is None:
+        return
+    bad = ~(np.abs(values) < 1.0)
+    if np.any(bad):
+        raise ValueError(f"{name} must lie in (-1, 1), got {values[bad][0]:g}.")
+
+
+def check_fibre_ratio(
+    E_t: Float[Array, "..."],
+    E_l: Float[Array, "..."],
+    nu_t: Float[Array, "..."],
+    nu_tl: Float[Array, "..."],
+) -> None:
+    """Raise ValueError unless nu_tl^2 < (1 - nu_t) E_t / (2 E_l) everywhere."""
+    values = _together(E_t=E_t, E_l=E_l, nu_t=nu_t, nu_tl=nu_tl)
+    if values is None:
+        return
+    stiff_t, stiff_l, plane, ratio = values
+    limit = np.sqrt((1.0 - plane) * stiff_t / (2.0 * stiff_l))
+    bad = ~(np.abs(ratio) < limit)
+    if np.any(bad):
+        i = int(np.argmax(bad))
+        raise ValueError(
+            f"nu_tl must lie in (-{limit[i]:.4g}, {limit[i]:.4g}) for E_t = "
+            f"{stiff_t[i]:g} Pa, E_l = {stiff_l[i]:g} Pa, nu_t = {plane[i]:g}, or the "
+            f"stiffness is not positive definite; got {ratio[i]:g}."
+        )
+
+
+def check_shared_ratio(
+    E_t: Float[Array, "..."], E_l: Float[Array, "..."], nu: Float[Array, "..."]
+) -> None:
+    """Raise ValueError unless nu_t = nu_tl = nu gives a stable law everywhere."""
+    values = _together(E_t=E_t, E_l=E_l, nu=nu)
+    if values is None:
+        return
+    stiff_t, stiff_l, ratio = values
+    n = stiff_l / stiff_t
+    # The roots of 1 - nu - 2 n nu^2, and |nu_t| < 1.
+    low = np.maximum(-1.0, -(1.0 + np.sqrt(1.0 + 8.0 * n)) / (4.0 * n))
+    high = 2.0 / (1.0 + np.sqrt(1.0 + 8.0 * n))
+    bad = ~((ratio > low) & (ratio < high))
+    if np.any(bad):
+        i = int(np.argmax(bad))
+        raise ValueError(
+            f"nu must lie in ({low[i]:.4g}, {high[i]:.4g}) for E_t = {stiff_t[i]:g} "
+            f"Pa, E_l = {stiff_l[i]:g} Pa, got {ratio[i]:g}."
+        )

@@ -1,6 +1,7 @@
 """What every constitutive law offers: an energy density and its derivatives."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -32,7 +33,13 @@ class AbstractLaw(eqx.Module):
                     I1 = J ** (-2 / 3) * jnp.sum(F * F)
                     return (self.c1 * (I1 - 3) + self.c2 * (I1 - 3) ** 2
                             + self.bulk / 2 * (J - 1) ** 2)
+
+    Attributes:
+        conservative: Whether `stress` is the gradient of `energy_density`, so that a
+            potential exists, moments balance and the tangent is symmetric.
     """
+
+    conservative: ClassVar[bool] = True
 
     @abstractmethod
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:

@@ -9,10 +9,15 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.elements import determinant
 from softcal_jax.materials import (
     AbstractLaw,
+    ClassicalCorotational,
     Corotational,
+    Fibre,
+    FibreReinforced,
     Isotropic,
     NeoHookean,
+    ReducedTransverseIsotropic,
     StVenantKirchhoff,
+    TransverseIsotropic,
 )
 
 E, NU = 1.0, 0.3
@@ -34,11 +39,49 @@ class EnergyOnly(AbstractLaw):
         return 0.5 * self.mu * (J ** (-2 / 3) * jnp.sum(F * F) - 3.0) + volume
 
 
-LAWS = {
+ISOTROPIC = {
     "corotational": Corotational(Isotropic(E, NU)),
     "st-venant-kirchhoff": StVenantKirchhoff(Isotropic(E, NU)),
     "neo-hookean": NeoHookean(E, NU),
     "energy-only": EnergyOnly(jnp.asarray(MU), jnp.asarray(LAM + 2 * MU / 3)),
+}
+
+# The soft axis is the fibre, as in the paper; moduli of order one.
+E_T, E_L, NU_T, NU_TL, MU_L = 1.0, 0.3, 0.26, 0.41, 0.09
+FIBRE = Fibre(0.4, 0.2, "xy")
+ELASTICITIES = {
+    "full": TransverseIsotropic(E_T, E_L, NU_T, NU_TL, MU_L, FIBRE),
+    "reduced": ReducedTransverseIsotropic(E_T, E_L, NU, FIBRE),
+}
+FIBRE_REINFORCED = FibreReinforced(E_T, E_L, NU, MU_L, FIBRE)
+SMALL_STRAIN = TransverseIsotropic(E_T, E_L, NU, NU, MU_L, FIBRE)
+
+# Each law with the elasticity that is its small-strain limit.
+ANISOTROPIC = {
+    "corotational full": (Corotational(ELASTICITIES["full"]), ELASTICITIES["full"]),
+    "corotational reduced": (
+        Corotational(ELASTICITIES["reduced"]),
+        ELASTICITIES["reduced"],
+    ),
+    "st-venant-kirchhoff full": (
+        StVenantKirchhoff(ELASTICITIES["full"]),
+        ELASTICITIES["full"],
+    ),
+    "st-venant-kirchhoff reduced": (
+        StVenantKirchhoff(ELASTICITIES["reduced"]),
+        ELASTICITIES["reduced"],
+    ),
+    "fibre-reinforced": (FIBRE_REINFORCED, SMALL_STRAIN),
+    "fibre-reinforced stiff": (
+        FibreReinforced(0.3, 1.0, 0.2, 0.4, Fibre(-1.0)),
+        TransverseIsotropic(0.3, 1.0, 0.2, 0.2, 0.4, Fibre(-1.0)),
+    ),
+}
+LAWS = ISOTROPIC | {name: law for name, (law, _) in ANISOTROPIC.items()}
+CLASSICAL = {
+    "isotropic": ClassicalCorotational(Isotropic(E, NU)),
+    "full": ClassicalCorotational(ELASTICITIES["full"]),
+    "reduced": ClassicalCorotational(ELASTICITIES["reduced"]),
 }
 
 # Deformation gradients with det F > 0, up to stretches of 1.7 and 0.4.
@@ -50,3 +93,12 @@ stress = eqx.filter_jit(lambda law, F: law.stress(F))
 tangent = eqx.filter_jit(lambda law, F: law.tangent(F))
 derived_stress = eqx.filter_jit(lambda law, F: AbstractLaw.stress(law, F))
 hessian = eqx.filter_jit(lambda law, F: jax.hessian(law.energy_density)(F))
+
+
+@eqx.filter_jit
+def stiffness(elasticity):
+    """Tensor C_iJkL of an elasticity, column by column."""
+    unit = jnp.eye(9).reshape(3, 3, 3, 3)
+    return jnp.stack(
+        [jnp.stack([elasticity.stress(0.5 * (e + e.T)) for e in row]) for row in unit]
+    ).transpose(2, 3, 0, 1)

@@ -6,13 +6,16 @@ import jax.random as jr
 import numpy as np
 import pytest
 from laws import (
+    ANISOTROPIC,
     GRADIENTS,
+    ISOTROPIC,
     LAM,
     LAWS,
     MU,
     derived_stress,
     energy,
     hessian,
+    stiffness,
     stress,
     tangent,
 )
@@ -20,6 +23,7 @@ from problems import central_difference
 from scipy.spatial.transform import Rotation
 
 each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+each_isotropic_law = pytest.mark.parametrize("law", ISOTROPIC.values(), ids=ISOTROPIC)
 
 
 def test_the_states_are_far_from_rest_and_not_inverted():
@@ -71,7 +75,7 @@ def test_objectivity(law):
         )
 
 
-@each_law
+@each_isotropic_law
 def test_isotropy(law):
     """psi(F Q) = psi(F) for a rotation Q of the rest shape."""
     Q = jnp.asarray(Rotation.random(rng=1).as_matrix())
@@ -90,13 +94,18 @@ def test_symmetries(law):
 
 
 @each_law
-def test_rest_and_linear_limit(law):
-    """No stress at rest, also turned; the tangent there is Hooke's tensor."""
+def test_rest(law):
+    """No stress at rest, also turned."""
     Q = jnp.asarray(Rotation.random(rng=2).as_matrix())
     for F in (jnp.eye(3), Q):
         # A few roundings of the moduli, which are of order one.
         np.testing.assert_allclose(stress(law, F), 0.0, atol=1e-14)
         np.testing.assert_allclose(energy(law, F), 0.0, atol=1e-14)
+
+
+@each_isotropic_law
+def test_linear_limit(law):
+    """The tangent at rest is Hooke's tensor."""
     d = np.eye(3)
     hooke = (
         LAM * np.einsum("ij,kl->ijkl", d, d)
@@ -104,6 +113,60 @@ def test_rest_and_linear_limit(law):
         + MU * np.einsum("il,jk->ijkl", d, d)
     )
     np.testing.assert_allclose(tangent(law, jnp.eye(3)), hooke, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("pair", ANISOTROPIC.values(), ids=ANISOTROPIC)
+def test_anisotropic_linear_limit(pair):
+    """The tangent at rest is the tensor of the elasticity, also turned with it."""
+    law, elasticity = pair
+    C = np.asarray(stiffness(elasticity))
+    assert abs(C).max() > 0.3
+    np.testing.assert_allclose(tangent(law, jnp.eye(3)), C, rtol=0, atol=1e-14)
+    Q = Rotation.random(rng=3).as_matrix()
+    np.testing.assert_allclose(
+        tangent(law, jnp.asarray(Q)),
+        np.einsum("ia,kc,aJcL->iJkL", Q, Q, C),
+        rtol=0,
+        atol=1e-14,
+    )
+
+
+@pytest.mark.parametrize("pair", ANISOTROPIC.values(), ids=ANISOTROPIC)
+def test_symmetry_group_of_the_fibre(pair):
+    """Turning the rest shape about the fibre changes nothing; about another axis does.
+
+    Half a turn across the fibre, which sends u to -u, changes nothing either.
+    """
+    law, elasticity = pair
+    u = np.asarray(elasticity.fibre.direction())
+    across = np.cross(u, [1.0, 2.0, 3.0])
+    half = Rotation.from_rotvec(np.pi * across / np.linalg.norm(across))
+    other = jnp.asarray(Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix())
+    changes = []
+    for F in GRADIENTS:
+        psi = energy(law, F)
+        for turn in (Rotation.from_rotvec(0.7 * u), half):
+            turned = F @ jnp.asarray(turn.as_matrix())
+            np.testing.assert_allclose(energy(law, turned), psi, rtol=1e-12)
+        changes.append(abs(energy(law, F @ other) / psi - 1.0))
+    assert max(changes) > 0.1
+
+
+@each_law
+def test_laws_with_a_potential_say_so(law):
+    assert law.conservative
+
+
+@each_law
+def test_tangents_of_large_deformations(law):
+    """Far from rest and nearly flat, the tangent still is the Hessian, to its size."""
+    for seed in range(3):
+        Q, R = (Rotation.random(rng=10 + seed + k).as_matrix() for k in (0, 5))
+        F = jnp.asarray(Q @ np.diag([3.0, 0.9, 0.05]) @ R)
+        A, H = tangent(law, F), hessian(law, F)
+        # The condition number 60 of F enters with its square.
+        tolerance = 3600 * np.finfo(float).eps
+        assert jnp.max(jnp.abs(A - H)) < tolerance * jnp.max(jnp.abs(H))
 
 
 @each_law

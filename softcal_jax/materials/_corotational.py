@@ -1,0 +1,160 @@
+"""Laws that are linear in the stretch of the polar decomposition."""
+
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.elements import (
+    axial,
+    cofactor,
+    determinant,
+    matmul,
+    rotation,
+    skew,
+    symmetric,
+)
+from softcal_jax.materials._elasticity import AbstractElasticity
+from softcal_jax.materials._law import AbstractLaw
+from softcal_jax.materials._products import outer, sum_of, turned_stiffness
+
+# hat(e_1), hat(e_2), hat(e_3): minus the permutation symbol.
+_HAT = -np.cross(np.eye(3)[:, None], np.eye(3)[None])
+
+
+class _Polar(NamedTuple):
+    """F = R S, the stress sigma = C : (S - I), and M^-1 with M = tr(S) I - S."""
+
+    R: Float[Array, "3 3"]
+    S: Float[Array, "3 3"]
+    sigma: Float[Array, "3 3"]
+    M_inverse: Float[Array, "3 3"]
+
+
+def _polar(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> _Polar:
+    R = rotation(F)
+    S = symmetric(matmul(R.T, F))
+    M = jnp.trace(S) * jnp.eye(3) - S
+    # M is symmetric, so its cofactor needs no transposing.
+    M_inverse = cofactor(M) / determinant(M)
+    return _Polar(R, S, elasticity.stress(S - jnp.eye(3)), M_inverse)
+
+
+def _times(M: Float[Array, "3 3"], a: Float[Array, "3"]) -> Float[Array, "3"]:
+    return jnp.sum(M * a[None, :], axis=1)
+
+
+def _left(A: Float[Array, "3 3"], X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
+    """Products A X_r."""
+    return sum_of(A[None, :, k, None] * X[:, k, None, :] for k in range(3))
+
+
+def _right(X: Float[Array, "n 3 3"], A: Float[Array, "3 3"]) -> Float[Array, "n 3 3"]:
+    """Products X_r A."""
+    return sum_of(X[:, :, k, None] * A[None, k, None, :] for k in range(3))
+
+
+def _symmetric(X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
+    return 0.5 * (X + X.transpose(0, 2, 1))
+
+
+def _energy(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+    """Energy 1/2 (S - I) : C : (S - I) [J/m3]."""
+    strain = symmetric(matmul(rotation(F).T, F)) - jnp.eye(3)
+    return 0.5 * jnp.sum(strain * elasticity.stress(strain))
+
+
+class Corotational(AbstractLaw):
+    """Linear law in the stretch of the polar decomposition F = R S.
+
+    psi = 1/2 (S - I) : C : (S - I). With sigma = C : (S - I), the exact gradient is
+    P = R (sigma - hat(c)), c = M^-1 axial(sigma S), M = tr(S) I - S; hat(c) vanishes
+    for an isotropic C, where this is the 'polar' corotational tet of SOFA. The paper's
+    element (Vanneste, Goury, Duriez, RA-L 2022, Sec. IV.A) in its energy-consistent
+    form. Stress and tangent are closed forms.
+
+    Attributes:
+        elasticity: The tensor C, in the axes of the rest shape.
+    """
+
+    elasticity: AbstractElasticity
+
+    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+        """Energy 1/2 (S - I) : C : (S - I) [J/m3]."""
+        return _energy(self.elasticity, F)
+
+    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """First Piola-Kirchhoff stress R (sigma - hat(c)) [Pa]."""
+        R, S, sigma, M_inverse = _polar(self.elasticity, F)
+        c = _times(M_inverse, axial(matmul(sigma, S)))
+        return matmul(R, sigma - skew(c))
+
+    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        """Tangent R_im R_kn (C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL) [Pa].
+
+        It resolves R^T dP = hat(omega) (sigma - hat(c)) + dsigma - hat(dc), with
+        omega = M^-1 axial(A) and dS = A - hat(omega) S for A = R^T dF, into a part C
+        for symmetric A and what a spin adds. With hat_r = hat(e_r), p = sigma - hat(c)
+        and Q_r = sym(hat_r S):
+
+            N = M^-1 (C : Q + sym(p^T hat))           dc = N : dS
+            K = (tr(p) I / 2 - p / 2 + N : Q) M^-1    hat_r : R^T dP / 4 for A = hat_s
+            Y = N - K hat / 2
+        """
+        # Barriers keep XLA from computing a factor again for each of the 81 entries.
+        polar = _Polar(*jax.lax.optimization_barrier(_polar(self.elasticity, F)))
+        R, S, sigma, M_inverse = polar
+        p = sigma - skew(_times(M_inverse, axial(matmul(sigma, S))))
+        hat = jnp.asarray(_HAT)
+        Q = _symmetric(_right(hat, S))
+        moment = jax.vmap(self.elasticity.stress)(Q) + _symmetric(_left(p.T, hat))
+        N = sum_of(M_inverse[:, s, None, None] * moment[None, s] for s in range(3))
+        N_Q = jnp.sum(N[:, None] * Q[None], axis=(2, 3))
+        K = matmul(0.5 * (jnp.trace(p) * jnp.eye(3) - p) + N_Q, M_inverse)
+        Y = N - 0.5 * sum_of(K[:, s, None, None] * hat[None, s] for s in range(3))
+        H, Y = jax.lax.optimization_barrier((_left(R, hat), _left(R, Y)))
+        geometric = sum_of(outer(H[r], Y[r]) + outer(Y[r], H[r]) for r in range(3))
+        return turned_stiffness(self.elasticity, R) - geometric
+
+
+class ClassicalCorotational(AbstractLaw):
+    """The corotational force of the classical codes, P = R sigma, for parity only.
+
+    It drops the term hat(c) of `Corotational`. For an isotropic C nothing changes. For
+    an anisotropic C the force has no potential, the moments do not balance (P F^T is
+    not symmetric) and the tangent has no major symmetry, so a solver that rests on any
+    of them must not take it. Use it to compare with SOFA, otherwise `Corotational`.
+
+    Attributes:
+        elasticity: The tensor C, in the axes of the rest shape.
+    """
+
+    conservative: ClassVar[bool] = False
+
+    elasticity: AbstractElasticity
+
+    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+        """Energy 1/2 (S - I) : C : (S - I), not the potential of P [J/m3]."""
+        return _energy(self.elasticity, F)
+
+    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """First Piola-Kirchhoff stress R sigma [Pa]."""
+        R, _, sigma, _ = _polar(self.elasticity, F)
+        return matmul(R, sigma)
+
+    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        """Derivative of this stress, R^T dP = hat(omega) sigma + C : dS [Pa]."""
+        polar = _Polar(*jax.lax.optimization_barrier(_polar(self.elasticity, F)))
+        R, S, sigma, M_inverse = polar
+        hat = jnp.asarray(_HAT)
+        # Rates for the unit spins A = hat_s: omega = 2 M^-1 e_s, dS = -sym(omega S).
+        omega = 2.0 * sum_of(
+            M_inverse[:, s, None, None] * hat[None, s] for s in range(3)
+        )
+        dsigma = jax.vmap(self.elasticity.stress)(-_symmetric(_right(omega, S)))
+        Z = _left(R, _right(omega, sigma) + dsigma)
+        H, Z = jax.lax.optimization_barrier((_left(R, hat), Z))
+        spin = sum_of(outer(Z[s], H[s]) for s in range(3))
+        return turned_stiffness(self.elasticity, R) + 0.5 * spin
