@@ -1,19 +1,20 @@
-"""Parameters: names, bounds, scaling S, and their place in the model (Sec. IV.A)."""
+"""Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
-from softcal_jax.fields._parameters import (
-    Parameter,
-    ParameterSpace,
-    as_space,
-    find_field,
-    set_field,
-)
+from softcal_jax.fields._control_points import ControlPoints, idw_weights
+from softcal_jax.fields._model_fields import find_field, set_field
+from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._space import ParameterSpace, as_space
+from softcal_jax.fields._spread import ControlPointParameters
 from softcal_jax.fields._validation import check_parameters
 
 __all__ = [
+    "ControlPointParameters",
+    "ControlPoints",
     "Parameter",
     "ParameterSpace",
     "as_space",
     "check_parameters",
     "find_field",
+    "idw_weights",
     "set_field",
 ]

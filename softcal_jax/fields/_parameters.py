@@ -1,15 +1,14 @@
-"""The parameters to calibrate, their scaling S and where they enter the model."""
+"""One unknown number: its bounds, its scaling S and where it enters the model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax.fields._model_fields import set_field
 
 
 def _number(value) -> Float[Array, ""]:
@@ -30,6 +29,11 @@ class Parameter(eqx.Module):
             default. A log scale needs none.
         region: Tet group that it applies to; the whole body by default.
         unit: SI unit, for tables.
+        max_step: Largest entry of lambda_p in one step, like the step limits of the
+            paper; on a log scale 0.01 is 1 %. None leaves it to the trust region [-].
+        periodic: Whether upper and lower bound are the same thing, as for the angle of
+            an axis between -90 and 90 degrees: a step may then leave by one and comes
+            back in by the other.
     """
 
     name: str = eqx.field(static=True)
@@ -43,6 +47,10 @@ class Parameter(eqx.Module):
     )
     region: str | None = eqx.field(static=True, default=None)
     unit: str = eqx.field(static=True, default="")
+    max_step: Float[Array, ""] | None = eqx.field(
+        default=None, converter=lambda v: None if v is None else _number(v)
+    )
+    periodic: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         if any(is_traced(v) for v in (self.start, self.lower)):
@@ -75,6 +83,15 @@ class Parameter(eqx.Module):
             )
         if self.S is not None and not float(self.S) > 0.0:
             raise ValueError(f"{what}: S must be positive, got {float(self.S):g}.")
+        if self.max_step is not None and not float(self.max_step) > 0.0:
+            raise ValueError(
+                f"{what}: max_step must be positive, got {float(self.max_step):g}."
+            )
+
+    @property
+    def parameters(self) -> tuple["Parameter", ...]:
+        """The unknowns that it adds: itself."""
+        return (self,)
 
     @property
     def unit_step(self) -> Float[Array, ""]:
@@ -89,136 +106,6 @@ class Parameter(eqx.Module):
         """Value of a scaled coordinate: p = exp z, or p = S z."""
         return jnp.exp(z) if self.scale == "log" else z * self.unit_step
 
-
-class ParameterSpace(eqx.Module):
-    """The calibrated parameters, in the order of lambda_p.
-
-    A step of the paper, p + S lambda_p, is z + lambda_p here; on a log scale
-    lambda_p is the logarithm of the ratio of new and old value.
-    """
-
-    parameters: tuple[Parameter, ...] = eqx.field(converter=tuple)
-
-    def __check_init__(self):
-        if not self.parameters:
-            raise ValueError("at least one parameter is needed, got none.")
-        names = self.names
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"parameter {name!r} is named more than once.")
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the parameters."""
-        return [parameter.name for parameter in self.parameters]
-
-    def start(self) -> Float[Array, " n_p"]:
-        """Scaled start."""
-        return self.to_scaled(jnp.stack([q.start for q in self.parameters]))
-
-    def lower(self) -> Float[Array, " n_p"]:
-        """Scaled lower bounds."""
-        return self.to_scaled(jnp.stack([q.lower for q in self.parameters]))
-
-    def upper(self) -> Float[Array, " n_p"]:
-        """Scaled upper bounds."""
-        return self.to_scaled(jnp.stack([q.upper for q in self.parameters]))
-
-    def to_scaled(self, p: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Scaled coordinates z of values p."""
-        return jnp.stack([q.to_scaled(p[i]) for i, q in enumerate(self.parameters)])
-
-    def from_scaled(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Values p of scaled coordinates z."""
-        return jnp.stack([q.from_scaled(z[i]) for i, q in enumerate(self.parameters)])
-
-    def apply(self, model: Any, z: Float[Array, " n_p"]) -> Any:
-        """The model with the values of scaled coordinates.
-
-        Args:
-            model: Anything with `law`, `density` and `mesh`.
-            z: Scaled coordinates.
-
-        Returns:
-            The model, with the fields of the law or the density replaced.
-
-        Raises:
-            ValueError: If a field or a region does not exist, or a field is not unique.
-        """
-        values = self.from_scaled(z)
-        for value, parameter in zip(values, self.parameters, strict=True):
-            model = set_field(model, parameter.field, value, parameter.region)
-        return model
-
-
-def set_field(
-    model: Any, field: str, value: Float[ArrayLike, "..."], region: str | None = None
-) -> Any:
-    """The model with one constant changed; traceable and differentiable.
-
-    Args:
-        model: Anything with `law`, `density` and `mesh`.
-        field: Name of a field of the law, like "E", or "density".
-        value: Its new value, in SI units.
-        region: Tet group that it applies to; the whole body by default.
-
-    Returns:
-        The changed model.
-
-    Raises:
-        ValueError: If the field or the region does not exist, or the field is not
-            unique.
-    """
-    where = find_field(model, field)
-    old = where(model)
-    if region is None:
-        new = jnp.broadcast_to(jnp.asarray(value, float), jnp.shape(old))
-    else:
-        tets = model.mesh.tets_of(region)
-        per_tet = jnp.broadcast_to(old, (model.mesh.tets.shape[0],))
-        new = per_tet.at[tets].set(value)
-    return eqx.tree_at(where, model, new)
-
-
-def find_field(model: Any, field: str):
-    """Accessor of the field of a model's law, or of its density, that has a name.
-
-    Args:
-        model: Anything with `law` and `density`.
-        field: Name of the field, like "E"; a dotted path if the name is not unique.
-
-    Returns:
-        A function from a model to that array, as `eqx.tree_at` takes it.
-
-    Raises:
-        ValueError: If no field has that name, or more than one.
-    """
-    paths = ["density"] + [
-        "law" + jax.tree_util.keystr(path)
-        for path, _ in jax.tree_util.tree_leaves_with_path(model.law)
-    ]
-    found = [path for path in paths if ("." + path).endswith("." + field)]
-    if len(found) != 1:
-        problem = "is not unique" if found else "does not exist"
-        raise ValueError(
-            f"field {field!r} of the model {problem}; it has {', '.join(paths)}."
-        )
-
-    def where(model):
-        leaf = model
-        for name in found[0].split("."):
-            leaf = getattr(leaf, name)
-        return leaf
-
-    return where
-
-
-def as_space(
-    parameters: "ParameterSpace | Parameter | Sequence[Parameter]",
-) -> ParameterSpace:
-    """A parameter space of one parameter or several."""
-    if isinstance(parameters, ParameterSpace):
-        return parameters
-    if isinstance(parameters, Parameter):
-        return ParameterSpace((parameters,))
-    return ParameterSpace(tuple(parameters))
+    def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
+        """The model with the value of this parameter, out of those of all."""
+        return set_field(model, self.field, values[self.name], self.region)

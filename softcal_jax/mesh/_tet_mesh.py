@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._names import unknown_name
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Array, Float, HostArray, Int
 
 ArrayData = HostArray | Sequence
 """An array or nested lists of numbers, as a user types them."""
@@ -153,7 +153,7 @@ class TetMesh(eqx.Module):
             raise unknown_name("surface group", name, self.surface_groups)
         return self.surface_groups[name]
 
-    def tets_of(self, name: str) -> Int[HostArray, " _"]:
+    def tets_of(self, name: str) -> Int[Array | HostArray, " _"]:
         """Tet indices of a tet group.
 
         Args:

@@ -4,8 +4,19 @@ import numpy as np
 import pytest
 
 from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import Parameter, ParameterSpace, check_parameters
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.fields import (
+    ControlPointParameters,
+    ControlPoints,
+    Parameter,
+    ParameterSpace,
+    check_parameters,
+)
+from softcal_jax.materials import (
+    Corotational,
+    Fibre,
+    Isotropic,
+    ReducedTransverseIsotropic,
+)
 from softcal_jax.mesh import beam
 
 MESH = (
@@ -63,3 +74,142 @@ def test_bounds_outside_the_range_of_the_material(parameter, message):
     wide = Parameter(field, field, start, lower, upper, scale="linear")
     with pytest.raises(ValueError, match=message):
         check(model(), wide)
+
+
+ENDS = ControlPoints({"root": (0.0, 0.25, 0.25), "tip": (1.0, 0.25, 0.25)})
+
+
+def spread(field="E", points=ENDS, **changes):
+    options = {"start": 2e5, "lower": 1e5, "upper": 1e6}
+    return ControlPointParameters(field, points, **(options | changes))
+
+
+def with_fibre():
+    law = ReducedTransverseIsotropic(2e5, 1e5, 0.3, Fibre(0.0))
+    return build_model(MESH, Corotational(law), density=1000.0)
+
+
+def test_fields_with_control_points_are_fine():
+    tip = ControlPoints([(0.6, 0.1, 0.1), (1.0, 0.5, 0.5)])
+    bounds = {"start": 500.0, "lower": 1.0, "upper": 1e3}
+    density = spread("density", tip, region="far", **bounds)
+    stiff_tip = np.where(np.arange(12) < 6, 3e5, 3e6)
+    check(model(stiff_tip), spread(), density)
+    root = ControlPoints([(0.0, 0.1, 0.1), (0.4, 0.5, 0.5)])
+    check(model(), spread(points=root, region="near"), modulus("b", "far"))
+    check(model(), spread(sampling="quadrature"))
+
+
+def test_control_points_and_a_parameter_must_not_set_the_same_tets():
+    with pytest.raises(ValueError, match="'E of root, tip' and 'b' both set E of tet"):
+        check(model(), spread(), modulus("b", "far"))
+
+
+def test_control_point_far_outside_is_named_with_its_distance():
+    """Millimetres for metres, or another frame."""
+    points = ControlPoints({"root": (0.0, 0.25, 0.25), "tip": (1000.0, 250.0, 250.0)})
+    message = r"'tip' of E lies 1.06e\+03 m from the body, more than .* 0.122 m. Check"
+    with pytest.raises(ValueError, match=message):
+        check(model(), spread(points=points))
+
+
+def test_max_distance_and_the_region_decide_what_is_far():
+    outside = {"root": (0.0, 0.25, 0.25), "tip": (2.0, 0.5, 0.5)}
+    with pytest.raises(ValueError, match="'tip' of E lies 1 m from the body"):
+        check(model(), spread(points=ControlPoints(outside)))
+    check(model(), spread(points=ControlPoints(outside, max_distance=1.01)))
+    near = {"root": (0.0, 0.25, 0.25), "tip": (1.0, 0.25, 0.25)}
+    message = "'tip' of E lies 0.612 m from 'near', more than max_distance, 0.1 m"
+    points = ControlPoints(near, max_distance=0.1)
+    with pytest.raises(ValueError, match=message):
+        check(model(), spread(points=points, region="near"))
+
+
+def test_distance_counts_along_the_axes_of_the_control_points():
+    above = [(0.0, 50.0, 0.25), (1.0, -50.0, 0.25)]
+    check(model(), spread(points=ControlPoints(above, axes="xz")))
+    with pytest.raises(ValueError, match=r"'CP 1' of E lies 49.5 m from the body"):
+        check(model(), spread(points=ControlPoints(above)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"nearest": 1}, "every tet has 1 nearer ones. Raise `nearest`, or move it"),
+        ({"power": 1e4}, "is nearer to others, with power 10000. Lower `power`, or"),
+    ],
+)
+def test_control_point_that_acts_on_no_tet(options, message):
+    """The third stands behind the second."""
+    positions = [(0.0, 0.25, 0.25), (1.0, 0.25, 0.25), (1.1, 0.25, 0.25)]
+    with pytest.raises(ValueError, match="'CP 3' of E acts on no tet: .*" + message):
+        check(model(), spread(points=ControlPoints(positions, **options)))
+    check(model(), spread(points=ControlPoints(positions)))
+    # A known value there does no harm.
+    points = ControlPoints(positions, **options)
+    check(model(), spread(points=points, fixed={"CP 3": 2e5}))
+
+
+def test_density_has_no_quadrature_points():
+    density = spread("density", sampling="quadrature")
+    with pytest.raises(
+        ValueError, match=r'density is one .* give sampling="centroids"'
+    ):
+        check(model(), density)
+
+
+@pytest.mark.parametrize("sampling", ["centroids", "quadrature"])
+@pytest.mark.parametrize("order", [1, 2])
+def test_bounds_of_a_field_outside_the_range_of_the_material(sampling, order):
+    mesh = beam(1.0, 0.5, 0.5, (2, 1, 1), order=order)
+    body = build_model(mesh, Corotational(Isotropic(2e5, 0.3)), density=1000.0)
+    options = {"start": 0.3, "lower": 0.1, "scale": "linear", "sampling": sampling}
+    check(body, spread("nu", upper=0.49, **options))
+    with pytest.raises(ValueError, match=r"upper bound: nu must lie in \(-1, 0.5\)"):
+        check(body, spread("nu", upper=[0.4, 0.7], **options))
+
+
+@pytest.mark.parametrize("sampling", ["centroids", "quadrature"])
+def test_known_value_outside_the_range_of_the_material(sampling):
+    bad = spread(fixed={"tip": -1e7}, sampling=sampling)
+    with pytest.raises(ValueError, match="lower bound: E must be positive"):
+        check(model(), bad)
+
+
+HALF = np.pi / 2
+ANGLE = ControlPointParameters(
+    "theta",
+    ENDS,
+    start=0.0,
+    lower=-HALF,
+    upper=HALF,
+    scale="linear",
+    interpolation="director",
+)
+
+
+@pytest.mark.parametrize("way", ["order", "axes"])
+@pytest.mark.parametrize(
+    ("soft", "stiff", "message"),
+    [
+        ({}, {}, None),
+        ({"start": 1.5e5}, {}, None),
+        ({"start": [2e5, 3e5]}, {}, "start has E_l of tip above E_t of tip, against"),
+        (
+            {"lower": 5e5, "start": 6e5},
+            {"upper": 4e5},
+            "bounds leave no room for E_l of root <= E_t of root: lower the bounds of",
+        ),
+    ],
+)
+def test_start_and_bounds_must_allow_the_order(way, soft, stiff, message):
+    given = {"order": [("E_l", "E_t")]}
+    if way == "axes":
+        given = {"axes": [("E_l", "E_t", "theta")]}
+    entries = (spread("E_l", **soft), spread("E_t", **stiff), ANGLE)
+    space = ParameterSpace(entries, **given)
+    if message is None:
+        check_parameters(with_fibre(), space)
+    else:
+        with pytest.raises(ValueError, match=message):
+            check_parameters(with_fibre(), space)

@@ -1,0 +1,69 @@
+"""Step coordinates of an axis with two moduli: a tensor, regular at isotropy.
+
+{E_s, E_l, theta} (smaller and larger modulus, angle of the material axis) are polar
+coordinates of a symmetric tensor in the print plane: with m = (ln E_l + ln E_s) / 2 and
+d = (ln E_l - ln E_s) / 2 >= 0, its logarithm has the components
+
+    m,  c = d cos 2 theta,  s = d sin 2 theta.
+
+Polar coordinates have two traps for a Gauss-Newton step. The angle winds: 181 degrees
+is 1 degree, far away. And at E_s = E_l the angle has no effect: a fit whose axis is a
+quarter turn wrong is pushed there, and stays. In (m, c, s) both are gone, the order
+E_s <= E_l holds by itself, and a step that crosses the origin turns the axis by 90
+degrees, as it should. The parameters remain {E_s, E_l, theta}; only the
+steps between them are taken as tensors.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float, HostArray, Int
+
+NEARLY_ISOTROPIC = 1e-7
+"""Smallest d: at 0 the angle is lost, and with it the derivative along c and s [-]."""
+
+
+class AxisChart(NamedTuple):
+    """Where the axes stand in z, one entry per control point.
+
+    Attributes:
+        small: Columns of ln E_s.
+        large: Columns of ln E_l.
+        angle: Columns of theta / S.
+        S: Scale of the angles [rad].
+    """
+
+    small: Int[HostArray, " n_axes"]
+    large: Int[HostArray, " n_axes"]
+    angle: Int[HostArray, " n_axes"]
+    S: Float[Array, " n_axes"]
+
+    def to_tensor(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """(m, c, s) in the places of (ln E_s, ln E_l, theta / S)."""
+        m = 0.5 * (z[self.large] + z[self.small])
+        d = 0.5 * (z[self.large] - z[self.small])
+        twice = 2.0 * self.S * z[self.angle]
+        z = z.at[self.small].set(m).at[self.large].set(d * jnp.cos(twice))
+        return z.at[self.angle].set(d * jnp.sin(twice))
+
+    def from_tensor(self, tensor: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """The inverse; angles come out between -90 and 90 degrees."""
+        m, c, s = tensor[self.small], tensor[self.large], tensor[self.angle]
+        d = jnp.sqrt(c**2 + s**2)
+        theta = 0.5 * jnp.arctan2(s, c) / self.S
+        z = tensor.at[self.small].set(m - d).at[self.large].set(m + d)
+        return z.at[self.angle].set(theta)
+
+    def clip(
+        self,
+        z: Float[Array, " n_p"],
+        lower: Float[Array, " n_p"],
+        upper: Float[Array, " n_p"],
+    ) -> Float[Array, " n_p"]:
+        """Moduli brought into their bounds, and a little apart."""
+        gap = 2.0 * NEARLY_ISOTROPIC
+        s, l = self.small, self.large
+        top = jnp.clip(z[l], jnp.maximum(lower[l], lower[s] + gap), upper[l])
+        low = jnp.minimum(jnp.clip(z[s], lower[s], upper[s]), top - gap)
+        return z.at[s].set(low).at[l].set(top)

@@ -1,0 +1,190 @@
+"""Control points and inverse-distance weighting (paper Sec. IV.A)."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._typing import Array, Float, HostArray
+
+AXES = "xyz"
+
+
+def idw_weights(
+    points: Float[ArrayLike, "n_points n_axes"],
+    control_points: Float[ArrayLike, "n_cp n_axes"],
+    *,
+    power: float = 2.0,
+    nearest: int | None = None,
+) -> Float[Array, "n_points n_cp"]:
+    """Weights that spread values at control points over other points.
+
+    Inverse-distance weighting, paper Sec. IV.A (Shepard 1968): w_ij is proportional to
+    d_ij^-power, with d_ij the distance from point i to control point j.
+
+    Args:
+        points: Where values are wanted [m].
+        control_points: Positions of the control points [m].
+        power: Decay exponent [-], positive; the paper settles on 2.
+        nearest: How many control points a point listens to, the nearest ones; all by
+            default. The field then jumps where the set changes.
+
+    Returns:
+        Weights [-] in [0, 1] whose rows sum to one. A point on a control point takes
+        that control point alone.
+
+    Raises:
+        ValueError: If the power is not positive, or `nearest` is not a number of the
+            control points.
+    """
+    check_power(power)
+    x, c = jnp.asarray(points, float), jnp.asarray(control_points, float)
+    check_nearest(nearest, c.shape[0])
+    squares = jnp.sum((x[:, None] - c[None]) ** 2, axis=2)
+    # The limit on a control point, and a derivative of zero there, not 0 / 0.
+    squares = jnp.maximum(squares, jnp.finfo(squares.dtype).tiny)
+    # As logarithms, so that no power overflows.
+    nearness = -0.5 * power * jnp.log(squares)
+    if nearest is not None and nearest < c.shape[0]:
+        reach = jnp.sort(squares, axis=1)[:, nearest - 1 : nearest]
+        nearness = jnp.where(squares <= reach, nearness, -jnp.inf)
+    return jax.nn.softmax(nearness, axis=1)
+
+
+def check_power(power: float) -> None:
+    """Raise ValueError unless the exponent is positive and finite."""
+    if not (np.isfinite(power) and power > 0.0):
+        raise ValueError(
+            f"power must be positive and finite, got {power:g}: with 0 every control "
+            "point would count the same everywhere; the paper takes 2."
+        )
+
+
+def check_nearest(nearest: int | None, n_cp: int) -> None:
+    """Raise ValueError unless the number is one of 1 to n_cp."""
+    if nearest is not None and not 1 <= nearest <= n_cp:
+        raise ValueError(
+            f"nearest must lie between 1 and the number of control points, {n_cp}, "
+            f"got {nearest}."
+        )
+
+
+class ControlPoints(eqx.Module):
+    """Places where the fields of a law have values of their own.
+
+    Attributes:
+        names: One name per control point; "CP 1", "CP 2", ... by default.
+        positions: Their positions, in the frame of the mesh at rest [m].
+        power: Exponent of the inverse-distance weighting [-].
+        nearest: How many control points a tet listens to; all by default.
+        axes: Axes along which distance is counted. "xz" spreads one field of (x, z)
+            over everything above and below, like two equal sheets that share theirs.
+        max_distance: How far from the body a control point may lie [m]; by default a
+            tenth of the diagonal of what it acts on.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    positions: Float[Array, "n_cp 3"]
+    power: float = eqx.field(static=True)
+    nearest: int | None = eqx.field(static=True)
+    axes: str = eqx.field(static=True)
+    max_distance: float | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        positions: Float[ArrayLike, "n_cp 3"]
+        | Sequence[Sequence[float] | HostArray]
+        | Mapping[str, Sequence[float] | HostArray],
+        *,
+        names: Sequence[str] | None = None,
+        power: float = 2.0,
+        nearest: int | None = None,
+        axes: str = AXES,
+        max_distance: float | None = None,
+    ):
+        """Control points from their positions, or from a mapping of names to them.
+
+        Raises:
+            ValueError: If a position is not three finite numbers, two coincide, names
+                repeat, or an option is out of its range.
+        """
+        if isinstance(positions, Mapping):
+            names = tuple(positions) if names is None else names
+            for name, x in positions.items():
+                if np.shape(x) != (3,):
+                    raise ValueError(
+                        f"control point {name!r} needs three numbers [m], got {x}."
+                    )
+            positions = np.array([np.asarray(x, float) for x in positions.values()])
+        x = np.asarray(positions, float)
+        if x.ndim != 2 or x.shape[1] != 3 or not len(x):
+            raise ValueError(
+                "control points need positions of shape (number, 3) [m], at least one; "
+                f"got shape {x.shape}."
+            )
+        if names is None:
+            names = tuple(f"CP {i + 1}" for i in range(len(x)))
+        self.names = tuple(names)
+        self.positions = jnp.asarray(x)
+        self.power, self.nearest = float(power), nearest
+        self.axes, self.max_distance = axes, max_distance
+        self._check(x)
+
+    def _check(self, x: HostArray) -> None:
+        if len(self.names) != len(x) or len(set(self.names)) != len(x):
+            raise ValueError(
+                f"{len(x)} control points need as many different names, got "
+                f"{', '.join(self.names)}."
+            )
+        if not self.axes or any(
+            self.axes.count(a) > 1 or a not in AXES for a in self.axes
+        ):
+            raise ValueError(
+                f'axes must be some of "xyz", each once, like "xz"; got {self.axes!r}.'
+            )
+        check_power(self.power)
+        check_nearest(self.nearest, len(x))
+        if self.max_distance is not None and not self.max_distance >= 0.0:
+            raise ValueError(
+                f"max_distance must not be negative [m], got {self.max_distance:g}."
+            )
+        bad = np.flatnonzero(~np.isfinite(x).all(axis=1))
+        if bad.size:
+            raise ValueError(
+                f"control point {self.names[bad[0]]!r} lies at {x[bad[0]]}: expected "
+                "three finite numbers [m]."
+            )
+        self._check_apart(x[:, self.columns])
+
+    def _check_apart(self, x: HostArray) -> None:
+        size = max(float(np.abs(x).max()), np.finfo(float).tiny)
+        for j in range(1, len(x)):
+            gaps = np.linalg.norm(x[:j] - x[j], axis=1)
+            i = int(np.argmin(gaps))
+            if gaps[i] <= 1e-9 * size:
+                raise ValueError(
+                    f"control points {self.names[i]!r} and {self.names[j]!r} coincide "
+                    f"(distance {gaps[i]:.1e} m along {self.axes}): the data could "
+                    "never tell their values apart. Remove one, or move it."
+                )
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of a position that count for the distance."""
+        return [AXES.index(axis) for axis in self.axes]
+
+    def weights(
+        self, points: Float[ArrayLike, "n_points 3"]
+    ) -> Float[Array, "n_points n_cp"]:
+        """Weights of the control points at some points [-]."""
+        x = jnp.asarray(points, float)
+        columns = jnp.asarray(self.columns)
+        return idw_weights(
+            x[:, columns],
+            self.positions[:, columns],
+            power=self.power,
+            nearest=self.nearest,
+        )

@@ -1,0 +1,209 @@
+"""The space of all calibrated parameters: scaling, bounds, order constraints."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.fields._axes import AxisChart
+from softcal_jax.fields._order import axis_columns, order_terms
+from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._spread import ControlPointParameters
+
+Entry = Parameter | ControlPointParameters
+
+
+def _as_pairs(order: Iterable[Sequence[str]]) -> tuple[tuple[str, str], ...]:
+    pairs = []
+    for pair in order:
+        if isinstance(pair, str) or len(pair) != 2:
+            raise ValueError(
+                'order takes pairs (smaller, larger), like ("E_l", "E_t"); got '
+                f"{pair!r}."
+            )
+        pairs.append((str(pair[0]), str(pair[1])))
+    return tuple(pairs)
+
+
+def _as_triples(axes: Iterable[Sequence[str]]) -> tuple[tuple[str, str, str], ...]:
+    triples = []
+    for axis in axes:
+        if isinstance(axis, str) or len(axis) != 3:
+            raise ValueError(
+                "axes takes triples (smaller modulus, larger modulus, angle), like "
+                f'("E_l", "E_t", "theta"); got {axis!r}.'
+            )
+        triples.append((str(axis[0]), str(axis[1]), str(axis[2])))
+    return tuple(triples)
+
+
+class ParameterSpace(eqx.Module):
+    """The calibrated parameters, in the order of lambda_p.
+
+    A step of the paper, p + S lambda_p, is z + lambda_p here; on a log scale
+    lambda_p is the logarithm of the ratio of new and old value.
+
+    Attributes:
+        entries: Parameters, single ones and fields with control points.
+        order: Pairs (smaller, larger) of parameter names, or of fields with the same
+            control points: ("E_l", "E_t") keeps the fibre the soft axis. A linear
+            constraint of every QP step.
+        axes: Triples (smaller modulus, larger modulus, angle) of fields with the same
+            control points: ("E_l", "E_t", "theta") for a soft fibre. Steps of these are
+            taken as tensors, see `AxisChart`: neither winding of the angle nor the
+            isotropic state can trap them, and smaller <= larger holds by itself.
+    """
+
+    entries: tuple[Entry, ...] = eqx.field(converter=tuple)
+    order: tuple[tuple[str, str], ...] = eqx.field(
+        static=True, default=(), converter=_as_pairs
+    )
+    axes: tuple[tuple[str, str, str], ...] = eqx.field(
+        static=True, default=(), converter=_as_triples
+    )
+
+    def __check_init__(self):
+        if not self.parameters:
+            raise ValueError("at least one parameter is needed, got none.")
+        names = self.names
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"parameter {name!r} is named more than once.")
+        for entry in self.entries:
+            if isinstance(entry, ControlPointParameters):
+                for point, name in entry.tied:
+                    if name not in names:
+                        raise ValueError(
+                            f"{entry.field} of {point} is tied to {name!r}, which is "
+                            f"no parameter; there are {', '.join(names)}."
+                        )
+        order_terms(self.entries, self.order)
+        axis_columns(self.entries, self.axes)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The unknowns one by one."""
+        return tuple(q for entry in self.entries for q in entry.parameters)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the parameters."""
+        return [parameter.name for parameter in self.parameters]
+
+    def start(self) -> Float[Array, " n_p"]:
+        """Scaled start."""
+        return self.to_scaled(jnp.stack([q.start for q in self.parameters]))
+
+    def lower(self) -> Float[Array, " n_p"]:
+        """Scaled lower bounds."""
+        return self.to_scaled(jnp.stack([q.lower for q in self.parameters]))
+
+    def upper(self) -> Float[Array, " n_p"]:
+        """Scaled upper bounds."""
+        return self.to_scaled(jnp.stack([q.upper for q in self.parameters]))
+
+    def to_scaled(self, p: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Scaled coordinates z of values p."""
+        return jnp.stack([q.to_scaled(p[i]) for i, q in enumerate(self.parameters)])
+
+    def from_scaled(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Values p of scaled coordinates z."""
+        return jnp.stack([q.from_scaled(z[i]) for i, q in enumerate(self.parameters)])
+
+    def room(
+        self, z: Float[Array, " n_p"]
+    ) -> tuple[Float[Array, " n_p"], Float[Array, " n_p"]]:
+        """Largest step down and up that the bounds on p leave; infinite if periodic."""
+        periodic = jnp.asarray([q.periodic for q in self.parameters])
+        return (
+            jnp.where(periodic, -jnp.inf, self.lower() - z),
+            jnp.where(periodic, jnp.inf, self.upper() - z),
+        )
+
+    def max_step(self) -> Float[Array, " n_p"]:
+        """Step limits of the parameters; infinite where there is none."""
+        none = jnp.asarray(jnp.inf)
+        limits = [none if q.max_step is None else q.max_step for q in self.parameters]
+        return jnp.stack(limits)
+
+    def wrap(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """The same parameters with periodic ones between their bounds."""
+        low, high = self.lower(), self.upper()
+        periodic = jnp.asarray([q.periodic for q in self.parameters])
+        return jnp.where(periodic, low + jnp.mod(z - low, high - low), z)
+
+    @property
+    def chart(self) -> AxisChart | None:
+        """Step coordinates of the axes; None if there are none."""
+        if not self.axes:
+            return None
+        columns = axis_columns(self.entries, self.axes)
+        S = [self.parameters[i].unit_step for i in columns[:, 2]]
+        return AxisChart(columns[:, 0], columns[:, 1], columns[:, 2], jnp.stack(S))
+
+    def distance(
+        self, z: Float[Array, " n_p"], other: Float[Array, " n_p"]
+    ) -> Float[Array, " n_p"]:
+        """Distance of scaled parameters, the shorter way round if periodic."""
+        gap = jnp.abs(z - other)
+        turn = self.upper() - self.lower()
+        periodic = jnp.asarray([q.periodic for q in self.parameters])
+        return jnp.where(periodic, jnp.minimum(gap, turn - gap), gap)
+
+    def admissible(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Parameters within their bounds, the moduli of an axis a little apart."""
+        z = self.wrap(z)
+        if self.chart is not None:
+            z = self.chart.clip(z, self.lower(), self.upper())
+        return jnp.clip(z, self.lower(), self.upper())
+
+    def order_rows(self) -> tuple[Float[Array, "n_rows n_p"], Float[Array, " n_rows"]]:
+        """The order constraints as A z <= b."""
+        terms = order_terms(self.entries, self.order)
+        A, b = jnp.zeros((len(terms), len(self.parameters))), jnp.zeros(len(terms))
+        for row, pair in enumerate(terms):
+            # Rows of unit size: lambda_p is of the order of 1 in every direction.
+            size = jnp.maximum(pair[0].unit, pair[1].unit)
+            for sign, term in zip((1.0, -1.0), pair, strict=True):
+                if term.column is None:
+                    b = b.at[row].add(-sign * term.constant / size)
+                else:
+                    A = A.at[row, term.column].add(sign * term.unit / size)
+        return A, b
+
+    def order_names(self) -> list[tuple[str, str]]:
+        """Names of the smaller and the larger value of each order constraint."""
+        terms = order_terms(self.entries, self.order)
+        return [(small.name, large.name) for small, large in terms]
+
+    def apply(self, model: Any, z: Float[Array, " n_p"]) -> Any:
+        """The model with the values of scaled coordinates.
+
+        Args:
+            model: Anything with `law`, `density` and `mesh`.
+            z: Scaled coordinates.
+
+        Returns:
+            The model, with the fields of the law or the density replaced.
+
+        Raises:
+            ValueError: If a field or a region does not exist, or a field is not unique.
+        """
+        p = self.from_scaled(z)
+        values = {name: p[i] for i, name in enumerate(self.names)}
+        for entry in self.entries:
+            model = entry.apply(model, values)
+        return model
+
+
+def as_space(
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+) -> ParameterSpace:
+    """A parameter space of one parameter or several."""
+    if isinstance(parameters, ParameterSpace):
+        return parameters
+    if isinstance(parameters, Parameter | ControlPointParameters):
+        return ParameterSpace((parameters,))
+    return ParameterSpace(tuple(parameters))

@@ -1,0 +1,242 @@
+"""A field of the law with one unknown per control point (paper Sec. IV.A)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.elements import shape_functions, tet_rule
+from softcal_jax.fields._control_points import ControlPoints
+from softcal_jax.fields._model_fields import set_field
+from softcal_jax.fields._parameters import Parameter
+from softcal_jax.materials import PointValues
+from softcal_jax.mesh import TetMesh
+
+Interpolation = Literal["linear", "log", "director"]
+Sampling = Literal["centroids", "quadrature"]
+
+PER_CONTROL_POINT = "one for all control points or one for each"
+
+
+class ControlPointParameters(eqx.Module):
+    """One unknown per control point, spread over the body as a field of the law.
+
+    p(X) = sum_j w_j(X) p_j with the inverse-distance weights w_j, paper Sec. IV.A.
+
+    How values are mixed (`interpolation`): "linear" as in the paper. "log" mixes
+    logarithms, for moduli that differ by orders of magnitude. "director" is for the
+    angle of an axis: the mixed direction is that of sum_j w_j (cos 2 theta_j,
+    sin 2 theta_j), so that +90 and -90 degrees are the same axis, as they are for the
+    material. With "linear" they are not: between a control point at 85 and one at
+    -85 degrees the axis would turn through 0, although the two are 10 degrees apart,
+    and a calibration can end half a turn away from the truth. Take "director" unless
+    results of the paper are to be repeated. Bounds that span 180 degrees then mean no
+    bounds: the angle leaves by one and comes back by the other.
+
+    Attributes:
+        field: Field of the law, like "E_t", "E_l" or "theta"; or "density".
+        control_points: Where the values are.
+        start: Values before calibration, in SI units.
+        lower: Smallest values allowed.
+        upper: Largest values allowed.
+        scale: "log" for moduli, "linear" for angles.
+        S: For a linear scale, the size of a unit step of lambda_p; upper - lower by
+            default.
+        region: Tet group that the field is set in; the whole body by default.
+        unit: SI unit, for tables.
+        interpolation: How values are mixed; see above.
+        sampling: Where: at the centroid of each tet, or at its quadrature points.
+        fixed: Control points whose value is known, and that value.
+        tied: Control points whose value is that of another parameter, and its name,
+            like {"upper 1": "E_t of lower 1"}.
+        max_step: Largest entry of lambda_p in one step [-].
+    """
+
+    field: str = eqx.field(static=True)
+    control_points: ControlPoints
+    start: Float[Array, " n_cp"]
+    lower: Float[Array, " n_cp"]
+    upper: Float[Array, " n_cp"]
+    scale: Literal["log", "linear"] = eqx.field(static=True)
+    S: Float[Array, ""] | None
+    region: str | None = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    interpolation: Interpolation = eqx.field(static=True)
+    sampling: Sampling = eqx.field(static=True)
+    fixed: dict[str, Float[Array, ""]]
+    tied: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    max_step: Float[Array, ""] | None
+    periodic: tuple[bool, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        field: str,
+        control_points: ControlPoints,
+        *,
+        start: Float[ArrayLike, "..."] | Sequence[float],
+        lower: Float[ArrayLike, "..."] | Sequence[float],
+        upper: Float[ArrayLike, "..."] | Sequence[float],
+        scale: Literal["log", "linear"] = "log",
+        S: Float[ArrayLike, ""] | None = None,
+        region: str | None = None,
+        unit: str = "",
+        interpolation: Interpolation = "linear",
+        sampling: Sampling = "centroids",
+        fixed: Mapping[str, Float[ArrayLike, ""]] | None = None,
+        tied: Mapping[str, str] | None = None,
+        max_step: Float[ArrayLike, ""] | None = None,
+    ):
+        """One unknown per control point that is neither fixed nor tied.
+
+        `start`, `lower` and `upper`: one for all control points, or one for each.
+
+        Raises:
+            ValueError: If a value has the wrong shape, an option is unknown, a fixed or
+                tied name is no control point, or the bounds of an angle that is mixed
+                as a director span more than 180 degrees.
+        """
+        self.field, self.control_points = field, control_points
+        n_cp = len(control_points.names)
+        for name, value in (("start", start), ("lower", lower), ("upper", upper)):
+            value = jnp.asarray(value, float)
+            if value.shape not in ((), (n_cp,)):
+                raise ValueError(
+                    f"{name} of {field} must be {PER_CONTROL_POINT} ({n_cp}), got "
+                    f"shape {value.shape}."
+                )
+            setattr(self, name, jnp.broadcast_to(value, (n_cp,)))
+        number = lambda value: None if value is None else jnp.asarray(value, float)
+        self.scale, self.S, self.region, self.unit = scale, number(S), region, unit
+        self.interpolation, self.sampling = interpolation, sampling
+        self.fixed = {k: jnp.asarray(v, float) for k, v in (fixed or {}).items()}
+        self.tied = tuple((tied or {}).items())
+        self.max_step = number(max_step)
+        span = np.asarray(self.upper - self.lower)
+        director = interpolation == "director"
+        self.periodic = tuple(bool(director and np.isclose(v, np.pi)) for v in span)
+        self._check()
+
+    def _check(self) -> None:
+        known = self.control_points.names
+        for what, names in (("fixed", self.fixed), ("tied", dict(self.tied))):
+            for name in names:
+                if name not in known:
+                    raise ValueError(
+                        f"{what} of {self.field}: there is no control point {name!r}; "
+                        f"there are {', '.join(known)}."
+                    )
+        both = sorted(set(self.fixed) & set(dict(self.tied)))
+        if both:
+            raise ValueError(
+                f"control point {both[0]!r} of {self.field} is both fixed and tied."
+            )
+        if self.interpolation not in ("linear", "log", "director"):
+            raise ValueError(
+                'interpolation must be "linear", "log" or "director", got '
+                f"{self.interpolation!r}."
+            )
+        if self.sampling not in ("centroids", "quadrature"):
+            raise ValueError(
+                f'sampling must be "centroids" or "quadrature", got {self.sampling!r}.'
+            )
+        span = np.asarray(self.upper - self.lower)
+        if self.interpolation == "director" and np.any(span > np.pi * (1 + 1e-9)):
+            raise ValueError(
+                f"the bounds of {self.field} span {np.rad2deg(span.max()):.0f} "
+                "degrees: an axis is the same again after 180, so give at most that, "
+                "like -90 to 90."
+            )
+
+    def parameter_name(self, control_point: str) -> str:
+        """Name of the unknown at a control point; it may be that of another field."""
+        return dict(self.tied).get(control_point, f"{self.field} of {control_point}")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The unknowns that it adds, in the order of the control points."""
+        return tuple(
+            Parameter(
+                self.parameter_name(name),
+                self.field,
+                self.start[i],
+                self.lower[i],
+                self.upper[i],
+                scale=self.scale,
+                S=self.S,
+                region=self.region,
+                unit=self.unit,
+                max_step=self.max_step,
+                periodic=self.periodic[i],
+            )
+            for i, name in enumerate(self.control_points.names)
+            if name not in self.fixed and name not in dict(self.tied)
+        )
+
+    def at_control_points(
+        self, values: Mapping[str, Float[Array, ""]]
+    ) -> Float[Array, " n_cp"]:
+        """Values at the control points: calibrated, tied or fixed, in SI units."""
+        return jnp.stack(
+            [
+                self.fixed[name]
+                if name in self.fixed
+                else values[self.parameter_name(name)]
+                for name in self.control_points.names
+            ]
+        )
+
+    def points(self, mesh: TetMesh) -> HostArray | Array:
+        """Where the field is sampled; (n_tets, 3) or (n_tets, n_qp, 3) [m]."""
+        nodes = jnp.asarray(mesh.points)[jnp.asarray(mesh.tets)]
+        if self.region is not None:
+            nodes = nodes[jnp.asarray(mesh.tets_of(self.region))]
+        if self.sampling == "centroids":
+            return jnp.mean(nodes[:, :4], axis=1)
+        n_en = nodes.shape[1]
+        rule = tet_rule(1 if n_en == 4 else 2)
+        return jnp.einsum("qa,eai->eqi", shape_functions(rule.barycentric, n_en), nodes)
+
+    def evaluate(
+        self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]
+    ) -> Float[Array, "..."]:
+        """The field itself, in SI units.
+
+        Args:
+            mesh: The mesh [m].
+            values: Values of all parameters by name, in SI units.
+
+        Returns:
+            One value per tet of the region, or per tet and quadrature point.
+        """
+        points = self.points(mesh)
+        weights = self.control_points.weights(points.reshape(-1, 3))
+        field = _mix(weights, self.at_control_points(values), self.interpolation)
+        return field.reshape(points.shape[:-1])
+
+    def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
+        """The model with this field, from the values of all parameters."""
+        field = self.evaluate(model.mesh, values)
+        if self.sampling == "quadrature":
+            return set_field(model, self.field, PointValues(field), self.region)
+        return set_field(model, self.field, field, self.region)
+
+
+def _mix(
+    weights: Float[Array, "n_points n_cp"],
+    values: Float[Array, " n_cp"],
+    interpolation: Interpolation,
+) -> Float[Array, " n_points"]:
+    if interpolation == "log":
+        return jnp.exp(weights @ jnp.log(values))
+    if interpolation == "linear":
+        return weights @ values
+    c, s = weights @ jnp.cos(2.0 * values), weights @ jnp.sin(2.0 * values)
+    # Half way between two axes at right angles there is no mean direction, nor a
+    # derivative of it: such a point keeps the angle 0 and moves with nobody.
+    lost = c**2 + s**2 < 1e-20
+    c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
+    return 0.5 * jnp.arctan2(s, c)
