@@ -8,6 +8,8 @@ from softcal_jax.equilibrium._assembly import (
     strain_energy,
     tangent_values,
 )
+from softcal_jax.equilibrium._continuation import Continuation, continue_equilibrium
+from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model, build_model
 from softcal_jax.equilibrium._newton import NewtonSettings, external_force
@@ -22,17 +24,20 @@ from softcal_jax.equilibrium._solve import (
 
 __all__ = [
     "RESULTS",
+    "Continuation",
     "EquilibriumSolution",
     "LinearSolution",
     "Model",
     "NewtonSettings",
     "build_model",
     "check_converged",
+    "continue_equilibrium",
     "energy_and_force",
     "external_force",
     "factor_solve",
     "gravity_load",
     "internal_force",
+    "lane_by_lane",
     "marker_positions",
     "residual",
     "solve_equilibrium",

@@ -13,8 +13,8 @@ from softcal_jax.equilibrium._element import (
     mean_dilatation,
     mixed_newton,
 )
-from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._sparsity import upper_entries
+from softcal_jax.equilibrium._model import Model, check_law
+from softcal_jax.equilibrium._sparsity import element_entries
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_nodes _"], function, *per_tet):
@@ -84,27 +84,31 @@ def energy_and_force(model: Model, u: Float[Array, "n_nodes 3"]):
 
 
 def tangent_values(model: Model, u: Float[Array, "n_nodes 3"]) -> Float[Array, " nnz"]:
-    """Tangent stiffness K = df/du, upper triangle in the order of the pattern [N/m]."""
-    p, q = upper_entries(model.nodes.shape[1])
+    """Tangent stiffness K = df/du in the order of the pattern [N/m].
 
-    def upper(u, dN, w, law, active):
+    The upper triangle of a conservative model, where K is symmetric; all entries of
+    any other.
+    """
+    p, q = _kept_entries(model)
+
+    def entries(u, dN, w, law, active):
         K = element_stiffness(u, dN, w, law, model.formulation)
         return active * K.reshape(3 * u.shape[0], -1)[p, q]
 
-    return _add_entries(model, _map_blocks(model, u, upper))
+    return _add_entries(model, _map_blocks(model, u, entries))
 
 
 def mixed_tangent(
     model: Model, u: Float[Array, "n_nodes 3"], theta: Float[Array, "n_blocks block"]
 ) -> tuple[Float[Array, " nnz"], Float[Array, "n_nodes 3"]]:
     """Stiffness and force of the Newton step with volume ratios of their own."""
-    p, q = upper_entries(model.nodes.shape[1])
+    p, q = _kept_entries(model)
 
-    def upper(u, dN, w, law, active, theta):
+    def both(u, dN, w, law, active, theta):
         K, f = mixed_newton(u, theta, dN, w, law)
         return active * K.reshape(3 * u.shape[0], -1)[p, q], active * f
 
-    entries, forces = _map_blocks(model, u, upper, theta)
+    entries, forces = _map_blocks(model, u, both, theta)
     return _add_entries(model, entries), _add_forces(model, forces)
 
 
@@ -121,6 +125,12 @@ def predicted_dilatation(
         return jnp.clip(J + dJ, 0.25, 4.0)
 
     return _map_blocks(model, jnp.concatenate([u, du], axis=1), linear)
+
+
+def _kept_entries(model: Model):
+    """Local rows and columns of the entries that the pattern of the model keeps."""
+    check_law(model.law, model.conservative, model.formulation)
+    return element_entries(model.nodes.shape[1], model.solver.sparsity.symmetric)
 
 
 def _add_entries(

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant
-from softcal_jax.materials import AbstractLaw
+from softcal_jax.materials import AbstractLaw, law_at_points
 
 Formulation = Literal["displacement", "mean-dilatation"]
 
@@ -42,6 +42,24 @@ def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
     """Volume ratios J, the factors (theta / J)^(1/3) that make all theta, and F^-T."""
     J = jax.vmap(determinant)(F)
     return J, jnp.cbrt(theta / J), jax.vmap(cofactor)(F) / J[:, None, None]
+
+
+def _at_points(law: AbstractLaw, function, F: Float[Array, "n_qp 3 3"]):
+    """Energy, stress or tangent of a law at the quadrature points of a tet."""
+    plain, axes = law_at_points(law)
+    return jax.vmap(function, in_axes=(axes, 0))(plain, F)
+
+
+def _energy_densities(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
+    return _at_points(law, lambda law, F: law.energy_density(F), F)
+
+
+def _stresses(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
+    return _at_points(law, lambda law, F: law.stress(F), F)
+
+
+def _tangents(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
+    return _at_points(law, lambda law, F: law.tangent(F), F)
 
 
 def mean_dilatation(
@@ -70,7 +88,7 @@ def element_energy(
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         F = _scaled_to(mean_dilatation(u, dN, w), F)[1][:, None, None] * F
-    return jnp.sum(w * jax.vmap(law.energy_density)(F))
+    return jnp.sum(w * _energy_densities(law, F))
 
 
 def element_force(
@@ -86,12 +104,12 @@ def element_force(
         theta = mean_dilatation(u, dN, w)
         J, s, G = _scaled_to(theta, F)
         share = w * J / (theta * jnp.sum(w))
-        P_bar = _each(s) * jax.vmap(law.stress)(_each(s) * F)
+        P_bar = _each(s) * _stresses(law, _each(s) * F)
         mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
         pressure = jnp.sum(w * mean_stress)
         P = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
     else:
-        P = _each(w) * jax.vmap(law.stress)(F)
+        P = _each(w) * _stresses(law, F)
     return _push(P, dN)
 
 
@@ -106,7 +124,7 @@ def element_stiffness(
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         return mixed_newton(u, mean_dilatation(u, dN, w), dN, w, law)[0]
-    A = jax.vmap(law.tangent)(F)
+    A = _tangents(law, F)
     return _pull(w[:, None, None, None, None] * A, dN)
 
 
@@ -180,8 +198,8 @@ def mixed_newton(
     J, s, G = _scaled_to(theta, F)
     share = w * J / (theta * jnp.sum(w))
     gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
-    P_bar = _each(s) * jax.vmap(law.stress)(_each(s) * F)
-    A = (s**2)[:, None, None, None, None] * jax.vmap(law.tangent)(_each(s) * F)
+    P_bar = _each(s) * _stresses(law, _each(s) * F)
+    A = (s**2)[:, None, None, None, None] * _tangents(law, _each(s) * F)
     A_F = jnp.sum(A * F[:, None, None], axis=(3, 4))
     Q = A_F + P_bar
     mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0

@@ -34,7 +34,7 @@ class LinearSolution(NamedTuple):
 
 
 class AbstractLinearSolver(eqx.Module):
-    """Factorizes symmetric matrices of one sparsity pattern."""
+    """Factorizes matrices of one sparsity pattern; the pattern says if symmetric."""
 
     sparsity: eqx.AbstractVar[Sparsity]
     name: eqx.AbstractVar[str]
@@ -47,17 +47,24 @@ class AbstractLinearSolver(eqx.Module):
         """Factorize finite values and solve; returns x, negative eigenvalues, ok."""
 
     def factor_solve(
-        self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
+        self,
+        values: Float[Array, " nnz"],
+        rhs: Float[Array, "n_rhs n_dof"],
+        *,
+        transpose: bool = False,
     ) -> LinearSolution:
         """Factorize once and solve for every right-hand side.
 
         Args:
-            values: Upper triangle in the order of the pattern.
+            values: Entries in the order of the pattern.
             rhs: One right-hand side per row.
+            transpose: Solve with the transposed matrix.
 
         Returns:
             The solutions; flagged, and zero, where they do not exist.
         """
+        if transpose and self.sparsity.mirror is not None:
+            values = values[self.sparsity.mirror]
         return LinearSolution(*_factor_solve(self, values, rhs))
 
 
@@ -94,7 +101,7 @@ def _factor_solve_rule(axis_size, in_batched, solver, values, rhs):
 _PARDISO_OPTIONS = {7: 0, 20: 0, 23: 1}
 
 
-def _load_pardiso():
+def _load_pardiso(sparsity: Sparsity):
     """Import pardiso-mkl-jax, with OpenMP threads that do not spin.
 
     By default MKL's threads keep their cores busy for a while after each call, and JAX
@@ -103,14 +110,18 @@ def _load_pardiso():
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pardiso_mkl_jax import MatrixType, primitive
 
-    return primitive, MatrixType.REAL_SYMMETRIC_INDEFINITE
+    if sparsity.symmetric:
+        return primitive, MatrixType.REAL_SYMMETRIC_INDEFINITE
+    return primitive, MatrixType.REAL_STRUCTURALLY_SYMMETRIC
 
 
 class Pardiso(AbstractLinearSolver):
-    """Intel oneMKL PARDISO through pardiso-mkl-jax, symmetric indefinite.
+    """Intel oneMKL PARDISO through pardiso-mkl-jax, for symmetric matrices and others.
 
-    The definite type would stop the whole program at the first non-positive pivot;
-    the indefinite one factors on and counts the negative eigenvalues.
+    Symmetric ones are taken as indefinite: the definite type would stop the whole
+    program at the first non-positive pivot; the indefinite one factors on and counts
+    the negative eigenvalues. Others have a symmetric pattern, which spares the scaling
+    and matching of the general type: these look at values, and the analysis has none.
     """
 
     sparsity: Sparsity
@@ -121,7 +132,7 @@ class Pardiso(AbstractLinearSolver):
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Pardiso":
         """Order and analyse the pattern once, outside jit."""
-        primitive, kind = _load_pardiso()
+        primitive, kind = _load_pardiso(sparsity)
         token, _ = primitive.analyze(
             jnp.asarray(sparsity.indptr),
             jnp.asarray(sparsity.indices),
@@ -129,10 +140,10 @@ class Pardiso(AbstractLinearSolver):
             matrix_type=kind,
             options=_PARDISO_OPTIONS,
         )
-        return cls(sparsity=sparsity, token=token)
+        return cls(sparsity=sparsity, token=token, counts_negative=sparsity.symmetric)
 
     def _factor_solve(self, values, rhs):
-        primitive, kind = _load_pardiso()
+        primitive, kind = _load_pardiso(self.sparsity)
         x, iparm, _ = primitive.factor_and_solve_stateful(
             self.token,
             jnp.asarray(self.sparsity.indptr),
@@ -143,6 +154,8 @@ class Pardiso(AbstractLinearSolver):
             options=_PARDISO_OPTIONS,
         )
         perturbed_pivots, negative_eigenvalues = iparm[13], iparm[22]
+        if not self.counts_negative:
+            negative_eigenvalues = jnp.full_like(negative_eigenvalues, -1)
         return x, negative_eigenvalues, perturbed_pivots == 0
 
 
@@ -153,9 +166,10 @@ class Klu(AbstractLinearSolver):
     stops the whole program at the first indefinite tangent of a batch.
 
     Attributes:
-        full_rows: Row of each entry of the full matrix: upper triangle, then lower.
+        full_rows: Row of each entry of the full matrix: the pattern, then what a
+            symmetric one leaves out.
         full_cols: Its column.
-        source: Where its value stands in the upper triangle.
+        source: Where its value stands in the pattern.
     """
 
     sparsity: Sparsity
@@ -169,7 +183,7 @@ class Klu(AbstractLinearSolver):
     def analyse(cls, sparsity: Sparsity) -> "Klu":
         """Keep the pattern, with both triangles."""
         rows, cols = sparsity.rows, sparsity.indices
-        off = np.flatnonzero(rows != cols)
+        off = np.flatnonzero((rows != cols) & sparsity.symmetric)
         source = np.concatenate([np.arange(rows.size), off])
         return cls(
             sparsity=sparsity,

@@ -58,9 +58,25 @@ class Model(eqx.Module):
         """Number of tets."""
         return self.mesh.tets.shape[0]
 
+    @property
+    def conservative(self) -> bool:
+        """Whether a potential exists, so that the tangent is symmetric.
+
+        Without one, the full tangent goes to a non-symmetric solver, Newton brings down
+        the residual in place of the potential, and no count of negative eigenvalues
+        tells whether a state is stable.
+        """
+        return self.solver.sparsity.symmetric
+
     def with_law(self, law: AbstractLaw) -> "Model":
-        """The same body with another law of the same or another class."""
+        """The same body with another law of the same or another class.
+
+        Raises:
+            ValueError: If a per-tet array has the wrong length, or the law has no
+                potential and the model was built for one that has.
+        """
         _check_fields(law, self.n_tets)
+        check_law(law, self.conservative, self.formulation)
         return eqx.tree_at(lambda m: m.law, self, law)
 
     def law_blocks(self) -> AbstractLaw:
@@ -91,6 +107,25 @@ def _check_fields(law: AbstractLaw, n_tets: int) -> None:
             )
 
 
+def check_law(law: AbstractLaw, conservative: bool, formulation: Formulation) -> None:
+    """Raise unless a model with this tangent and formulation can take the law.
+
+    Raises:
+        ValueError: If the law has no potential and something rests on one.
+    """
+    name = type(law).__name__
+    if conservative and not law.conservative:
+        raise ValueError(
+            f"{name} has no potential, so its tangent is not symmetric, but the model "
+            "was built for a law that has one; call build_model with this law."
+        )
+    if formulation == "mean-dilatation" and not law.conservative:
+        raise ValueError(
+            f'formulation "mean-dilatation" needs a potential, and {name} has none; '
+            'take formulation="displacement", or a law with a potential.'
+        )
+
+
 def build_model(
     mesh: TetMesh,
     law: AbstractLaw,
@@ -107,6 +142,9 @@ def build_model(
     to nu = 0.45; "mean-dilatation" is a little too soft, and the more accurate one from
     nu = 0.49 on (`python -m benchmarks run locking`).
 
+    A law without a potential (`ClassicalCorotational`) makes a model that is not
+    `conservative`: it costs more, and says nothing about stability.
+
     Args:
         mesh: The mesh [m], linear or quadratic.
         law: Constitutive law; arrays of it hold one value, or one per tet.
@@ -122,23 +160,15 @@ def build_model(
     Raises:
         ValueError: If JAX is not in float64, the mesh is not sound, the density is
             negative, a per-tet array has the wrong length, or the formulation is
-            unknown.
+            unknown, or needs a potential that the law does not have.
     """
     require_float64()
     check_mesh(mesh)
     _check_fields(law, mesh.n_tets)
-    density = jnp.asarray(density, float)
-    if density.ndim > 0 and density.shape != (mesh.n_tets,):
-        raise ValueError(
-            f"density must be one value or one per tet, shape ({mesh.n_tets},), "
-            f"got shape {density.shape}."
-        )
-    bad = np.atleast_1d(density)[~(np.atleast_1d(density) >= 0) | np.isinf(density)]
-    if bad.size:
-        raise ValueError(
-            f"density must be finite and not negative [kg/m3], got {bad[0]:g}."
-        )
+    density = _checked_density(density, mesh.n_tets)
     n_tets, n_en = mesh.tets.shape
+    chosen = _formulation(formulation, law, n_en)
+    check_law(law, law.conservative, chosen)
     block = BLOCK
     n_blocks = -(-n_tets // block)
 
@@ -153,7 +183,9 @@ def build_model(
 
     dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
     active = np.arange(n_blocks * block) < n_tets
-    sparsity, destination = build_sparsity(mesh.tets, mesh.n_nodes)
+    sparsity, destination = build_sparsity(
+        mesh.tets, mesh.n_nodes, symmetric=law.conservative
+    )
     rule = tet_rule(2 if n_en == 4 else 4)
     _, w_load = _shape_gradients_at(mesh, degree=2 if n_en == 4 else 4)
     node_volumes = w_load @ shape_functions(rule.barycentric, n_en)
@@ -168,8 +200,25 @@ def build_model(
         jnp.asarray(blocked(destination.T)),
         jnp.asarray(node_volumes),
         analyse(sparsity, solver),
-        _formulation(formulation, law, n_en),
+        chosen,
     )
+
+
+def _checked_density(
+    density: Float[ArrayLike, "..."], n_tets: int
+) -> Float[Array, "..."]:
+    density = jnp.asarray(density, float)
+    if density.ndim > 0 and density.shape != (n_tets,):
+        raise ValueError(
+            f"density must be one value or one per tet, shape ({n_tets},), "
+            f"got shape {density.shape}."
+        )
+    bad = np.atleast_1d(density)[~(np.atleast_1d(density) >= 0) | np.isinf(density)]
+    if bad.size:
+        raise ValueError(
+            f"density must be finite and not negative [kg/m3], got {bad[0]:g}."
+        )
+    return density
 
 
 def _formulation(choice: str, law: AbstractLaw, n_en: int) -> Formulation:

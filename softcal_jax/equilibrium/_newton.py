@@ -3,7 +3,8 @@
 Minimises Pi(x) = sum_e V_e psi(F_e) - t (f_ext . u) over the free nodes, while the load
 factor t goes from 0 to 1 (paper Eqs. 1-3; equilibrium is a minimum of Pi when forces
 are imposed). One state machine in one `while_loop`: an iteration is a Newton step, and
-the end of a load step, or its failure, only changes t.
+the end of a load step, or its failure, only changes t. Where no potential exists, the
+line search is on the norm of the residual.
 """
 
 from dataclasses import dataclass
@@ -61,7 +62,9 @@ class NewtonState(NamedTuple):
     """State of the loop; `*_ok` is the last equilibrium on the load path.
 
     `theta` is the volume ratio of each tet in the mixed Newton step; everything else,
-    the stopping rule too, is of the body with theta = J_bar(u).
+    the stopping rule too, is of the body with theta = J_bar(u). `unbalanced_before` is
+    the norm of the residual one step ago, for the line search without a potential; inf
+    at the start of a load step, None where a potential exists.
     """
 
     u: Float[Array, "n_nodes 3"]
@@ -76,6 +79,7 @@ class NewtonState(NamedTuple):
     step: Int[Array, ""]
     step_in_load: Int[Array, ""]
     load_steps: Int[Array, ""]
+    unbalanced_before: Float[Array, ""] | None
     residual: Float[Array, ""]
     min_det_F: Float[Array, ""]
     n_negative: Int[Array, ""]
@@ -92,12 +96,14 @@ def external_force(
     return jnp.asarray(configuration.force) + weight
 
 
-def symmetric_product(sparsity, values, v):
-    """K v for a symmetric K kept as its upper triangle."""
+def product(sparsity, values, v):
+    """K v, for a K kept as its pattern says."""
     rows, cols = sparsity.rows, sparsity.indices
+    if not sparsity.symmetric:
+        return jnp.zeros_like(v).at[rows].add(values * v[cols])
     lower = jnp.where(rows == cols, 0.0, values)
-    product = jnp.zeros_like(v).at[rows].add(values * v[cols])
-    return product.at[cols].add(lower * v[rows])
+    upper = jnp.zeros_like(v).at[rows].add(values * v[cols])
+    return upper.at[cols].add(lower * v[rows])
 
 
 def mask_supports(sparsity, values, fixed):
@@ -111,7 +117,7 @@ def mask_supports(sparsity, values, fixed):
 
 
 @dataclass(frozen=True, eq=False)  # JAX caches its methods by identity
-class _Equilibrium:
+class EquilibriumProblem:
     """One configuration while it is solved: the parts of a Newton iteration."""
 
     model: Model
@@ -140,6 +146,10 @@ class _Equilibrium:
         """Volume ratios after a step; nothing to do in the displacement formulation."""
         return predicted_dilatation(self.model, u, du) if self.mixed else s.theta
 
+    def remembered(self, unbalanced):
+        """Norm of a residual, kept only where the line search needs it."""
+        return None if self.model.conservative else jnp.linalg.norm(unbalanced)
+
     def unbalanced(self, force, load):
         """Out-of-balance force on the free coordinates."""
         return jnp.where(self.fixed, 0.0, force - load * self.f_ext)
@@ -167,7 +177,7 @@ class _Equilibrium:
         # Held nodes that still have to move pull on the free ones: - K du_held.
         pull = jax.lax.cond(
             jnp.any(du_held != 0.0),
-            lambda: symmetric_product(sparsity, values, du_held.ravel()),
+            lambda: product(sparsity, values, du_held.ravel()),
             lambda: jnp.zeros_like(du_held.ravel()),
         )
         masked, stiffness = mask_supports(sparsity, values, fixed)
@@ -176,20 +186,12 @@ class _Equilibrium:
         solved = self.model.solver.factor_solve(masked, rhs[None])
         return solved, solved.x[0].reshape(s.u.shape), stiffness
 
-    def line_search(self, s: NewtonState, d, slope, moving):
-        """Backtrack until Pi has gone down enough (Armijo) and is finite.
-
-        Full steps are taken first, downhill or not: the first step of a large rotation
-        always raises Pi, and of a nearly incompressible body by orders of magnitude; a
-        strict search then creeps. They are only trusted
-        when they end in a stable state; see `step`.
-        """
+    def lower_potential(self, s: NewtonState, d, slope):
+        """Test of a trial step: whether Pi has gone down enough (Armijo)."""
         potential = s.energy - s.load * jnp.sum(self.f_ext * s.u)
         work = jnp.sum(jnp.abs(self.f_ext * s.u))
 
-        def trial(alpha):
-            u = s.u + alpha * d
-            energy, scale, force, det = self.evaluate(u)
+        def test(alpha, u, energy, scale, force):
             new = energy - s.load * jnp.sum(self.f_ext * u)
             armijo = new <= potential + 1e-4 * alpha * slope
             # Near the solution Pi changes by less than its own rounding, and the slope
@@ -199,8 +201,45 @@ class _Equilibrium:
             flat = (slope_new <= 0.8 * jnp.abs(slope)) & (
                 new <= potential + 1e-6 * (scale + s.energy_scale + work)
             )
+            return armijo | flat
+
+        return test
+
+    def lower_residual(self, s: NewtonState, unbalanced_before: Float[Array, ""]):
+        """Test of a trial step: whether the residual has gone down enough.
+
+        Below the larger of the last two, which a Newton direction always can (Grippo,
+        Lampariello and Lucidi, SIAM J. Numer. Anal. 23, 1986), and the first step of a
+        load step is free: a rotation that the step completes only to first order
+        stretches a slender body, so its residual rises by orders of magnitude and
+        falls again one step later. Monotone descent creeps already under own weight.
+        """
+        norm = jnp.linalg.norm
+        now = norm(self.unbalanced(s.force, s.load))
+        reference = jnp.maximum(unbalanced_before, now)
+
+        def test(alpha, u, energy, scale, force):
+            del u, energy, scale
+            new = norm(self.unbalanced(force, s.load))
+            return new <= (1.0 - 1e-4 * alpha) * reference
+
+        return test
+
+    def line_search(self, s: NewtonState, d, lower, moving):
+        """Backtrack until the step passes the test `lower` and all is finite.
+
+        Full steps are taken first, downhill or not: the first step of a large rotation
+        always raises Pi, and of a nearly incompressible body by orders of magnitude; a
+        strict search then creeps. They are only trusted
+        when they end in a stable state; see `step`.
+        """
+
+        def trial(alpha):
+            u = s.u + alpha * d
+            energy, scale, force, det = self.evaluate(u)
+            enough = lower(alpha, u, energy, scale, force)
             finite = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force))
-            good = (armijo | flat | moving | ~self.strict(s)) & finite
+            good = (enough | moving | ~self.strict(s)) & finite
             return u, energy, scale, force, det, good
 
         def keep_trying(carry):
@@ -220,8 +259,13 @@ class _Equilibrium:
         moving = jnp.any(du_held != 0.0)
         solved, d, stiffness = self.direction(s, du_held)
         slope = jnp.sum(self.unbalanced(s.force, s.load) * d)
-        downhill = moving | (slope <= 0.0) | ~self.strict(s)
-        u, energy, scale, force, det, good = self.line_search(s, d, slope, moving)
+        if s.unbalanced_before is None:  # a potential exists
+            downhill = moving | (slope <= 0.0) | ~self.strict(s)
+            lower = self.lower_potential(s, d, slope)
+        else:  # a Newton step always points down the residual
+            downhill = jnp.ones((), bool)
+            lower = self.lower_residual(s, s.unbalanced_before)
+        u, energy, scale, force, det, good = self.line_search(s, d, lower, moving)
         good = good & solved.ok & downhill
         residual = self.relative_residual(force, s.load, stiffness)
         residual = jnp.where(good, residual, jnp.inf)
@@ -236,19 +280,29 @@ class _Equilibrium:
             force=force,
             energy=energy,
             energy_scale=scale,
+            unbalanced_before=self.remembered(self.unbalanced(s.force, s.load)),
             residual=residual,
             min_det_F=det,
             theta=self.dilatation(s, s.u, u - s.u),
         )
         converged = residual <= self.settings.rtol
-        # Full steps may have jumped to a saddle; load stepping finds the stable path.
-        astray = converged & (s.n_negative > 0) & ~self.strict(s)
+        astray = converged & self.suspicious(s, det)
         good, converged = good & ~astray, converged & ~astray
         out_of_steps = s.step_in_load >= self.settings.max_steps_per_load
         failed = ~good | (~converged & out_of_steps)
         s = _select(good, moved, s)
         s = _select(converged, self.next_load(s), s)
         return jax.lax.cond(failed, self.back, lambda s: s, s)
+
+    def suspicious(self, s: NewtonState, det):
+        """Whether full steps may have jumped; load stepping then finds the path.
+
+        To a saddle, where negative eigenvalues show it; without a potential, inverted
+        tets are the only sign.
+        """
+        if self.model.conservative:
+            return (s.n_negative > 0) & ~self.strict(s)
+        return (det <= 0.0) & (s.increment >= self.settings.strict_below)
 
     def next_load(self, s: NewtonState) -> NewtonState:
         """Keep an equilibrium; raise the load, or finish."""
@@ -261,6 +315,7 @@ class _Equilibrium:
             load_ok=s.load,
             load=jnp.minimum(s.load + increment, 1.0),
             increment=increment,
+            unbalanced_before=self.remembered(jnp.inf),
             step_in_load=jnp.zeros_like(s.step),
             load_steps=s.load_steps + 1,
             result=RESULTS.where(finished, outcome, s.result),
@@ -284,6 +339,7 @@ class _Equilibrium:
             energy_scale=scale,
             load=s.load_ok + increment,
             increment=increment,
+            unbalanced_before=self.remembered(jnp.inf),
             step_in_load=jnp.zeros_like(s.step),
             result=RESULTS.where(give_up, why, s.result),
             done=give_up,
@@ -310,6 +366,7 @@ class _Equilibrium:
             step=count,
             step_in_load=count,
             load_steps=count,
+            unbalanced_before=self.remembered(jnp.inf),
             residual=jnp.full_like(zero, jnp.inf),
             min_det_F=keep(det, one),
             n_negative=count,
@@ -333,7 +390,7 @@ def newton(
     """
     f_ext = external_force(model, configuration)
     fixed, imposed = map(jnp.asarray, (configuration.fixed, configuration.imposed))
-    body = _Equilibrium(model, fixed, imposed, f_ext, settings)
+    body = EquilibriumProblem(model, fixed, imposed, f_ext, settings)
     keep_going = lambda s: ~s.done & (s.step < settings.max_steps)
     return jax.lax.while_loop(keep_going, body.step, body.start(u0))
 

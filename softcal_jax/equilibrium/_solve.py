@@ -1,5 +1,7 @@
 """Static equilibrium of a configuration, differentiable and batched."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,10 +16,11 @@ from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import (
     NewtonSettings,
+    NewtonState,
     external_force,
     mask_supports,
     newton,
-    symmetric_product,
+    product,
 )
 
 
@@ -34,7 +37,8 @@ class EquilibriumSolution(eqx.Module):
             and reaction [-].
         min_det_F: Smallest det F over all quadrature points [-].
         n_negative: Negative eigenvalues of the last tangent, 0 for a stable state;
-            -1 where the linear solver cannot count them.
+            -1 where nobody can tell: the linear solver does not count them, or the
+            model is not conservative.
     """
 
     displacement: Float[Array, "*batch n_nodes 3"]
@@ -68,6 +72,8 @@ def factor_solve(
     configuration: ConfigurationArrays,
     u: Float[Array, "n_nodes 3"],
     rhs: Float[Array, "n_rhs n_nodes 3"],
+    *,
+    transpose: bool = False,
 ) -> LinearSolution:
     """Solve K(u) dx = rhs on the free nodes, one factorization for all rows.
 
@@ -76,6 +82,7 @@ def factor_solve(
         configuration: Its supports decide which rows are held.
         u: Displacement where K is taken [m].
         rhs: Right-hand sides; entries on held nodes are ignored [N].
+        transpose: Solve with K^T, which is K only for a conservative model.
 
     Returns:
         The solutions, zero on held nodes [m].
@@ -85,28 +92,32 @@ def factor_solve(
     values = tangent_values(model, u)
     masked, _ = mask_supports(sparsity, values, fixed)
     flat = jnp.where(fixed, 0.0, rhs.reshape(rhs.shape[0], -1))
-    solved = model.solver.factor_solve(masked, flat)
+    solved = model.solver.factor_solve(masked, flat, transpose=transpose)
     return solved._replace(x=solved.x.reshape(rhs.shape))
 
 
 def _lane(settings: NewtonSettings):
     @lane_by_lane
     def lane(model, configuration, u0):
-        state = newton(model, configuration, u0, settings)
-        carried = state.done & (state.load_ok >= 1.0)
-        return EquilibriumSolution(
-            # Where there is no equilibrium, no displacement may pass for one.
-            jnp.where(carried, state.u, jnp.nan),
-            state.result,
-            state.step,
-            state.load_steps,
-            state.load_ok,
-            state.residual,
-            state.min_det_F,
-            state.n_negative,
-        )
+        return as_solution(newton(model, configuration, u0, settings))
 
     return lane
+
+
+def as_solution(state: NewtonState) -> EquilibriumSolution:
+    """What the end of Newton's loop means for a user."""
+    carried = state.done & (state.load_ok >= 1.0)
+    return EquilibriumSolution(
+        # Where there is no equilibrium, no displacement may pass for one.
+        jnp.where(carried, state.u, jnp.nan),
+        state.result,
+        state.step,
+        state.load_steps,
+        state.load_ok,
+        state.residual,
+        state.min_det_F,
+        state.n_negative,
+    )
 
 
 @eqx.filter_custom_jvp
@@ -133,17 +144,17 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     values = tangent_values(model, u)
     masked, _ = mask_supports(sparsity, values, fixed.ravel())
 
-    def solve(_, b):
-        solved = model.solver.factor_solve(masked, b[None])
+    def solve(_, b, transpose=False):
+        solved = model.solver.factor_solve(masked, b[None], transpose=transpose)
         # A derivative that does not exist must not pass for zero.
         return jnp.where(solved.ok, solved.x[0], jnp.nan)
 
     du = jax.lax.custom_linear_solve(
-        lambda v: symmetric_product(sparsity, masked, v),
+        lambda v: product(sparsity, masked, v),
         jnp.where(fixed, 0.0, -dR).ravel(),
         solve,
-        transpose_solve=solve,
-        symmetric=True,
+        transpose_solve=partial(solve, transpose=True),
+        symmetric=model.conservative,
     )
     none = jax.tree.map(lambda _: None, solution)
     du = jnp.where(fixed, du_held, du.reshape(u.shape))

@@ -9,11 +9,14 @@ from softcal_jax.sensitivity._derivative_check import (
     DerivativeCheck,
     check_parameter_derivatives,
 )
+from softcal_jax.sensitivity._response import Response, equilibrium_response
 
 __all__ = [
     "Compliance",
     "DerivativeCheck",
+    "Response",
     "check_parameter_derivatives",
+    "equilibrium_response",
     "parameter_compliance",
     "parameter_forces",
 ]

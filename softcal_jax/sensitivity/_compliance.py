@@ -86,6 +86,8 @@ def parameter_compliance(
 ) -> Compliance:
     """W_ep = H_e K^-1 H_p^T at an equilibrium, by one factorization; paper Eq. (9).
 
+    The adjoint rows are K^-T H_e^T, where K^T is not K without a potential.
+
     Args:
         model: The body with the parameters of `z` applied.
         configuration: One configuration with its effectors.
@@ -109,6 +111,6 @@ def parameter_compliance(
     _, pull_back = jax.vjp(effectors.positions, u)
     unit = jnp.eye(n_e).reshape(n_e, *effectors.measured.shape)
     (rows,) = jax.vmap(pull_back)(unit)
-    solved = factor_solve(model, configuration, u, rows)
+    solved = factor_solve(model, configuration, u, rows, transpose=True)
     W = jnp.sum(solved.x[:, None] * forces[None], axis=(2, 3))
     return Compliance(jnp.asarray(W), None, solved.ok)

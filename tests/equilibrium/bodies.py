@@ -54,9 +54,9 @@ _values = jax.jit(tangent_values)
 def stiffness(model: Model, u) -> np.ndarray:
     """The assembled tangent as a dense matrix, both triangles."""
     sparsity = model.solver.sparsity
-    upper = np.zeros((model.n_dof, model.n_dof))
-    upper[sparsity.rows, sparsity.indices] = _values(model, u)
-    return upper + np.triu(upper, 1).T
+    kept = np.zeros((model.n_dof, model.n_dof))
+    kept[sparsity.rows, sparsity.indices] = _values(model, u)
+    return kept + np.triu(kept, 1).T if sparsity.symmetric else kept
 
 
 # A beam of corotational quadratic tets that most tests of this folder share: one shape,

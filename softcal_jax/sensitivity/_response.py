@@ -1,0 +1,101 @@
+"""Equilibria and their compliances together, for the outer loop of a calibration."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    continue_equilibrium,
+    lane_by_lane,
+)
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.sensitivity._compliance import parameter_forces
+
+FEW_PARAMETERS = 12
+"""Up to here the direct side is taken even where the adjoint one needs fewer solves.
+
+It also tells dx/dp, from which the next equilibria start; on one factor, a dozen
+right-hand sides cost about as much as a factorization.
+"""
+
+
+class Response(NamedTuple):
+    """Equilibrium of one configuration, and how its effectors follow the parameters.
+
+    Attributes:
+        equilibrium: The equilibrium.
+        W_ep: Change of each effector coordinate per unit of lambda_p [m].
+        displacement: dx/dz by rows [m]; None from the adjoint side.
+        ok: False if there is no equilibrium or no tangent; W_ep is then zero.
+    """
+
+    equilibrium: EquilibriumSolution
+    W_ep: Float[Array, "*batch n_e n_p"]
+    displacement: Float[Array, "*batch n_p n_nodes 3"] | None
+    ok: Bool[Array, "*batch"]
+
+
+def equilibrium_response(
+    model: Model,
+    configuration: ConfigurationArrays,
+    guess: Float[Array, "n_nodes 3"],
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    *,
+    newton: NewtonSettings,
+    rtol: float,
+) -> Response:
+    """Equilibrium near a guess and W_ep = H_e K^-1 H_p^T there, paper Eq. (9).
+
+    What `solve_equilibrium` and `parameter_compliance` give one after the other, with
+    one factorization less: W_ep is solved for on the factor of the last Newton step.
+
+    Args:
+        model: The body with the parameters of `z` applied.
+        configuration: One configuration with its effectors; `vmap` runs the
+            configurations one after the other, each to its own end.
+        guess: Displacement close to the equilibrium [m].
+        space: The parameters.
+        z: Their scaled values [-].
+        newton: Settings of Newton's method where the guess is not good.
+        rtol: Relative residual at which the quick Newton steps stop [-].
+
+    Returns:
+        Equilibrium and compliance, effector coordinates in the order marker, axis.
+    """
+
+    @lane_by_lane
+    def lane(model, configuration, guess, space, z):
+        effectors = configuration.effectors
+        n_e, n_p = effectors.measured.size, z.shape[0]
+        if n_p <= max(n_e, FEW_PARAMETERS):
+            forces = lambda u: parameter_forces(model, configuration, u, space, z)
+            done = continue_equilibrium(
+                model, configuration, guess, forces, settings=newton, rtol=rtol
+            )
+            W = jax.vmap(effectors.positions)(done.x).reshape(n_p, n_e).T
+            return Response(done.equilibrium, W, done.x, done.ok)
+        _, pull_back = jax.vjp(effectors.positions, guess)
+        unit = jnp.eye(n_e).reshape(n_e, *effectors.measured.shape)
+        (rows,) = jax.vmap(pull_back)(unit)
+        done = continue_equilibrium(
+            model,
+            configuration,
+            guess,
+            lambda u: rows,
+            settings=newton,
+            rtol=rtol,
+            transpose=True,
+        )
+        u = done.equilibrium.displacement
+        H_p = parameter_forces(model, configuration, u, space, z)
+        W = jnp.sum(done.x[:, None] * H_p[None], axis=(2, 3))
+        return Response(done.equilibrium, jnp.asarray(W), None, done.ok)
+
+    return lane(model, configuration, guess, space, z)

@@ -1,0 +1,149 @@
+"""Sensitivities to the values at control points, mixed in every way."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.configurations import Configuration, Markers, configuration_arrays
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    build_model,
+    marker_positions,
+    solve_equilibrium,
+)
+from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
+from softcal_jax.materials import Corotational, Fibre, TransverseIsotropic
+from softcal_jax.mesh import beam
+from softcal_jax.sensitivity import check_parameter_derivatives, parameter_compliance
+
+# Equilibria to rounding, so that differences show their own error.
+TIGHT = NewtonSettings(rtol=1e-12)
+SIZE = (0.06, 0.02, 0.02)
+ENDS = ControlPoints({"root": (0.0, 0.01, 0.01), "tip": (0.06, 0.01, 0.01)})
+STARTS = {
+    # Field: values at the two control points, bounds, scale.
+    "E_t": ((9e4, 6e4), 1e4, 1e6, "log"),
+    "E_l": ((3e4, 2e4), 1e4, 1e6, "log"),
+    "mu_l": ((2e4, 1e4), 1e3, 1e6, "log"),
+    "nu_tl": ((0.2, 0.3), 0.0, 0.45, "linear"),
+    "theta": ((0.35, -0.9), -np.pi / 2, np.pi / 2, "linear"),
+    "phi": ((0.2, -0.4), -np.pi / 2, np.pi / 2, "linear"),
+}
+NAMES = [f"{field} of {end}" for field in STARTS for end in ("root", "tip")]
+
+
+MIXING = {"theta": "director", "mu_l": "log"}  # the others, phi with them: linear
+
+
+@pytest.fixture(scope="module")
+def space():
+    """Six fields of the full set with two values each; S = 1 for ratio and angle."""
+    return ParameterSpace(
+        tuple(
+            ControlPointParameters(
+                field,
+                ENDS,
+                start=np.array(values),
+                lower=lower,
+                upper=upper,
+                scale=scale,
+                S=1.0 if scale == "linear" else None,
+                interpolation=MIXING.get(field, "linear"),
+                # One field at the points of a tet, so that both ways are seen.
+                sampling="quadrature" if field == "E_t" else "centroids",
+            )
+            for field, (values, lower, upper, scale) in STARTS.items()
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def body():
+    """A soft anisotropic beam that sags visibly, and a marker on its free end."""
+    mesh = beam(*SIZE, (2, 1, 1), order=2)
+    fibre = Fibre(0.0, plane="xy")
+    law = Corotational(TransverseIsotropic(6e4, 3e4, 0.3, 0.2, 2e4, fibre))
+    model = build_model(mesh, law, density=1000.0)
+    markers = Markers(("tip", "side"), [[0.06, 0.01, 0.01], [0.04, 0.02, 0.005]])
+    configuration = Configuration(
+        "down", "x_min", (0.0, -9.81, 4.0), markers=markers, measured=markers.positions
+    )
+    lanes = configuration_arrays(mesh, [configuration])
+    return model, jax.tree.map(lambda leaf: leaf[0], lanes)
+
+
+@jax.jit
+def solved(z, space, model, lane):
+    """Displacements at several z, and the markers there."""
+
+    def one(z):
+        changed = space.apply(model, z)
+        solution = solve_equilibrium(changed, lane, settings=TIGHT)
+        return solution.displacement, marker_positions(changed, lane, solution).ravel()
+
+    return jax.lax.map(one, z)
+
+
+@jax.jit
+def compliances(z, space, model, lane, u):
+    changed = space.apply(model, z)
+    one = lambda method, derivative: parameter_compliance(
+        changed, lane, u, space, z, method=method, derivative=derivative
+    )
+    return [
+        one(method, derivative).W_ep
+        for method, derivative in [
+            ("direct", "autodiff"),
+            ("adjoint", "autodiff"),
+            ("direct", "finite-difference"),
+        ]
+    ]
+
+
+@pytest.fixture(scope="module")
+def at_start(body, space):
+    model, lane = body
+    z = space.start()
+    u = solved(z[None], space, model, lane)[0][0]
+    return z, u, [np.asarray(W) for W in compliances(z, space, model, lane, u)]
+
+
+def test_names(space):
+    assert space.names == NAMES
+
+
+def test_forces_by_autodiff_meet_differences_at_second_order(body, space, at_start):
+    model, lane = body
+    z, u, _ = at_start
+    check = check_parameter_derivatives(
+        model, lane, u, space, z, steps=(3e-2, 1e-2, 3e-3)
+    )
+    np.testing.assert_allclose(check.orders, 2.0, atol=0.02)
+    assert np.all(check.errors[-1] < 1e-4)
+
+
+def test_direct_adjoint_and_finite_difference_sides_agree(at_start):
+    _, _, (direct, adjoint, difference) = at_start
+    scale = np.abs(direct).max(axis=0)
+    assert np.all(scale > 1e-5)  # metres: no parameter is without effect
+    # The rounding of one solve; the rounding of a difference with a step of 6e-6.
+    np.testing.assert_allclose(adjoint / scale, direct / scale, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(difference / scale, direct / scale, rtol=0, atol=1e-7)
+
+
+def test_marker_positions_meet_differences_of_the_equilibrium(body, space, at_start):
+    """W_ep against the solver itself, column by column, at second order."""
+    model, lane = body
+    z, _, (W, *_) = at_start
+    error = []
+    for h in (2e-2, 1e-2):
+        moves = h * jnp.eye(len(NAMES))
+        around = jnp.concatenate([z[None] + moves, z[None] - moves])
+        x = np.asarray(solved(around, space, model, lane)[1])
+        difference = (x[: len(NAMES)] - x[len(NAMES) :]) / (2.0 * h)
+        error.append(np.linalg.norm(difference - W.T, axis=1))
+    size = np.linalg.norm(W, axis=0)
+    assert np.all(error[1] < 1e-3 * size)
+    assert np.all(error[1] > 1e-9 * size)  # above the rounding of the solves
+    np.testing.assert_allclose(error[0] / error[1], 4.0, rtol=0.02)
