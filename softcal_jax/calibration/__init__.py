@@ -21,6 +21,13 @@ from softcal_jax.calibration._result import (
     HistoryEntry,
     ParameterEstimate,
 )
+from softcal_jax.calibration._runs import Run, run_starts
+from softcal_jax.calibration._starts import (
+    MultiStartResult,
+    Optimum,
+    multi_start,
+    random_starts,
+)
 from softcal_jax.calibration._step import (
     CalibrationSettings,
     CalibrationState,
@@ -29,6 +36,7 @@ from softcal_jax.calibration._step import (
     initial_state,
     propose,
 )
+from softcal_jax.calibration._synthetic import synthetic_measurements, with_measured
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 
 __all__ = [
@@ -41,8 +49,11 @@ __all__ = [
     "ConfigurationFit",
     "Evaluation",
     "HistoryEntry",
+    "MultiStartResult",
+    "Optimum",
     "ParameterEstimate",
     "QPStep",
+    "Run",
     "Uncertainty",
     "at_rest",
     "bounded_step",
@@ -54,7 +65,12 @@ __all__ = [
     "fit_notes",
     "initial_state",
     "levenberg_marquardt",
+    "multi_start",
     "propose",
+    "random_starts",
+    "run_starts",
     "simulate",
+    "synthetic_measurements",
     "uncertainty",
+    "with_measured",
 ]

@@ -1,6 +1,8 @@
 """The calibration loop: from configurations and measurements to parameters."""
 
+import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -9,17 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._checkpoint import Journal, resumed_state
 from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._notes import (
     fit_notes,
     mesh_notes,
     misfit_notes,
+    order_notes,
     uncertainty_notes,
     warn_if_locking,
     warn_if_too_few_data,
 )
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
+    Evaluation,
     at_rest,
     evaluate,
     simulate,
@@ -29,6 +34,11 @@ from softcal_jax.calibration._result import (
     HistoryEntry,
     configuration_fits,
     parameter_estimates,
+)
+from softcal_jax.calibration._starts import (
+    MultiStartResult,
+    multi_start,
+    random_starts,
 )
 from softcal_jax.calibration._step import (
     CalibrationSettings,
@@ -102,6 +112,9 @@ def calibrate(
     noise: Literal["estimated", "stated"] = "estimated",
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.
@@ -119,19 +132,27 @@ def calibrate(
             takes their ratios and finds the level from the residuals.
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
+        starts: From how many starts the optimum is looked for: that of the parameters,
+            and random ones in the whole bounds; see `multi_start`. The fit then goes on
+            from the best.
+        seed: Seed of the random starts.
+        checkpoint: File in which the state is kept after every step. If it is there,
+            the calibration goes on from it.
         progress: Called after the first evaluation and after each step.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished.
 
     Raises:
-        ValueError: If an input is wrong.
+        ValueError: If an input is wrong, or the checkpoint is of another calibration.
         RuntimeError: If a fitted configuration has no equilibrium at the start; the
             text names it. Later failures only shorten the step, and a held-out
             configuration without equilibrium is left out with a note.
     """
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
+    if starts < 1:
+        raise ValueError(f"starts must be at least 1, got {starts}.")
     settings = settings or CalibrationSettings()
     configurations = _as_sequence(configurations)
     validation = _as_sequence(validation)
@@ -140,33 +161,22 @@ def calibrate(
     held_out = (
         build_problem(model, parameters, validation, newton) if validation else None
     )
-    names = [c.name for c in (*configurations, *validation)]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"configuration {name!r} is named more than once.")
+    _check_names(configurations, validation)
     warn_if_too_few_data(problem)
 
+    journal = Journal(problem, settings, checkpoint, progress)
     with Clock() as clock:
-
-        def note(state):
-            history.append(_entry(state, problem, clock.elapsed()))
-            if progress:
-                progress(history[-1])
-
-        history: list[HistoryEntry] = []
-        start = problem.space.start()
+        start = problem.space.admissible(problem.space.start())
         before = _evaluate(problem, start, at_rest(problem))
-        names = tuple(c.name for c in configurations)
-        check_converged(before.equilibrium, names)
-        state = initial_state(settings, start, before)
-        note(state)
+        check_converged(before.equilibrium, tuple(c.name for c in configurations))
+        state, search = _begin(problem, settings, start, before, journal, starts, seed)
         while not (state.converged or state.stalled) and (
-            len(history) <= settings.max_steps
+            len(journal.history) <= settings.max_steps
         ):
             proposal = _propose(problem, state)
             tried = _evaluate(problem, proposal.z, proposal.guess)
             state = _decide(problem, settings, state, proposal, tried)
-            note(state)
+            journal.note(state)
         after = state.evaluation
         fits = configuration_fits(
             configurations,
@@ -180,7 +190,39 @@ def calibrate(
             predicted, missing = _predict(held_out, validation, state.z)
             fits += predicted
     notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
-    return _result(problem, noise, settings, state, history, fits, notes, clock)
+    result = _result(problem, noise, settings, state, journal.history, fits, notes)
+    return replace(result, starts=search, timing_s=clock.seconds)
+
+
+def _begin(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    start: Float[Array, " n_p"],
+    before: Evaluation,
+    journal: Journal,
+    starts: int,
+    seed: int,
+) -> tuple[CalibrationState, MultiStartResult | None]:
+    """Where the loop begins: at a checkpoint, at the best of many starts, or at one."""
+    saved = journal.load()
+    if saved is not None:
+        z = jnp.asarray(saved.arrays["z"])
+        there = _evaluate(problem, z, jnp.asarray(saved.arrays["displacement"]))
+        return resumed_state(initial_state(settings, z, there), saved), None
+    state = initial_state(settings, start, before)
+    journal.note(state)
+    if starts == 1:
+        return state, None
+    search = multi_start(problem, _all_starts(start, problem, starts, seed))
+    z = jnp.asarray(search.z[search.best])
+    there = _evaluate(problem, z, at_rest(problem))
+    return initial_state(settings, z, there), search
+
+
+def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):
+    """The user's start and n - 1 random ones."""
+    others = random_starts(problem.space, n - 1, seed=seed)
+    return jnp.concatenate([start[None], others])
 
 
 def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
@@ -207,12 +249,9 @@ def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
     return fits, tuple(notes)
 
 
-def _result(
-    problem, noise, settings, state, history, fits, notes, clock
-) -> CalibrationResult:
-    z = np.asarray(state.z)
-    lower, upper = np.asarray(problem.space.lower()), np.asarray(problem.space.upper())
-    at_bound = (z - lower <= 1e-9) | (upper - z <= 1e-9)
+def _result(problem, noise, settings, state, history, fits, notes) -> CalibrationResult:
+    down, up = map(np.asarray, problem.space.room(state.z))
+    at_bound = (down >= -1e-9) | (up <= 1e-9)
     n_measured = int(np.sum(problem.configurations.effectors.inverse_std > 0))
     spread = uncertainty(
         np.asarray(state.evaluation.W_ep),
@@ -227,39 +266,30 @@ def _result(
         uncertainty=spread,
         configurations=fits,
         history=tuple(history),
+        space=problem.space,
         model=problem.space.apply(problem.model, state.z),
         z=state.z,
         W_ep=np.asarray(state.evaluation.W_ep),
         settings=settings,
         newton=problem.newton,
-        timing_s=clock.seconds,
-        notes=(*notes, *uncertainty_notes(problem, spread), *mesh_notes(problem)),
+        timing_s={},
+        notes=(
+            *notes,
+            *order_notes(problem.space, state.z),
+            *uncertainty_notes(problem, spread),
+            *mesh_notes(problem),
+        ),
     )
+
+
+def _check_names(configurations, validation) -> None:
+    names = [c.name for c in (*configurations, *validation)]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"configuration {name!r} is named more than once.")
 
 
 def _as_sequence(configurations) -> tuple[Configuration, ...]:
     if isinstance(configurations, Configuration):
         return (configurations,)
     return tuple(configurations)
-
-
-def _entry(
-    state: CalibrationState, problem: CalibrationProblem, seconds: float
-) -> HistoryEntry:
-    evaluation = state.evaluation
-    weight = problem.configurations.effectors.inverse_std
-    squares = jnp.sum(jnp.where(weight > 0, evaluation.delta_e, 0.0) ** 2)
-    markers = max(int(jnp.sum(jnp.any(weight > 0, axis=-1))), 1)
-    p = problem.space.from_scaled(state.z)
-    return HistoryEntry(
-        step=int(state.step),
-        cost=float(evaluation.cost),
-        rms=float(jnp.sqrt(squares / markers)),
-        lambda_p=tuple(float(v) for v in state.lambda_p),
-        step_bound=float(state.step_bound),
-        accepted=bool(state.accepted),
-        kkt_residual=float(state.kkt_residual),
-        newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
-        values={n: float(v) for n, v in zip(problem.space.names, p, strict=True)},
-        seconds=seconds,
-    )

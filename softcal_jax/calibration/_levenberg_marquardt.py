@@ -53,5 +53,6 @@ def levenberg_marquardt(
         throw=False,
     )
     z = solution.value
-    inside = jnp.all((z >= problem.space.lower()) & (z <= problem.space.upper()))
+    down, up = problem.space.room(z)
+    inside = jnp.all((down <= 0.0) & (up >= 0.0))
     return z, bool(inside & (solution.result == optx.RESULTS.successful))

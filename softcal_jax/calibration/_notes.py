@@ -7,12 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri
 
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import ConfigurationFit
 from softcal_jax.calibration._step import CalibrationSettings, CalibrationState
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace
+
+EQUAL = 1e-6
+"""Difference of scaled parameters that counts as none [-]."""
 
 
 class CalibrationWarning(UserWarning):
@@ -70,6 +74,25 @@ def mesh_notes(problem: CalibrationProblem) -> list[str]:
         "Linear tets lock in bending: the calibrated moduli are effective numbers of "
         "this mesh, not properties of the material. Use quadratic tets (to_quadratic) "
         "to compare with data sheets."
+    ]
+
+
+def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
+    """Moduli that ended equal, with nothing but their order in between."""
+    A, b = space.order_rows()
+    held = list(np.asarray(A @ z - b) >= -EQUAL)
+    pairs = space.order_names()
+    chart = space.chart
+    if chart is not None:
+        for small, large in zip(chart.small, chart.large, strict=True):
+            pairs.append((space.names[small], space.names[large]))
+            held.append(bool(z[large] - z[small] <= EQUAL))
+    return [
+        f"{small} ended equal to {large}, held by their order: the body is isotropic "
+        "there, and the angle of its axis has no effect. Without `axes` this can be a "
+        "trap with the axis a quarter turn wrong: calibrate from several starts."
+        for (small, large), equal in zip(pairs, held, strict=True)
+        if equal
     ]
 
 

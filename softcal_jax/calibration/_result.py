@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax.calibration._starts import MultiStartResult
 from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.configurations import Configuration
@@ -147,6 +148,7 @@ class CalibrationResult(eqx.Module):
         uncertainty: Their covariance and what it rests on.
         configurations: Fits, then predictions.
         history: One entry per step.
+        space: The parameters, with start and bounds.
         model: The model with the calibrated parameters.
         z: Scaled parameters [-].
         W_ep: Stacked compliances in noise units, for identifiability [-].
@@ -154,6 +156,7 @@ class CalibrationResult(eqx.Module):
         newton: Settings of the equilibrium.
         timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
         notes: What the user should know before using the numbers.
+        starts: Where runs from many starts ended, if there were any.
     """
 
     converged: bool
@@ -161,6 +164,7 @@ class CalibrationResult(eqx.Module):
     uncertainty: Uncertainty
     configurations: tuple[ConfigurationFit, ...]
     history: tuple[HistoryEntry, ...]
+    space: ParameterSpace
     model: Model
     z: Float[Array, " n_p"]
     W_ep: Float[HostArray, "n_e n_p"]
@@ -168,6 +172,7 @@ class CalibrationResult(eqx.Module):
     newton: NewtonSettings
     timing_s: dict[str, float]
     notes: tuple[str, ...]
+    starts: MultiStartResult | None = None
 
     def __str__(self) -> str:
         """The parameters, the fits and the notes, in a few lines."""

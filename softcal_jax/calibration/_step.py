@@ -8,11 +8,11 @@ was wrong, grows when it was right, and a step that makes the fit worse is not t
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation, evaluate
 from softcal_jax.calibration._qp import QPStep, bounded_step
-from softcal_jax.fields import ParameterSpace
 
 KKT_TOLERANCE = 1e-6
 """Largest optimality residual with which a vanishing QP step is believed [-]."""
@@ -20,6 +20,16 @@ KKT_TOLERANCE = 1e-6
 
 FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
+
+
+MEMORY = 5
+"""Steps over which the cost must have fallen, not at each of them.
+
+The data often leave a narrow, curved valley. A Gauss-Newton step along it climbs its
+wall a little, and the next one comes back to its floor further down; a step that must
+lower the cost itself can only creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
+Anal. 23, 1986).
+"""
 
 
 class CalibrationSettings(eqx.Module):
@@ -30,13 +40,16 @@ class CalibrationSettings(eqx.Module):
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
+        max_step_bound: Largest bound that it may grow to; beyond a factor of two the
+            linear model says little, and equilibria are far to find [-].
         adapt: Adapt the bound and refuse steps that make the fit worse; without, every
             QP step is taken with the same bound, as in the paper.
     """
 
     tol: float = eqx.field(static=True, default=1e-6)
     max_steps: int = eqx.field(static=True, default=50)
-    step_bound: float = eqx.field(static=True, default=1.0)
+    step_bound: float = eqx.field(static=True, default=0.3)
+    max_step_bound: float = eqx.field(static=True, default=0.5)
     adapt: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
@@ -46,6 +59,10 @@ class CalibrationSettings(eqx.Module):
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
         if not self.step_bound > 0.0:
             raise ValueError(f"step_bound must be positive, got {self.step_bound}.")
+        if not self.max_step_bound > 0.0:
+            raise ValueError(
+                f"max_step_bound must be positive, got {self.max_step_bound}."
+            )
 
 
 class CalibrationState(eqx.Module):
@@ -54,6 +71,7 @@ class CalibrationState(eqx.Module):
     Attributes:
         z: Scaled parameters [-].
         evaluation: Equilibria, errors and compliances at `z`.
+        recent_costs: Costs of the last steps that were kept, the last one first [-].
         step_bound: Bound on the next step [-].
         lambda_p: Last QP step, kept or not [-].
         kkt_residual: Its optimality residual [-].
@@ -65,6 +83,7 @@ class CalibrationState(eqx.Module):
 
     z: Float[Array, " n_p"]
     evaluation: Evaluation
+    recent_costs: Float[Array, " memory"]
     step_bound: Float[Array, ""]
     lambda_p: Float[Array, " n_p"]
     kkt_residual: Float[Array, ""]
@@ -81,11 +100,13 @@ class Proposal(eqx.Module):
         qp: The step and its check.
         z: Parameters after it [-].
         guess: Displacements after it, to first order [m].
+        cost: Cost after it, by the linear model [-].
     """
 
     qp: QPStep
     z: Float[Array, " n_p"]
     guess: Float[Array, "n_c n_nodes 3"]
+    cost: Float[Array, ""]
 
 
 def initial_state(
@@ -95,6 +116,7 @@ def initial_state(
     return CalibrationState(
         z,
         evaluation,
+        jnp.full((MEMORY,), -jnp.inf, z.dtype).at[0].set(evaluation.cost),
         jnp.full((), settings.step_bound, z.dtype),
         jnp.full_like(z, jnp.inf),
         jnp.zeros((), z.dtype),
@@ -107,14 +129,40 @@ def initial_state(
 
 def propose(problem: CalibrationProblem, state: CalibrationState) -> Proposal:
     """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11)."""
-    now, bound = state.evaluation, state.step_bound
-    low = jnp.maximum(problem.space.lower() - state.z, -bound)
-    high = jnp.minimum(problem.space.upper() - state.z, bound)
-    qp = bounded_step(now.W_ep, now.error, low, high)
+    now, space = state.evaluation, problem.space
+    limit = jnp.minimum(state.step_bound, space.max_step())
+    down, up = space.room(state.z)
+    low, high = jnp.maximum(down, -limit), jnp.minimum(up, limit)
+    A, b = space.order_rows()
+    b = b - A @ state.z
+    chart = space.chart
+    if chart is None:
+        qp = bounded_step(now.W_ep, now.error, low, high, A=A, b=b)
+        dz, z = qp.lambda_p, space.wrap(state.z + qp.lambda_p)
+        linear = now.W_ep @ qp.lambda_p + now.error
+    else:
+        # The QP moves tensors; the bounds of their moduli become rows.
+        tensor = chart.to_tensor(state.z)
+        J = jax.jacfwd(chart.from_tensor)(tensor)
+        moduli = np.concatenate([chart.small, chart.large])
+        free = np.concatenate([moduli, chart.angle])
+        rows = jnp.concatenate([A @ J, J[moduli], -J[moduli]])
+        W = now.W_ep @ J
+        qp = bounded_step(
+            W,
+            now.error,
+            low.at[free].set(-state.step_bound),
+            high.at[free].set(state.step_bound),
+            A=rows,
+            b=jnp.concatenate([b, up[moduli], -down[moduli]]),
+        )
+        dz, z = J @ qp.lambda_p, chart.from_tensor(tensor + qp.lambda_p)
+        z = space.admissible(z)
+        linear = W @ qp.lambda_p + now.error
     guess = now.equilibrium.displacement
     if now.tangents is not None:
-        guess = guess + jnp.einsum("p,cpni->cni", qp.lambda_p, now.tangents)
-    return Proposal(qp, state.z + qp.lambda_p, guess)
+        guess = guess + jnp.einsum("p,cpni->cni", dz, now.tangents)
+    return Proposal(qp, z, guess, 0.5 * jnp.sum(linear**2))
 
 
 def decide(
@@ -127,25 +175,35 @@ def decide(
     """Keep a proposed step if it helps, and adapt the bound on the next."""
     now, lambda_p = state.evaluation, proposal.qp.lambda_p
     bound = state.step_bound
-    linear = 0.5 * jnp.sum((now.W_ep @ lambda_p + now.error) ** 2)
-    predicted = now.cost - linear
+    predicted = now.cost - proposal.cost
     gain = (now.cost - tried.cost) / jnp.maximum(predicted, 1e-300)
+    reference = jnp.max(state.recent_costs)
+    lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
-    at_bound = size >= 0.99 * bound
+    limit = jnp.minimum(bound, problem.space.max_step())
+    at_bound = jnp.any(jnp.abs(lambda_p) >= 0.99 * limit)
     # A step is small because nothing is left to gain, not because it was held short.
     vanished = tried.ok & (size <= settings.tol) & ~at_bound
     vanished = vanished & (proposal.qp.kkt_residual <= KKT_TOLERANCE)
-    accepted = tried.ok & ((gain > 1e-4) | vanished | (not settings.adapt))
+    # Until then equilibria are left a little early.
+    accurate = jnp.all(tried.equilibrium.residual <= problem.newton.rtol)
+    vanished = vanished & accurate
+    accepted = tried.ok & (lowered | vanished | (not settings.adapt))
     if settings.adapt:
-        grown = jnp.where((gain > 0.75) & at_bound, 2.0 * bound, bound)
-        bound = jnp.where(gain > 0.25, grown, 0.25 * size)
+        most = jnp.maximum(bound, settings.max_step_bound)
+        grown = jnp.minimum(2.0 * bound, most)
+        grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
+        bound = jnp.where(accepted, grown, 0.25 * size)
     # Steps were refused until none was left: a minimum only if the slope is gone too.
     collapsed = ~vanished & (bound < settings.tol)
-    flat = _slope(now, state.z, problem.space) <= FLAT
+    # Relative fall of the cost per unit of lambda_p, within all constraints: the last
+    # QP step was so short that its model was linear.
+    flat = predicted <= FLAT * size * 2.0 * now.cost
     keep = lambda new, old: jnp.where(accepted, new, old)
     return CalibrationState(
         keep(proposal.z, state.z),
         jax.tree.map(keep, tried, now),
+        keep(jnp.roll(state.recent_costs, 1).at[0].set(tried.cost), state.recent_costs),
         bound,
         lambda_p,
         proposal.qp.kkt_residual,
@@ -154,14 +212,6 @@ def decide(
         vanished | (collapsed & flat),
         collapsed & ~flat,
     )
-
-
-def _slope(now: Evaluation, z: Float[Array, " n_p"], space: ParameterSpace):
-    """Relative fall of the cost per unit of lambda_p, within the bounds on p."""
-    gradient = now.W_ep.T @ now.error
-    step = z - jnp.clip(z - gradient, space.lower(), space.upper())
-    blocked = jnp.where(step == 0.0, 0.0, gradient)
-    return jnp.max(jnp.abs(blocked)) / jnp.maximum(2.0 * now.cost, 1e-300)
 
 
 def calibration_step(

@@ -72,8 +72,14 @@ def uncertainty(
     if len(free):
         # Columns of unit length, so that a small parameter is not a blind direction.
         size = np.maximum(np.linalg.norm(W[:, free], axis=0), 1e-300)
-        _, singular, Vt = np.linalg.svd(W[:, free] / size, full_matrices=False)
-        if len(singular) == len(free) and singular[-1] > BLIND * singular[0]:
-            inverse = Vt.T @ np.diag(singular**-2.0) @ Vt / np.outer(size, size)
-            covariance[np.ix_(free, free)] = scale**2 * inverse
+        _, singular, Vt = np.linalg.svd(W[:, free] / size)
+        singular = np.append(singular, np.zeros(len(free) - len(singular)))
+        seen = singular > BLIND * max(singular[0], 1e-300)
+        # A parameter is determined if no direction without data contains it.
+        share = np.sum(Vt[~seen] ** 2, axis=0)
+        known = free[share <= BLIND]
+        inverse = Vt[seen].T @ np.diag(singular[seen] ** -2.0) @ Vt[seen]
+        full = np.zeros_like(covariance)
+        full[np.ix_(free, free)] = scale**2 * inverse / np.outer(size, size)
+        covariance[np.ix_(known, known)] = full[np.ix_(known, known)]
     return Uncertainty(covariance, noise, scale, dof, chi_squared, at_bound)

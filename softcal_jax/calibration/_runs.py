@@ -1,0 +1,187 @@
+"""The outer loop as one traced program, from many starts in one batch."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax.calibration._problem import CalibrationProblem, at_rest, evaluate
+from softcal_jax.calibration._step import (
+    CalibrationSettings,
+    decide,
+    initial_state,
+    propose,
+)
+from softcal_jax.equilibrium import lane_by_lane
+from softcal_jax.fields import ParameterSpace
+
+NOTHING_LEFT = 1e-6
+"""Mean squared error, in noise units, below which no other optimum is looked for."""
+
+
+class Run(eqx.Module):
+    """End of the outer loop; from a batch of starts, arrays with a leading axis.
+
+    Attributes:
+        z: Scaled parameters [-].
+        cost: Half the sum of squared errors in noise units; infinite if the start has
+            no equilibrium [-].
+        steps: QP steps, those of mirrored runs included.
+        converged: Whether lambda_p vanished.
+        errors: Root of twice the cost after each step of the first run; nan after its
+            end [-].
+    """
+
+    z: Float[Array, "*starts n_p"]
+    cost: Float[Array, "*starts"]
+    steps: Int[Array, "*starts"]
+    converged: Bool[Array, "*starts"]
+    errors: Float[Array, "*starts n_steps"]
+
+
+def run_starts(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    starts: Float[Array, "n_starts n_p"],
+    *,
+    mirror: bool = True,
+) -> Run:
+    """Run the outer loop from every start: one traceable program, one `vmap`.
+
+    Args:
+        problem: The calibration.
+        settings: Settings of the outer loop.
+        starts: Scaled parameters to start from [-].
+        mirror: Whether a run that ends with an error goes on from its mirror images:
+            all material axes reflected (theta to -theta), then one after the other. A
+            body that is loaded in or across its print plane hardly tells an axis from
+            its reflection, and each has an optimum. The best is kept.
+
+    Returns:
+        How each of them ended.
+    """
+    images = _images(problem.space, mirror)
+
+    @lane_by_lane
+    def lane(problem, images, start):
+        nothing = Run(
+            start,
+            jnp.full((), jnp.inf, start.dtype),
+            jnp.zeros((), jnp.int32),
+            jnp.zeros((), bool),
+            jnp.full((settings.max_steps + 1,), jnp.nan, start.dtype),
+        )
+
+        def try_image(best, image):
+            best = jax.lax.cond(
+                _wanted(problem, best, image),
+                lambda: _better(
+                    best, _minimise(problem, settings, best.z * image.signs)
+                ),
+                lambda: best,
+            )
+            return best, None
+
+        return jax.lax.scan(try_image, nothing, images)[0]
+
+    return jax.vmap(lambda start: lane(problem, images, start))(starts)
+
+
+class _Image(NamedTuple):
+    """A further run, from the best end so far: reflected, or to finish it."""
+
+    signs: Float[Array, " n_p"]
+    reflects: Bool[Array, ""]
+    second: Bool[Array, ""]
+
+
+def _images(space: ParameterSpace, mirror: bool) -> _Image:
+    """What is tried: as it is; all axes reflected, then each; and all that again.
+
+    The second round is for runs that the step limit ended before they converged.
+    """
+    angles = [] if space.chart is None else list(space.chart.angle)
+    groups = [angles] + [[i] for i in angles] if len(angles) > 1 else [angles]
+    rounds = [[], *groups, [], *groups, []] if mirror and angles else [[]]
+    signs = np.ones((len(rounds), len(space.names)))
+    for row, group in zip(signs, rounds, strict=True):
+        row[group] = -1.0
+    reflects = np.any(signs < 0.0, axis=1)
+    second = np.arange(len(rounds)) > len(groups)
+    return _Image(jnp.asarray(signs), jnp.asarray(reflects), jnp.asarray(second))
+
+
+def _wanted(problem: CalibrationProblem, best: Run, image: _Image) -> Bool[Array, ""]:
+    measured = jnp.sum(problem.configurations.effectors.inverse_std > 0.0)
+    nothing_left = 2.0 * best.cost <= NOTHING_LEFT * measured
+    # A start without equilibrium has no end to go on from.
+    lost = jnp.isinf(best.cost) & (best.steps > 0)
+    unfinished = ~best.converged & ~lost
+    return jnp.where(
+        image.reflects,
+        ~lost & ~nothing_left & (~image.second | unfinished),
+        unfinished,
+    )
+
+
+def _minimise(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    start: Float[Array, " n_p"],
+) -> Run:
+    """The outer loop from one start, to its end.
+
+    The start is evaluated by the first pass of the loop, so that `evaluate`, most of
+    the program, is in it once.
+    """
+    z, rest = problem.space.admissible(start), at_rest(problem)
+    empty = jax.tree.map(
+        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
+        jax.eval_shape(evaluate, problem, z, rest),
+    )
+    errors = jnp.full((settings.max_steps + 1,), jnp.nan, z.dtype)
+
+    def going(carry):
+        begun, state, _ = carry
+        ended = state.converged | state.stalled | ~state.evaluation.ok
+        return ~begun | (~ended & (state.step < settings.max_steps))
+
+    def step(carry):
+        begun, state, errors = carry
+        proposal = propose(problem, state)
+        choose = lambda a, b: jnp.where(begun, a, b)
+        tried = evaluate(problem, choose(proposal.z, z), choose(proposal.guess, rest))
+        first = initial_state(settings, z, tried)
+        decided = decide(problem, settings, state, proposal, tried)
+        state = jax.tree.map(choose, decided, first)
+        error = jnp.sqrt(2.0 * state.evaluation.cost)
+        return jnp.ones((), bool), state, errors.at[state.step].set(error)
+
+    begin = (jnp.zeros((), bool), initial_state(settings, z, empty), errors)
+    _, state, errors = jax.lax.while_loop(going, step, begin)
+    return Run(
+        state.z,
+        state.evaluation.cost,
+        jnp.maximum(state.step, 1),
+        state.converged,
+        errors,
+    )
+
+
+def _better(best: Run, new: Run) -> Run:
+    """The lower of two ends, with the steps of both; the errors of the first run."""
+    # A run that is only finished may end where it was, to rounding.
+    same = new.converged & ~best.converged & (new.cost <= 1.000001 * best.cost + 1e-9)
+    lower = (new.cost < best.cost) | same
+    keep = lambda a, b: jnp.where(lower, a, b)
+    first = best.steps == 0
+    return Run(
+        keep(new.z, best.z),
+        keep(new.cost, best.cost),
+        best.steps + new.steps,
+        keep(new.converged, best.converged),
+        jnp.where(first, new.errors, best.errors),
+    )

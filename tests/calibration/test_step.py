@@ -1,0 +1,295 @@
+"""One step of the outer loop: bounds, order, the way out of a trap, acceptance."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.calibration import (
+    CalibrationSettings,
+    CalibrationWarning,
+    at_rest,
+    build_problem,
+    calibrate,
+    initial_state,
+    synthetic_measurements,
+)
+from softcal_jax.calibration._calibrate import _decide, _evaluate, _propose
+from softcal_jax.calibration._notes import warn_if_too_few_data
+from softcal_jax.calibration._step import MEMORY
+from softcal_jax.robots import anisotropic_beam
+
+CELLS = (2, 1, 1)
+# Columns: E_t, E_l and theta, at both control points each.
+E_T, E_L, THETA = slice(0, 2), slice(2, 4), slice(4, 6)
+PAPER = {"scaling": "paper", "interpolation": "linear", "tensor_steps": False}
+
+
+@pytest.fixture(scope="module")
+def tensor():
+    """Steps as tensors, as by default."""
+    return anisotropic_beam(cells=CELLS)
+
+
+@pytest.fixture(scope="module")
+def measured(tensor):
+    return synthetic_measurements(
+        tensor.model, tensor.space, tensor.configurations, tensor.target
+    )
+
+
+@pytest.fixture(scope="module")
+def problem(tensor, measured):
+    return build_problem(tensor.model, tensor.space, measured)
+
+
+@pytest.fixture(scope="module")
+def evaluation(problem):
+    z = problem.space.start()
+    return _evaluate(problem, z, at_rest(problem))
+
+
+def random_state(problem, evaluation, seed, settings=None):
+    """Any admissible parameters, any errors, any compliances."""
+    random = np.random.default_rng(seed)
+    space = problem.space
+    low, high = np.asarray(space.lower()), np.asarray(space.upper())
+    z = random.uniform(low, high)
+    z[E_T], z[E_L] = np.maximum(z[E_T], z[E_L]), np.minimum(z[E_T], z[E_L])
+    z = space.admissible(jnp.asarray(z))
+    n_e, n_p = evaluation.W_ep.shape
+    evaluation = eqx.tree_at(
+        lambda e: (e.W_ep, e.error),
+        evaluation,
+        (
+            jnp.asarray(random.normal(size=(n_e, n_p))),
+            jnp.asarray(10.0 ** random.uniform(-2, 1) * random.normal(size=n_e)),
+        ),
+    )
+    return initial_state(settings or CalibrationSettings(step_bound=1.0), z, evaluation)
+
+
+def test_tensor_step_keeps_bounds_and_order(problem, evaluation):
+    """Wherever it starts and whatever the data say; and it does use its room."""
+    low, high = problem.space.lower(), problem.space.upper()
+    on_a_bound = on_the_step_bound = 0
+    for seed in range(60):
+        state = random_state(problem, evaluation, seed)
+        proposal = _propose(problem, state)
+        z = np.asarray(proposal.z)
+        assert np.all(z >= low - 1e-12)
+        assert np.all(z <= high + 1e-12)
+        assert np.all(z[E_L] < z[E_T])
+        assert proposal.qp.kkt_residual < 1e-8
+        size = np.max(np.abs(proposal.qp.lambda_p))
+        assert size <= 1.0 + 1e-12
+        on_the_step_bound += size > 1.0 - 1e-9
+        moduli = np.r_[z[E_T] - high[E_T], z[E_L] - low[E_L]]
+        on_a_bound += np.any(np.abs(moduli) < 1e-9)
+    assert on_a_bound > 5
+    assert 5 < on_the_step_bound < 60
+
+
+def test_linear_model_of_a_tensor_step_is_that_of_the_parameters(problem, evaluation):
+    """For a short step: the same cost as with W_ep and the change of z itself."""
+    state = random_state(problem, evaluation, seed=3)
+    # The angle's derivative is that of a regular tensor, not of an isotropic one.
+    assert np.min(state.z[E_T] - state.z[E_L]) > 0.05
+    short = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5))
+    proposal = _propose(problem, short)
+    now = state.evaluation
+    change = problem.space.wrap(proposal.z) - state.z
+    linear = 0.5 * jnp.sum((now.W_ep @ change + now.error) ** 2)
+    fall = now.cost - linear
+    assert fall > 0.0
+    np.testing.assert_allclose(now.cost - proposal.cost, fall, rtol=1e-3)
+
+
+def test_guess_follows_the_tangents_of_the_parameters(problem, evaluation):
+    """A warm start to first order: u + du/dz dz, with dz from the tensor."""
+    state = initial_state(CalibrationSettings(), problem.space.start(), evaluation)
+    state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5))
+    proposal = _propose(problem, state)
+    dz = proposal.z - state.z
+    assert np.max(np.abs(dz)) > 1e-6
+    expected = jnp.einsum("p,cpni->cni", dz, evaluation.tangents)
+    moved = proposal.guess - evaluation.equilibrium.displacement
+    size = float(jnp.max(jnp.abs(expected)))
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-3 * size)
+
+
+def trapped(beam, measured):
+    """Isotropic, and both axes a quarter turn wrong."""
+    E = 600e3
+    wrong = [np.deg2rad(20.0 - 90.0), np.deg2rad(-35.0 + 90.0)]
+    starts = [jnp.full(2, E), jnp.full(2, E * (1.0 - 1e-6)), jnp.asarray(wrong)]
+    space = eqx.tree_at(lambda s: [e.start for e in s.entries], beam.space, starts)
+    return calibrate(beam.model, space, measured)
+
+
+def test_tensor_steps_find_the_way_out_of_the_trap(tensor, measured):
+    result = trapped(tensor, measured)
+    assert result.converged
+    # Down to the tolerance of lambda_p, of measurements solved to Newton's.
+    for name, value in tensor.target.items():
+        assert result.value(name) == pytest.approx(value, rel=1e-4)
+
+
+def test_without_them_the_same_start_stays_isotropic(measured):
+    """The trap: E_l = E_t hides the angle, and the order keeps it so."""
+    plain = anisotropic_beam(cells=CELLS, tensor_steps=False, ordered=True)
+    result = trapped(plain, measured)
+    for point in ("CP 1", "CP 2"):
+        ratio = result.value(f"E_l of {point}") / result.value(f"E_t of {point}")
+        assert ratio == pytest.approx(1.0, abs=1e-4)
+    # Half the sum of squares in noise units; it is zero at the target.
+    assert result.history[-1].cost > 100.0
+
+
+def untangled(evaluation):
+    """Without the tangents, for a space that they do not belong to."""
+    return eqx.tree_at(lambda e: e.tangents, evaluation, None)
+
+
+def test_paper_mode_limits_every_step(measured, evaluation):
+    """1 % of S = 1 MPa and 0.005 rad, whatever the QP would like."""
+    beam = anisotropic_beam(cells=CELLS, **PAPER)
+    paper = build_problem(beam.model, beam.space, measured)
+    settings = CalibrationSettings(adapt=False)
+    limits = np.array([1e4, 1e4, 1e4, 1e4, 0.005, 0.005])
+    longest = np.zeros(6)
+    for seed in range(30):
+        state = random_state(paper, untangled(evaluation), seed, settings)
+        proposal = _propose(paper, state)
+        moves = np.abs(paper.space.from_scaled(proposal.z - state.z)) / limits
+        assert np.all(moves <= 1.0 + 1e-9)
+        assert np.all(proposal.z[E_L] <= proposal.z[E_T] + 1e-12)
+        longest = np.maximum(longest, moves)
+        after = _decide(paper, settings, state, proposal, state.evaluation)
+        assert float(after.step_bound) == settings.step_bound
+    np.testing.assert_allclose(longest, 1.0, rtol=1e-9)
+
+
+def test_paper_mode_takes_a_step_that_makes_the_fit_worse(problem, evaluation):
+    """With the same bound on the next one; the trust region would refuse it."""
+    worse = costing(evaluation, 1e9)
+    for adapt in (False, True):
+        settings = CalibrationSettings(adapt=adapt)
+        state = random_state(problem, evaluation, 0, settings)
+        proposal = _propose(problem, state)
+        after = _decide(problem, settings, state, proposal, worse)
+        assert bool(after.accepted) is not adapt
+        if adapt:
+            size = float(jnp.max(jnp.abs(proposal.qp.lambda_p)))
+            np.testing.assert_allclose(after.step_bound, 0.25 * size, rtol=1e-12)
+            np.testing.assert_array_equal(after.z, state.z)
+        else:
+            assert float(after.step_bound) == settings.step_bound
+            np.testing.assert_array_equal(after.z, proposal.z)
+
+
+def costing(evaluation, cost):
+    """The same evaluation with another cost."""
+    error = jnp.zeros_like(evaluation.error).at[0].set(np.sqrt(2.0 * cost))
+    return eqx.tree_at(lambda e: e.error, evaluation, error)
+
+
+def after_costs(problem, evaluation, costs):
+    """State after steps that were kept, with these costs."""
+    settings = CalibrationSettings()
+    state = initial_state(
+        settings, problem.space.start(), costing(evaluation, costs[0])
+    )
+    for cost in costs[1:]:
+        state = tried(problem, state, cost)
+        assert bool(state.accepted)
+    return state
+
+
+def tried(problem, state, cost):
+    settings = CalibrationSettings()
+    proposal = _propose(problem, state)
+    # A model that promises next to nothing: acceptance is by the costs alone.
+    proposal = eqx.tree_at(
+        lambda p: p.cost, proposal, state.evaluation.cost * (1.0 - 1e-9)
+    )
+    here = costing(state.evaluation, cost)
+    return _decide(problem, settings, state, proposal, here)
+
+
+def test_a_cost_below_one_of_the_recent_ones_is_kept(problem, evaluation):
+    state = after_costs(problem, evaluation, [100.0, 10.0])
+    assert bool(tried(problem, state, 99.0).accepted)
+    assert not bool(tried(problem, state, 101.0).accepted)
+    assert not bool(tried(problem, state, np.inf).accepted)
+
+
+def test_memory_ends(problem, evaluation):
+    """The highest of the last five counts, not the highest ever."""
+    costs = [100.0, 10.0, 9.0, 8.0, 7.0]
+    assert len(costs) == MEMORY
+    state = after_costs(problem, evaluation, costs)
+    np.testing.assert_allclose(np.sort(state.recent_costs), sorted(costs))
+    assert bool(tried(problem, state, 99.0).accepted)
+    later = after_costs(problem, evaluation, [*costs, 6.0])
+    assert not bool(tried(problem, later, 99.0).accepted)
+    assert not bool(tried(problem, later, 10.1).accepted)
+    assert bool(tried(problem, later, 9.9).accepted)
+
+
+def test_a_refused_cost_is_not_remembered(problem, evaluation):
+    state = after_costs(problem, evaluation, [10.0, 5.0])
+    refused = tried(problem, state, 50.0)
+    np.testing.assert_array_equal(refused.recent_costs, state.recent_costs)
+    assert not bool(tried(problem, refused, 20.0).accepted)
+
+
+def test_a_failed_equilibrium_is_refused_whatever_its_cost(problem, evaluation):
+    state = after_costs(problem, evaluation, [10.0])
+    proposal = _propose(problem, state)
+    failed = eqx.tree_at(lambda e: e.ok, costing(evaluation, 1.0), jnp.zeros((), bool))
+    for adapt in (True, False):
+        settings = CalibrationSettings(adapt=adapt)
+        after = _decide(problem, settings, state, proposal, failed)
+        assert not bool(after.accepted)
+
+
+def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
+    """One pose, three numbers, six unknowns: the fit is exact and far from unique."""
+    inverse_std = np.array(problem.configurations.effectors.inverse_std)
+    inverse_std[1:] = 0.0  # only the first pose is seen
+    where = lambda p: p.configurations.effectors.inverse_std
+    problem = eqx.tree_at(where, problem, inverse_std)
+    with pytest.warns(CalibrationWarning, match="6 parameters but only 3 measured"):
+        warn_if_too_few_data(problem)
+    settings = CalibrationSettings()
+    z = problem.space.start()
+    state = initial_state(settings, z, _evaluate(problem, z, at_rest(problem)))
+    first = float(state.evaluation.cost)
+    while not (state.converged or state.stalled) and state.step < 30:
+        proposal = _propose(problem, state)
+        now = _evaluate(problem, proposal.z, proposal.guess)
+        bound = float(state.step_bound)
+        state = _decide(problem, settings, state, proposal, now)
+        assert np.all(np.isfinite(state.lambda_p))
+        assert np.max(np.abs(state.lambda_p)) <= bound * (1.0 + 1e-9)
+        assert np.all(state.z >= problem.space.lower())
+        assert np.all(state.z <= problem.space.upper())
+    assert bool(state.converged)
+    assert np.linalg.matrix_rank(state.evaluation.W_ep) == 3
+    assert float(state.evaluation.cost) < 1e-6 * first
+
+
+def test_order_holds_along_the_way_without_tensors(measured, evaluation):
+    """As rows of the QP: from E_l <= E_t every step ends there."""
+    beam = anisotropic_beam(cells=CELLS, tensor_steps=False)
+    plain = build_problem(beam.model, beam.space, measured)
+    active = 0
+    for seed in range(40):
+        state = random_state(plain, untangled(evaluation), seed)
+        proposal = _propose(plain, state)
+        slack = np.asarray(proposal.z[E_T] - proposal.z[E_L])
+        assert np.all(slack > -1e-12)
+        assert np.all(np.abs(proposal.qp.lambda_p) <= 1.0 + 1e-12)
+        active += np.any(np.abs(slack) < 1e-9)
+    assert active > 3
