@@ -1,0 +1,81 @@
+"""What a finished calibration may claim: converged, consistent, identified."""
+
+import equinox as eqx
+from scipy.special import chdtrc
+
+from softcal_jax.calibration import CalibrationResult
+from softcal_jax.identifiability._identify import identifiability
+from softcal_jax.identifiability._result import Identifiability
+
+UNLIKELY = 0.01
+"""Probability of a chi-squared as large by chance, below which the model is wrong."""
+
+
+class Assessment(eqx.Module):
+    """Verdict on a calibration.
+
+    Attributes:
+        identified: Whether all parameters may be taken at their word: the fit
+            converged, its residuals are no larger than the stated noise, no parameter
+            sits on a bound and the data see every direction.
+        reasons: Why not, one sentence each; empty if identified.
+        misfit_probability: Probability of residuals as large if model and stated noise
+            were right; None if the noise was estimated from them [-].
+        identifiability: Which parameters and directions the data see.
+    """
+
+    identified: bool
+    reasons: tuple[str, ...]
+    misfit_probability: float | None
+    identifiability: Identifiability
+
+    def __str__(self) -> str:
+        """The verdict and its reasons, then the identifiability report."""
+        head = "Identified." if self.identified else "Not identified:"
+        reasons = [f"  {reason}" for reason in self.reasons]
+        return "\n".join([head, *reasons, str(self.identifiability)])
+
+
+def assess(result: CalibrationResult) -> Assessment:
+    """What a calibration may claim.
+
+    Model error shows as residuals above the noise: with a stated noise and a right
+    model, the sum of squared errors in noise units follows a chi-squared distribution
+    with as many degrees of freedom as there are measured coordinates more than
+    parameters. With a noise estimated from the residuals, model error hides in it.
+
+    Args:
+        result: A finished calibration.
+
+    Returns:
+        The verdict, with its reasons.
+    """
+    spread = result.uncertainty
+    report = identifiability(
+        result.W_ep,
+        result.space,
+        result.z,
+        noise_scale=spread.noise_scale if spread.degrees_of_freedom > 0 else 1.0,
+    )
+    reasons = []
+    if not result.converged:
+        reasons.append("The calibration did not converge.")
+    probability = None
+    if spread.noise == "stated" and spread.degrees_of_freedom > 0:
+        dof = spread.degrees_of_freedom
+        probability = float(chdtrc(dof, spread.chi_squared))
+        if probability < UNLIKELY:
+            reasons.append(
+                f"The model cannot match the data within the stated noise: chi-squared "
+                f"{spread.chi_squared:.4g} for {dof} degrees of freedom. Parameters of "
+                "a wrong model are not properties of the material: change the law, the "
+                "element, the control points or the stated noise."
+            )
+    for estimate in result.parameters:
+        if estimate.at_bound:
+            reasons.append(f"{estimate.name} ended on a bound.")
+    if report.verdict != "identifiable":
+        unseen = [p.name for p in report.parameters if p.verdict != "identifiable"]
+        what = ", ".join(unseen) if unseen else "some directions"
+        reasons.append(f"The data do not determine {what} well: {report.verdict}.")
+    return Assessment(not reasons, tuple(reasons), probability, report)

@@ -1,0 +1,106 @@
+"""Singular values and condition numbers of the compliances (paper Sec. V-C)."""
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+
+
+class Conditioning(eqx.Module):
+    """How evenly the data see the parameters.
+
+    Attributes:
+        singular_values: Of the noise-weighted W_ep, falling; 0 for what lacks data [-].
+        directions: Right singular vectors V by columns: directions of lambda_p. The
+            columns of the last singular values are what the data see least (the paper
+            says U, which holds effector directions).
+        condition_weighted: Condition number of the noise-weighted W_ep [-].
+        condition_W_ep: Condition number of W_ep in metres; nan if not given [-].
+        condition_W_ep_W_pp: Condition number of W_ep W_pp^-1 in metres per joule, as in
+            Table I; nan if not given [-].
+    """
+
+    singular_values: Float[HostArray, " n_p"]
+    directions: Float[HostArray, "n_p n_p"]
+    condition_weighted: float
+    condition_W_ep: float
+    condition_W_ep_W_pp: float
+
+    def __str__(self) -> str:
+        """Condition numbers and singular values, in two lines."""
+        numbers = {
+            "W_ep in noise units": self.condition_weighted,
+            "W_ep": self.condition_W_ep,
+            "W_ep W_pp^-1": self.condition_W_ep_W_pp,
+        }
+        shown = [f"{k} {v:.3g}" for k, v in numbers.items() if not np.isnan(v)]
+        values = " ".join(f"{s:.3g}" for s in self.singular_values)
+        return f"Condition: {', '.join(shown)}.\nSingular values: {values}."
+
+
+def conditioning(
+    W: Float[HostArray, "n_e n_p"],
+    *,
+    W_ep: Float[HostArray, "n_e n_p"] | None = None,
+    W_pp: Float[HostArray, "n_p n_p"] | None = None,
+) -> Conditioning:
+    """Singular value decomposition W = U Sigma V^T and condition numbers; Sec. V-C.
+
+    Statistics need W in units of the noise. The paper's numbers are those of W_ep and
+    W_ep W_pp^-1 with W_ep in metres, which depend on the scaling S of the parameters.
+    The paper does not say how W_pp is stacked over configurations: here it is the sum
+    of H_p K_c^-1 H_p^T, since all configurations share lambda_p and energies add up.
+
+    Args:
+        W: Compliances stacked over configurations, in units of the noise [-].
+        W_ep: The same in metres [m].
+        W_pp: Sum over configurations of H_p K_c^-1 H_p^T [J].
+
+    Returns:
+        The decomposition. A condition number is infinite where fewer data than
+        parameters or a blind direction leave a singular value of zero (to rounding).
+    """
+    _check_finite(W)
+    _, singular, Vt = np.linalg.svd(W)
+    peak = np.argmax(np.abs(Vt), axis=1)
+    signs = np.sign(Vt[np.arange(len(Vt)), peak])
+    per_joule = np.nan
+    if W_ep is not None and W_pp is not None:
+        per_joule = _condition_per_joule(W_ep, W_pp)
+    return Conditioning(
+        np.pad(singular, (0, W.shape[1] - len(singular))),
+        (signs[:, None] * Vt).T,
+        _condition(W),
+        np.nan if W_ep is None else _condition(W_ep),
+        per_joule,
+    )
+
+
+def _condition(W: Float[HostArray, "n_e n_p"]) -> float:
+    """Largest over smallest of the n_p singular values; infinite without rank."""
+    singular = np.linalg.svd(W, compute_uv=False)
+    rounding = max(W.shape) * np.finfo(float).eps
+    if len(singular) < W.shape[1] or singular[-1] <= rounding * singular[0]:
+        return np.inf
+    return float(singular[0] / singular[-1])
+
+
+def _condition_per_joule(
+    W_ep: Float[HostArray, "n_e n_p"], W_pp: Float[HostArray, "n_p n_p"]
+) -> float:
+    """Condition number of W_ep W_pp^-1; infinite where W_pp has no inverse."""
+    size = np.sqrt(np.maximum(np.diag(W_pp), 0.0))
+    if not np.all(size > 0.0):
+        return np.inf
+    # Unit diagonal, so that a parameter of small scale is not taken for a blind one.
+    unit = W_pp / np.outer(size, size)
+    if np.linalg.eigvalsh(unit)[0] <= len(size) * np.finfo(float).eps:
+        return np.inf
+    return _condition(np.linalg.solve(unit, (W_ep / size).T).T / size)
+
+
+def _check_finite(W: Float[HostArray, "n_e n_p"]) -> None:
+    if not np.all(np.isfinite(W)):
+        raise ValueError(
+            "W_ep has entries that are not finite: a configuration had no equilibrium."
+        )

@@ -1,0 +1,111 @@
+"""Which configurations to measure, one after the other."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.identifiability._gains import Gain, Unranked, gain_table
+from softcal_jax.identifiability._identify import identifiability
+from softcal_jax.identifiability._prospects import blind_count, prospects
+from softcal_jax.identifiability._result import Identifiability
+from softcal_jax.identifiability._spread import prior_std
+from softcal_jax.identifiability._survey import AnyVector, Parameters
+
+
+class Design(eqx.Module):
+    """A sequence of configurations to measure.
+
+    Attributes:
+        steps: What each adds to what is there and to those before it.
+        unranked: Candidates that could not be judged.
+        outcome: What all of them together would tell.
+        blind_before: Directions that are not identifiable without them.
+    """
+
+    steps: tuple[Gain, ...]
+    unranked: tuple[Unranked, ...]
+    outcome: Identifiability
+    blind_before: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the chosen candidates, in order."""
+        return tuple(step.name for step in self.steps)
+
+    def __str__(self) -> str:
+        """The sequence, what it adds, and the verdict at its end."""
+        n_p = self.outcome.n_parameters
+        lines = ["No candidate can be ranked."]
+        if self.steps:
+            lines = [f"Measure in this order: {', '.join(self.names)}."]
+            lines += gain_table(self.steps, n_p)
+        lines.append(
+            f"Blind directions: {self.blind_before} of {n_p} before, "
+            f"{len(self.outcome.blind)} after."
+        )
+        return "\n".join([*lines, *map(str, self.unranked), "", str(self.outcome)])
+
+
+def greedy_design(
+    model: Model,
+    parameters: Parameters,
+    configurations: Configuration | Sequence[Configuration],
+    candidates: Configuration | Sequence[Configuration],
+    n: int,
+    *,
+    at: Float[AnyVector, " n_p"] | None = None,
+    noise: float | None = None,
+    newton: NewtonSettings | None = None,
+) -> Design:
+    """Choose n candidates, each the one that adds most to those before it.
+
+    log det M is submodular, so what greedy gains is at least 1 - 1/e = 63 % of what the
+    best n would (Nemhauser, Wolsey and Fisher, Math. Programming 14, 1978).
+
+    Args:
+        model: The body.
+        parameters: What is, or would be, calibrated.
+        configurations: What is measured already; may be empty.
+        candidates: What might be measured, as in `rank_configurations`.
+        n: How many to choose; fewer are chosen where fewer have an equilibrium.
+        at: Scaled values z at which it is judged; the start by default [-].
+        noise: Standard deviation of every measured coordinate; by default what the
+            markers state [m].
+        newton: Settings of the equilibrium.
+
+    Returns:
+        The sequence and the verdict at its end; condition numbers there are those of
+        the noise-weighted compliances only.
+
+    Raises:
+        ValueError: If an input is wrong, or n is not between 1 and their number.
+        RuntimeError: If a configuration that is there has no equilibrium.
+    """
+    found = prospects(
+        model,
+        parameters,
+        configurations,
+        candidates,
+        at=at,
+        noise=noise,
+        newton=newton,
+    )
+    most = len(found.candidates) + len(found.unranked)
+    if not 1 <= n <= most:
+        raise ValueError(f"n must lie between 1 and {most} candidates, got {n}.")
+    blind_before, steps = blind_count(found.known), []
+    for _ in range(min(n, len(found.candidates))):
+        gains = [found.gain(name) for name in found.candidates]
+        steps.append(max(gains, key=lambda gain: gain.d_gain))
+        found = found.with_measured(steps[-1].name)
+    outcome = identifiability(
+        found.known / prior_std(found.space),
+        found.space,
+        np.asarray(found.z),
+        n_data=len(found.known),
+    )
+    return Design(tuple(steps), found.unranked, outcome, blind_before)

@@ -1,0 +1,126 @@
+"""Directions of the parameters, from the best to the worst seen, in words."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.identifiability._spread import Verdict, verdict
+
+SHARE = 0.1
+"""Share of a direction (squared component) from which a parameter is named [-].
+
+The amplitude is then a third of the whole; below, it hardly turns the direction.
+"""
+
+MOST_NAMED = 4
+"""Parameters that a direction names at most; a longer list is not read."""
+
+UNSEEN = 0.1
+"""Signal to noise below which a direction is as good as unseen [-].
+
+The data take less than 0.5 % off its prior standard deviation, so these directions are
+all alike and may be turned among themselves.
+"""
+
+
+class Direction(eqx.Module):
+    """A combination of parameters, and how well the data see it.
+
+    Attributes:
+        signal: Change of the data per prior standard deviation along it, in units of
+            the noise [-].
+        components: Its unit vector, parameters in prior standard deviations [-].
+        spread: Predicted over prior standard deviation [-].
+        verdict: What the spread is called.
+        words: The parameters that it is made of.
+    """
+
+    signal: float
+    components: Float[HostArray, " n_p"]
+    spread: float
+    verdict: Verdict
+    words: str
+
+
+def named_directions(
+    G: Float[HostArray, "n_e n_p"], names: Sequence[str]
+) -> tuple[Direction, ...]:
+    """Right singular vectors of the signal to noise, best seen first (Sec. V-C).
+
+    Parameters count in units of their prior standard deviation, so that a direction
+    mixes a modulus and an angle fairly. Unseen directions have no order of their own:
+    they are turned among themselves to separate parameters, since a decomposition
+    leaves them mixed at random.
+
+    Args:
+        G: Noise-weighted compliances per prior standard deviation [-].
+        names: Names of the parameters.
+
+    Returns:
+        As many directions as parameters.
+    """
+    _, singular, Vt = np.linalg.svd(G)
+    signal = np.pad(singular, (0, len(Vt) - len(singular)))
+    unseen = signal < UNSEEN
+    if np.any(unseen):
+        Vt[unseen] = _separated(Vt[unseen])
+        signal[unseen] = np.linalg.norm(G @ Vt[unseen].T, axis=0)
+    order = np.argsort(-signal, kind="stable")
+    directions = []
+    for row in order:
+        v = Vt[row] * np.sign(Vt[row, np.argmax(np.round(np.abs(Vt[row]), 6))])
+        spread = float(1.0 / np.hypot(1.0, signal[row]))
+        words = direction_words(v, names)
+        directions.append(
+            Direction(float(signal[row]), v, spread, verdict(spread), words)
+        )
+    return tuple(directions)
+
+
+def _separated(V: Float[HostArray, "n n_p"]) -> Float[HostArray, "n n_p"]:
+    """Orthonormal rows of the same span, each as near to one parameter as can be.
+
+    P e_i is the vector of the span nearest to parameter i, with P its projector; the
+    nearest is taken first and its direction removed (a QR with column pivoting).
+    """
+    P = V.T @ V
+    rows = []
+    for _ in V:
+        pivot = np.argmax(np.round(np.diag(P), 6))
+        rows.append(P[pivot] / np.linalg.norm(P[pivot]))
+        P = P - np.outer(rows[-1], rows[-1])
+    return np.stack(rows)
+
+
+def direction_words(v: Float[HostArray, " n_p"], names: Sequence[str]) -> str:
+    """A direction in words, like "E_t of CP 1 up while theta of CP 2 down".
+
+    Args:
+        v: Unit vector.
+        names: Names of the parameters.
+
+    Returns:
+        The parameters with at least `SHARE` of it, the largest first; the largest few
+        of a direction in which no parameter has that much.
+    """
+    # Equal shares keep the order of the parameters, whatever the rounding.
+    order = sorted(range(len(v)), key=lambda i: -round(float(v[i] ** 2), 6))
+    large = [i for i in order if v[i] ** 2 >= SHARE]
+    named = (large or order)[:MOST_NAMED]
+    more = len(large) - len(named) if large else len(v) - len(named)
+    sign = np.sign(v[named[0]])
+    up = [names[i] for i in named if v[i] * sign > 0]
+    down = [names[i] for i in named if v[i] * sign < 0]
+    rest = f" and {more} more" if more > 0 else ""
+    if not down:
+        together = " up together" if len(up) > 1 or rest else ""
+        return f"{_listed(up)}{rest}{together}"
+    return f"{_listed(up)} up while {_listed(down)} down{rest}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) == 1:
+        return names[0]
+    return f"{', '.join(names[:-1])} and {names[-1]}"

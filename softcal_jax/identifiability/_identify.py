@@ -1,0 +1,162 @@
+"""Which parameters the data can determine, before or after a calibration."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.identifiability._conditioning import conditioning
+from softcal_jax.identifiability._directions import named_directions
+from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
+from softcal_jax.identifiability._spread import (
+    data_only_std,
+    posterior,
+    prior_std,
+    si_slope,
+    verdict,
+)
+from softcal_jax.identifiability._survey import (
+    AnyVector,
+    Parameters,
+    as_sequence,
+    survey,
+)
+
+
+def identifiability(
+    W: Float[HostArray, "n_e n_p"],
+    space: ParameterSpace,
+    z: Float[AnyVector, " n_p"],
+    *,
+    noise_scale: float = 1.0,
+    n_data: int | None = None,
+    W_ep: Float[HostArray, "n_e n_p"] | None = None,
+    W_pp: Float[HostArray, "n_p n_p"] | None = None,
+) -> Identifiability:
+    """What data with these compliances can tell about the parameters; Sec. V-C.
+
+    Predicted covariance (I / prior^2 + W^T W)^-1, with the prior's standard deviation
+    that of a uniform density between the bounds. So a parameter that no data see has
+    the spread of its bounds, not an infinite one. The verdict compares both spreads
+    (`IDENTIFIABLE_BELOW`, `WEAK_BELOW`).
+
+    It is local: at E_l = E_t, for example, the angle of the fibre moves nothing.
+
+    Args:
+        W: Compliances in units of the noise, stacked, per unit of lambda_p; of a
+            calibration `CalibrationResult.W_ep` [-].
+        space: The parameters.
+        z: Their scaled values, like `CalibrationResult.z` [-].
+        noise_scale: Factor on the noise, like `Uncertainty.noise_scale` [-].
+        n_data: Measured coordinates; by default the rows of `W` that are not zero.
+        W_ep: `W` in metres, for condition numbers [m].
+        W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
+
+    Returns:
+        The verdict and what it rests on.
+
+    Raises:
+        ValueError: If `W` is not finite or has not one column per parameter, or the
+            noise scale is not positive.
+    """
+    W = np.asarray(W, float)
+    n_p = len(space.names)
+    if W.ndim != 2 or W.shape[1] != n_p:
+        raise ValueError(
+            f"W must have one column for each of the {n_p} parameters, got the shape "
+            f"{W.shape}."
+        )
+    if not 0.0 < noise_scale < np.inf:
+        raise ValueError(f"noise_scale must be positive, got {noise_scale:g}.")
+    numbers = conditioning(W / noise_scale, W_ep=W_ep, W_pp=W_pp)
+    prior = prior_std(space)
+    G = W / noise_scale * prior
+    covariance = posterior(G)
+    directions = named_directions(G, space.names)
+    outlooks = _outlooks(space, z, np.sqrt(np.diag(covariance)), data_only_std(G))
+    return Identifiability(
+        verdict(max(d.spread for d in directions)),
+        outlooks,
+        directions,
+        covariance * np.outer(prior, prior),
+        numbers,
+        int(np.any(W != 0.0, axis=1).sum()) if n_data is None else n_data,
+    )
+
+
+def _outlooks(
+    space: ParameterSpace,
+    z: Float[AnyVector, " n_p"],
+    spread: Float[HostArray, " n_p"],
+    alone: Float[HostArray, " n_p"],
+) -> tuple[ParameterOutlook, ...]:
+    """Entries in SI units, from spreads in units of the prior."""
+    prior = si_slope(space, z) * prior_std(space)
+    values = np.asarray(space.from_scaled(jnp.asarray(z)))
+    outlooks = []
+    for i, parameter in enumerate(space.parameters):
+        error = float(prior[i] * spread[i])
+        plain = parameter.unit == "rad" or values[i] == 0.0
+        outlooks.append(
+            ParameterOutlook(
+                parameter.name,
+                float(values[i]),
+                error,
+                float(prior[i] * alone[i]),
+                float(prior[i]),
+                None if plain else error / abs(float(values[i])),
+                float(spread[i]),
+                verdict(float(spread[i])),
+                parameter.unit,
+            )
+        )
+    return tuple(outlooks)
+
+
+def identify(
+    model: Model,
+    parameters: Parameters,
+    configurations: Configuration | Sequence[Configuration],
+    *,
+    at: Float[AnyVector, " n_p"] | None = None,
+    noise: float | None = None,
+    newton: NewtonSettings | None = None,
+) -> Identifiability:
+    """What markers in these configurations would tell; before anything is measured.
+
+    Args:
+        model: The body.
+        parameters: What would be calibrated, with start and bounds.
+        configurations: Poses with markers, whose `std` and `axes` count; `measured` is
+            not looked at and may be missing.
+        at: Scaled values z at which it is judged; the start by default. `to_scaled` of
+            a `ParameterSpace` makes them of SI values [-].
+        noise: Standard deviation of every measured coordinate; by default what the
+            markers state [m].
+        newton: Settings of the equilibrium.
+
+    Returns:
+        The verdict, see `identifiability`.
+
+    Raises:
+        ValueError: If an input is wrong.
+        RuntimeError: If a configuration has no equilibrium; the text names it.
+    """
+    found = survey(
+        model,
+        parameters,
+        as_sequence(configurations),
+        at=at,
+        noise=noise,
+        newton=newton,
+    )
+    n_p = len(found.space.names)
+    none = np.zeros((0, n_p))
+    W_ep = np.concatenate([none, *(s.W_ep for s in found.sensed)])
+    W = np.concatenate([none, *(s.W for s in found.sensed)])
+    W_pp = sum((s.W_pp for s in found.sensed), np.zeros((n_p, n_p)))
+    return identifiability(W, found.space, found.z, n_data=len(W), W_ep=W_ep, W_pp=W_pp)

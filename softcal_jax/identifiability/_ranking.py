@@ -1,0 +1,98 @@
+"""Which configuration to measure next."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+
+from softcal_jax._typing import Float
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.identifiability._gains import Gain, Unranked, gain_table
+from softcal_jax.identifiability._prospects import blind_count, prospects
+from softcal_jax.identifiability._survey import AnyVector, Parameters
+
+
+class Ranking(eqx.Module):
+    """Candidates, the most informative first.
+
+    Attributes:
+        gains: One entry per candidate that has an equilibrium.
+        unranked: The others, with the reason.
+        n_parameters: Number of parameters.
+        blind_before: Directions that are not identifiable without any candidate.
+    """
+
+    gains: tuple[Gain, ...]
+    unranked: tuple[Unranked, ...]
+    n_parameters: int
+    blind_before: int
+
+    def __str__(self) -> str:
+        """The best candidate in words, and a table of all."""
+        lines = ["No candidate can be ranked."]
+        if self.gains:
+            best = self.gains[0]
+            lines = [f"Candidate {best.name!r} adds most: it {best.words}."]
+            lines += gain_table(self.gains, self.n_parameters)
+            lines.append(
+                f"Without a candidate {self.blind_before} of {self.n_parameters} "
+                "directions are blind. Volume: factor on that of the uncertainty."
+            )
+        return "\n".join(lines + [str(u) for u in self.unranked])
+
+
+def rank_configurations(
+    model: Model,
+    parameters: Parameters,
+    configurations: Configuration | Sequence[Configuration],
+    candidates: Configuration | Sequence[Configuration],
+    *,
+    at: Float[AnyVector, " n_p"] | None = None,
+    noise: float | None = None,
+    newton: NewtonSettings | None = None,
+) -> Ranking:
+    """Order candidate configurations by what they would tell; nothing is measured.
+
+    With G the compliances in units of the noise per prior standard deviation,
+    M = I + G^T G the information of bounds and configurations and J = G_c^T G_c that of
+    a candidate, the order is that of log det(M + J) - log det M (D-optimality;
+    Chaloner and Verdinelli, Statistical Science 10, 1995). The rise of the
+    smallest eigenvalue of M (E-optimality) is given too: D rewards what shrinks any
+    direction, E what shrinks the worst.
+
+    Args:
+        model: The body.
+        parameters: What is, or would be, calibrated.
+        configurations: What is measured already; may be empty.
+        candidates: What might be measured: any load, orientation, support and markers,
+            by names of their own.
+        at: Scaled values z at which it is judged, like `CalibrationResult.z`; the start
+            by default [-].
+        noise: Standard deviation of every measured coordinate; by default what the
+            markers state [m].
+        newton: Settings of the equilibrium.
+
+    Returns:
+        The candidates, the best first. One without an equilibrium at these values, or
+        without markers, is not ranked but named with its reason.
+
+    Raises:
+        ValueError: If an input is wrong, there is no candidate, or a name repeats.
+        RuntimeError: If a configuration that is there has no equilibrium.
+    """
+    found = prospects(
+        model,
+        parameters,
+        configurations,
+        candidates,
+        at=at,
+        noise=noise,
+        newton=newton,
+    )
+    gains = [found.gain(name) for name in found.candidates]
+    return Ranking(
+        tuple(sorted(gains, key=lambda gain: -gain.d_gain)),
+        found.unranked,
+        found.known.shape[1],
+        blind_count(found.known),
+    )

@@ -1,0 +1,139 @@
+"""What data can tell about the parameters: the result and its text for a terminal."""
+
+import math
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.identifiability._conditioning import Conditioning
+from softcal_jax.identifiability._directions import Direction
+from softcal_jax.identifiability._display import number, quantity, readable, table
+from softcal_jax.identifiability._spread import Verdict
+
+MOST_SHOWN = 8
+"""Blind directions that a terminal lists; more are counted."""
+
+
+class ParameterOutlook(eqx.Module):
+    """How well one parameter can be determined, in SI units.
+
+    Attributes:
+        name: Its name.
+        value: Where it was taken.
+        standard_error: Predicted from noise and bounds; never above that of the bounds.
+        data_only: Predicted from the noise alone; infinite where the data are blind.
+        prior: Standard deviation of the bounds, their width over the root of 12.
+        relative: Standard error over value [-]; None for an angle or a value of zero.
+        spread: Standard error over that of the bounds, in scaled units [-].
+        verdict: What the spread is called.
+        unit: SI unit.
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    data_only: float
+    prior: float
+    relative: float | None
+    spread: float
+    verdict: Verdict
+    unit: str
+
+
+class Identifiability(eqx.Module):
+    """What data can tell about the parameters, to first order at one value of them.
+
+    Attributes:
+        verdict: That of the worst direction.
+        parameters: One entry per parameter.
+        directions: From the best to the worst seen.
+        covariance: Predicted from noise and bounds, of the scaled parameters [-].
+        conditioning: Singular values and condition numbers.
+        n_data: Measured coordinates.
+    """
+
+    verdict: Verdict
+    parameters: tuple[ParameterOutlook, ...]
+    directions: tuple[Direction, ...]
+    covariance: Float[HostArray, "n_p n_p"]
+    conditioning: Conditioning
+    n_data: int
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    @property
+    def correlation(self) -> Float[HostArray, "n_p n_p"]:
+        """Correlation of the parameters [-]."""
+        std = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(std, std)
+
+    @property
+    def blind(self) -> tuple[Direction, ...]:
+        """The directions that are not identifiable, the worst last."""
+        return tuple(d for d in self.directions if d.verdict == "not identifiable")
+
+    def __str__(self) -> str:
+        """The verdict, a table of parameters, blind directions and what to do."""
+        return _report(self)
+
+
+def _report(found: Identifiability) -> str:
+    """The verdict, a table of parameters, blind directions and what to do."""
+    n_data, n_p = found.n_data, found.n_parameters
+    lines = [
+        f"{found.verdict.capitalize()} at these values: {n_data} measured "
+        f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
+    ]
+    head = ("parameter", "value", "standard error", "from data alone", "verdict")
+    lines += table(head, [_row(p) for p in found.parameters])
+    blind = found.blind
+    if blind:
+        lines.append(
+            f"The data hardly see {len(blind)} of {n_p} "
+            f"direction{'s' * (n_p != 1)} (standard error over that of the bounds):"
+        )
+        lines += [
+            f"  {d.words} ({100 * d.spread:.0f} %)"
+            for d in blind[: -MOST_SHOWN - 1 : -1]
+        ]
+        if len(blind) > MOST_SHOWN:
+            lines.append(f"  and {len(blind) - MOST_SHOWN} more.")
+    if found.n_data:
+        lines += str(found.conditioning).splitlines()
+    return "\n".join(lines + _remedies(found))
+
+
+def _row(p: ParameterOutlook) -> tuple[str, ...]:
+    error = quantity(p.standard_error, p.unit, like=p.value)
+    if p.relative is not None:
+        error += f" ({number(100 * p.relative, 2)} %)"
+    alone = quantity(p.data_only, p.unit, like=p.value)
+    if p.data_only > p.prior:
+        alone = "wider than bounds" if math.isfinite(p.data_only) else "blind"
+    factor, unit = readable(p.value, p.unit)
+    value = f"{number(p.value * factor, 4)} {unit}".rstrip()
+    return (p.name, value, error, alone, p.verdict)
+
+
+def _remedies(found: Identifiability) -> list[str]:
+    """What to do about it, if anything."""
+    missing = found.n_parameters - found.n_data
+    if found.n_data == 0:
+        return ["Nothing is measured: give the configurations markers."]
+    if found.verdict == "identifiable":
+        return []
+    advice = (
+        "What to do: another configuration (load, orientation, other end clamped), "
+        "more effectors, or less noise; `rank_configurations` tells which "
+        "configuration adds most. Or calibrate fewer parameters."
+    )
+    if missing > 0:
+        several = "s are" if missing > 1 else " is"
+        advice = (
+            f"At least {missing} more measured coordinate{several} needed. {advice}"
+        )
+    return [advice]

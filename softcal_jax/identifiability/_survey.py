@@ -1,0 +1,191 @@
+"""What configurations would tell: their compliances, without any measurement."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration import CalibrationProblem, at_rest, simulate
+from softcal_jax.configurations import Configuration, configuration_arrays
+from softcal_jax.equilibrium import (
+    RESULTS,
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    check_converged,
+)
+from softcal_jax.fields import (
+    ControlPointParameters,
+    Parameter,
+    ParameterSpace,
+    as_space,
+    check_parameters,
+)
+from softcal_jax.identifiability._compliances import (
+    EnergyCompliance,
+    energy_compliance,
+)
+
+Entry = Parameter | ControlPointParameters
+Parameters = ParameterSpace | Entry | Sequence[Entry]
+AnyVector = Array | HostArray
+
+
+class Sensed(eqx.Module):
+    """What one configuration would tell about the parameters, on the host.
+
+    Attributes:
+        name: Name of the configuration.
+        W_ep: Compliances of its measured coordinates [m].
+        W: The same in units of the noise [-].
+        W_pp: H_p K^-1 H_p^T [J].
+        failure: Why there is no equilibrium; empty if there is one.
+    """
+
+    name: str
+    W_ep: Float[HostArray, "n_e n_p"]
+    W: Float[HostArray, "n_e n_p"]
+    W_pp: Float[HostArray, "n_p n_p"]
+    failure: str
+
+
+class Survey(eqx.Module):
+    """What configurations would tell at one value of the parameters.
+
+    Attributes:
+        space: The parameters.
+        z: Their scaled values [-].
+        sensed: One entry per configuration.
+    """
+
+    space: ParameterSpace
+    z: Float[Array, " n_p"]
+    sensed: tuple[Sensed, ...]
+
+
+@eqx.filter_jit
+def _solve(
+    problem: CalibrationProblem, z: Float[Array, " n_p"]
+) -> tuple[EquilibriumSolution, EnergyCompliance]:
+    solution, _ = simulate(problem, z, at_rest(problem))
+    model = problem.space.apply(problem.model, z)
+    lane = lambda c, u: energy_compliance(model, c, u, problem.space, z)
+    return solution, jax.vmap(lane)(problem.configurations, solution.displacement)
+
+
+def survey(
+    model: Model,
+    parameters: Parameters,
+    configurations: Sequence[Configuration],
+    *,
+    at: Float[AnyVector, " n_p"] | None = None,
+    noise: float | None = None,
+    newton: NewtonSettings | None = None,
+    required: int | None = None,
+) -> Survey:
+    """Solve configurations at one value of the parameters and differentiate them.
+
+    Args:
+        model: The body.
+        parameters: The parameters.
+        configurations: Poses with markers; `measured` is not looked at.
+        at: Scaled values z; the start by default [-].
+        noise: Standard deviation of every measured coordinate; by default what the
+            markers state [m].
+        newton: Settings of the equilibrium.
+        required: How many, from the first on, must have an equilibrium; all by default.
+
+    Returns:
+        One entry per configuration.
+
+    Raises:
+        ValueError: If an input is wrong.
+        RuntimeError: If a required configuration has no equilibrium.
+    """
+    if noise is not None and not 0.0 < noise < np.inf:
+        raise ValueError(f"noise must be positive and finite [m], got {noise:g}.")
+    space = as_space(parameters)
+    check_parameters(model, space)
+    z = _scaled_values(space, at)
+    if not configurations:
+        return Survey(space, z, ())
+    posed = [_as_if_measured(c) for c in configurations]
+    arrays = configuration_arrays(model.mesh, posed)
+    problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
+    solution, compliance = _solve(problem, z)
+    names = tuple(c.name for c in configurations)
+    required = len(names) if required is None else required
+    if required:
+        first = jax.tree.map(lambda leaf: leaf[:required], solution)
+        check_converged(first, names)
+    lanes = range(len(names))
+    weights = np.asarray(arrays.effectors.inverse_std).reshape(len(names), -1)
+    if noise is not None:
+        weights = np.where(weights > 0.0, 1.0 / noise, 0.0)
+    failures = [_failure(solution, compliance, lane) for lane in lanes]
+    for name, failure in zip(names[:required], failures, strict=False):
+        if failure:
+            raise RuntimeError(f"configuration {name!r}: {failure}.")
+    sensed = (
+        _sensed(names[lane], compliance, lane, weights[lane], failures[lane])
+        for lane in lanes
+    )
+    return Survey(space, z, tuple(sensed))
+
+
+def _scaled_values(
+    space: ParameterSpace, at: Float[AnyVector, " n_p"] | None
+) -> Float[Array, " n_p"]:
+    z = space.start() if at is None else jnp.asarray(at, float)
+    n_p = len(space.names)
+    if z.shape != (n_p,) or not bool(jnp.all(jnp.isfinite(z))):
+        raise ValueError(
+            f"`at` must be {n_p} finite scaled values, one per parameter "
+            f"({', '.join(space.names)}), got {np.asarray(z)}; "
+            "`space.to_scaled` makes them of SI values."
+        )
+    return z
+
+
+def _sensed(
+    name: str,
+    compliance: EnergyCompliance,
+    lane: int,
+    weight: Float[HostArray, " n_e"],
+    failure: str,
+) -> Sensed:
+    """One lane on the host, without the coordinates that are not measured."""
+    seen = weight > 0.0
+    W_ep = np.asarray(compliance.W_ep[lane])[seen]
+    W = weight[seen, None] * W_ep
+    return Sensed(name, W_ep, W, np.asarray(compliance.W_pp[lane]), failure)
+
+
+def _as_if_measured(c: Configuration) -> Configuration:
+    """The configuration with positions, whose values only count as present."""
+    if c.markers is None:
+        return c
+    return eqx.tree_at(
+        lambda c: c.measured, c, c.markers.positions, is_leaf=lambda leaf: leaf is None
+    )
+
+
+def _failure(
+    solution: EquilibriumSolution, compliance: EnergyCompliance, lane: int
+) -> str:
+    one = jax.tree.map(lambda leaf: leaf[lane], solution)
+    if not bool(one.converged):
+        return str(RESULTS[one.result])
+    return "" if bool(compliance.ok[lane]) else str(RESULTS[RESULTS.singular])
+
+
+def as_sequence(
+    configurations: Configuration | Sequence[Configuration],
+) -> tuple[Configuration, ...]:
+    """One configuration or several, as a tuple."""
+    if isinstance(configurations, Configuration):
+        return (configurations,)
+    return tuple(configurations)

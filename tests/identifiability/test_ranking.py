@@ -1,0 +1,179 @@
+"""Gains of candidates against their formulas, and against `identify`."""
+
+from functools import partial
+
+import equinox as eqx
+import numpy as np
+import pytest
+from two_part_beam import (
+    HANG,
+    NEAR,
+    PULL,
+    ROOT,
+    SPACE,
+    SWAP,
+    TIP,
+    crushed,
+    pose,
+    two_part_beam,
+)
+
+from softcal_jax.calibration import at_rest, build_problem, evaluate
+from softcal_jax.configurations import Configuration, Support
+from softcal_jax.identifiability import (
+    greedy_design,
+    identify,
+    rank_configurations,
+)
+
+BARE = Configuration("bare", (Support("x_min"),))
+AGAIN = pose("near again", ROOT)
+CANDIDATES = (AGAIN, HANG, crushed(), PULL, SWAP, BARE)
+PRIOR = np.log(1e6 / 3e4) / np.sqrt(12.0)
+
+
+@pytest.fixture(scope="module")
+def information():
+    """W^T W of each pose, from the compliances of a calibration."""
+    poses = (NEAR, AGAIN, HANG, PULL, SWAP)
+    posed = [
+        eqx.tree_at(
+            lambda c: c.measured, c, c.markers.positions, is_leaf=lambda v: v is None
+        )
+        for c in poses
+    ]
+    problem = build_problem(two_part_beam(), SPACE, posed)
+    found = eqx.filter_jit(evaluate)(problem, SPACE.start(), at_rest(problem))
+    W = np.asarray(found.W_ep).reshape(len(poses), -1, 2)
+    return {c.name: w.T @ w for c, w in zip(poses, W, strict=True)}
+
+
+@pytest.fixture(scope="module")
+def ranking():
+    return rank_configurations(two_part_beam(), SPACE, NEAR, CANDIDATES)
+
+
+def test_gains_are_those_of_the_formulas(ranking, information):
+    """In units of the prior: D = ln det(M + J) - ln det M, E by the eigenvalues."""
+    M = np.eye(2) + PRIOR**2 * information["near"]
+    for gain in ranking.gains:
+        more = M + PRIOR**2 * information[gain.name]
+        D = np.linalg.slogdet(more)[1] - np.linalg.slogdet(M)[1]
+        E = np.linalg.eigvalsh(more)[0] - np.linalg.eigvalsh(M)[0]
+        np.testing.assert_allclose(gain.d_gain, D, rtol=1e-6)
+        np.testing.assert_allclose(gain.e_gain, E, rtol=1e-5, atol=1e-9)
+        shrink = np.sqrt(np.linalg.det(M) / np.linalg.det(more))
+        np.testing.assert_allclose(gain.volume, shrink, rtol=1e-6)
+        old, new = (PRIOR * np.sqrt(np.diag(np.linalg.inv(A))) for A in (M, more))
+        best = SPACE.names.index(gain.parameter)
+        assert best == np.argmax(old - new)
+        # Logarithms of moduli of 1e5 Pa.
+        np.testing.assert_allclose(gain.before, 1e5 * old[best], rtol=1e-6)
+        np.testing.assert_allclose(gain.after, 1e5 * new[best], rtol=1e-6)
+        assert gain.blind_left == np.sum(np.linalg.eigvalsh(more) < 4.0)
+
+
+def test_order_is_that_of_the_gain(ranking):
+    gains = [gain.d_gain for gain in ranking.gains]
+    assert gains == sorted(gains, reverse=True)
+    assert [gain.name for gain in ranking.gains[::3]] == ["swap", "near again"]
+    assert ranking.gains[0].parameter == "E of tip"
+    assert (ranking.blind_before, ranking.gains[0].blind_left) == (1, 0)
+
+
+def test_what_shrinks_most_need_not_shrink_the_worst():
+    """A very fine marker near the clamp: first by volume, no help for the tip."""
+    fine = pose("fine", ROOT, std=1e-5)
+    first, second = rank_configurations(
+        two_part_beam(), SPACE, NEAR, [SWAP, fine]
+    ).gains
+    assert (first.name, second.name) == ("fine", "swap")
+    assert first.d_gain > second.d_gain
+    assert first.e_gain < second.e_gain
+    assert (first.blind_left, second.blind_left) == (1, 0)
+
+
+def test_a_candidate_that_cannot_be_judged_is_named_with_its_reason(ranking):
+    reasons = {u.name: u.reason for u in ranking.unranked}
+    assert set(reasons) == {"crushed", "bare"}
+    assert "no markers" in reasons["bare"]
+    assert "equilibrium" in reasons["crushed"] or "load" in reasons["crushed"]
+    assert len(ranking.gains) == 4
+
+
+def test_text(ranking):
+    lines = str(ranking).splitlines()
+    assert lines[0].startswith("Candidate 'swap' adds most: it divides a standard ")
+    assert "of E of tip: 101 to " in lines[0]
+    assert [line.split()[0] for line in lines[2:4]] == ["swap", "pull"]
+    assert "1 of 2 directions are blind" in lines[6]
+    assert sum(line.startswith("Not ranked") for line in lines) == 2
+    assert "nan" not in str(ranking)
+
+
+def test_a_repetition_in_words():
+    """A pose that is known well: a second look at it changes hardly anything."""
+    model = two_part_beam()
+    known = [pose("a", TIP, std=1e-5), pose("b", SWAP.markers.positions, clamp="x_max")]
+    worse = pose("c", TIP, std=1e-3)
+    found = rank_configurations(model, SPACE, known, worse)
+    assert found.gains[0].words == "hardly changes any standard error"
+
+
+def test_with_nothing_known_a_candidate_gives_its_own_verdict():
+    model = two_part_beam()
+    found = rank_configurations(model, SPACE, (), PULL)
+    alone = identify(model, SPACE, PULL)
+    index = SPACE.names.index(found.gains[0].parameter)
+    np.testing.assert_allclose(
+        found.gains[0].after, alone.parameters[index].standard_error, rtol=1e-9
+    )
+    np.testing.assert_allclose(found.gains[0].before, 1e5 * PRIOR, rtol=1e-12)
+    assert found.blind_before == 2
+
+
+def test_greedy_takes_the_best_one_after_the_other(information):
+    design = greedy_design(two_part_beam(), SPACE, NEAR, CANDIDATES, 3)
+    M = np.eye(2) + PRIOR**2 * information["near"]
+    left = {c.name for c in (AGAIN, HANG, PULL, SWAP)}
+    for step in design.steps:
+        gains = {
+            name: np.linalg.slogdet(M + PRIOR**2 * information[name])[1]
+            - np.linalg.slogdet(M)[1]
+            for name in left
+        }
+        assert step.name == max(gains, key=gains.get)
+        np.testing.assert_allclose(step.d_gain, gains[step.name], rtol=1e-5)
+        M = M + PRIOR**2 * information[step.name]
+        left.remove(step.name)
+    assert len(design.names) == len(set(design.names)) == 3
+    expected = PRIOR**2 * np.linalg.inv(M)
+    np.testing.assert_allclose(design.outcome.covariance, expected, rtol=1e-5)
+    assert design.outcome.n_data == 12
+    assert design.blind_before == 1
+    text = str(design)
+    assert text.startswith("Measure in this order: swap, ")
+    assert "Blind directions: 1 of 2 before, 0 after." in text
+    assert "Not ranked: 'crushed'" in text
+
+
+def test_greedy_stops_when_candidates_run_out():
+    design = greedy_design(two_part_beam(), SPACE, (), [PULL, BARE], 2)
+    assert design.names == ("pull",)
+    none = greedy_design(two_part_beam(), SPACE, (), [BARE], 1)
+    assert none.names == ()
+    assert "No candidate can be ranked." in str(none)
+    assert none.outcome.verdict == "not identifiable"
+
+
+def test_wrong_calls():
+    rank = partial(rank_configurations, two_part_beam(), SPACE)
+    with pytest.raises(ValueError, match="at least one candidate is needed"):
+        rank(HANG, ())
+    with pytest.raises(ValueError, match="'hang' is named more than once"):
+        rank(HANG, [HANG])
+    with pytest.raises(RuntimeError, match="configuration 'crushed'"):
+        rank(crushed(), HANG)
+    for n in (0, 3):
+        with pytest.raises(ValueError, match="n must lie between 1 and 2"):
+            greedy_design(two_part_beam(), SPACE, (), [HANG, PULL], n)

@@ -1,0 +1,250 @@
+"""Identifiability of a real body, before anything is measured on it."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from two_part_beam import (
+    HANG,
+    NEAR,
+    PULL,
+    ROOT,
+    SPACE,
+    STD,
+    SWAP,
+    TIGHT,
+    TIP,
+    crushed,
+    pose,
+    two_part_beam,
+)
+
+from softcal_jax.calibration import at_rest, build_problem, evaluate
+from softcal_jax.configurations import Configuration, Support, configuration_arrays
+from softcal_jax.equilibrium import external_force, solve_equilibrium, strain_energy
+from softcal_jax.fields import Parameter
+from softcal_jax.identifiability import energy_compliance, identify
+
+START = SPACE.start()
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """Hanging, pulled aside and clamped at the other end, as arrays."""
+    mesh = two_part_beam().mesh
+    posed = [
+        eqx.tree_at(
+            lambda c: c.measured, c, c.markers.positions, is_leaf=lambda v: v is None
+        )
+        for c in (HANG, PULL, SWAP)
+    ]
+    return configuration_arrays(mesh, posed)
+
+
+@jax.jit
+def solved(model, lane, z):
+    changed = SPACE.apply(model, z)
+    return solve_equilibrium(changed, lane, settings=TIGHT).displacement
+
+
+@jax.jit
+def potential(model, lane, z, u):
+    """Pi = strain energy - f_ext . u [J]."""
+    changed = SPACE.apply(model, z)
+    load = jnp.sum(external_force(changed, lane) * u)
+    return jnp.sum(strain_energy(changed, u)) - load
+
+
+@jax.jit
+def compliance(model, lane, z, u):
+    return energy_compliance(SPACE.apply(model, z), lane, u, SPACE, z)
+
+
+def lane_of(lanes, index):
+    return jax.tree.map(lambda leaf: leaf[index], lanes)
+
+
+def curvature(function, direction, h):
+    """Second difference along a direction."""
+    step = h * jnp.asarray(direction)
+    return (function(START + step) - 2 * function(START) + function(START - step)) / (
+        h * h
+    )
+
+
+def curvature_matrix(function, h):
+    """Hessian of a function of two variables, by second differences."""
+    a, b, both = (curvature(function, d, h) for d in ([1.0, 0], [0, 1.0], [1.0, 1.0]))
+    mixed = 0.5 * (both - a - b)
+    return np.array([[a, mixed], [mixed, b]])
+
+
+@pytest.mark.parametrize("index", range(3), ids=["hang", "pull", "swap"])
+def test_w_pp_is_what_relaxation_takes_off_the_curvature_of_the_energy(lanes, index):
+    """W_pp = d2 Pi / dz2 at fixed u minus d2 (min_u Pi) / dz2, from energies alone."""
+    model, lane = two_part_beam(), lane_of(lanes, index)
+    u = solved(model, lane, START)
+    found = compliance(model, lane, START, u)
+    fixed = lambda z: float(potential(model, lane, z, u))
+    least = lambda z: float(potential(model, lane, z, solved(model, lane, z)))
+    W = np.asarray(found.W_pp)
+    error = [
+        np.max(np.abs(curvature_matrix(fixed, h) - curvature_matrix(least, h) - W))
+        for h in (4e-2, 2e-2)
+    ]
+    # Half the step leaves a quarter of the error, up to terms of fourth order.
+    np.testing.assert_allclose(error[0] / error[1], 4.0, rtol=0.05)
+    assert error[1] < 1e-3 * np.max(W)
+    np.testing.assert_array_equal(W, W.T)
+    assert np.all(np.linalg.eigvalsh(W) > 0.0)
+    assert bool(found.ok)
+
+
+def tip_of(model, lane, z):
+    u = solved(model, lane, z)
+    return np.asarray(lane.effectors.positions(u)).ravel()
+
+
+def test_singular_values_are_those_of_measured_sensitivities(lanes):
+    """W_ep by differences of solved positions, in units of the markers' noise."""
+    model, h = two_part_beam(), 1e-3
+    W = np.concatenate(
+        [
+            np.stack(
+                [
+                    (
+                        tip_of(model, lane_of(lanes, i), START + h * d)
+                        - tip_of(model, lane_of(lanes, i), START - h * d)
+                    )
+                    / (2 * h)
+                    for d in jnp.eye(2)
+                ],
+                axis=1,
+            )
+            for i in range(3)
+        ]
+    )
+    found = identify(model, SPACE, [HANG, PULL, SWAP])
+    numbers = found.conditioning
+    singular = np.linalg.svd(W / STD, compute_uv=False)
+    # Differences err by their third derivative times h^2 / 6, and rtol of Newton.
+    np.testing.assert_allclose(numbers.singular_values, singular, rtol=1e-5)
+    W_pp = sum(
+        np.asarray(compliance(model, lane, START, solved(model, lane, START)).W_pp)
+        for lane in (lane_of(lanes, i) for i in range(3))
+    )
+    np.testing.assert_allclose(numbers.condition_W_ep, np.linalg.cond(W), rtol=1e-5)
+    np.testing.assert_allclose(
+        numbers.condition_W_ep_W_pp, np.linalg.cond(W @ np.linalg.inv(W_pp)), rtol=1e-5
+    )
+    assert found.n_data == 9
+
+
+def test_a_marker_near_the_clamp_cannot_see_the_tip():
+    found = identify(two_part_beam(), SPACE, NEAR)
+    root, tip = found.parameters
+    assert found.verdict == tip.verdict == "not identifiable"
+    assert root.verdict != "not identifiable"
+    assert [d.words for d in found.blind] == ["E of tip"]
+    # What the bounds say, and nothing more.
+    width = np.log(1e6 / 3e4) / np.sqrt(12.0)
+    assert tip.standard_error == pytest.approx(1e5 * width, rel=1e-3)
+    assert tip.prior == pytest.approx(1e5 * width)
+
+
+def test_both_clamps_see_both_halves():
+    found = identify(two_part_beam(), SPACE, [HANG, SWAP])
+    assert found.verdict == "identifiable"
+    assert found.blind == ()
+    # The two poses mirror each other, and so do the halves.
+    root, tip = found.parameters
+    assert root.standard_error == pytest.approx(tip.standard_error, rel=0.05)
+
+
+def test_one_pose_sees_a_mixture():
+    """A tip that sags by one number cannot tell two moduli apart."""
+    found = identify(two_part_beam(), SPACE, pose("hang", TIP, axes="z"))
+    assert found.n_data == 1
+    assert found.verdict == "not identifiable"
+    assert found.conditioning.condition_weighted == np.inf
+    assert all(p.data_only == np.inf for p in found.parameters)
+    assert "At least 1 more measured coordinate is needed" in str(found)
+
+
+def test_measurements_are_not_looked_at():
+    elsewhere = pose("hang", TIP, measured=np.array(TIP) + 0.3)
+    there, none = (identify(two_part_beam(), SPACE, c) for c in (elsewhere, HANG))
+    assert str(there) == str(none)
+
+
+def test_it_is_what_a_calibration_sees_at_its_start():
+    posed = [pose("hang", TIP, measured=np.array(TIP))]
+    problem = build_problem(two_part_beam(), SPACE, posed)
+    W = eqx.filter_jit(evaluate)(problem, START, at_rest(problem)).W_ep
+    found = identify(two_part_beam(), SPACE, HANG)
+    singular = np.linalg.svd(np.asarray(W), compute_uv=False)
+    np.testing.assert_allclose(found.conditioning.singular_values, singular, rtol=1e-6)
+
+
+def test_noise_and_place_can_be_chosen():
+    model = two_part_beam()
+    stated = identify(model, SPACE, HANG).conditioning
+    finer = identify(model, SPACE, HANG, noise=STD / 4).conditioning
+    ratio = finer.singular_values / stated.singular_values
+    np.testing.assert_allclose(ratio, 4.0, rtol=1e-12)
+    assert finer.condition_W_ep == stated.condition_W_ep
+    stiff = identify(model, SPACE, HANG, at=START + 1.0)
+    assert stiff.parameters[0].value == pytest.approx(1e5 * np.e)
+    # Small deflections: the sag goes with 1/E, and so does its slope in ln E.
+    weaker = stiff.conditioning.singular_values[0] / stated.singular_values[0]
+    assert 1 / np.e < weaker < 0.6
+
+
+@pytest.mark.parametrize(("std", "information"), [(1.0, 2.0), ((1.0, 2.0), 1.25)])
+def test_markers_have_noise_of_their_own(std, information):
+    """Two markers at one place are a finer one: their informations add up."""
+    model = two_part_beam()
+    finer = pose("a", TIP, std=STD / np.sqrt(information))
+    one = identify(model, SPACE, finer)
+    two = identify(model, SPACE, pose("a", TIP + TIP, std=STD * np.array(std)))
+    np.testing.assert_allclose(one.covariance, two.covariance, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "configurations",
+    [(), Configuration("bare", (Support("x_min"),))],
+    ids=["no configuration", "no markers"],
+)
+def test_no_data_is_a_verdict(configurations):
+    found = identify(two_part_beam(), SPACE, configurations)
+    assert found.verdict == "not identifiable"
+    assert found.n_data == 0
+    assert len(found.blind) == 2
+    assert "Nothing is measured" in str(found)
+    assert "nan" not in str(found)
+
+
+def test_one_parameter():
+    E = Parameter("E", "E", 1e5, 3e4, 1e6, unit="Pa")
+    found = identify(two_part_beam(), E, HANG)
+    assert found.verdict == "identifiable"
+    assert found.conditioning.condition_W_ep_W_pp == pytest.approx(1.0)
+
+
+def test_wrong_calls():
+    call = partial(identify, two_part_beam(), SPACE)
+    with pytest.raises(RuntimeError, match=r"configuration 'crushed'.*Newton steps"):
+        call([HANG, crushed()])
+    with pytest.raises(ValueError, match="2 finite scaled values, one per parameter"):
+        call(HANG, at=jnp.zeros(3))
+    with pytest.raises(ValueError, match="2 finite scaled values"):
+        call(HANG, at=np.array([np.nan, 0.0]))
+    with pytest.raises(ValueError, match="noise must be positive and finite"):
+        call(HANG, noise=-1e-3)
+    with pytest.raises(ValueError, match="named more than once"):
+        call([pose("a", ROOT), pose("a", TIP)])
+    with pytest.raises(ValueError, match="'side'"):
+        identify(two_part_beam(), Parameter("side", "side", 1.0, 0.5, 2.0), HANG)
