@@ -2,7 +2,9 @@
 
 from softcal_jax._results import RESULTS
 from softcal_jax.equilibrium._assembly import (
+    add_weighted,
     energy_and_force,
+    field_forces,
     gravity_load,
     internal_force,
     strain_energy,
@@ -29,12 +31,14 @@ __all__ = [
     "LinearSolution",
     "Model",
     "NewtonSettings",
+    "add_weighted",
     "build_model",
     "check_converged",
     "continue_equilibrium",
     "energy_and_force",
     "external_force",
     "factor_solve",
+    "field_forces",
     "gravity_load",
     "internal_force",
     "lane_by_lane",

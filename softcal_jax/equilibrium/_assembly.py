@@ -1,5 +1,9 @@
 """Energy, internal force and tangent of the whole mesh."""
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -15,6 +19,10 @@ from softcal_jax.equilibrium._element import (
 )
 from softcal_jax.equilibrium._model import Model, check_law
 from softcal_jax.equilibrium._sparsity import element_entries
+from softcal_jax.materials import PointValues, is_point_values
+
+FieldOfLaw = Callable[[Any], Any]
+"""Accessor of one field of a law, as `eqx.tree_at` takes it."""
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_nodes _"], function, *per_tet):
@@ -131,6 +139,64 @@ def _kept_entries(model: Model):
     """Local rows and columns of the entries that the pattern of the model keeps."""
     check_law(model.law, model.conservative, model.formulation)
     return element_entries(model.nodes.shape[1], model.solver.sparsity.symmetric)
+
+
+def field_forces(
+    model: Model, u: Float[Array, "n_nodes 3"], fields: Mapping[str, FieldOfLaw]
+) -> dict[str, Float[Array, "n_blocks m n_en 3 block"]]:
+    """Derivatives of each tet's internal force by its own values of some fields [N].
+
+    A field is one number per tet, or one per quadrature point, so one pass over the
+    tets tells the derivative by all of them; parameters that spread the field over the
+    body only weigh it.
+
+    Args:
+        model: The body.
+        u: Displacement [m].
+        fields: Accessors of fields of the law, by name.
+
+    Returns:
+        Nodal forces in blocks; m is 1, or the number of quadrature points.
+    """
+
+    def per_tet(u, dN, w, law, active):
+        def slope(where):
+            value = where(law)
+            points = is_point_values(value)
+            flat = value.values if points else value[None]
+
+            def force(flat):
+                new = PointValues(flat) if points else flat[0]
+                changed = eqx.tree_at(where, law, new)
+                return element_force(u, dN, w, changed, model.formulation)
+
+            directions = jnp.eye(flat.shape[0])
+            return active * jax.vmap(lambda d: jax.jvp(force, (flat,), (d,))[1])(
+                directions
+            )
+
+        return {name: slope(where) for name, where in fields.items()}
+
+    return _map_blocks(model, u, per_tet)
+
+
+def add_weighted(
+    model: Model,
+    forces: Float[Array, "n_blocks m n_en 3 block"],
+    weights: Float[Array, "n_p n_tets m"],
+) -> Float[Array, "n_p n_nodes 3"]:
+    """Nodal forces of the body, each tet's multiplied by its weight [N]."""
+    n_blocks, m, *_, block = forces.shape
+    pad = n_blocks * block - model.n_tets
+
+    def one(weight):
+        full = jnp.concatenate([weight, jnp.zeros((pad, m))])
+        blocked = jnp.moveaxis(full.reshape(n_blocks, block, m), 1, 2)
+        return _add_forces(
+            model, jnp.sum(forces * blocked[:, :, None, None, :], axis=1)
+        )
+
+    return jax.lax.map(one, weights)
 
 
 def _add_entries(
