@@ -5,7 +5,9 @@ import subprocess
 import sys
 from importlib.metadata import version
 
+import numpy as np
 import pytest
+from anisotropic_project import write_measured_project
 from small_project import write_small_project
 
 from softcal_jax.cli import main
@@ -41,7 +43,9 @@ def test_help(capsys):
     assert "exit codes: 0" in text
 
 
-@pytest.mark.parametrize("argv", [[], ["callibrate"], ["calibrate", "p.toml"]])
+@pytest.mark.parametrize(
+    "argv", [[], ["callibrate"], ["calibrate", "p.toml"], ["identify"]]
+)
 def test_wrong_usage(argv, capsys):
     with pytest.raises(SystemExit) as caught:
         main(argv)
@@ -143,7 +147,110 @@ def test_no_equilibrium_names_the_configuration(tmp_path, out, capsys):
     assert left_behind(tmp_path) == set()
 
 
-@pytest.mark.parametrize("command", ["calibrate", "simulate"])
+CANDIDATES = """
+[[candidates]]
+name = "upside down"
+gravity = "(0, 0, 9.81) m/s^2"
+
+[[candidates]]
+name = "crushed"
+loads = [{ surface = "x_max", force = "(-500000, 0, 0) N" }]
+"""
+
+
+def test_identify(tmp_path, out, capsys):
+    """Verdict and ranking without one measurement, printed and as files."""
+    path = write_small_project(
+        tmp_path, ("[markers]\n", "[newton]\nmax_steps = 8\n\n[markers]\n")
+    )
+    text = path.read_text()
+    start, end = text.index("[shared.measured]"), text.index("[[configurations]]")
+    text = text[:start] + text[end:].replace("measured.recording", "# ")
+    path.write_text(text + CANDIDATES)
+    assert main(["identify", str(path), "-o", str(out)]) == 0
+    printed, errors = capsys.readouterr()
+    assert errors == ""
+    assert "what weight would tell (compiling)" in printed
+    assert "what upside down, crushed would add (compiling)" in printed
+    # Two markers on three axes; `pulled` is held out.
+    assert (
+        "Weakly identifiable at these values: 6 measured coordinates for 1 p" in printed
+    )
+    assert "Candidate 'upside down' adds most: " in printed
+    assert "Not ranked: 'crushed': " in printed
+    assert "[[candidates]]" not in printed
+    assert f"Results in {out}: identifiability.json, identifiability.txt" in printed
+    data = json.loads((out / "identifiability.json").read_text())
+    assert data["identifiability"]["verdict"] == "weakly identifiable"
+    assert [c["name"] for c in data["ranking"]["candidates"]] == ["upside down"]
+    assert [c["name"] for c in data["ranking"]["unranked"]] == ["crushed"]
+    words = (out / "identifiability.txt").read_text()
+    assert words.startswith("small\n\nWeakly identifiable at these values: ")
+    assert words.split("\n\n")[1] in printed
+
+
+def test_identify_prints_alone(tmp_path, capsys):
+    """Without -o nothing is written; without candidates it says how to add some."""
+    path = write_small_project(tmp_path)
+    assert main(["identify", str(path)]) == 0
+    printed, errors = capsys.readouterr()
+    assert errors == ""
+    assert "describe it in [[candidates]] (keys as in [[configurations]])" in printed
+    assert printed.split("\n")[-2].startswith("Time: import ")
+    assert left_behind(tmp_path) == set()
+
+
+def test_identify_names_what_has_no_equilibrium(tmp_path, out, capsys):
+    path = write_small_project(tmp_path, *CRUSHED)
+    assert main(["identify", str(path), "-o", str(out)]) == 1
+    errors = capsys.readouterr().err
+    assert errors.startswith("error: no equilibrium found.\nconfiguration 'pulled': ")
+    assert errors.endswith("Nothing was written.\n")
+    assert left_behind(tmp_path) == set()
+
+
+def test_identify_needs_something_to_judge(tmp_path, capsys):
+    start = '[[parameters]]\nfield = "E"\nlower = "100 kPa"\nupper = "1 MPa"\n'
+    path = write_small_project(tmp_path, (start, ""))
+    assert main(["identify", str(path)]) == 2
+    assert "parameters: nothing to calibrate" in capsys.readouterr().err
+
+
+def test_identify_help(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["identify", "--help"])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    assert "No measured positions are needed" in text
+    assert "[[candidates]]" in text
+    assert "exit codes: 0 judged, whatever the verdict" in text
+
+
+def test_calibrate_fields_of_an_anisotropic_beam(tmp_path, out, capsys):
+    """Degrees for people, radians in the JSON; the data are too few for six unknowns.
+
+    Two poses with one marker each: as many coordinates as parameters, and the poses
+    that differ by a turn of gravity see hardly anything of the far end.
+    """
+    path = write_measured_project(tmp_path)
+    assert main(["calibrate", str(path), "-o", str(out)]) in (0, 1)
+    text = capsys.readouterr().out
+    assert "Corotational of ReducedTransverseIsotropic (displacement)" in text
+    assert "E_t = 700.00, 600.00 kPa; E_l = 400.00, 400.00 kPa; theta = 10.00, " in text
+    assert " rad" not in text
+    assert "What the data tell" in text
+    assert "The data hardly see " in text
+    data = json.loads((out / "result.json").read_text())
+    theta = data["parameters"][4]
+    assert (theta["name"], theta["unit"]) == ("theta of CP 1", "rad")
+    assert theta["upper"] == pytest.approx(np.pi / 2)
+    assert data["solver"]["elasticity"] == "ReducedTransverseIsotropic"
+    assert data["identifiability"]["verdict"] == "not identifiable"
+    names = [p["name"] for p in data["parameters"]]
+    assert [p["name"] for p in data["identifiability"]["parameters"]] == names
+
+
+@pytest.mark.parametrize("command", ["calibrate", "simulate", "identify"])
 def test_bad_input_leaves_nothing(tmp_path, out, capsys, command):
     path = write_small_project(tmp_path, ('E = "200 kPa"', 'E = "200 kpa"'))
     assert main([command, str(path), "-o", str(out)]) == 2

@@ -7,7 +7,9 @@ import warnings
 import numpy as np
 import pytest
 from export.handmade import (
+    axis_space,
     make_fit,
+    make_ranking,
     make_result,
     make_simulation,
     replaced,
@@ -16,14 +18,17 @@ from export.handmade import (
 from matplotlib.image import imread
 from rich.console import Console
 
-from softcal_jax import report
 from softcal_jax.calibration import ParameterEstimate
 from softcal_jax.export import simulation_dict
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.identifiability import identifiability
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.report import (
     PictureWarning,
+    _write,
     simulation_table,
     summary_table,
+    write_identifiability,
     write_results,
     write_simulation,
 )
@@ -46,7 +51,7 @@ def printed(table):
 
 @pytest.fixture
 def no_opengl(monkeypatch):
-    monkeypatch.setattr(report, "rendering_problem", lambda: "no OpenGL here")
+    monkeypatch.setattr(_write, "rendering_problem", lambda: "no OpenGL here")
 
 
 @needs_opengl
@@ -129,7 +134,7 @@ class TestWholeOrNotAtAll:
         def fail(*args, **kwargs):
             raise OSError("disk full")
 
-        monkeypatch.setattr(report, part, fail)
+        monkeypatch.setattr(_write, part, fail)
         for name in ("new", "old"):
             with pytest.raises(OSError, match="disk full"):
                 write_results(make_result(converged=False), tmp_path / name, force=True)
@@ -149,7 +154,7 @@ class TestWholeOrNotAtAll:
         def fail(*args, **kwargs):
             raise OSError("disk full")
 
-        monkeypatch.setattr(report, "write_json", fail)
+        monkeypatch.setattr(_write, "write_json", fail)
         with pytest.raises(OSError, match="disk full"):
             write_simulation(*arguments, tmp_path / "new")
         assert names(tmp_path) == ["out"]
@@ -190,9 +195,116 @@ def test_summary_in_80_columns():
             role,
             *numbers,
         ]
-    assert "Converged in 4 steps." in text
+    assert "Converged in 4 steps, but take the values with care." in text
     assert "Note: nu ended on a bound." in text
     assert "…" not in text
+
+
+def judged(*rows):
+    """What data with these compliances, in noise units, tell of a modulus, an angle."""
+    space = axis_space()
+    return identifiability(np.array(rows), space, space.start())
+
+
+def axis_result(*rows, space=None):
+    """A modulus and an angle, both kept; compliances in noise units."""
+    space = space or axis_space()
+    values = np.deg2rad([-33.94, 0.123, 10.0, -90.0, 90.0])
+    return make_result(
+        parameters=(
+            ParameterEstimate("E_t of CP 1", 5e5, 9e3, 2e5, 1e5, 1e6, "Pa", False),
+            ParameterEstimate("theta of CP 1", *map(float, values), "rad", False),
+        ),
+        space=space,
+        z=space.start(),
+        # The noise of a handmade fit is 1.5 times the stated one.
+        W_ep=1.5 * np.array(rows or [[100.0, 0.0], [0.0, 100.0]]),
+    )
+
+
+def test_angles_are_in_degrees():
+    text = printed(summary_table(axis_result()))
+    assert "theta of CP 1 │  -33.94 ± 0.12 deg │  10 deg │   -90 to 90 deg" in text
+    assert "rad" not in text
+
+
+def test_summary_names_what_the_data_do_not_see():
+    text = printed(summary_table(axis_result([100.0, 0.0])))
+    rows = [
+        [cell.strip() for cell in line.strip("│").split("│")]
+        for line in text.splitlines()
+        if line.startswith("│")
+    ]
+    assert rows[-2:] == [
+        # 1 % of the modulus; its bounds leave ln 10 / root 12 = 66 %.
+        ["E_t", "1.5 %", "identifiable"],
+        ["theta", "100 %", "not identifiable"],
+    ]
+    flat = " ".join(text.split())
+    assert "over that of the bounds: below 10 % identifiable, above 50 % not." in flat
+    assert "Condition: W_ep in noise units inf." in flat
+    assert (
+        "The data hardly see 1 of 2 directions; along these the bounds and the start "
+        "decide, not the data: theta (100 %)" in flat
+    )
+    assert "Converged in 4 steps, but take the values with care." in text
+    assert "…" not in text
+
+
+@pytest.mark.parametrize(
+    ("angle", "words"),
+    [
+        (100.0, "The data determine the parameters well."),
+        (10.0, "The data determine the parameters only weakly in part."),
+    ],
+)
+def test_summary_of_what_they_see(angle, words):
+    text = printed(summary_table(axis_result([100.0, 0.0], [0.0, angle])))
+    assert words in text
+    assert "hardly see" not in text
+    assert ("take the values with care" in text) == (angle == 10.0)
+
+
+def test_many_blind_directions_are_counted():
+    space = ParameterSpace(
+        tuple(
+            Parameter(f"E of {i}", "E", 2e5, 1e5, 1e6, region=f"r{i}", unit="Pa")
+            for i in range(8)
+        )
+    )
+    text = printed(summary_table(axis_result(*np.zeros((3, 8)), space=space)))
+    assert "The data hardly see 8 of 8 directions" in text
+    assert "and 2 more." in text
+
+
+def test_an_outlook_as_a_folder(tmp_path):
+    found = judged([100.0, 0.0])
+    folder = write_identifiability(
+        found, make_ranking(), tmp_path / "out", name="beam", timing_s={"solve": 1.0}
+    )
+    assert names(folder) == ["identifiability.json", "identifiability.txt"]
+    data = json.loads((folder / "identifiability.json").read_text())
+    assert (data["name"], data["timing_s"]) == ("beam", {"solve": 1.0})
+    assert data["files"] == ["identifiability.txt"]
+    assert data["identifiability"]["verdict"] == "not identifiable"
+    text = (folder / "identifiability.txt").read_text()
+    assert text == f"beam\n\n{found}\n\n{make_ranking()}\n"
+
+    with pytest.raises(FileExistsError, match="--force"):
+        write_identifiability(found, None, folder)
+    write_identifiability(found, None, folder, force=True)
+    assert json.loads((folder / "identifiability.json").read_text())["ranking"] is None
+
+
+@pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+@pytest.mark.usefixtures("no_opengl")
+def test_a_verdict_goes_into_the_results(tmp_path):
+    folder = write_results(make_result(), tmp_path / "out")
+    data = json.loads((folder / "result.json").read_text())
+    assert data["identifiability"]["verdict"] == "identifiable"
+    # Over it, an outlook: the calibration's files go.
+    write_identifiability(judged([1.0, 0.0]), None, folder, force=True)
+    assert names(folder) == ["identifiability.json", "identifiability.txt"]
 
 
 def test_summary_says_that_it_did_not_converge():

@@ -1,4 +1,4 @@
-"""The command line: `softcal demo`, `softcal calibrate`, `softcal simulate`.
+"""The command line: `softcal demo`, `calibrate`, `simulate`, `identify`.
 
 Exit codes: 0 all is well, 1 not converged or no equilibrium, 2 bad input, 130 Ctrl-C.
 """

@@ -8,8 +8,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from softcal_jax.cli._commands import INTERRUPTED, Stop, calibrate, demo, simulate
+from softcal_jax.cli._commands import calibrate, demo, simulate
 from softcal_jax.cli._display import Display, process_start, warnings_as_lines
+from softcal_jax.cli._identify import identify
+from softcal_jax.cli._shared import INTERRUPTED, Stop
 
 _ABOUT = """\
 Calibrate the finite-element model of a soft robot from a few measured poses."""
@@ -20,8 +22,17 @@ examples:
   softcal demo --write my_robot           its project file and data, to start from
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
+  softcal identify my_robot/project.toml  would the data suffice? before measuring
 
 exit codes: 0 all is well, 1 not converged or no equilibrium, 2 bad input
+"""
+
+_IDENTIFY = """\
+examples:
+  softcal identify project.toml
+  softcal identify project.toml -o outlook    and as identifiability.json and .txt
+
+exit codes: 0 judged, whatever the verdict, 1 no equilibrium, 2 bad input
 """
 
 
@@ -53,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    raw = argparse.RawDescriptionHelpFormatter
+    raw = lambda prog: argparse.RawDescriptionHelpFormatter(prog, max_help_position=26)
     parser = argparse.ArgumentParser(
         "softcal", description=_ABOUT, epilog=_EXAMPLES, formatter_class=raw
     )
@@ -75,13 +86,19 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="write the demo's project file and data to DIR and stop",
     )
-    beam.set_defaults(run=demo)
+    beam.set_defaults(run=demo, checkpoint=None)
 
     fit = commands.add_parser(
         "calibrate",
         help="fit the parameters of a project file",
         description="Fits the parameters of a project file to its measured "
         "configurations, predicts those held out, and writes the results.",
+    )
+    fit.add_argument(
+        "--checkpoint",
+        metavar="FILE",
+        type=Path,
+        help="keep the state in FILE after every step; if it is there, go on from it",
     )
     fit.set_defaults(run=lambda args, show: calibrate(args, show, args.project))
     forward = commands.add_parser(
@@ -91,22 +108,39 @@ def _parser() -> argparse.ArgumentParser:
         "with the start values of its parameters, and writes the results.",
     )
     forward.set_defaults(run=simulate)
-    for command in (fit, forward):
+    outlook = commands.add_parser(
+        "identify",
+        help="would the data determine the parameters? before any is measured",
+        description="""\
+Solves the configurations of a project file at the start values and says whether their
+markers would determine the parameters: a verdict for each, the directions that the data
+are blind to, and condition numbers. No measured positions are needed; those that are
+there are not looked at. What counts is the `std` and the axes of the markers.
+
+Candidates, [[candidates]] in the project file with the keys of [[configurations]], are
+ranked by what measuring them as well would add.""",
+        epilog=_IDENTIFY,
+        formatter_class=raw,
+    )
+    outlook.set_defaults(run=identify)
+    for command in (fit, forward, outlook):
         command.add_argument(
             "project", metavar="PROJECT.toml", type=Path, help="the project file"
         )
-        _add_output(command, default=None)
+        _add_output(command, default=None, required=command is not outlook)
     return parser
 
 
-def _add_output(parser: argparse.ArgumentParser, *, default: str | None) -> None:
+def _add_output(
+    parser: argparse.ArgumentParser, *, default: str | None, required: bool = False
+) -> None:
     parser.add_argument(
         "-o",
         "--output",
         metavar="DIR",
         type=Path,
         default=default and Path(default),
-        required=default is None,
+        required=required,
         help="folder for the results" + (f" (default: {default})" if default else ""),
     )
     parser.add_argument(

@@ -1,6 +1,12 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
 from softcal_jax.export._folder import check_results_folder, results_folder
+from softcal_jax.export._identifiability import (
+    assessment_dict,
+    identifiability_dict,
+    outlook_dict,
+    starts_dict,
+)
 from softcal_jax.export._json import result_dict, simulation_dict
 from softcal_jax.export._names import file_stems
 from softcal_jax.export._tables import write_json, write_markers_csv
@@ -10,13 +16,17 @@ from softcal_jax.export._vtu import write_vtu
 
 __all__ = [
     "Readable",
+    "assessment_dict",
     "check_results_folder",
     "file_stems",
+    "identifiability_dict",
+    "outlook_dict",
     "readable_estimate",
     "readable_unit",
     "result_dict",
     "results_folder",
     "simulation_dict",
+    "starts_dict",
     "versions",
     "write_json",
     "write_markers_csv",

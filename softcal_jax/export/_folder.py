@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-INDEX_FILES = ("result.json", "simulation.json")
+INDEX_FILES = ("result.json", "simulation.json", "identifiability.json")
 """A folder with one of these is a results folder; its `files` says which are ours."""
 
 
@@ -38,7 +38,7 @@ def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
     if not _own_files(directory):
         raise FileExistsError(
             f"the folder {directory} does not hold earlier results of softcal_jax "
-            f"({' or '.join(INDEX_FILES)}), so nothing in it is replaced. Choose "
+            f"({', '.join(INDEX_FILES)}), so nothing in it is replaced. Choose "
             "another folder, or empty it yourself."
         )
 

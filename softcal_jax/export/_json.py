@@ -1,7 +1,5 @@
 """Results as dictionaries that JSON can hold: markers in mm, the rest in SI."""
 
-import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,7 +12,14 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ConfigurationFit
 from softcal_jax.configurations import Configuration, configuration_arrays
 from softcal_jax.equilibrium import RESULTS, EquilibriumSolution, Model
+from softcal_jax.export._identifiability import (
+    assessment_dict,
+    identifiability_dict,
+    starts_dict,
+)
+from softcal_jax.export._plain import fields_of, plain
 from softcal_jax.export._versions import versions
+from softcal_jax.identifiability import assess
 
 
 def result_dict(
@@ -31,8 +36,10 @@ def result_dict(
     `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
     `simulated_before_mm`, `simulated_mm`, `residual_mm`, then `newton_steps`,
     `residual`, `min_det_F`); `history` (one entry per step, 0 is the start); `solver`;
-    `settings`; `uncertainty` (covariance of the scaled parameters); `notes`;
-    `versions`; `timing_s`. A number that does not exist is null.
+    `settings`; `uncertainty` (covariance of the scaled parameters); `assessment` (see
+    `assessment_dict`); `identifiability` (see `identifiability_dict`); `starts` (see
+    `starts_dict`; null if there was one); `notes`; `versions`; `timing_s`. A number
+    that does not exist is null.
 
     Args:
         result: The calibration.
@@ -42,21 +49,25 @@ def result_dict(
     Returns:
         Dictionaries, lists, texts, numbers and None; no NaN and no infinity.
     """
-    return _plain(
+    found = assess(result)
+    return plain(
         {
             "format": "softcal_jax.result/1",
             "name": name,
             "converged": result.converged,
-            "parameters": [_fields(parameter) for parameter in result.parameters],
+            "parameters": [fields_of(parameter) for parameter in result.parameters],
             "configurations": [_fit(fit) for fit in result.configurations],
             "history": [_step(entry) for entry in result.history],
             "solver": _solver(result.model),
             "settings": {
-                "calibration": _fields(result.settings),
-                "newton": _fields(result.newton),
+                "calibration": fields_of(result.settings),
+                "newton": fields_of(result.newton),
                 "noise": result.uncertainty.noise,
             },
             "uncertainty": _uncertainty(result),
+            "assessment": assessment_dict(found),
+            "identifiability": identifiability_dict(found.identifiability),
+            "starts": result.starts and starts_dict(result.starts),
             "notes": list(result.notes),
             "versions": versions(result.model),
             "timing_s": {**result.timing_s, **(timing_s or {})},
@@ -94,7 +105,7 @@ def simulation_dict(
         _lane(model, configuration, jax.tree.map(lambda leaf, i=i: leaf[i], solution))
         for i, configuration in enumerate(configurations)
     ]
-    return _plain(
+    return plain(
         {
             "format": "softcal_jax.simulation/1",
             "name": name,
@@ -137,15 +148,17 @@ def _fit(fit: ConfigurationFit) -> dict[str, Any]:
 
 
 def _step(entry: eqx.Module) -> dict[str, Any]:
-    step = _fields(entry)
+    step = fields_of(entry)
     step["rms_mm"] = 1e3 * step.pop("rms")
     return step
 
 
 def _solver(model: Model) -> dict[str, Any]:
+    elasticity = getattr(model.law, "elasticity", None)  # not every law has one
     return {
         "name": model.solver.name,
         "law": type(model.law).__name__,
+        "elasticity": elasticity and type(elasticity).__name__,
         "formulation": model.formulation,
         "element_order": model.mesh.order,
         "n_nodes": model.mesh.n_nodes,
@@ -206,22 +219,3 @@ def _markers(
         }
         for i, marker in enumerate(configuration.markers.names)
     ]
-
-
-def _fields(module: Any) -> dict[str, Any]:
-    return {f.name: getattr(module, f.name) for f in dataclasses.fields(module)}
-
-
-def _plain(value: Any) -> Any:
-    """Arrays become lists, NumPy numbers Python ones, and what is not finite None."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, jax.Array)):
-        return _plain(np.asarray(value).tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -1,4 +1,4 @@
-"""Units that a person reads: kPa instead of 2.638e+05 Pa."""
+"""Units that a person reads: kPa instead of 2.638e+05 Pa, degrees instead of rad."""
 
 import math
 from collections.abc import Iterable
@@ -16,6 +16,7 @@ class Readable(NamedTuple):
 _PREFIXED = {
     "Pa": ((1.0, "Pa"), (1e3, "kPa"), (1e6, "MPa"), (1e9, "GPa")),
     "m": ((1e-3, "mm"), (1.0, "m")),
+    "rad": ((math.pi / 180.0, "deg"),),
 }
 
 

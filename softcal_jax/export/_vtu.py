@@ -13,6 +13,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.equilibrium import Model, strain_energy
+from softcal_jax.materials import is_point_values
 from softcal_jax.mesh import volumes
 
 _strain_energy = eqx.filter_jit(strain_energy)
@@ -72,7 +73,10 @@ def write_vtu(
 def _material(model: Model) -> dict[str, HostArray]:
     """Density and fields of the law, one value per tet."""
     leaves: list[tuple[tuple[str, ...], ArrayLike]] = [(("density",), model.density)]
-    for path, leaf in jax.tree_util.tree_leaves_with_path(model.law):
+    law = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
+    for path, leaf in law:
+        if is_point_values(leaf):  # a cell of VTK holds one value
+            leaf = jnp.mean(leaf.values, axis=1)
         parts = jax.tree_util.keystr(path).strip(".").split(".")
         leaves.append((tuple(parts), leaf))
     names = Counter(parts[-1] for parts, _ in leaves)

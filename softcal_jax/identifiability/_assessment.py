@@ -1,5 +1,7 @@
 """What a finished calibration may claim: converged, consistent, identified."""
 
+import math
+
 import equinox as eqx
 from scipy.special import chdtrc
 
@@ -9,6 +11,10 @@ from softcal_jax.identifiability._result import Identifiability
 
 UNLIKELY = 0.01
 """Probability of a chi-squared as large by chance, below which the model is wrong."""
+
+
+EXACT = 1e-3
+"""Residuals over the stated noise below which they are no sample of it [-]."""
 
 
 class Assessment(eqx.Module):
@@ -51,11 +57,13 @@ def assess(result: CalibrationResult) -> Assessment:
         The verdict, with its reasons.
     """
     spread = result.uncertainty
+    # Data made by the model itself leave no noise to estimate.
+    known = math.isfinite(spread.noise_scale) and spread.noise_scale > EXACT
     report = identifiability(
         result.W_ep,
         result.space,
         result.z,
-        noise_scale=spread.noise_scale if spread.degrees_of_freedom > 0 else 1.0,
+        noise_scale=spread.noise_scale if known else 1.0,
     )
     reasons = []
     if not result.converged:

@@ -1,4 +1,4 @@
-"""From the tables of a project file to the body: mesh, groups, law, parameters."""
+"""From the tables of a project file to the body: mesh, groups, law."""
 
 from pathlib import Path
 
@@ -6,14 +6,6 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.equilibrium import Model, build_model
-from softcal_jax.fields import Parameter
-from softcal_jax.materials import (
-    AbstractLaw,
-    Corotational,
-    Isotropic,
-    NeoHookean,
-    StVenantKirchhoff,
-)
 from softcal_jax.mesh import (
     Box,
     Plane,
@@ -24,17 +16,11 @@ from softcal_jax.mesh import (
     select_faces,
     select_nodes,
 )
+from softcal_jax.project._laws import build_law
 from softcal_jax.project._problems import at
-from softcal_jax.project._schema import (
-    GroupTable,
-    MaterialTable,
-    MeshTable,
-    ParameterTable,
-    ProjectTable,
-)
-
-UNITS = {"E": "Pa", "density": "kg/m3", "nu": ""}
-"""SI unit of each constant, as results name it."""
+from softcal_jax.project._schema import ProjectTable
+from softcal_jax.project._schema_material import MaterialTable
+from softcal_jax.project._schema_mesh import GroupTable, MeshTable
 
 
 def build_mesh(path: Path, table: ProjectTable) -> TetMesh:
@@ -105,20 +91,9 @@ def build_body(path: Path, table: MaterialTable, mesh: TetMesh) -> Model:
         ProjectError: If a constant is out of range, or a region is no tet group.
     """
     with at(path, "material"):
-        E, nu, density = (_constant(mesh, table, key) for key in ("E", "nu", "density"))
-        return build_model(
-            mesh, _law(table.law, E, nu), density=density, formulation=table.formulation
-        )
-
-
-def _law(
-    name: str, E: Float[HostArray, "..."], nu: Float[HostArray, "..."]
-) -> AbstractLaw:
-    if name == "neo-hookean":
-        return NeoHookean(E, nu)
-    if name == "corotational":
-        return Corotational(Isotropic(E, nu))
-    return StVenantKirchhoff(Isotropic(E, nu))
+        law = build_law(table, lambda key: _constant(mesh, table, key))
+        density = _constant(mesh, table, "density")
+        return build_model(mesh, law, density=density, formulation=table.formulation)
 
 
 def _constant(mesh: TetMesh, table: MaterialTable, key: str) -> Float[HostArray, "..."]:
@@ -131,47 +106,3 @@ def _constant(mesh: TetMesh, table: MaterialTable, key: str) -> Float[HostArray,
             base = np.broadcast_to(base, (mesh.n_tets,)).copy()
             base[tets] = value
     return base
-
-
-def build_parameters(
-    path: Path, tables: tuple[ParameterTable, ...], material: MaterialTable
-) -> tuple[Parameter, ...]:
-    """The parameters; a start that is left out is the constant of the material.
-
-    Raises:
-        ProjectError: If bounds, start or scale do not fit.
-    """
-    parameters = []
-    for table in tables:
-        name = table.name or (
-            table.field if table.region is None else f"{table.field}_{table.region}"
-        )
-        with at(path, f"parameters.{name}"):
-            parameters.append(_parameter(name, table, material))
-    return tuple(parameters)
-
-
-def _parameter(name: str, table: ParameterTable, material: MaterialTable) -> Parameter:
-    start = table.start
-    if start is None:
-        region = material.regions.get(table.region or "")
-        own = None if region is None else getattr(region, table.field)
-        start = getattr(material, table.field) if own is None else own
-    if table.field == "nu" and not (-1.0 < table.lower and table.upper < 0.5):
-        raise ValueError(
-            "the bounds of nu must lie in (-1, 0.5), got "
-            f"[{table.lower:g}, {table.upper:g}]."
-        )
-    if table.field != "nu" and table.lower <= 0.0:
-        raise ValueError(f"lower must be positive, got {table.lower:g} (SI).")
-    return Parameter(
-        name,
-        table.field,
-        start,
-        table.lower,
-        table.upper,
-        table.scale or ("linear" if table.field == "nu" else "log"),
-        table.S,
-        table.region,
-        UNITS[table.field],
-    )

@@ -22,7 +22,8 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._problems import at, suggestion
-from softcal_jax.project._schema import (
+from softcal_jax.project._schema_poses import (
+    CandidateTable,
     ConfigurationTable,
     GravityTable,
     LoadTable,
@@ -40,20 +41,21 @@ class Pose(NamedTuple):
 
 
 def build_pose(
-    path: Path, table: ConfigurationTable, markers: MarkersTable | None, mesh: TetMesh
+    path: Path, table: CandidateTable, markers: MarkersTable | None, mesh: TetMesh
 ) -> Pose:
-    """One posed robot with its measurement.
+    """One posed robot, with its measurement if it has one.
 
     Args:
         path: The project file, for messages and as the base of relative paths.
-        table: The configuration, with [shared] merged in.
+        table: The configuration or candidate, with [shared] merged in.
         markers: All markers of the project.
         mesh: The mesh, which knows the groups.
 
     Raises:
         ProjectError: If a group, a marker, a file or a value in it is wrong.
     """
-    key = f"configurations.{table.name}"
+    measurable = isinstance(table, ConfigurationTable)
+    key = f"{'configurations' if measurable else 'candidates'}.{table.name}"
     supports, loads = [], []
     for i, support in enumerate(table.supports, start=1):
         with at(path, f"{key}.supports[{i}]"):
@@ -66,7 +68,7 @@ def build_pose(
     with at(path, f"{key}.markers"):
         chosen = _markers(markers, table.markers)
     measured = registration = None
-    if table.measured is not None:
+    if isinstance(table, ConfigurationTable) and table.measured is not None:
         with at(path, f"{key}.measured"):
             measured, registration = _measured(
                 path.parent, table.measured, markers, chosen
@@ -85,7 +87,7 @@ def build_pose(
         )
 
 
-def _gravity(table: ConfigurationTable) -> tuple[float, float, float]:
+def _gravity(table: CandidateTable) -> tuple[float, float, float]:
     if not isinstance(table.gravity, GravityTable):
         return table.gravity
     x, y, z = (table.gravity.size * v for v in table.gravity.direction)

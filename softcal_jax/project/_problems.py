@@ -118,7 +118,8 @@ def suggestion(name: str, known: Iterable[str]) -> str:
 
 def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
     """Dotted path; an entry of a list is called by its name, or counted from 1."""
-    if len(keys) > 2 and keys[0] == "configurations" and not _has(raw, keys):
+    posed = keys[:1] in (("configurations",), ("candidates",))
+    if posed and len(keys) > 2 and not _has(raw, keys):
         if _has(raw, ("shared", *keys[2:])):
             keys = ("shared", *keys[2:])
     out, here = "", raw

@@ -2,14 +2,12 @@
 
 import dataclasses
 import os
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax
-from pydantic import ValidationError
 
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -29,16 +27,13 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
 )
 from softcal_jax.fields import Parameter, ParameterSpace
-from softcal_jax.project._body import build_body, build_mesh, build_parameters
-from softcal_jax.project._poses import build_pose
-from softcal_jax.project._problems import (
-    ProjectError,
-    at,
-    describe,
-    one_by_one,
-    suggestion,
+from softcal_jax.identifiability import (
+    Identifiability,
+    Ranking,
+    identify,
+    rank_configurations,
 )
-from softcal_jax.project._schema import ConfigurationTable, ProjectTable
+from softcal_jax.project._problems import ProjectError, one_by_one
 
 
 class Project(eqx.Module):
@@ -48,10 +43,13 @@ class Project(eqx.Module):
         name: Name of the project.
         path: The file it came from.
         model: The body, with the start values of the parameters.
-        parameters: What is calibrated; may be empty for a simulation.
+        space: What is calibrated; None for a file without parameters.
         calibration: Configurations that are fitted.
         validation: Configurations that are only predicted.
+        candidates: Configurations that might be measured, see `rank_candidates`.
         noise: Where the noise comes from: "estimated" or "stated".
+        starts: From how many starts the optimum is looked for.
+        seed: Seed of the random ones.
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
         registrations: How each camera frame was placed, by configuration; `rms` of
@@ -61,10 +59,13 @@ class Project(eqx.Module):
     name: str
     path: Path
     model: Model
-    parameters: tuple[Parameter, ...]
+    space: ParameterSpace | None
     calibration: tuple[Configuration, ...]
     validation: tuple[Configuration, ...]
+    candidates: tuple[Configuration, ...]
     noise: Literal["estimated", "stated"]
+    starts: int
+    seed: int
     settings: CalibrationSettings
     newton: NewtonSettings
     registrations: dict[str, Registration]
@@ -74,6 +75,11 @@ class Project(eqx.Module):
         """All configurations, the fitted ones first."""
         return self.calibration + self.validation
 
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The unknowns one by one; empty for a file without parameters."""
+        return () if self.space is None else self.space.parameters
+
     def check_calibration(self) -> None:
         """Checks that there is something to calibrate, and data to do it with.
 
@@ -82,7 +88,7 @@ class Project(eqx.Module):
                 missing, which a simulation does not need.
         """
         problems = []
-        if not self.parameters:
+        if self.space is None:
             problems.append("parameters: nothing to calibrate; add [[parameters]].")
         if not self.calibration:
             problems.append(
@@ -98,11 +104,15 @@ class Project(eqx.Module):
             raise one_by_one(self.path, problems)
 
     def calibrate(
-        self, *, progress: Callable[[HistoryEntry], None] | None = None
+        self,
+        *,
+        checkpoint: str | os.PathLike[str] | None = None,
+        progress: Callable[[HistoryEntry], None] | None = None,
     ) -> CalibrationResult:
         """Finds the parameters, then predicts the validation configurations.
 
         Args:
+            checkpoint: File that the state is kept in, and gone on from.
             progress: Called after the first evaluation and after each step.
 
         Returns:
@@ -111,17 +121,22 @@ class Project(eqx.Module):
 
         Raises:
             ProjectError: If there is nothing to calibrate.
+            ValueError: If the checkpoint is of another calibration.
             RuntimeError: If a configuration has no equilibrium; the text names it.
         """
         self.check_calibration()
+        assert self.space is not None
         result = calibrate(
             self.model,
-            self.parameters,
+            self.space,
             self.calibration,
             validation=self.validation,
             noise=self.noise,
             settings=self.settings,
             newton=self.newton,
+            starts=self.starts,
+            seed=self.seed,
+            checkpoint=checkpoint,
             progress=progress,
         )
         if not self.registrations:
@@ -133,13 +148,79 @@ class Project(eqx.Module):
         note = f"Camera frames registered to the mesh with an rms of: {listed}."
         return dataclasses.replace(result, notes=(*result.notes, note))
 
+    def check_identify(self) -> None:
+        """Checks that there is something to judge; nothing need be measured.
+
+        Raises:
+            ProjectError: If parameters, poses or markers are missing.
+        """
+        problems = []
+        if self.space is None:
+            problems.append("parameters: nothing to calibrate; add [[parameters]].")
+        posed = (*self.calibration, *self.candidates)
+        if not posed:
+            problems.append(
+                'configurations: none has role = "calibration", and there are no '
+                "candidates."
+            )
+        if posed and not any(c.markers for c in posed):
+            problems.append("markers: there are none to measure; add [markers].")
+        if problems:
+            raise one_by_one(self.path, problems)
+
+    def identify(self) -> Identifiability:
+        """What the calibration configurations would tell, measured or not.
+
+        Returns:
+            The verdict at the start values, with the stated noise of the markers.
+
+        Raises:
+            ProjectError: If there are no parameters, poses or markers.
+            RuntimeError: If a configuration has no equilibrium; the text names it.
+        """
+        self.check_identify()
+        assert self.space is not None
+        return identify(self.model, self.space, self.calibration, newton=self.newton)
+
+    def rank_candidates(self) -> Ranking:
+        """What each candidate would add to the calibration configurations.
+
+        Returns:
+            The candidates, the best first.
+
+        Raises:
+            ProjectError: If there are no parameters, candidates or markers.
+            RuntimeError: If a configuration has no equilibrium; the text names it.
+        """
+        self.check_identify()
+        assert self.space is not None
+        if not self.candidates:
+            raise ProjectError(
+                f"{self.path}: candidates: there are none; add [[candidates]]."
+            )
+        return rank_configurations(
+            self.model,
+            self.space,
+            self.calibration,
+            self.candidates,
+            newton=self.newton,
+        )
+
     def simulate(self) -> EquilibriumSolution:
         """Equilibria of all configurations with the start values.
 
         Returns:
             One lane per configuration, in the order of `configurations`;
             `check_converged` raises where one has no equilibrium.
+
+        Raises:
+            ProjectError: If there is none.
         """
+        if not self.configurations:
+            raise ProjectError(
+                f"{self.path}: configurations: there is none to simulate; add "
+                "[[configurations]]."
+            )
         lanes = configuration_arrays(self.model.mesh, self.configurations)
         return _simulate(self.model, lanes, self.newton)
 
@@ -148,114 +229,3 @@ class Project(eqx.Module):
 def _simulate(model, lanes, newton):
     solve = lambda lane: solve_equilibrium(model, lane, settings=newton)
     return jax.vmap(solve)(lanes)
-
-
-def load_project(path: str | os.PathLike[str]) -> Project:
-    """Reads a project file, builds all that it describes, and checks it.
-
-    Nothing is solved. Paths in the file are relative to the file. The project file
-    of `softcal_jax.robots.silicone_beam_path()` shows and explains all keys.
-
-    Args:
-        path: A TOML file.
-
-    Returns:
-        The project, ready for `calibrate` or `simulate`.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ProjectError: If anything in it is wrong: the text names each key, says what
-            was expected, and suggests the near one.
-        ValueError: If JAX is not in float64.
-    """
-    if not jax.config.read("jax_enable_x64"):
-        raise ValueError(
-            "a calibration needs float64, which is off: call "
-            'jax.config.update("jax_enable_x64", True) at the start of the program.'
-        )
-    path = Path(path)
-    table = _read(path)
-    mesh = build_mesh(path, table)
-    model = build_body(path, table.material, mesh)
-    parameters = build_parameters(path, table.parameters, table.material)
-    if parameters:
-        with at(path, "parameters"):
-            space = ParameterSpace(parameters)
-            model = space.apply(model, space.start())
-    poses = [build_pose(path, c, table.markers, mesh) for c in table.configurations]
-    with at(path, "configurations"):
-        configuration_arrays(mesh, [pose.configuration for pose in poses])
-    of_role = lambda role: tuple(
-        pose.configuration
-        for pose, c in zip(poses, table.configurations, strict=True)
-        if c.role == role
-    )
-    given = table.settings.model_dump(exclude={"noise"}, exclude_none=True)
-    with at(path, "settings"):
-        settings = CalibrationSettings(**given)
-    with at(path, "newton"):
-        newton = NewtonSettings(**table.newton.model_dump(exclude_none=True))
-    return Project(
-        name=table.name,
-        path=path,
-        model=model,
-        parameters=parameters,
-        calibration=of_role("calibration"),
-        validation=of_role("validation"),
-        noise=table.settings.noise,
-        settings=settings,
-        newton=newton,
-        registrations={
-            pose.configuration.name: pose.registration
-            for pose in poses
-            if pose.registration is not None
-        },
-    )
-
-
-def _read(path: Path) -> ProjectTable:
-    """The file as tables, with [shared] merged into each configuration."""
-    if not path.exists():
-        raise FileNotFoundError(f"project file {path} does not exist.")
-    if not path.is_file():
-        raise ProjectError(f"project file {path} is a directory; name the file in it.")
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error
-    shared = raw.get("shared", {})
-    problems = _shared_problems(shared)
-    if problems:
-        raise one_by_one(path, problems)
-    merged = {key: value for key, value in raw.items() if key != "shared"}
-    if isinstance(raw.get("configurations"), list):
-        merged["configurations"] = [
-            _merged(shared, own) if isinstance(own, dict) else own
-            for own in raw["configurations"]
-        ]
-    try:
-        return ProjectTable.model_validate(merged)
-    except ValidationError as error:
-        raise one_by_one(path, describe(error, ProjectTable, raw)) from error
-
-
-def _shared_problems(shared: Any) -> list[str]:
-    """What does not belong into [shared]; its values are judged where they land."""
-    if not isinstance(shared, dict):
-        return [f"shared: got {shared!r}; expected a table [shared]."]
-    known = [key for key in ConfigurationTable.model_fields if key != "name"]
-    return [
-        f"shared.{key}: unknown key.{suggestion(key, known)} Known here: "
-        f"{', '.join(known)}."
-        for key in shared
-        if key not in known
-    ]
-
-
-def _merged(shared: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """The own table on top of the shared one; tables in both are merged alike."""
-    out = dict(shared)
-    for key, value in own.items():
-        both = isinstance(value, dict) and isinstance(out.get(key), dict)
-        out[key] = _merged(out[key], value) if both else value
-    return out

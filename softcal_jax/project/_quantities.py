@@ -39,6 +39,10 @@ DENSITY = Dimension(
 )
 FORCE = Dimension("a force", "N", "0.51 N", ("N", "mN", "kN", "kgf"))
 ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2", ("m/s^2", "mm/s^2"))
+ANGLE = Dimension("an angle", "rad", "20 deg", ("deg", "rad", "mrad"))
+
+# To pint an angle is a plain number, so it would take "20 %" for one.
+_ANGLES = ("degree", "radian", "milliradian", "turn")
 
 _NUMBER = r"[+-]?(?:inf|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
 _NAME = r"[A-Za-zµμ°%]+(?:(?:\^|\*\*)?-?\d+|[²³])?"
@@ -76,7 +80,8 @@ def unit_factor(unit: str, dimension: Dimension) -> float:
     except pint.UndefinedUnitError as error:
         hint = suggestion(unit, dimension.usual, quote='"')
         raise _wrong(f'unknown unit "{unit}"; {expected}.{hint}') from error
-    if not one.is_compatible_with(dimension.si):
+    fits = one.is_compatible_with(dimension.si)
+    if not fits or (dimension is ANGLE and str(one.units) not in _ANGLES):
         raise _wrong(f'"{unit}" is not {dimension.name}; {expected}.')
     return float(one.to(dimension.si).magnitude)
 

@@ -20,6 +20,8 @@ from softcal_jax.equilibrium import (
     NewtonSettings,
     build_model,
 )
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.identifiability import Gain, Ranking, Unranked
 from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
 from softcal_jax.mesh import beam
 
@@ -102,14 +104,16 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
             covariance, "estimated", 1.5, 10, 22.5, np.array([False, True])
         ),
         "history": make_history(rejected),
+        "space": modulus_and_ratio(),
+        "z": modulus_and_ratio().to_scaled(jnp.array([2.4e5, 0.44])),
+        # Half of the coordinates see E, half see nu, all well.
+        "W_ep": np.tile(np.array([[100.0, 0.0], [0.0, 100.0]]), (6, 1)),
         "notes": ("nu ended on a bound.",),
     }
     return CalibrationResult(
         converged=converged,
         configurations=tuple(fits),
         model=model,
-        z=jnp.zeros(2),
-        W_ep=np.zeros((12, 2)),
         settings=CalibrationSettings(),
         newton=NewtonSettings(),
         timing_s={"steps": 1.5},
@@ -134,6 +138,40 @@ def two_elasticities():
     mesh = beam(0.1, 0.02, 0.02, (5, 1, 1))
     law = Pair(Isotropic(1e5, 0.3), Isotropic(2e5, 0.3))
     return build_model(mesh, law, density=1000.0)
+
+
+def modulus_and_ratio():
+    """The space of E and nu."""
+    return ParameterSpace(
+        (
+            Parameter("E", "E", 2e5, 1e5, 1e6, unit="Pa"),
+            Parameter("nu", "nu", 0.4, 0.3, 0.44, scale="linear"),
+        )
+    )
+
+
+def axis_space():
+    """A modulus and an angle: 500 kPa between 100 and 1000, 20 degrees of 180."""
+    return ParameterSpace(
+        (
+            Parameter("E_t", "E_t", 5e5, 1e5, 1e6, unit="Pa"),
+            Parameter(
+                "theta",
+                "theta",
+                np.deg2rad(20.0),
+                -np.pi / 2,
+                np.pi / 2,
+                scale="linear",
+                unit="rad",
+            ),
+        )
+    )
+
+
+def make_ranking():
+    """One candidate that shows the angle, and one without an equilibrium."""
+    gain = Gain("turned", 2.0, 0.5, 0, "theta", 0.9, 0.01, 0.35, "rad")
+    return Ranking((gain,), (Unranked("crushed", "inverted"),), 2, 1)
 
 
 def make_simulation(model, outcomes=(True, False)):

@@ -18,6 +18,7 @@ NAN = math.nan
         ([0.02], "m", Readable(1e3, "mm")),
         ([1070.0], "kg/m3", Readable(1.0, "kg/m3")),
         ([0.4], "", Readable(1.0, "")),
+        ([0.5, -1.0], "rad", Readable(180.0 / math.pi, "deg")),
         ([], "Pa", Readable(1.0, "Pa")),
     ],
 )
@@ -36,6 +37,7 @@ def test_readable_unit(values, unit, expected):
         (286148.0, NAN, "Pa", "286.1 kPa"),
         (286148.0, 0.0, "Pa", "286.1 ± 0 kPa"),
         (1070.0, 0.996, "kg/m3", "1070.0 ± 1.0 kg/m3"),
+        (math.radians(-33.94), math.radians(0.123), "rad", "-33.94 ± 0.12 deg"),
     ],
 )
 def test_readable_estimate(value, error, unit, text):

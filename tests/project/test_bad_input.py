@@ -95,7 +95,8 @@ CASES = {
     "unknown law": (
         ('law = "neo-hookean"', 'law = "neo-hokean"'),
         'material.law: got "neo-hokean"; expected one of "neo-hookean", '
-        '"corotational", "st-venant-kirchhoff". Did you mean "neo-hookean"?',
+        '"corotational", "classical-corotational", "st-venant-kirchhoff", '
+        '"fibre-reinforced". Did you mean "neo-hookean"?',
     ),
     "nu": (
         ("nu = 0.3", "nu = 0.5"),
@@ -107,21 +108,20 @@ CASES = {
     ),
     "unknown parameter": (
         ('field = "E"', 'field = "young"'),
-        'parameters.young.field: got "young"; expected one of "E", "nu", "density".',
+        'parameters.young.field: got "young"; expected one of "E", "nu", "E_t", "E_l"',
     ),
     "bounds crossed": (
         ('lower = "100 kPa"', 'lower = "2 MPa"'),
-        "parameters.E: parameter 'E': the bounds are crossed, lower 2e+06 is not below "
-        "upper 1e+06.",
+        "parameters.E: the bounds are crossed, lower 2 MPa is not below upper 1 MPa.",
     ),
     "start outside": (
         ('lower = "100 kPa"', 'lower = "250 kPa"'),
-        "parameters.E: parameter 'E': the start 200000 lies outside its bounds "
-        "[250000, 1e+06].",
+        "parameters.E: the start, 200 kPa, lies outside the bounds, 250 kPa to 1 MPa. "
+        "(Without `start` it is the constant of [material].)",
     ),
     "negative modulus": (
         ('lower = "100 kPa"', 'lower = "-1 Pa"\nscale = "linear"'),
-        "parameters.E: lower must be positive, got -1 (SI).",
+        "parameters.E: lower must be positive, got -1 Pa.",
     ),
     "bounds of nu": (
         (

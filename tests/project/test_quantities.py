@@ -7,6 +7,7 @@ from pydantic_core import PydanticCustomError
 
 from softcal_jax.project._quantities import (
     ACCELERATION,
+    ANGLE,
     DENSITY,
     FORCE,
     LENGTH,
@@ -33,6 +34,9 @@ from softcal_jax.project._quantities import (
         ("9.81 m/s2", ACCELERATION, 9.81),
         ("9.81 m*s^-2", ACCELERATION, 9.81),
         ("-inf mm", LENGTH, -math.inf),
+        ("180 deg", ANGLE, math.pi),
+        ("-90°", ANGLE, -math.pi / 2),
+        ("0.5 rad", ANGLE, 0.5),
     ],
 )
 def test_scalar(text, dimension, value):
@@ -74,6 +78,17 @@ def test_scalar(text, dimension, value):
             "3 m//s",
             LENGTH,
             '"3 m//s": cannot read the unit "m//s"; expected a length, like "100 mm".',
+        ),
+        (
+            20,
+            ANGLE,
+            "20 has no unit; expected an angle, in quotes and with its unit, like "
+            '"20 deg".',
+        ),
+        (
+            "20 %",
+            ANGLE,
+            '"20 %": "%" is not an angle; expected an angle, like "20 deg".',
         ),
         (
             True,

@@ -1,9 +1,9 @@
-"""The results folder and the tables for the terminal."""
+"""The results folder, whole or not at all."""
 
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +13,7 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import EquilibriumSolution, Model
 from softcal_jax.export import (
     file_stems,
-    readable_estimate,
-    readable_unit,
+    outlook_dict,
     result_dict,
     results_folder,
     simulation_dict,
@@ -22,16 +21,13 @@ from softcal_jax.export import (
     write_markers_csv,
     write_vtu,
 )
+from softcal_jax.identifiability import Identifiability, Ranking
 from softcal_jax.plotting import (
     plot_convergence,
     render_body,
     render_configuration,
     rendering_problem,
 )
-
-if TYPE_CHECKING:
-    import rich.console
-    import rich.table
 
 
 class PictureWarning(UserWarning):
@@ -149,53 +145,42 @@ def write_simulation(
     return Path(directory)
 
 
-def summary_table(result: CalibrationResult) -> "rich.console.Group":
-    """A calibration as tables for the terminal, to be printed by `rich`.
+def write_identifiability(
+    found: Identifiability | None,
+    ranking: Ranking | None,
+    directory: str | Path,
+    *,
+    name: str = "identifiability",
+    force: bool = False,
+    timing_s: Mapping[str, float] | None = None,
+) -> Path:
+    """Write what data would tell to a folder, whole or not at all.
+
+    The folder holds `identifiability.json` (see `outlook_dict`) and the same in words,
+    `identifiability.txt`.
 
     Args:
-        result: The calibration.
+        found: What the configurations tell; None if there are none.
+        ranking: What candidates would add; None if there are none.
+        directory: The folder; it must be new or empty, or hold earlier results.
+        name: Name of the project.
+        force: Replace earlier results; files that a user added stay.
+        timing_s: Wall time per part [s].
 
     Returns:
-        Verdict, parameters, configurations and notes.
+        The folder.
+
+    Raises:
+        FileExistsError: If the folder has something in it, and `force` is off or it is
+            not a results folder.
     """
-    from rich.console import Group
-    from rich.text import Text
-
-    steps = len(result.history) - 1
-    if result.converged:
-        verdict = Text(f"Converged in {steps} steps.", style="bold green")
-    else:
-        verdict = Text(
-            f"NOT CONVERGED after {steps} steps: do not use these values.",
-            style="bold white on red",
-        )
-    parts: list[Any] = [_parameter_table(result), _configuration_table(result), verdict]
-    parts += [Text(f"Note: {note}", style="yellow") for note in result.notes]
-    return Group(*parts)
-
-
-def simulation_table(data: Mapping[str, Any]) -> "rich.table.Table":
-    """A forward simulation as a table for the terminal, to be printed by `rich`.
-
-    Args:
-        data: What `simulation_dict` returns.
-
-    Returns:
-        One line per configuration; one without an equilibrium gives the reason.
-    """
-    table = _table(
-        "Simulation", "configuration", ["largest displacement", "Newton steps"]
-    )
-    table.add_column("outcome")
-    for entry in data["configurations"]:
-        largest = entry["largest_displacement_mm"]
-        table.add_row(
-            _plain(entry["name"]),
-            _plain("-" if largest is None else f"{largest:.2f} mm"),
-            _plain(str(entry["newton_steps"])),
-            _plain(entry["outcome"], "green" if entry["converged"] else "bold red"),
-        )
-    return table
+    data = outlook_dict(found, ranking, name=name, timing_s=timing_s)
+    text = "\n\n".join(str(part) for part in (found, ranking) if part is not None)
+    with results_folder(directory, force=force) as folder:
+        path = folder / "identifiability.txt"
+        path.write_text(f"{name}\n\n{text}\n", encoding="utf-8")
+        write_json(folder / "identifiability.json", {**data, "files": [path.name]})
+    return Path(directory)
 
 
 def _picture_problem() -> str | None:
@@ -222,61 +207,3 @@ def _render_simulated(
         simulated=1e-3 * np.array(markers) if markers else None,
         marker_names=[marker["name"] for marker in entry["markers"]],
     )
-
-
-def _parameter_table(result: CalibrationResult) -> "rich.table.Table":
-    table = _table("Parameters", "parameter", ["value ± std. error", "start", "bounds"])
-    for q in result.parameters:
-        text = readable_estimate(q.value, q.standard_error, q.unit)
-        if q.at_bound:
-            text += " (on a bound)"
-        factor, unit = readable_unit([q.value], q.unit)
-        bounds = f"{q.lower * factor:.4g} to {q.upper * factor:.4g} {unit}"
-        style = "bold" if result.converged and not q.at_bound else "bold red"
-        table.add_row(
-            _plain(q.name),
-            _plain(text, style),
-            _plain(f"{q.start * factor:.4g} {unit}".rstrip()),
-            _plain(bounds.rstrip()),
-        )
-    return table
-
-
-def _configuration_table(result: CalibrationResult) -> "rich.table.Table":
-    table = _table(
-        "Rms distance of the markers",
-        "configuration",
-        ["role", "before", "after", "moved", "after/moved"],
-    )
-    for entry in result_dict(result)["configurations"]:
-        percent = entry["rms_after_percent_of_motion"]
-        table.add_row(
-            _plain(entry["name"]),
-            _plain(entry["role"]),
-            _plain(_distance(entry["rms_before_mm"])),
-            _plain(_distance(entry["rms_after_mm"]), "bold"),
-            _plain(f"{entry['motion_mm']:.2f} mm"),
-            _plain("-" if percent is None else f"{percent:.1f} %"),
-        )
-    return table
-
-
-def _distance(millimetres: float | None) -> str:
-    return "-" if millimetres is None else f"{millimetres:.2f} mm"
-
-
-def _table(title: str, first: str, columns: Sequence[str]) -> "rich.table.Table":
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column(first)
-    for column in columns:
-        table.add_column(column, justify="left" if column == "role" else "right")
-    return table
-
-
-def _plain(text: str, style: str = "") -> Any:
-    """Text as it stands: a name like "[a]" is no markup."""
-    from rich.text import Text
-
-    return Text(text, style=style)

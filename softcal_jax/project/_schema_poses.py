@@ -1,0 +1,141 @@
+"""The keys of a project file that make configurations: supports, loads, markers."""
+
+import math
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from softcal_jax.project._quantities import ACCELERATION, scalar
+from softcal_jax.project._table import (
+    Acceleration,
+    Force,
+    Length,
+    Position,
+    Table,
+    Traction,
+    Triple,
+    one_of,
+    table_or_vector,
+)
+
+Selection = dict[str, str]
+"""Columns of a marker file and the values that its rows must have."""
+
+
+class MarkerEntry(Table):
+    """A marker with its own precision."""
+
+    position: Position = Field(description='"(0, 15, 36) mm"')
+    std: Length | None = None
+
+
+class MarkersTable(Table):
+    """Where the markers stand at rest, in the frame of the mesh."""
+
+    positions: dict[
+        str,
+        Annotated[
+            Annotated[MarkerEntry, Tag("(table)")]
+            | Annotated[Position, Tag("(vector)")],
+            Discriminator(table_or_vector),
+        ],
+    ] = Field(description="names and positions of the markers")
+    std: Length = 1e-3
+    axes: str = "xyz"
+    max_distance: Length = 0.01
+    base_radius: Length = 0.0
+
+
+class SupportTable(Table):
+    """Nodes that are held, or moved by a displacement."""
+
+    group: str = Field(description="name of a group of the mesh")
+    axes: str = "xyz"
+    displacement: Position = (0.0, 0.0, 0.0)
+
+
+class LoadTable(Table):
+    """A dead load at a point, along an edge, or over a surface."""
+
+    point: Position | None = None
+    edge: str | None = None
+    surface: str | None = None
+    force: Force | None = None
+    traction: Traction | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "LoadTable":
+        where = one_of(self, "point", "edge", "surface")
+        if one_of(self, "force", "traction") == "traction" and where != "surface":
+            raise ValueError(
+                f"a traction acts on a surface, not on the {where}; give a force."
+            )
+        return self
+
+
+class RegistrationTable(Table):
+    """From the frame of the cameras to the frame of the mesh."""
+
+    markers: tuple[str, ...] = Field(description='markers to fit: ["4", "5", "6"]')
+    select: Selection = Field(default_factory=dict)
+
+
+class MeasuredTable(Table):
+    """Where the measured positions are, and how they become positions on the mesh."""
+
+    file: str = Field(description='a CSV file: "markers.csv"')
+    length_unit: Literal["m", "cm", "mm", "um", "inch"] | None = None
+    recording: Selection = Field(default_factory=dict)
+    select: Selection = Field(default_factory=dict)
+    registration: RegistrationTable | None = None
+    displacement_from: Selection | None = None
+
+
+def _parse_direction(value: Any) -> Any:
+    """A unit vector from "-z" or [0, 0, -1]."""
+    if isinstance(value, str):
+        axis = re.fullmatch(r"([+-]?)([xyz])", value.strip())
+        if axis is None:
+            raise ValueError(f'got "{value}"; expected "-z" or [0, 0, -1].')
+        sign = -1.0 if axis[1] == "-" else 1.0
+        return tuple(sign * (letter == axis[2]) for letter in "xyz")
+    numbers = value if isinstance(value, list) else []
+    if len(numbers) != 3 or not all(type(v) in (int, float) for v in numbers):
+        raise ValueError(f'got {value}; expected "-z" or [0, 0, -1].')
+    length = math.hypot(*numbers)
+    if not 0.0 < length < math.inf:
+        raise ValueError(f"got {value}; a direction has a finite length above zero.")
+    return tuple(v / length for v in numbers)
+
+
+class GravityTable(Table):
+    """Gravity by size and direction."""
+
+    size: Annotated[float, BeforeValidator(scalar(ACCELERATION))] = Field(
+        description='"9.81 m/s^2"'
+    )
+    direction: Annotated[Triple, BeforeValidator(_parse_direction)] = Field(
+        description='"-z", or [0, 0, -1]'
+    )
+
+
+class CandidateTable(Table):
+    """One posed robot that might be measured."""
+
+    name: str = Field(description="name in results, tables and pictures")
+    gravity: Annotated[
+        Annotated[GravityTable, Tag("(table)")]
+        | Annotated[Acceleration, Tag("(vector)")],
+        Discriminator(table_or_vector),
+    ] = Field(description='"(0, 0, -9.81) m/s^2", here or for all in [shared]')
+    supports: tuple[SupportTable, ...] = ()
+    loads: tuple[LoadTable, ...] = ()
+    markers: tuple[str, ...] | None = None
+
+
+class ConfigurationTable(CandidateTable):
+    """One posed robot, measured or to be measured."""
+
+    role: Literal["calibration", "validation"] = "calibration"
+    measured: MeasuredTable | None = None

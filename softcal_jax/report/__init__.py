@@ -1,0 +1,18 @@
+"""The results folder and the tables for the terminal."""
+
+from softcal_jax.report._tables import simulation_table, summary_table
+from softcal_jax.report._write import (
+    PictureWarning,
+    write_identifiability,
+    write_results,
+    write_simulation,
+)
+
+__all__ = [
+    "PictureWarning",
+    "simulation_table",
+    "summary_table",
+    "write_identifiability",
+    "write_results",
+    "write_simulation",
+]

@@ -1,0 +1,87 @@
+"""Verdicts and rankings as JSON: every number of the result, and null for the rest."""
+
+import json
+
+import numpy as np
+import pytest
+from export.handmade import axis_space, make_ranking, make_result, replaced
+
+from softcal_jax.export import (
+    identifiability_dict,
+    outlook_dict,
+    result_dict,
+)
+from softcal_jax.identifiability import assess, identifiability
+
+
+def half_blind():
+    """Of a modulus and an angle, only the modulus is seen; to 1 % per coordinate."""
+    W = np.array([[100.0, 0.0], [100.0, 0.0]])
+    space = axis_space()
+    return identifiability(W, space, space.start())
+
+
+def test_verdict_as_strict_json():
+    data = identifiability_dict(half_blind())
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert list(data) == [
+        "verdict",
+        "n_data",
+        "parameters",
+        "directions",
+        "covariance",
+        "correlation",
+        "conditioning",
+    ]
+    assert (data["verdict"], data["n_data"]) == ("not identifiable", 2)
+    E_t, theta = data["parameters"]
+    # Two coordinates of 100 per unit of ln E: 0.01 / sqrt(2), of 500 kPa.
+    assert E_t["data_only"] == pytest.approx(500e3 * 0.01 / np.sqrt(2.0), rel=1e-12)
+    assert (E_t["unit"], E_t["verdict"]) == ("Pa", "identifiable")
+    # The angle keeps the spread of its bounds, half a turn over the root of 12 [rad].
+    assert theta["standard_error"] == pytest.approx(np.pi / np.sqrt(12.0), rel=1e-12)
+    assert (theta["name"], theta["unit"]) == ("theta", "rad")
+    assert theta["data_only"] is None
+    assert theta["relative"] is None
+    seen, blind = data["directions"]
+    assert (seen["words"], blind["words"]) == ("E_t", "theta")
+    assert blind["components"] == [0.0, 1.0]
+    assert blind["spread"] == pytest.approx(1.0)
+    assert data["conditioning"]["condition_weighted"] is None
+
+
+@pytest.mark.parametrize(
+    ("estimated", "used"), [(1.5, 1.5), (np.nan, 1.0), (0.0, 1.0), (1e-6, 1.0)]
+)
+def test_in_the_result_of_a_calibration(estimated, used):
+    """With the noise of the fit, where it left any to estimate."""
+    result = make_result()
+    result = replaced(
+        result, uncertainty=replaced(result.uncertainty, noise_scale=estimated)
+    )
+    found = assess(result).identifiability
+    data = result_dict(result)["identifiability"]
+    assert data == identifiability_dict(found)
+    assert [p["name"] for p in data["parameters"]] == ["E", "nu"]
+    # Six coordinates of 100 per unit of ln E, at E = 240 kPa.
+    assert data["parameters"][0]["data_only"] == pytest.approx(
+        240e3 * used * 0.01 / np.sqrt(6.0), rel=1e-12
+    )
+
+
+def test_outlook():
+    data = outlook_dict(half_blind(), make_ranking(), name="beam", timing_s={"a": 1.0})
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert list(data) == ["format", "name", "identifiability", "ranking", "timing_s"]
+    assert (data["name"], data["timing_s"]) == ("beam", {"a": 1.0})
+    ranking = data["ranking"]
+    assert ranking["blind_before"] == 1
+    (best,) = ranking["candidates"]
+    assert (best["name"], best["parameter"], best["unit"]) == ("turned", "theta", "rad")
+    assert best["volume"] == pytest.approx(np.exp(-1.0))
+    assert ranking["unranked"] == [{"name": "crushed", "reason": "inverted"}]
+
+
+def test_outlook_without_one_or_the_other():
+    assert outlook_dict(half_blind(), None)["ranking"] is None
+    assert outlook_dict(None, make_ranking())["identifiability"] is None
