@@ -1,8 +1,8 @@
 """Calibrate the finite-element model of a soft robot from a few measured poses.
 
 The packages follow the method step by step: `mesh`, `elements`, `materials`, `fields`,
-`configurations`, `equilibrium`, `sensitivity`, `calibration`. What a script needs most
-stands here as well.
+`configurations`, `equilibrium`, `sensitivity`, `calibration`, `identifiability`. What a
+script needs most stands here as well.
 """
 
 from importlib.metadata import version
@@ -13,11 +13,19 @@ from softcal_jax import (
     elements,
     equilibrium,
     fields,
+    identifiability,
     materials,
     mesh,
     sensitivity,
 )
-from softcal_jax.calibration import CalibrationResult, CalibrationSettings, calibrate
+from softcal_jax.calibration import (
+    CalibrationResult,
+    CalibrationSettings,
+    build_problem,
+    calibrate,
+    multi_start,
+    synthetic_measurements,
+)
 from softcal_jax.configurations import (
     Configuration,
     EdgeForce,
@@ -39,13 +47,25 @@ from softcal_jax.equilibrium import (
     marker_positions,
     solve_equilibrium,
 )
-from softcal_jax.fields import Parameter, ParameterSpace, set_field
+from softcal_jax.fields import (
+    ControlPointParameters,
+    ControlPoints,
+    Parameter,
+    ParameterSpace,
+    set_field,
+)
+from softcal_jax.identifiability import assess, identify, rank_configurations
 from softcal_jax.materials import (
     AbstractLaw,
+    ClassicalCorotational,
     Corotational,
+    Fibre,
+    FibreReinforced,
     Isotropic,
     NeoHookean,
+    ReducedTransverseIsotropic,
     StVenantKirchhoff,
+    TransverseIsotropic,
 )
 from softcal_jax.mesh import TetMesh, beam, read_mesh, select_nodes, to_quadratic
 
@@ -56,9 +76,14 @@ __all__ = [
     "AbstractLaw",
     "CalibrationResult",
     "CalibrationSettings",
+    "ClassicalCorotational",
     "Configuration",
+    "ControlPointParameters",
+    "ControlPoints",
     "Corotational",
     "EdgeForce",
+    "Fibre",
+    "FibreReinforced",
     "Isotropic",
     "Markers",
     "Model",
@@ -68,13 +93,17 @@ __all__ = [
     "Parameter",
     "ParameterSpace",
     "PointForce",
+    "ReducedTransverseIsotropic",
     "StVenantKirchhoff",
     "Support",
     "SurfaceForce",
     "SurfaceTraction",
     "TetMesh",
+    "TransverseIsotropic",
+    "assess",
     "beam",
     "build_model",
+    "build_problem",
     "calibrate",
     "calibration",
     "check_converged",
@@ -83,14 +112,19 @@ __all__ = [
     "elements",
     "equilibrium",
     "fields",
+    "identifiability",
+    "identify",
     "marker_positions",
     "materials",
     "mesh",
+    "multi_start",
+    "rank_configurations",
     "read_mesh",
     "register",
     "select_nodes",
     "sensitivity",
     "set_field",
     "solve_equilibrium",
+    "synthetic_measurements",
     "to_quadratic",
 ]

@@ -82,8 +82,16 @@ def assess(result: CalibrationResult) -> Assessment:
     for estimate in result.parameters:
         if estimate.at_bound:
             reasons.append(f"{estimate.name} ended on a bound.")
-    if report.verdict != "identifiable":
-        unseen = [p.name for p in report.parameters if p.verdict != "identifiable"]
-        what = ", ".join(unseen) if unseen else "some directions"
-        reasons.append(f"The data do not determine {what} well: {report.verdict}.")
+    for verdict, words in (
+        ("not identifiable", "The data do not determine"),
+        ("weakly identifiable", "The data determine only weakly"),
+    ):
+        named = [p.name for p in report.parameters if p.verdict == verdict]
+        if named:
+            reasons.append(f"{words}: {', '.join(named)}.")
+    if report.blind:
+        reasons.append(
+            f"The data hardly see {len(report.blind)} of {report.n_parameters} "
+            "directions of the parameters."
+        )
     return Assessment(not reasons, tuple(reasons), probability, report)
