@@ -173,7 +173,7 @@ def calibrate(
         while not (state.converged or state.stalled) and (
             len(journal.history) <= settings.max_steps
         ):
-            proposal = _propose(problem, state)
+            proposal = _propose(problem, settings, state)
             tried = _evaluate(problem, proposal.z, proposal.guess)
             state = _decide(problem, settings, state, proposal, tried)
             journal.note(state)

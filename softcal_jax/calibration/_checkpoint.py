@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import equinox as eqx
 import jax
@@ -17,6 +18,18 @@ from softcal_jax._typing import HostArray
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import HistoryEntry
 from softcal_jax.calibration._step import CalibrationSettings, CalibrationState
+
+PROGRESS = (
+    "recent_costs",
+    "step_bound",
+    "lambda_p",
+    "kkt_residual",
+    "accepted",
+    "step",
+    "converged",
+    "stalled",
+)
+"""What a state holds beside its parameters and their evaluation."""
 
 
 class Journal:
@@ -108,9 +121,7 @@ def save_checkpoint(
     arrays = {
         "z": state.z,
         "displacement": state.evaluation.equilibrium.displacement,
-        "recent_costs": state.recent_costs,
-        "step_bound": state.step_bound,
-        "step": state.step,
+        **{name: getattr(state, name) for name in PROGRESS},
     }
     entries = json.dumps([vars(entry) for entry in history])
     partial = path.with_name(path.name + ".partial")
@@ -129,11 +140,12 @@ def load_checkpoint(path: Path, mark: str) -> Checkpoint | None:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here: np.load leaves a file open that it cannot read.
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
         written = str(content.pop("mark"))
         history = json.loads(str(content.pop("history")))
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{path} is not a checkpoint of a calibration ({error}); give another "
             "path, or remove it."
@@ -153,10 +165,7 @@ def load_checkpoint(path: Path, mark: str) -> Checkpoint | None:
 def resumed_state(state: CalibrationState, saved: Checkpoint) -> CalibrationState:
     """A fresh state with the progress of a checkpoint."""
     return eqx.tree_at(
-        lambda s: (s.recent_costs, s.step_bound, s.step),
+        lambda s: tuple(getattr(s, name) for name in PROGRESS),
         state,
-        tuple(
-            jnp.asarray(saved.arrays[name])
-            for name in ("recent_costs", "step_bound", "step")
-        ),
+        tuple(jnp.asarray(saved.arrays[name]) for name in PROGRESS),
     )

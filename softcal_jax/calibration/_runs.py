@@ -115,7 +115,8 @@ def _images(space: ParameterSpace, mirror: bool) -> _Image:
 
 
 def _wanted(problem: CalibrationProblem, best: Run, image: _Image) -> Bool[Array, ""]:
-    measured = jnp.sum(problem.configurations.effectors.inverse_std > 0.0)
+    seen = problem.configurations.effectors.inverse_std > 0.0
+    measured = jnp.sum(seen, dtype=best.cost.dtype)
     nothing_left = 2.0 * best.cost <= NOTHING_LEFT * measured
     # A start without equilibrium has no end to go on from.
     lost = jnp.isinf(best.cost) & (best.steps > 0)
@@ -151,7 +152,7 @@ def _minimise(
 
     def step(carry):
         begun, state, errors = carry
-        proposal = propose(problem, state)
+        proposal = propose(problem, settings, state)
         choose = lambda a, b: jnp.where(begun, a, b)
         tried = evaluate(problem, choose(proposal.z, z), choose(proposal.guess, rest))
         first = initial_state(settings, z, tried)

@@ -1,7 +1,5 @@
 """Calibration from many starts, and the distinct optima that they end in."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -199,13 +197,14 @@ def random_starts(
         np.asarray(space.from_scaled(z)) for z in (space.lower(), space.upper())
     )
     p = low + (high - low) * random.random((n, len(low)))
-    for small, large in _ordered_columns(space):
+    pairs = _ordered_columns(space)
+    for small, large in pairs * len(pairs):  # over and over, for chains a <= b <= c
         p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
-    p = np.clip(p, low, high)
+        p = np.clip(p, low, high)
     return jax.vmap(lambda p: space.admissible(space.to_scaled(p)))(jnp.asarray(p))
 
 
-def _ordered_columns(space: ParameterSpace) -> Sequence[tuple[int, int]]:
+def _ordered_columns(space: ParameterSpace) -> list[tuple[int, int]]:
     names = space.names
     pairs = [
         (names.index(small), names.index(large))

@@ -5,6 +5,8 @@ lambda_p vanishes. Here the bound is a trust region: it shrinks when the linear 
 was wrong, grows when it was right, and a step that makes the fit worse is not taken.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation, evaluate
-from softcal_jax.calibration._qp import QPStep, bounded_step
+from softcal_jax.calibration._qp import DAMPING, QPStep, bounded_step
 
 KKT_TOLERANCE = 1e-6
 """Largest optimality residual with which a vanishing QP step is believed [-]."""
@@ -42,6 +44,9 @@ class CalibrationSettings(eqx.Module):
             scale and the whole range on a linear one [-].
         max_step_bound: Largest bound that it may grow to; beyond a factor of two the
             linear model says little, and equilibria are far to find [-].
+        damping: Levenberg damping of the QP, for columns of W of unit length: it holds
+            back directions that the data hardly see. A step that is repeated until it
+            vanishes ends at the same minimum, later [-].
         adapt: Adapt the bound and refuse steps that make the fit worse; without, every
             QP step is taken with the same bound, as in the paper.
     """
@@ -50,6 +55,7 @@ class CalibrationSettings(eqx.Module):
     max_steps: int = eqx.field(static=True, default=50)
     step_bound: float = eqx.field(static=True, default=0.3)
     max_step_bound: float = eqx.field(static=True, default=0.5)
+    damping: float = eqx.field(static=True, default=DAMPING)
     adapt: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
@@ -59,6 +65,8 @@ class CalibrationSettings(eqx.Module):
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
         if not self.step_bound > 0.0:
             raise ValueError(f"step_bound must be positive, got {self.step_bound}.")
+        if not self.damping > 0.0:
+            raise ValueError(f"damping must be positive, got {self.damping}.")
         if not self.max_step_bound > 0.0:
             raise ValueError(
                 f"max_step_bound must be positive, got {self.max_step_bound}."
@@ -127,9 +135,14 @@ def initial_state(
     )
 
 
-def propose(problem: CalibrationProblem, state: CalibrationState) -> Proposal:
+def propose(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+) -> Proposal:
     """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11)."""
     now, space = state.evaluation, problem.space
+    solve = partial(bounded_step, damping=settings.damping)
     limit = jnp.minimum(state.step_bound, space.max_step())
     down, up = space.room(state.z)
     low, high = jnp.maximum(down, -limit), jnp.minimum(up, limit)
@@ -137,7 +150,7 @@ def propose(problem: CalibrationProblem, state: CalibrationState) -> Proposal:
     b = b - A @ state.z
     chart = space.chart
     if chart is None:
-        qp = bounded_step(now.W_ep, now.error, low, high, A=A, b=b)
+        qp = solve(now.W_ep, now.error, low, high, A=A, b=b)
         dz, z = qp.lambda_p, space.wrap(state.z + qp.lambda_p)
         linear = now.W_ep @ qp.lambda_p + now.error
     else:
@@ -148,7 +161,7 @@ def propose(problem: CalibrationProblem, state: CalibrationState) -> Proposal:
         free = np.concatenate([moduli, chart.angle])
         rows = jnp.concatenate([A @ J, J[moduli], -J[moduli]])
         W = now.W_ep @ J
-        qp = bounded_step(
+        qp = solve(
             W,
             now.error,
             low.at[free].set(-state.step_bound),
@@ -227,6 +240,6 @@ def calibration_step(
     Returns:
         State after it.
     """
-    proposal = propose(problem, state)
+    proposal = propose(problem, settings, state)
     tried = evaluate(problem, proposal.z, proposal.guess)
     return decide(problem, settings, state, proposal, tried)

@@ -71,7 +71,8 @@ def uncertainty(
         scale = float(np.sqrt(chi_squared / dof)) if dof > 0 else np.nan
     if len(free):
         # Columns of unit length, so that a small parameter is not a blind direction.
-        size = np.maximum(np.linalg.norm(W[:, free], axis=0), 1e-300)
+        size = np.linalg.norm(W[:, free], axis=0)
+        size = np.where(size > 0.0, size, 1.0)
         _, singular, Vt = np.linalg.svd(W[:, free] / size)
         singular = np.append(singular, np.zeros(len(free) - len(singular)))
         seen = singular > BLIND * max(singular[0], 1e-300)

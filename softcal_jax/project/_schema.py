@@ -30,6 +30,7 @@ class SettingsTable(Table):
     max_steps: Integer | None = None
     step_bound: Number | None = None
     max_step_bound: Number | None = None
+    damping: Number | None = None
     starts: Integer = 1
     seed: Integer = 0
     adapt: Flag | None = None

@@ -13,13 +13,12 @@ from softcal_jax.calibration import (
     build_problem,
     calibrate,
     calibration_step,
-    decide,
     evaluate,
     fit_notes,
     initial_state,
     levenberg_marquardt,
-    propose,
 )
+from softcal_jax.calibration._calibrate import _decide, _evaluate, _propose
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -262,12 +261,12 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     settings = CalibrationSettings()
     problem = build_problem(model, parameter(), exact)
     z = problem.space.start()
-    evaluation = jax.jit(evaluate)(problem, z, at_rest(problem))
+    evaluation = _evaluate(problem, z, at_rest(problem))
     state = initial_state(settings, z, evaluation)
     failed = eqx.tree_at(lambda e: e.ok, evaluation, jnp.zeros((), bool))
     for _ in range(12):
-        proposal = propose(problem, state)
-        state = decide(problem, settings, state, proposal, failed)
+        proposal = _propose(problem, settings, state)
+        state = _decide(problem, settings, state, proposal, failed)
     assert bool(state.stalled)
     assert not bool(state.converged)
     np.testing.assert_array_equal(state.z, z)
@@ -280,12 +279,12 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     settings = CalibrationSettings()
     problem = build_problem(model, parameter(), exact)
     z = problem.space.start()
-    evaluation = jax.jit(evaluate)(problem, z, at_rest(problem))
+    evaluation = _evaluate(problem, z, at_rest(problem))
     state = initial_state(settings, z, evaluation)
     held = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-7))
-    proposal = propose(problem, held)
+    proposal = _propose(problem, settings, held)
     assert float(jnp.max(jnp.abs(proposal.qp.lambda_p))) <= settings.tol
-    state = decide(problem, settings, held, proposal, evaluation)
+    state = _decide(problem, settings, held, proposal, evaluation)
     assert not bool(state.converged)
 
 
