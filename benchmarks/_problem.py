@@ -33,18 +33,29 @@ class Options:
 
 
 class Goal(NamedTuple):
-    """What a figure is meant to be."""
+    """What a figure is meant to be.
 
-    sense: Literal["at least", "at most"]
+    Attributes:
+        sense: Which side of the bound, or "between" it and `upper`.
+        bound: The bound; it meets the goal.
+        upper: Upper end of a range; it meets the goal.
+    """
+
+    sense: Literal["at least", "at most", "between"]
     bound: float
+    upper: float = math.inf
 
     def met(self, value: Figure) -> bool:
         """Whether a figure reaches the goal; a word never does."""
         if isinstance(value, str):
             return False
+        if self.sense == "between":
+            return self.bound <= value <= self.upper
         return value >= self.bound if self.sense == "at least" else value <= self.bound
 
     def __str__(self) -> str:
+        if self.sense == "between":
+            return f"between {self.bound:g} and {self.upper:g}"
         return f"{self.sense} {self.bound:g}"
 
 

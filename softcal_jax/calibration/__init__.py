@@ -8,6 +8,7 @@ from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._levenberg_marquardt import levenberg_marquardt
 from softcal_jax.calibration._notes import CalibrationWarning, fit_notes
 from softcal_jax.calibration._problem import (
+    LOOSE,
     CalibrationProblem,
     Evaluation,
     at_rest,
@@ -23,6 +24,7 @@ from softcal_jax.calibration._result import (
 )
 from softcal_jax.calibration._runs import Run, run_starts
 from softcal_jax.calibration._starts import (
+    FROM_ANYWHERE,
     MultiStartResult,
     Optimum,
     multi_start,
@@ -40,6 +42,8 @@ from softcal_jax.calibration._synthetic import synthetic_measurements, with_meas
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 
 __all__ = [
+    "FROM_ANYWHERE",
+    "LOOSE",
     "CalibrationProblem",
     "CalibrationResult",
     "CalibrationSettings",

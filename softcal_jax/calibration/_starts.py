@@ -16,6 +16,7 @@ SAME_OPTIMUM = 1e-3
 
 
 FROM_ANYWHERE = CalibrationSettings(max_steps=12)
+"""Settings of runs from many starts: one that leads to the optimum is quick."""
 
 
 class Optimum(eqx.Module):

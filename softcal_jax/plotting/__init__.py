@@ -2,11 +2,13 @@
 
 from softcal_jax.plotting._configuration import render_body, render_configuration
 from softcal_jax.plotting._convergence import plot_convergence
+from softcal_jax.plotting._fibres import plot_fibres
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 
 __all__ = [
     "RenderingError",
     "plot_convergence",
+    "plot_fibres",
     "render_body",
     "render_configuration",
     "rendering_problem",

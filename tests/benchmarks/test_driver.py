@@ -62,6 +62,8 @@ def test_list_of_the_house():
     """Every problem of the house says in one line what it measures."""
     known = _problem.discover(_cli.benchmarks)
     assert {"static_beam", "startup", "locking", "silicone_mesh"} <= set(known)
+    paper = {"paper_fig1", "paper_fig3", "paper_fig4", "paper_table1"}
+    assert paper | {"noise_coverage", "model_error", "calibration_beam"} <= set(known)
     assert all(known.values()), known
 
 
@@ -194,6 +196,14 @@ def test_goals():
     assert not at_least.met(2.9)
     assert not at_most.met(3.1)
     assert not at_most.met("fast")
+    between = _problem.Goal("between", 0.9, 0.98)
+    assert [between.met(v) for v in (0.89, 0.9, 0.98, 0.99)] == [
+        False,
+        True,
+        True,
+        False,
+    ]
+    assert str(between) == "between 0.9 and 0.98"
 
 
 def test_repeats_take_turns():

@@ -1,0 +1,179 @@
+"""A field of fibre directions, drawn as short lines on a layer of the mesh."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.mesh import TetMesh
+from softcal_jax.plotting._colours import FAINT, OUTLINE, TEXT
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+_DPI = 100
+_WIDTH = 14.0
+"""Inches."""
+
+_SIDE = 1.6
+"""Inches beside a panel, for its labels and the colour scale."""
+
+_MAP, _CYCLIC_MAP = "viridis", "twilight_shifted"
+_CYCLIC_FROM = np.deg2rad(80.0)
+"""Angle beyond which +90 and -90 degrees, the same axis, need the same colour [rad]."""
+
+
+def plot_fibres(
+    mesh: TetMesh,
+    panels: Mapping[str, Float[HostArray, " n_tets"]],
+    path: str | Path,
+    *,
+    plane: Literal["xy", "xz"],
+    control_points: Float[HostArray, "n_cp 3"] | None = None,
+    title: str = "",
+) -> None:
+    """Draw angles of the fibre in its print plane, one panel per field.
+
+    A line for each tet of the layer in the middle of the body, at its centroid and
+    along (cos theta, sin theta), over the outlines of those tets at rest.
+
+    Args:
+        mesh: The mesh [m].
+        panels: Title of each panel, and the angle of each tet [rad].
+        path: PNG file, 1400 pixels wide.
+        plane: Print plane, which is the plane of the picture.
+        control_points: Marked in every panel [m].
+        title: Title of the whole.
+
+    Raises:
+        ValueError: If there is no panel, or one has not one angle per tet.
+    """
+    figure = fibre_figure(mesh, panels, plane, control_points, title)
+    figure.savefig(path, dpi=_DPI, format="png")
+
+
+def fibre_figure(
+    mesh: TetMesh,
+    panels: Mapping[str, Float[HostArray, " n_tets"]],
+    plane: Literal["xy", "xz"],
+    control_points: Float[HostArray, "n_cp 3"] | None,
+    title: str,
+) -> "matplotlib.figure.Figure":
+    """The picture; it needs no screen and leaves Matplotlib's state alone."""
+    import matplotlib
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    _check(mesh, panels)
+    columns = [0, "xyz".index(plane[1])]
+    layer = middle_layer(mesh, 3 - sum(columns))
+    largest = max(float(np.abs(theta).max()) for theta in panels.values())
+    cyclic = largest > _CYCLIC_FROM
+    limit = 90.0 if cyclic else max(np.rad2deg(largest), 1.0)
+    colours = ScalarMappable(
+        Normalize(-limit, limit), matplotlib.colormaps[_CYCLIC_MAP if cyclic else _MAP]
+    )
+    corners = mesh.points[mesh.tets[layer, :4]][:, :, columns]
+    extent = np.ptp(mesh.points[:, columns], axis=0)
+    height = (_WIDTH - _SIDE) * extent[1] / extent[0]
+    size = (_WIDTH, len(panels) * (min(height, 8.0) + 0.75) + 0.9)
+    figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for panel, (name, theta) in zip(axes, panels.items(), strict=True):
+        _draw_layer(panel, corners, theta[layer], colours)
+        if control_points is not None:
+            _draw_control_points(panel, control_points[:, columns])
+        _finish(panel, name, plane, panel is axes[-1])
+    bar = figure.colorbar(colours, ax=list(axes), fraction=0.03, pad=0.02)
+    bar.set_label("fibre angle theta [degrees]", fontsize=14, color=TEXT)
+    bar.ax.tick_params(labelsize=12)
+    if title:
+        figure.suptitle(title, fontsize=18, weight="bold", parse_math=False)
+    return figure
+
+
+def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:
+    """Tets that the plane in the middle of the body cuts.
+
+    Args:
+        mesh: The mesh.
+        normal: Axis that the plane stands on.
+    """
+    heights = mesh.points[mesh.tets[:, :4], normal]
+    low, high = mesh.points[:, normal].min(), mesh.points[:, normal].max()
+    # A little off the middle, where a side of the tets may lie.
+    plane = 0.5 * (low + high) + 1e-6 * (high - low)
+    cut = (heights.min(axis=1) < plane) & (heights.max(axis=1) > plane)
+    return np.flatnonzero(cut)
+
+
+def _check(mesh: TetMesh, panels: Mapping[str, Float[HostArray, " n_tets"]]) -> None:
+    if not panels:
+        raise ValueError("panels is empty: give at least one field of angles.")
+    for name, theta in panels.items():
+        if theta.shape != (len(mesh.tets),):
+            raise ValueError(
+                f"panel {name!r} needs one angle for each of the {len(mesh.tets)} "
+                f"tets, got shape {theta.shape}."
+            )
+
+
+def _draw_layer(
+    axes: "matplotlib.axes.Axes",
+    corners: Float[HostArray, "n_layer 4 2"],
+    theta: Float[HostArray, " n_layer"],
+    colours,
+) -> None:
+    from matplotlib.collections import LineCollection
+
+    pairs = [(i, j) for i in range(4) for j in range(i)]
+    edges = np.concatenate([corners[:, pair] for pair in pairs])
+    edges = np.unique(np.round(np.sort(edges, axis=1), 9), axis=0)
+    axes.add_collection(LineCollection(list(1e3 * edges), colors="#e4e4e4", lw=0.6))
+    centres = corners.mean(axis=1)
+    # As long as the distance between neighbours, if they were spread evenly.
+    area = np.prod(np.ptp(corners.reshape(-1, 2), axis=0))
+    half = 0.5 * np.sqrt(area / len(centres))
+    along = half * np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    lines = list(1e3 * np.stack([centres - along, centres + along], axis=1))
+    shown = colours.to_rgba(np.rad2deg(theta))
+    # Dark below, so that the light end of the colours is seen on white.
+    axes.add_collection(LineCollection(lines, colors="#303030", lw=2.6))
+    axes.add_collection(LineCollection(lines, colors=list(shown), lw=1.7))
+    low, high = 1e3 * corners.min(axis=(0, 1)), 1e3 * corners.max(axis=(0, 1))
+    frame = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
+    axes.plot(*np.transpose([*frame, frame[0]]), color=OUTLINE, lw=1.2)
+    margin = 0.04 * (high - low).min()
+    axes.set(xlim=(low[0] - margin, high[0] + margin))
+    axes.set(ylim=(low[1] - margin, high[1] + margin), aspect="equal")
+
+
+def _draw_control_points(
+    axes: "matplotlib.axes.Axes", points: Float[HostArray, "n_cp 2"]
+) -> None:
+    axes.plot(
+        *(1e3 * points.T),
+        "o",
+        ms=12,
+        mfc="white",
+        mec=TEXT,
+        mew=2.5,
+        zorder=5,
+        clip_on=False,
+    )
+    for i, (x, y) in enumerate(1e3 * points):
+        axes.text(x, y, str(i + 1), ha="center", va="center", fontsize=9, zorder=6)
+
+
+def _finish(axes: "matplotlib.axes.Axes", name: str, plane: str, last: bool) -> None:
+    axes.set_title(name, fontsize=15, parse_math=False)
+    axes.set_ylabel(f"{plane[1]} [mm]", fontsize=13)
+    axes.tick_params(labelsize=11, labelbottom=last, bottom=last, colors=FAINT)
+    if last:
+        axes.set_xlabel("x [mm]", fontsize=13)
+    for side in axes.spines.values():
+        side.set_visible(False)

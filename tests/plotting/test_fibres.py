@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.image import imread
+
+from softcal_jax.mesh import beam
+from softcal_jax.plotting import plot_fibres
+from softcal_jax.plotting._fibres import fibre_figure, middle_layer
+
+SIZE = (0.1, 0.02, 0.03)
+
+
+def fibres(axes):
+    """Segments of the fibres in mm, which are drawn last."""
+    collections = [c for c in axes.collections if isinstance(c, LineCollection)]
+    return np.array(collections[-1].get_segments())
+
+
+def test_lines_lie_along_the_fibre_at_centroids():
+    mesh = beam(*SIZE, (4, 3, 3))
+    theta = np.linspace(-1.0, 1.0, len(mesh.tets))
+    figure = fibre_figure(mesh, {"a": theta}, "xz", None, "")
+    lines, layer = fibres(figure.axes[0]), middle_layer(mesh, 1)
+    assert len(lines) == len(layer)
+    along = lines[:, 1] - lines[:, 0]
+    np.testing.assert_allclose(
+        np.arctan2(along[:, 1], along[:, 0]), theta[layer], atol=1e-12
+    )
+    centroids = 1e3 * mesh.points[mesh.tets[layer, :4]].mean(axis=1)
+    np.testing.assert_allclose(lines.mean(axis=1), centroids[:, [0, 2]], atol=1e-9)
+
+
+def test_the_layer_lies_in_the_middle():
+    """Three cells across: it is that of the second one, whatever the element."""
+    for order in (1, 2):
+        mesh = beam(*SIZE, (4, 3, 3), order=order)
+        heights = mesh.points[mesh.tets[middle_layer(mesh, 1), :4], 1]
+        assert heights.min() >= SIZE[1] / 3 - 1e-12
+        assert heights.max() <= 2 * SIZE[1] / 3 + 1e-12
+    # With a side of the cells in the middle, it is the layer above.
+    mesh = beam(*SIZE, (4, 2, 3))
+    heights = mesh.points[mesh.tets[middle_layer(mesh, 1), :4], 1]
+    assert heights.min() == SIZE[1] / 2
+
+
+@pytest.mark.parametrize(
+    ("largest", "limit"), [(35.0, 35.0), (85.0, 90.0)], ids=["small", "half a turn"]
+)
+def test_colours_tell_the_angle(largest, limit):
+    """Up to 90 degrees the map is cyclic: +90 and -90 are the same axis."""
+    mesh = beam(*SIZE, (4, 3, 3))
+    theta = np.deg2rad(np.linspace(-largest, largest, len(mesh.tets)))
+    *_, bar = fibre_figure(mesh, {"a": theta}, "xy", None, "").axes
+    np.testing.assert_allclose(bar.get_ylim(), (-limit, limit))
+    assert bar.get_ylabel() == "fibre angle theta [degrees]"
+
+
+def test_picture_with_control_points(tmp_path):
+    mesh = beam(*SIZE, (4, 3, 3))
+    zero = np.zeros(len(mesh.tets))
+    points = np.array([[0.0, 0.01, 0.015], [0.1, 0.01, 0.015]])
+    path = tmp_path / "f.png"
+    panels = {"a $1$": zero, "b": zero}
+    plot_fibres(mesh, panels, path, plane="xy", control_points=points, title="t")
+    assert imread(path).shape[1] == 1400
+    first, second, _ = fibre_figure(mesh, panels, "xy", points, "").axes
+    assert (first.get_title(), second.get_title()) == ("a $1$", "b")
+    marked = [line for line in first.lines if line.get_marker() == "o"]
+    np.testing.assert_allclose(marked[0].get_xydata(), [[0, 10], [100, 10]])
+
+
+def test_wrong_panels(tmp_path, unchecked):
+    mesh = beam(*SIZE, (4, 3, 3))
+    with pytest.raises(ValueError, match="panels is empty"):
+        plot_fibres(mesh, {}, tmp_path / "f.png", plane="xy")
+    with pytest.raises(
+        ValueError, match=r"panel 'a' needs one angle for each of the 2"
+    ):
+        plot_fibres(mesh, {"a": np.zeros(3)}, tmp_path / "f.png", plane="xy")
