@@ -137,7 +137,7 @@ def calibrate(
             from the best.
         seed: Seed of the random starts.
         checkpoint: File in which the state is kept after every step. If it is there,
-            the calibration goes on from it.
+            the calibration goes on from it, without a search from many starts.
         progress: Called after the first evaluation and after each step.
 
     Returns:
@@ -164,7 +164,7 @@ def calibrate(
     _check_names(configurations, validation)
     warn_if_too_few_data(problem)
 
-    journal = Journal(problem, settings, checkpoint, progress)
+    journal = Journal(problem, settings, checkpoint, progress, search=(starts, seed))
     with Clock() as clock:
         start = problem.space.admissible(problem.space.start())
         before = _evaluate(problem, start, at_rest(problem))
@@ -209,14 +209,14 @@ def _begin(
         z = jnp.asarray(saved.arrays["z"])
         there = _evaluate(problem, z, jnp.asarray(saved.arrays["displacement"]))
         return resumed_state(initial_state(settings, z, there), saved), None
+    search = None
+    if starts > 1:
+        search = multi_start(problem, _all_starts(start, problem, starts, seed))
+        start = jnp.asarray(search.z[search.best])
+        before = _evaluate(problem, start, at_rest(problem))
     state = initial_state(settings, start, before)
     journal.note(state)
-    if starts == 1:
-        return state, None
-    search = multi_start(problem, _all_starts(start, problem, starts, seed))
-    z = jnp.asarray(search.z[search.best])
-    there = _evaluate(problem, z, at_rest(problem))
-    return initial_state(settings, z, there), search
+    return state, search
 
 
 def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):

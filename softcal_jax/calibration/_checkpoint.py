@@ -41,11 +41,13 @@ class Journal:
         settings: CalibrationSettings,
         checkpoint: str | os.PathLike[str] | None,
         progress: Callable[[HistoryEntry], None] | None,
+        *,
+        search: tuple[int, int] = (1, 0),
     ):
         self.history: list[HistoryEntry] = []
         self._problem, self._progress = problem, progress
         self._path = None if checkpoint is None else Path(checkpoint)
-        self._mark = fingerprint(problem, settings) if self._path else ""
+        self._mark = fingerprint(problem, settings, search) if self._path else ""
         self._begin = time.perf_counter()
 
     def load(self) -> "Checkpoint | None":
@@ -97,9 +99,13 @@ class Checkpoint(NamedTuple):
     history: list[HistoryEntry]
 
 
-def fingerprint(problem: CalibrationProblem, settings: CalibrationSettings) -> str:
+def fingerprint(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    search: tuple[int, int],
+) -> str:
     """Digest of everything that a calibration depends on."""
-    digest = hashlib.sha256(repr((settings, problem.newton)).encode())
+    digest = hashlib.sha256(repr((settings, problem.newton, search)).encode())
     for part in (
         problem.model.mesh,
         problem.model.law,

@@ -349,7 +349,7 @@ class EquilibriumProblem:
         """State before the first iteration, at full load."""
         energy, scale, force, det = self.evaluate(u0)
         # A guess with inverted tets or infinite energy is worth less than rest.
-        usable = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force))
+        usable = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force)) & (det > 0.0)
         keep = lambda value, rest: jnp.where(usable, value, rest)
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
         rest, count = jnp.zeros_like(u0), jnp.zeros((), jnp.int32)

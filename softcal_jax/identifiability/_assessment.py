@@ -94,4 +94,6 @@ def assess(result: CalibrationResult) -> Assessment:
             f"The data hardly see {len(report.blind)} of {report.n_parameters} "
             "directions of the parameters."
         )
+    elif report.verdict != "identifiable":
+        reasons.append("The data determine some combinations only weakly.")
     return Assessment(not reasons, tuple(reasons), probability, report)

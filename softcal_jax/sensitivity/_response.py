@@ -79,8 +79,10 @@ def equilibrium_response(
             done = continue_equilibrium(
                 model, configuration, guess, forces, settings=newton, rtol=rtol
             )
-            W = jax.vmap(effectors.positions)(done.x).reshape(n_p, n_e).T
-            return Response(done.equilibrium, W, done.x, done.ok)
+            ok = done.ok & done.equilibrium.converged
+            x = jnp.where(ok, done.x, 0.0)
+            W = jax.vmap(effectors.positions)(x).reshape(n_p, n_e).T
+            return Response(done.equilibrium, W, x, ok)
         _, pull_back = jax.vjp(effectors.positions, guess)
         unit = jnp.eye(n_e).reshape(n_e, *effectors.measured.shape)
         (rows,) = jax.vmap(pull_back)(unit)
@@ -95,7 +97,8 @@ def equilibrium_response(
         )
         u = done.equilibrium.displacement
         H_p = parameter_forces(model, configuration, u, space, z)
+        ok = done.ok & done.equilibrium.converged
         W = jnp.sum(done.x[:, None] * H_p[None], axis=(2, 3))
-        return Response(done.equilibrium, jnp.asarray(W), None, done.ok)
+        return Response(done.equilibrium, jnp.where(ok, W, 0.0), None, ok)
 
     return lane(model, configuration, guess, space, z)

@@ -1,0 +1,227 @@
+"""A calibration that is stopped goes on where it was, or says why it cannot."""
+
+import numpy as np
+import pytest
+
+from softcal_jax.calibration import (
+    CalibrationSettings,
+    calibrate,
+    synthetic_measurements,
+    with_measured,
+)
+from softcal_jax.robots import anisotropic_beam
+
+BEAM = {"cells": (4, 1, 1), "order": 1, "poses": (1, 5), "n_effectors": 4}
+SHORT = CalibrationSettings(max_steps=4)
+
+
+@pytest.fixture(scope="module")
+def beam():
+    return anisotropic_beam(**BEAM)
+
+
+@pytest.fixture(scope="module")
+def data(beam):
+    return synthetic_measurements(
+        beam.model, beam.space, beam.configurations, beam.target, noise=True
+    )
+
+
+@pytest.fixture(scope="module")
+def fit(beam, data):
+    """Calibrate this beam, with other data, start or settings if given."""
+
+    def run(path=None, data=data, space=beam.space, **keywords):
+        return calibrate(
+            beam.model, space, data, checkpoint=path, noise="stated", **keywords
+        )
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def whole(fit):
+    """Without any interruption."""
+    return fit()
+
+
+class Stopped(Exception):
+    """Ctrl-C, or a power cut."""
+
+
+def stop_after(n):
+    def progress(entry):
+        if entry.step == n:
+            raise Stopped
+
+    return progress
+
+
+def interrupted(fit, path, n, **keywords):
+    with pytest.raises(Stopped):
+        fit(path, progress=stop_after(n), **keywords)
+    return path
+
+
+def assert_same_history(ours, theirs):
+    """On the way equilibria are left early, and those of a resumed step are not."""
+    assert [entry.step for entry in ours] == list(range(len(theirs)))
+    for a, b in zip(ours, theirs, strict=True):
+        assert a.cost == pytest.approx(b.cost, rel=1e-3)
+        assert a.accepted == b.accepted
+        assert a.step_bound == pytest.approx(b.step_bound, rel=1e-3)
+        assert list(a.values) == list(b.values)
+        for name, value in b.values.items():
+            assert a.values[name] == pytest.approx(value, rel=1e-3, abs=1e-5)
+        assert type(a.lambda_p) is type(a.newton_steps) is tuple
+
+
+@pytest.mark.parametrize("n", [0, 1, 4])
+def test_stopped_and_resumed_it_ends_where_it_would_have(tmp_path, fit, whole, n):
+    assert len(whole.history) > 6
+    path = interrupted(fit, tmp_path / "fit.npz", n)
+    told = []
+    resumed = fit(path, progress=told.append)
+    assert resumed.converged
+    np.testing.assert_allclose(resumed.z, whole.z, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        resumed.uncertainty.covariance, whole.uncertainty.covariance, rtol=1e-5
+    )
+    assert_same_history(resumed.history, whole.history)
+    # Only what is new is told.
+    assert [e.step for e in told] == list(range(n + 1, len(whole.history)))
+    for ours, theirs in zip(resumed.configurations, whole.configurations, strict=True):
+        np.testing.assert_allclose(ours.before, theirs.before, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(ours.after, theirs.after, rtol=0, atol=1e-8)
+
+
+def test_it_may_be_stopped_again_and_again(tmp_path, fit, whole):
+    path = tmp_path / "fit.npz"
+    for n in (1, 3, 5):
+        interrupted(fit, path, n)
+    resumed = fit(path)
+    assert_same_history(resumed.history, whole.history)
+    np.testing.assert_allclose(resumed.z, whole.z, rtol=0, atol=1e-8)
+
+
+def test_a_finished_calibration_is_only_read(tmp_path, fit):
+    """No step more, and the file stays as it is."""
+    path = tmp_path / "fit.npz"
+    first = fit(path)
+    before = path.read_bytes()
+    told = []
+    again = fit(path, progress=told.append)
+    assert first.converged
+    assert again.converged
+    assert told == []
+    assert path.read_bytes() == before
+    assert_same_history(again.history, first.history)
+    np.testing.assert_allclose(again.z, first.z, rtol=0, atol=1e-12)
+    assert again.notes == first.notes
+
+
+def test_steps_of_both_parts_count_against_the_limit(tmp_path, fit):
+    path = interrupted(fit, tmp_path / "fit.npz", 3, settings=SHORT)
+    for _ in range(2):
+        result = fit(path, settings=SHORT)
+        assert len(result.history) == 5
+        assert not result.converged
+        (note,) = [n for n in result.notes if n.startswith("Not converged")]
+        assert "after 4 steps lambda_p is still" in note
+        assert "inf" not in note
+
+
+def test_a_checkpoint_is_written_whole_or_not_at_all(tmp_path, fit, monkeypatch):
+    """The disk is full while step 3 is written: step 2 is still there."""
+    path = interrupted(fit, tmp_path / "fit.npz", 2)
+    assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
+    before = path.read_bytes()
+
+    def full(file, **arrays):
+        file.write(b"half of it")
+        raise OSError("no space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", full)
+        with pytest.raises(OSError, match="no space left"):
+            fit(path)
+    assert path.read_bytes() == before
+    assert fit(path).converged
+    assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
+
+
+@pytest.mark.parametrize("what", ["measurement", "settings", "start"])
+def test_checkpoint_of_another_calibration_is_refused(tmp_path, data, fit, what):
+    path = interrupted(fit, tmp_path / "fit.npz", 1)
+    before = path.read_bytes()
+    changed = {}
+    if what == "measurement":
+        moved = data[1].measured.copy()
+        moved[0, 2] += 1e-9
+        changed = {"data": [data[0], with_measured(data[1], moved)]}
+    elif what == "settings":
+        changed = {"settings": CalibrationSettings(tol=1e-7)}
+    else:
+        start = {"E_t": 7e5, "E_l": 4e5, "theta": 1e-9}
+        changed = {"space": anisotropic_beam(**BEAM, start=start).space}
+    message = "fit.npz is a checkpoint of another calibration: mesh, material"
+    with pytest.raises(ValueError, match=message):
+        fit(path, **changed)
+    assert path.read_bytes() == before
+
+
+def text(path):
+    path.write_text("E_t = 7e5\n")
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+def flipped(path):
+    content = bytearray(path.read_bytes())
+    content[200] ^= 0xFF
+    path.write_bytes(bytes(content))
+
+
+def other_arrays(path):
+    with path.open("wb") as file:
+        np.savez(file, z=np.zeros(6))
+
+
+def one_array(path):
+    with path.open("wb") as file:
+        np.save(file, np.zeros(6))
+
+
+@pytest.mark.parametrize(
+    "damage", [text, empty, truncated, flipped, other_arrays, one_array]
+)
+def test_a_file_that_is_no_checkpoint_is_refused_and_kept(tmp_path, fit, damage):
+    path = interrupted(fit, tmp_path / "fit.npz", 1)
+    damage(path)
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match=r"fit\.npz is not a checkpoint of a calib"):
+        fit(path)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
+
+
+def test_without_a_path_nothing_is_written(tmp_path, fit, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    fit(settings=SHORT)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_search_that_was_stopped_is_not_forgotten(tmp_path, fit):
+    """From several starts: the checkpoint after the search holds its best end."""
+    path = interrupted(fit, tmp_path / "fit.npz", 0, starts=3)
+    with pytest.raises(ValueError, match="a checkpoint of another calibration"):
+        fit(path)
+    resumed = fit(path, starts=3)
+    assert resumed.converged
+    assert len(resumed.history) <= 3

@@ -1,0 +1,294 @@
+"""Many starts in one batch: each as alone, their optima, and mirror images."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.calibration import (
+    CalibrationProblem,
+    MultiStartResult,
+    Optimum,
+    at_rest,
+    build_problem,
+    calibrate,
+    multi_start,
+    random_starts,
+    synthetic_measurements,
+)
+from softcal_jax.calibration._calibrate import _evaluate
+from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
+
+# Columns: E_t, E_l and theta, at both control points each.
+E_T, E_L, THETA = slice(0, 2), slice(2, 4), slice(4, 6)
+
+
+class Measured(NamedTuple):
+    """A beam, its synthetic measurements, and three starts; the last ends wrong."""
+
+    beam: AnisotropicBeam
+    data: tuple
+    problem: CalibrationProblem
+    starts: jax.Array
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Two poses across the print plane and out of it; of the beam itself."""
+    beam = anisotropic_beam(cells=(4, 1, 1), order=1, poses=(1, 5), n_effectors=4)
+    data = synthetic_measurements(
+        beam.model, beam.space, beam.configurations, beam.target
+    )
+    others = random_starts(beam.space, 30, seed=1)
+    starts = jnp.stack([beam.space.start(), others[0], others[1]])
+    return Measured(beam, data, build_problem(beam.model, beam.space, data), starts)
+
+
+@pytest.fixture(scope="module")
+def plain(measured):
+    return multi_start(measured.problem, measured.starts, mirror=False)
+
+
+@pytest.fixture(scope="module")
+def mirrored(measured):
+    return multi_start(measured.problem, measured.starts)
+
+
+def target(measured):
+    return np.array([measured.beam.target[n] for n in measured.beam.space.names])
+
+
+def test_a_start_in_the_basin_finds_the_target(measured, plain):
+    assert plain.converged[0]
+    np.testing.assert_allclose(plain.values[0], target(measured), rtol=1e-5)
+    np.testing.assert_allclose(
+        plain.starts, jax.vmap(measured.beam.space.from_scaled)(measured.starts)
+    )
+
+
+def test_a_run_is_that_of_calibrate(measured, plain):
+    """The same loop step by step, and its errors."""
+    alone = calibrate(measured.beam.model, measured.beam.space, measured.data)
+    assert plain.steps[0] == len(alone.history) - 1
+    np.testing.assert_allclose(plain.z[0], alone.z, rtol=0, atol=1e-8)
+    errors = [np.sqrt(2.0 * entry.cost) for entry in alone.history]
+    # Down to the rounding of equilibria, 1e-8 of some hundred noise units.
+    trace = plain.errors[0][: len(errors)]
+    np.testing.assert_allclose(trace, errors, rtol=1e-5, atol=1e-6)
+    assert np.isnan(plain.errors[0][len(errors) :]).all()
+
+
+def test_errors_go_from_the_start_to_the_end(measured, plain):
+    assert plain.errors.shape == (3, FROM_ANYWHERE.max_steps + 1)
+    for i, start in enumerate(measured.starts):
+        first = _evaluate(measured.problem, start, at_rest(measured.problem))
+        steps = plain.steps[i]
+        np.testing.assert_allclose(
+            plain.errors[i, 0], np.sqrt(2.0 * first.cost), rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            plain.errors[i, steps], np.sqrt(2.0 * plain.cost[i]), rtol=1e-12
+        )
+        assert np.isfinite(plain.errors[i]).sum() == steps + 1
+
+
+def test_order_of_the_starts_changes_nothing(measured, mirrored):
+    """Bit for bit, since one lane runs after the other; a lost one too."""
+    lost = jnp.full_like(measured.starts[0], jnp.nan)
+    starts = jnp.stack([measured.starts[2], lost, measured.starts[0]])
+    again = multi_start(measured.problem, starts)
+    for name in ("z", "cost", "steps", "converged", "errors"):
+        for ours, theirs in ((0, 2), (2, 0)):
+            np.testing.assert_array_equal(
+                getattr(again, name)[ours], getattr(mirrored, name)[theirs]
+            )
+    assert again.cost[1] == np.inf
+    assert not again.converged[1]
+    assert again.steps[1] == 1
+    assert again.best in (0, 2)
+    assert all(1 not in optimum.starts for optimum in again.optima)
+    assert "1 without equilibrium at the start (starts 1)." in str(again)
+
+
+def test_without_any_equilibrium_it_is_an_error(measured):
+    lost = jnp.full_like(measured.starts, jnp.nan)
+    with pytest.raises(RuntimeError, match="none of 3 starts has an equilibrium"):
+        multi_start(measured.problem, lost)
+
+
+def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):
+    """The last start ends beside the target, unless it goes on from its reflection."""
+    assert plain.converged[2]
+    assert plain.cost[2] > 1e-3
+    assert np.max(np.abs(plain.values[2] / target(measured) - 1.0)) > 0.1
+    assert mirrored.converged.all()
+    assert len(mirrored.optima) == 1
+    np.testing.assert_allclose(mirrored.values[2], target(measured), rtol=1e-5)
+    # The steps of all images, the errors of the first run.
+    assert mirrored.steps[2] > plain.steps[2]
+    np.testing.assert_array_equal(mirrored.errors[2], plain.errors[2])
+    # Where nothing is left to explain no other optimum is looked for.
+    np.testing.assert_array_equal(mirrored.steps[:1], plain.steps[:1])
+
+
+def test_calibrate_goes_on_from_the_best_of_several_starts(measured):
+    """The user's start is the one that ends wrong."""
+    beam, space = measured.beam, measured.beam.space
+    p = space.from_scaled(measured.starts[2])
+    wrong = [p[E_T], p[E_L], p[THETA]]
+    space = eqx.tree_at(lambda s: [e.start for e in s.entries], space, wrong)
+    alone = calibrate(beam.model, space, measured.data)
+    assert alone.starts is None
+    assert alone.history[-1].cost > 1e-3
+    found = calibrate(beam.model, space, measured.data, starts=3, seed=5)
+    assert found.converged
+    values = [found.value(name) for name in space.names]
+    np.testing.assert_allclose(values, target(measured), rtol=1e-5)
+    # Its own start and two random ones.
+    expected = jnp.stack([space.start(), *random_starts(space, 2, seed=5)])
+    np.testing.assert_allclose(
+        found.starts.starts, jax.vmap(space.from_scaled)(expected), rtol=1e-12
+    )
+    assert found.history[0].cost == pytest.approx(alone.history[0].cost, rel=1e-9)
+    assert [entry.step for entry in found.history] == list(range(len(found.history)))
+    assert len(found.history) <= 4
+    assert found.parameters[0].start == pytest.approx(float(p[0]))
+
+
+def test_calibrate_needs_a_start(measured):
+    with pytest.raises(ValueError, match="starts must be at least 1, got 0"):
+        calibrate(measured.beam.model, measured.beam.space, measured.data, starts=0)
+
+
+@pytest.mark.parametrize("shape", [(0, 6), (3, 5), (6,)])
+def test_starts_that_do_not_fit_the_parameters(measured, shape, unchecked):
+    message = r"starts must have the shape \(number, 6\), at least one; got \("
+    with pytest.raises(ValueError, match=message):
+        multi_start(measured.problem, jnp.zeros(shape))
+
+
+# What is made of the ends of runs, on ends made by hand.
+SPACE = anisotropic_beam(cells=(1, 1, 1), order=1).space
+
+
+def ends(thetas, costs, converged=None):
+    """Runs that differ in the angle of CP 1 only."""
+    p = np.tile([8e5, 7e5, 3e5, 2e5, 0.0, 0.4], (len(thetas), 1))
+    p[:, 4] = np.deg2rad(thetas)
+    z = np.array([SPACE.to_scaled(jnp.asarray(row)) for row in p])
+    flags = np.ones(len(thetas), bool) if converged is None else np.array(converged)
+    cost = np.array(costs, float)
+    return MultiStartResult(
+        names=tuple(SPACE.names),
+        starts=p,
+        values=p,
+        z=z,
+        cost=cost,
+        steps=np.full(len(thetas), 7),
+        converged=flags,
+        errors=np.zeros((len(thetas), 13)),
+        optima=_optima(SPACE, z, p, cost, flags),
+    )
+
+
+def test_optima_on_both_sides_of_the_seam_are_one():
+    """An axis at 89.99 degrees is at -89.99 degrees, almost; 88 is another."""
+    found = ends([89.99, -89.99, 88.0], [2.0, 1.0, 3.0]).optima
+    assert [optimum.starts for optimum in found] == [(0, 1), (2,)]
+    # The lower of the two stands for both.
+    assert found[0].cost == 1.0
+    assert found[0].values["theta of CP 1"] == pytest.approx(np.deg2rad(-89.99))
+    assert found[0].values["E_t of CP 2"] == 7e5
+
+
+def test_optima_come_with_the_lowest_cost_first():
+    found = ends([10.0, 20.0, 10.01, 20.0], [5.0, 2.0, 4.0, np.inf]).optima
+    assert [(o.cost, o.starts) for o in found] == [(2.0, (1, 3)), (4.0, (0, 2))]
+    assert isinstance(found[0], Optimum)
+
+
+def test_unfinished_runs_are_no_optima_and_not_the_best():
+    """However low they are; unless there is nothing else."""
+    found = ends([10.0, 20.0, 30.0], [5.0, 0.1, np.inf], [True, False, False])
+    assert [optimum.starts for optimum in found.optima] == [(0,)]
+    assert found.best == 0
+    none = ends([10.0, 20.0], [5.0, 0.1], [False, False])
+    assert none.optima == ()
+    assert none.best == 1
+
+
+def test_report_lists_optima_unfinished_and_lost_runs():
+    found = ends(
+        [10.0, 20.0, 10.0, 40.0, 50.0, 60.0],
+        [5.0, 2.0, 5.0, 3.25, 4.0, np.inf],
+        [True, True, True, False, False, False],
+    )
+    values = "E_t of CP 1 8e+05, E_t of CP 2 7e+05, E_l of CP 1 3e+05, E_l of CP 2 2e"
+    assert str(found).splitlines() == [
+        "6 starts, 3 converged, 2 distinct optima.",
+        f"  cost 2 from 1 starts: {values}+05, theta of CP 1 0.3491, theta of CP 2 0.4",
+        f"  cost 5 from 2 starts: {values}+05, theta of CP 1 0.1745, theta of CP 2 0.4",
+        "  2 not converged (starts 3, 4), lowest cost 3.25.",
+        "  1 without equilibrium at the start (starts 5).",
+    ]
+
+
+@pytest.mark.parametrize("tensor_steps", [True, False])
+def test_random_starts_fill_the_bounds_in_order(tensor_steps):
+    """Uniform in SI units: means of the two sorted moduli at 1/3 and 2/3."""
+    space = anisotropic_beam(
+        cells=(1, 1, 1), order=1, tensor_steps=tensor_steps, interpolation="director"
+    ).space
+    z = np.asarray(random_starts(space, 2000, seed=3))
+    assert np.all(z >= np.asarray(space.lower())[None] - 1e-12)
+    assert np.all(z <= np.asarray(space.upper())[None] + 1e-12)
+    assert np.all(z[:, E_L] <= z[:, E_T])
+    p = np.asarray(jax.vmap(space.from_scaled)(jnp.asarray(z)))
+    low, high = (
+        np.asarray(space.from_scaled(z)) for z in (space.lower(), space.upper())
+    )
+    share = (p - low) / (high - low)
+    expected = [2.0 / 3.0] * 2 + [1.0 / 3.0] * 2 + [0.5] * 2
+    # Standard deviations of at most 0.29, over 2000 draws: five standard errors.
+    np.testing.assert_allclose(share.mean(axis=0), expected, rtol=0, atol=0.033)
+    assert np.all(share.min(axis=0) < [0.1] * 2 + [0.01] * 4)
+    assert np.all(share.max(axis=0) > [0.99] * 2 + [0.9] * 2 + [0.99] * 2)
+    # No two parameters move together, but for the sorted pairs.
+    correlation = np.corrcoef(share.T) - np.eye(6)
+    for i in range(2):
+        correlation[i, i + 2] = correlation[i + 2, i] = 0.0
+    assert np.max(np.abs(correlation)) < 5.0 / np.sqrt(2000)
+
+
+def test_random_starts_are_those_of_their_seed():
+    first, again, other = (random_starts(SPACE, 4, seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert np.all(np.abs(first - other) > 1e-6)
+
+
+def test_chain_of_orders_and_bounds_of_their_own():
+    """a <= b <= c, where b has less room than the others."""
+    bounds = {"c": (1.0, 9.0), "a": (1.0, 9.0), "b": (3.0, 5.0)}
+    space = ParameterSpace(
+        tuple(
+            Parameter(name, name, 4.0, low, high, scale="linear", S=1.0)
+            for name, (low, high) in bounds.items()
+        ),
+        order=(("a", "b"), ("b", "c")),
+    )
+    z = np.asarray(random_starts(space, 200))
+    assert np.all(z[:, 1] <= z[:, 2])
+    assert np.all(z[:, 2] <= z[:, 0])
+    assert np.all(z >= np.asarray(space.lower())[None])
+    assert np.all(z <= np.asarray(space.upper())[None])
+
+
+@pytest.mark.parametrize("n", [0, -3])
+def test_random_starts_are_at_least_one(n):
+    with pytest.raises(ValueError, match=f"must be at least 1, got {n}"):
+        random_starts(SPACE, n)

@@ -1,0 +1,241 @@
+"""Equilibrium from a good guess: what the careful solve gives, in fewer steps."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import TIGHT, lane, solve
+
+from softcal_jax.configurations import (
+    Configuration,
+    Support,
+    SurfaceForce,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import (
+    RESULTS,
+    build_model,
+    continue_equilibrium,
+    factor_solve,
+    residual,
+)
+from softcal_jax.equilibrium._continuation import MAX_QUICK_STEPS
+from softcal_jax.materials import (
+    Isotropic,
+    StVenantKirchhoff,
+)
+from softcal_jax.mesh import beam
+
+RTOL = 1e-6
+MESH = beam(4.0, 1.0, 1.0, (4, 1, 1))
+# Of unit modulus and no Poisson's ratio: a bar carries 0.19245 in compression at most,
+# at 1 / sqrt(3) of its length.
+MODEL = build_model(MESH, StVenantKirchhoff(Isotropic(1.0, 0.0)), density=1.0)
+CLAMP = Support("x_min")
+STRAIGHT = Support(np.arange(MESH.n_nodes), axes="yz")
+
+
+def hanging(weight, *supports):
+    name = f"{weight} {len(supports)}"
+    return Configuration(name, (CLAMP, *supports), (0.0, 1e-3, -weight))
+
+
+def pressed(displacement=None, load=0.0, weight=0.0):
+    """A bar that can only be shortened, by a support that moves or by a force."""
+    end = () if displacement is None else (Support("x_max", "x", displacement),)
+    push = SurfaceForce("x_max", (-load, 0.0, 0.0))
+    return Configuration(
+        f"{displacement} {load}", (CLAMP, STRAIGHT, *end), (weight, 0.0, 0.0), push
+    )
+
+
+LIFTED = Support("x_max", "z", (0.0, 0.0, 0.3))
+LANES = configuration_arrays(
+    MESH,
+    [
+        hanging(4e-3),
+        hanging(4.2e-3),
+        hanging(4e-3, LIFTED),
+        pressed((-2.4, 0.0, 0.0), weight=1e-3),
+        pressed((-8.0, 0.0, 0.0)),
+        pressed(load=0.25),
+    ],
+)
+HANGING, HEAVIER, MOVED, UNSTABLE, TURNED, CRUSHED = range(6)
+SHAPE = MESH.points.shape
+DEAD = jax.random.normal(jax.random.key(0), SHAPE)
+
+
+def forces(model, configuration, u):
+    """One that is always the same, one that follows u, and one that vanishes."""
+    return jnp.stack([DEAD, u * DEAD, residual(model, configuration, u)])
+
+
+@jax.jit
+def continued(model, configuration, guess):
+    return continue_equilibrium(
+        model,
+        configuration,
+        guess,
+        lambda u: forces(model, configuration, u),
+        settings=TIGHT,
+        rtol=RTOL,
+    )
+
+
+@jax.jit
+def further(model, configuration, u):
+    return factor_solve(model, configuration, u, forces(model, configuration, u))
+
+
+@pytest.fixture(scope="module")
+def careful():
+    """All lanes from rest, to rounding."""
+    return solve(MODEL, LANES, TIGHT)
+
+
+def assert_same(done, index, careful, *, rtol):
+    """Displacement to the residual, solutions to the last Newton step's size."""
+    u = careful.displacement[index]
+    size = float(jnp.max(jnp.abs(u)))
+    assert bool(done.ok)
+    assert bool(done.equilibrium.result == RESULTS.converged)
+    np.testing.assert_allclose(
+        done.equilibrium.displacement, u, rtol=0, atol=rtol * size
+    )
+    expected = further(MODEL, lane(LANES, index), u).x
+    for ours, theirs in zip(done.x[:2], expected[:2], strict=True):
+        size = float(jnp.max(jnp.abs(theirs)))
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=0.01 * size)
+    np.testing.assert_array_equal(
+        np.where(LANES.fixed[index], np.asarray(done.x), 0.0), 0.0
+    )
+
+
+def test_from_rest_it_is_the_careful_solve_bit_for_bit(careful):
+    done = continued(MODEL, lane(LANES, HANGING), jnp.zeros(SHAPE))
+    np.testing.assert_array_equal(
+        done.equilibrium.displacement, careful.displacement[HANGING]
+    )
+    for name in ("steps", "load_steps", "residual", "min_det_F", "n_negative"):
+        np.testing.assert_array_equal(
+            getattr(done.equilibrium, name), getattr(careful, name)[HANGING]
+        )
+    assert_same(done, HANGING, careful, rtol=1e-6)
+    expected = further(MODEL, lane(LANES, HANGING), done.equilibrium.displacement).x
+    scale = float(jnp.max(jnp.abs(expected)))
+    np.testing.assert_allclose(done.x, expected, rtol=0, atol=1e-12 * scale)
+
+
+def test_from_a_good_guess_in_a_few_steps(careful):
+    """From the equilibrium under a tenth less weight."""
+    done = continued(MODEL, lane(LANES, HEAVIER), careful.displacement[HANGING])
+    found = done.equilibrium
+    assert 1 < int(found.steps) <= 3 < int(careful.steps[HEAVIER])
+    # Left early, as asked for.
+    assert TIGHT.rtol < float(found.residual) <= RTOL
+    assert int(found.n_negative) == 0
+    assert (int(found.load_steps), float(found.load_reached)) == (1, 1.0)
+    np.testing.assert_allclose(
+        found.min_det_F, careful.min_det_F[HEAVIER], rtol=0, atol=1e-5
+    )
+    # A slender body: rtol of the forces is some hundred times that of the shape.
+    assert_same(done, HEAVIER, careful, rtol=1e-4)
+
+
+def test_right_hand_sides_are_those_of_the_equilibrium(careful):
+    """The residual as one: it gives the next Newton step, not the last one."""
+    guess = careful.displacement[HANGING]
+    done = continued(MODEL, lane(LANES, HEAVIER), guess)
+    moved = float(jnp.max(jnp.abs(done.equilibrium.displacement - guess)))
+    assert float(jnp.max(jnp.abs(done.x[2]))) < 1e-4 * moved
+
+
+def test_at_the_equilibrium_one_step_is_enough(careful):
+    done = continued(MODEL, lane(LANES, HANGING), careful.displacement[HANGING])
+    assert int(done.equilibrium.steps) == 1
+    assert_same(done, HANGING, careful, rtol=1e-9)
+
+
+GUESSES = {
+    "of the other sign": lambda u: -3.0 * u,
+    "rough": lambda u: u + 0.1 * jax.random.normal(jax.random.key(1), u.shape),
+    "not finite": lambda u: u.at[-1, 1].set(jnp.nan),
+}
+
+
+@pytest.mark.parametrize("name", GUESSES)
+def test_a_bad_guess_ends_in_the_careful_solve(name, careful):
+    fixed = np.asarray(LANES.fixed[HANGING])
+    guess = GUESSES[name](careful.displacement[HANGING])
+    guess = jnp.where(fixed, 0.0, guess)
+    done = continued(MODEL, lane(LANES, HANGING), guess)
+    assert int(done.equilibrium.steps) > MAX_QUICK_STEPS - 1
+    assert float(done.equilibrium.residual) <= TIGHT.rtol
+    assert_same(done, HANGING, careful, rtol=1e-5)
+
+
+def test_a_support_that_has_moved_since_the_guess(careful):
+    """Held nodes go where they are held, and the rest of the body with them."""
+    done = continued(MODEL, lane(LANES, MOVED), careful.displacement[HANGING])
+    held = np.asarray(LANES.fixed[MOVED])
+    np.testing.assert_array_equal(
+        done.equilibrium.displacement[held], LANES.imposed[MOVED][held]
+    )
+    # With care: full steps are not trusted with a jump of the supports.
+    assert float(done.equilibrium.residual) <= TIGHT.rtol
+    assert_same(done, MOVED, careful, rtol=1e-6)
+    # From where they already are, quick steps do.
+    again = continued(MODEL, lane(LANES, MOVED), careful.displacement[MOVED])
+    assert int(again.equilibrium.steps) < int(done.equilibrium.steps)
+    assert_same(again, MOVED, careful, rtol=1e-6)
+
+
+def shortened(factor):
+    """A guess: every section moved along, the length times `factor`."""
+    return jnp.asarray(MESH.points * np.array([factor - 1.0, 0.0, 0.0]))
+
+
+def test_an_unstable_guess_is_left():
+    """Pressed beyond the limit point; full Newton steps would end right there."""
+    guess = shortened(0.4)
+    found = continued(MODEL, lane(LANES, UNSTABLE), guess).equilibrium
+    assert float(jnp.nanmax(jnp.abs(found.displacement - guess))) > 0.1
+    assert not bool(found.converged) or int(found.n_negative) == 0
+
+
+def test_an_inverted_guess_does_not_pass_for_an_equilibrium():
+    """Turned inside out this law has no stress: residual zero, tangent definite."""
+    guess = shortened(-1.0)
+    found = continued(MODEL, lane(LANES, TURNED), guess).equilibrium
+    assert bool(found.result == RESULTS.inverted)
+    np.testing.assert_allclose(found.min_det_F, -1.0, rtol=1e-9)
+
+
+def test_a_load_that_the_body_cannot_carry(careful):
+    """From rest and from a guess."""
+    assert not bool(lane(careful, CRUSHED).converged)
+    for factor in (1.0, 0.9):
+        done = continued(MODEL, lane(LANES, CRUSHED), shortened(factor))
+        assert not bool(done.equilibrium.converged)
+
+
+def no_law():
+    nan = MODEL.law.elasticity.E * jnp.nan
+    return eqx.tree_at(lambda m: m.law.elasticity.E, MODEL, nan), lane(LANES, HANGING)
+
+
+def no_force():
+    one = lane(LANES, HANGING)
+    force = one.force.at[-1, 2].set(jnp.nan)
+    return MODEL, eqx.tree_at(lambda c: c.force, one, force)
+
+
+@pytest.mark.parametrize("broken", [no_law, no_force])
+def test_without_equilibrium_there_are_no_solutions(broken, careful):
+    done = continued(*broken(), careful.displacement[HANGING])
+    assert not bool(done.equilibrium.converged)
+    assert bool(jnp.all(jnp.isnan(done.equilibrium.displacement)))
+    assert not bool(done.ok)
+    np.testing.assert_array_equal(done.x, 0.0)

@@ -1,0 +1,170 @@
+"""What a calibration may claim, on fits of one beam to data made for each verdict."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from softcal_jax.calibration import (
+    CalibrationSettings,
+    calibrate,
+    synthetic_measurements,
+    with_measured,
+)
+from softcal_jax.configurations import (
+    Configuration,
+    Markers,
+    Support,
+    SurfaceForce,
+)
+from softcal_jax.equilibrium import build_model
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.identifiability import assess
+from softcal_jax.identifiability._assessment import UNLIKELY
+from softcal_jax.materials import NeoHookean
+from softcal_jax.mesh import TetMesh, beam
+
+TARGET = {"E of root": 1.5e5, "E of tip": 0.8e5}
+POINTS = ((0.05, 0.01, 0.02), (0.1, 0.01, 0.0))
+N_DATA = 2 * 2 * 3
+STD = 2e-5
+
+
+def space(root_upper=1e6):
+    upper = {"E of root": root_upper, "E of tip": 1e6}
+    return ParameterSpace(
+        tuple(
+            Parameter(name, "E", 1e5, 3e4, upper[name], region=name[5:], unit="Pa")
+            for name in TARGET
+        )
+    )
+
+
+def poses(std=STD):
+    return [
+        Configuration(
+            name,
+            (Support("x_min"),),
+            (0.0, 0.0, -9.81),
+            SurfaceForce("x_max", (0.0, side, 0.0)),
+            Markers(("middle", "tip"), POINTS, std),
+        )
+        for name, side in (("hang", 0.0), ("pull", 0.2))
+    ]
+
+
+@pytest.fixture(scope="module")
+def model():
+    box = beam(0.1, 0.02, 0.02, (4, 1, 1))
+    tip = box.points[box.tets].mean(axis=1)[:, 0] > 0.05
+    groups = {"root": np.flatnonzero(~tip), "tip": np.flatnonzero(tip)}
+    mesh = TetMesh(box.points, box.tets, box.node_groups, box.surface_groups, groups)
+    law = NeoHookean(np.full(mesh.n_tets, 1e5), 0.3)
+    return build_model(mesh, law, density=1000.0)
+
+
+@pytest.fixture(scope="module")
+def data(model):
+    """Measured with the noise that is stated."""
+    return synthetic_measurements(model, space(), poses(), TARGET, noise=True, seed=4)
+
+
+@pytest.fixture(scope="module")
+def good(model, data):
+    return calibrate(model, space(), data, noise="stated")
+
+
+def test_a_good_fit_is_identified(good):
+    verdict = assess(good)
+    assert verdict.identified
+    assert verdict.reasons == ()
+    assert verdict.identifiability.verdict == "identifiable"
+    assert str(verdict).startswith("Identified.\nIdentifiable at these values: 12 m")
+    # And it may say so: two standard errors around what made the data.
+    for estimate in good.parameters:
+        off = abs(estimate.value - TARGET[estimate.name])
+        assert off < 2.0 * estimate.standard_error < 0.1 * estimate.value
+
+
+def test_probability_of_the_misfit_is_that_of_chi_squared(good):
+    """Even degrees of freedom: a Poisson sum, exp(-x) sum of x^k / k!, x half of it."""
+    half = 0.5 * good.uncertainty.chi_squared
+    terms = [half**k / float(np.prod(np.arange(1, k + 1))) for k in range(5)]
+    assert good.uncertainty.degrees_of_freedom == 2 * len(terms) == N_DATA - 2
+    expected = np.exp(-half) * sum(terms)
+    assert assess(good).misfit_probability == pytest.approx(expected, rel=1e-9)
+    assert expected > UNLIKELY
+
+
+def test_model_error_shows_above_the_stated_noise(model, data):
+    """A marker is 0.2 mm, ten standard deviations, from where any modulus puts it."""
+    off = data[1].measured + np.array([[0.0, 0.0, 0.0], [2e-4, 0.0, 0.0]])
+    wrong = [data[0], with_measured(data[1], off)]
+    stated = assess(calibrate(model, space(), wrong, noise="stated"))
+    assert not stated.identified
+    assert stated.misfit_probability < 1e-6
+    (reason,) = stated.reasons
+    assert reason.startswith("The model cannot match the data within the stated noise:")
+    assert "for 10 degrees of freedom" in reason
+    assert str(stated).startswith("Not identified:\n  The model cannot match")
+    # Estimated from these residuals the noise holds the error, and nothing shows.
+    estimated = assess(calibrate(model, space(), wrong))
+    assert estimated.misfit_probability is None
+    assert not any("noise" in reason for reason in estimated.reasons)
+
+
+def test_threshold_of_the_misfit(good):
+    """10 degrees of freedom: 23.21 is exceeded in one case of a hundred."""
+    for chi_squared, identified in ((23.1, True), (23.3, False)):
+        where = lambda r: r.uncertainty.chi_squared
+        assert assess(eqx.tree_at(where, good, chi_squared)).identified is identified
+
+
+def test_fit_that_did_not_converge(model, data):
+    settings = CalibrationSettings(max_steps=1)
+    result = calibrate(model, space(), data, settings=settings)
+    verdict = assess(result)
+    assert not verdict.identified
+    assert verdict.reasons[0] == "The calibration did not converge."
+
+
+def test_parameter_on_its_bound(model, data):
+    verdict = assess(calibrate(model, space(root_upper=1.2e5), data))
+    assert not verdict.identified
+    assert "E of root ended on a bound." in verdict.reasons
+    assert not any("E of tip ended" in reason for reason in verdict.reasons)
+
+
+def test_data_too_coarse_to_tell(model, data):
+    """The same positions, stated to be known to a decimetre only."""
+    coarse = [
+        with_measured(pose, fine.measured)
+        for pose, fine in zip(poses(std=0.1), data, strict=True)
+    ]
+    verdict = assess(calibrate(model, space(), coarse, noise="stated"))
+    assert not verdict.identified
+    assert verdict.identifiability.verdict == "not identifiable"
+    assert verdict.reasons[0].startswith("The data do not determine: E of ")
+    assert not any("cannot match" in reason for reason in verdict.reasons)
+
+
+def test_estimated_noise_of_a_good_fit(model, data):
+    verdict = assess(calibrate(model, space(), data))
+    assert verdict.identified
+    assert verdict.misfit_probability is None
+
+
+def test_data_without_any_residual(model):
+    """Made by the model itself, from the start: there is no noise to estimate."""
+    at_start = dict.fromkeys(TARGET, 1e5)
+    exact = synthetic_measurements(model, space(), poses(), at_start)
+    result = calibrate(model, space(), exact)
+    assert result.uncertainty.noise_scale < 1e-3
+    verdict = assess(result)
+    assert verdict.identified
+    as_stated = assess(calibrate(model, space(), exact, noise="stated"))
+    for ours, theirs in zip(
+        verdict.identifiability.parameters,
+        as_stated.identifiability.parameters,
+        strict=True,
+    ):
+        assert ours.standard_error == pytest.approx(theirs.standard_error, rel=1e-6)

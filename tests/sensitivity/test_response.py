@@ -1,0 +1,254 @@
+"""Equilibria and compliances in one go: what the two solves give one after the other.
+
+The reference is the equilibrium to rounding, from rest, and the direct compliance with
+a factorization of its own.
+"""
+
+from functools import cache, partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    Markers,
+    Support,
+    SurfaceForce,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import (
+    RESULTS,
+    Model,
+    NewtonSettings,
+    build_model,
+    solve_equilibrium,
+)
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.materials import (
+    ClassicalCorotational,
+    Fibre,
+    NeoHookean,
+    ReducedTransverseIsotropic,
+)
+from softcal_jax.mesh import TetMesh, beam
+from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
+from softcal_jax.sensitivity._response import FEW_PARAMETERS
+
+RTOL = 1e-6
+TIGHT = NewtonSettings(rtol=1e-11)
+MARKERS = Markers(("tip", "middle"), [[0.1, 0.01, 0.01], [0.05, 0.01, 0.02]])
+N_E = 6
+LIFTED = Support("x_max", "z", (0.0, 0.0, 0.01))
+
+
+def hanging(name, *supports, side=0.0):
+    return Configuration(
+        name,
+        (Support("x_min"), *supports),
+        (0.0, 0.0, -9.81),
+        SurfaceForce("x_max", (0.0, side, 0.0)),
+        MARKERS,
+        MARKERS.positions,
+    )
+
+
+POSES = (hanging("down"), hanging("side", side=0.03), hanging("lifted", LIFTED))
+
+
+class Case(NamedTuple):
+    """A body, its poses and its parameters."""
+
+    model: Model
+    lanes: ConfigurationArrays
+    space: ParameterSpace
+
+
+def parts(mesh, n):
+    """Groups of tets along the beam."""
+    place = mesh.points[mesh.tets].mean(axis=1)[:, 0]
+    split = np.array_split(np.argsort(place, kind="stable"), n)
+    groups = {f"part {i}": np.sort(tets) for i, tets in enumerate(split)}
+    return TetMesh(
+        mesh.points, mesh.tets, mesh.node_groups, mesh.surface_groups, groups
+    )
+
+
+@cache
+def case(name) -> Case:
+    order = 2 if name == "mean dilatation" else 1
+    n_parts = FEW_PARAMETERS if name == "many parameters" else 2
+    mesh = parts(beam(0.1, 0.02, 0.02, (3, 1, 1), order=order), n_parts)
+    E = np.full(mesh.n_tets, 1e5)
+    laws = {
+        "mean dilatation": NeoHookean(E, 0.49),
+        "no potential": ClassicalCorotational(
+            ReducedTransverseIsotropic(E, 4e4, 0.3, Fibre(0.5))
+        ),
+    }
+    field = "E_t" if name == "no potential" else "E"
+    parameters = [
+        Parameter(f"{field} of {part}", field, 1e5, 1e4, 1e6, region=part)
+        for part in mesh.tet_groups
+    ]
+    space = ParameterSpace((*parameters, Parameter("rho", "density", 1e3, 1e2, 1e4)))
+    model = build_model(
+        mesh,
+        laws.get(name, NeoHookean(E, 0.3)),
+        density=1000.0,
+        formulation="mean-dilatation" if order == 2 else "displacement",
+        solver="klu" if name == "KLU" else None,
+    )
+    return Case(model, configuration_arrays(mesh, POSES), space)
+
+
+@partial(jax.jit, static_argnames="one")
+def respond(case, z, guess, one=False):
+    model = case.space.apply(case.model, z)
+    each = lambda c, u: equilibrium_response(
+        model, c, u, case.space, z, newton=NewtonSettings(), rtol=RTOL
+    )
+    return each(case.lanes, guess) if one else jax.vmap(each)(case.lanes, guess)
+
+
+@jax.jit
+def reference(case, z):
+    model = case.space.apply(case.model, z)
+
+    def lane(c):
+        u = solve_equilibrium(model, c, settings=TIGHT).displacement
+        done = parameter_compliance(model, c, u, case.space, z, method="direct")
+        return u, done.W_ep, done.displacement
+
+    return jax.vmap(lane)(case.lanes)
+
+
+@cache
+def found(name):
+    """Equilibria, W_ep and dx/dz at values that are not the start's."""
+    name = "plain" if name == "KLU" else name  # the same body
+    return reference(case(name), values(name))
+
+
+def values(name):
+    space = case(name).space
+    away = jnp.linspace(-0.4, 0.3, len(space.names))
+    return space.start() + away
+
+
+def rest(name):
+    return jnp.zeros(found(name)[0].shape)
+
+
+def assert_same(name, response, lanes=slice(None), *, rtol):
+    """To the residual: rtol of the forces is a hundred times that of the shape."""
+    u, W, dx = (np.asarray(a)[lanes] for a in found(name))
+    assert bool(jnp.all(response.ok))
+    assert bool(jnp.all(response.equilibrium.converged))
+    ours = response.equilibrium.displacement
+    np.testing.assert_allclose(ours, u, rtol=0, atol=rtol * np.max(np.abs(u)))
+    assert np.max(np.abs(W)) > 1e-3  # a parameter without effect would pass all else
+    # The tangent is off by the last Newton step.
+    np.testing.assert_allclose(
+        response.W_ep, W, rtol=0, atol=100.0 * rtol * np.max(np.abs(W))
+    )
+    if response.displacement is not None:
+        np.testing.assert_allclose(
+            response.displacement, dx, rtol=0, atol=100.0 * rtol * np.max(np.abs(dx))
+        )
+
+
+def near(name):
+    """Guess: equilibria with moduli that are 2 % off, to first order."""
+    u, _, dx = found(name)
+    return u + 0.02 * jnp.sum(dx, axis=1)
+
+
+@pytest.mark.parametrize(
+    "name", ["plain", "many parameters", "KLU", "no potential", "mean dilatation"]
+)
+def test_both_at_once_are_what_the_two_solves_give(name):
+    """From rest, and from a good guess."""
+    if name == "KLU":
+        pytest.importorskip("klujax", reason="not installed on this platform")
+    adjoint = name == "many parameters"
+    n_p = len(case(name).space.names)
+    assert (n_p > max(N_E, FEW_PARAMETERS)) == adjoint
+    at_rest = respond(case(name), values(name), rest(name))
+    assert at_rest.W_ep.shape == (3, N_E, n_p)
+    assert (at_rest.displacement is None) == adjoint
+    assert_same(name, at_rest, rtol=1e-6)
+    again = respond(case(name), values(name), near(name))
+    assert_same(name, again, rtol=1e-5)
+    quick = name in ("plain", "many parameters")
+    few = again.equilibrium.steps < at_rest.equilibrium.steps
+    assert bool(jnp.all(few))
+    assert bool(jnp.all(again.equilibrium.residual <= RTOL))
+    # Elsewhere the careful solve goes to its own tolerance.
+    careful = again.equilibrium.residual <= NewtonSettings().rtol
+    assert quick or bool(jnp.all(careful))
+
+
+def test_compliance_without_a_potential_is_not_that_of_the_symmetric_part():
+    """The tangent is 0.1 % off symmetric here; the tolerance above tells it."""
+    c = case("no potential")
+    assert not c.model.conservative
+    counted = respond(c, values("no potential"), near("no potential")).equilibrium
+    np.testing.assert_array_equal(counted.n_negative, -1)
+
+
+def test_a_pose_alone_gives_bit_for_bit_the_same():
+    c, guess = case("plain"), near("plain")
+    together = respond(c, values("plain"), guess)
+    for index in range(3):
+        alone = c._replace(lanes=jax.tree.map(lambda leaf, i=index: leaf[i], c.lanes))
+        one = respond(alone, values("plain"), guess[index], one=True)
+        same = jax.tree.map(lambda a, b, i=index: (a, b[i]), one, together)
+        for ours, theirs in jax.tree.leaves(same, is_leaf=lambda x: type(x) is tuple):
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_supports_that_moved_take_their_nodes_along():
+    """The third pose's guess is that of the first, whose tip is not held."""
+    guess = near("plain").at[2].set(near("plain")[0])
+    assert_same("plain", respond(case("plain"), values("plain"), guess), rtol=1e-5)
+
+
+def test_a_bad_guess_costs_steps_and_nothing_else():
+    guess = -2.0 * found("plain")[0]
+    response = respond(case("plain"), values("plain"), guess)
+    assert_same("plain", response, rtol=1e-5)
+    free = [0, 1]
+    quick = respond(case("plain"), values("plain"), near("plain")).equilibrium.steps
+    assert np.all(np.asarray(response.equilibrium.steps - quick)[free] > 0)
+
+
+def broken(index, force):
+    """The plain case with another force on the tip of one pose."""
+    c = case("plain")
+    tip = np.argmax(c.model.mesh.points[:, 0])
+    changed = c.lanes.force.at[index, tip].add(jnp.array([force, 0.0, 0.0]))
+    return c._replace(lanes=eqx.tree_at(lambda a: a.force, c.lanes, changed))
+
+
+@pytest.mark.parametrize("force", [np.nan, -1e6], ids=["not finite", "too large"])
+def test_a_pose_without_equilibrium_is_flagged_and_disturbs_no_other(force):
+    good = respond(case("plain"), values("plain"), near("plain"))
+    response = respond(broken(1, force), values("plain"), near("plain"))
+    np.testing.assert_array_equal(response.ok, [True, False, True])
+    assert not bool(response.equilibrium.converged[1])
+    np.testing.assert_array_equal(response.W_ep[1], 0.0)
+    for index in (0, 2):
+        np.testing.assert_array_equal(response.W_ep[index], good.W_ep[index])
+
+
+def test_a_law_without_values_is_flagged():
+    z = values("plain").at[0].set(jnp.nan)
+    response = respond(case("plain"), z, near("plain"))
+    assert not bool(jnp.any(response.ok))
+    assert not bool(jnp.any(response.equilibrium.result == RESULTS.converged))
+    np.testing.assert_array_equal(response.W_ep, 0.0)
