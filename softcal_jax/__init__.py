@@ -1,8 +1,8 @@
 """Calibrate the finite-element model of a soft robot from a few measured poses.
 
 The packages follow the method step by step: `mesh`, `elements`, `materials`, `fields`,
-`configurations`, `equilibrium`, `sensitivity`, `calibration`, `identifiability`. What a
-script needs most stands here as well.
+`configurations`, `equilibrium`, `sensitivity`, `calibration`, `identifiability`,
+`layouts`. What a script needs most stands here as well.
 """
 
 from importlib.metadata import version
@@ -14,6 +14,7 @@ from softcal_jax import (
     equilibrium,
     fields,
     identifiability,
+    layouts,
     materials,
     mesh,
     sensitivity,
@@ -55,6 +56,7 @@ from softcal_jax.fields import (
     set_field,
 )
 from softcal_jax.identifiability import assess, identify, rank_configurations
+from softcal_jax.layouts import compare_layouts, place_control_points
 from softcal_jax.materials import (
     AbstractLaw,
     ClassicalCorotational,
@@ -107,6 +109,7 @@ __all__ = [
     "calibrate",
     "calibration",
     "check_converged",
+    "compare_layouts",
     "configuration_arrays",
     "configurations",
     "elements",
@@ -114,10 +117,12 @@ __all__ = [
     "fields",
     "identifiability",
     "identify",
+    "layouts",
     "marker_positions",
     "materials",
     "mesh",
     "multi_start",
+    "place_control_points",
     "rank_configurations",
     "read_mesh",
     "register",

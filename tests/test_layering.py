@@ -20,6 +20,7 @@ LAYERS = [
     {"sensitivity"},
     {"calibration"},
     {"identifiability", "control"},
+    {"layouts"},
     {"robots"},
     {"export"},
     {"plotting"},

@@ -51,7 +51,7 @@ from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import Configuration, configuration_arrays
 from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import (
-    Parameter,
+    Entry,
     ParameterSpace,
     as_space,
     check_parameters,
@@ -67,7 +67,7 @@ _simulate = eqx.filter_jit(simulate)
 
 def build_problem(
     model: Model,
-    parameters: ParameterSpace | Parameter | Sequence[Parameter],
+    parameters: ParameterSpace | Entry | Sequence[Entry],
     configurations: Configuration | Sequence[Configuration],
     newton: NewtonSettings | None = None,
 ) -> CalibrationProblem:
@@ -105,7 +105,7 @@ def build_problem(
 
 def calibrate(
     model: Model,
-    parameters: ParameterSpace | Parameter | Sequence[Parameter],
+    parameters: ParameterSpace | Entry | Sequence[Entry],
     configurations: Configuration | Sequence[Configuration],
     *,
     validation: Configuration | Sequence[Configuration] = (),

@@ -3,13 +3,14 @@
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._space import ParameterSpace, as_space
+from softcal_jax.fields._space import Entry, ParameterSpace, as_space
 from softcal_jax.fields._spread import ControlPointParameters
 from softcal_jax.fields._validation import check_parameters
 
 __all__ = [
     "ControlPointParameters",
     "ControlPoints",
+    "Entry",
     "Parameter",
     "ParameterSpace",
     "as_space",

@@ -1,0 +1,127 @@
+"""How the effectors follow a field that changes in one tet, for all tets at once."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    check_converged,
+    factor_solve,
+    residual,
+    solve_equilibrium,
+)
+from softcal_jax.fields import find_field, set_field
+from softcal_jax.materials import PointValues, is_point_values
+
+
+class _Lane(NamedTuple):
+    solution: EquilibriumSolution
+    rows: Float[Array, "*batch n_fields n_e n_tets"]
+    ok: Bool[Array, "*batch"]
+
+
+def _shifted(model: Model, field: str, shift: Float[Array, " n_tets"]) -> Model:
+    """The model with a field raised by one number per tet."""
+    old: Any = find_field(model, field)(model)
+    if is_point_values(old):
+        return set_field(model, field, PointValues(old.values + shift[:, None]))
+    return set_field(model, field, jnp.broadcast_to(old, shift.shape) + shift)
+
+
+@eqx.filter_jit
+def _solve(
+    model: Model,
+    arrays: ConfigurationArrays,
+    fields: tuple[str, ...],
+    newton: NewtonSettings,
+) -> _Lane:
+    zero = jnp.zeros(model.mesh.n_tets)
+
+    def lane(c: ConfigurationArrays) -> _Lane:
+        solution = solve_equilibrium(model, c, settings=newton)
+        u = solution.displacement
+        _, pull_back = jax.vjp(c.effectors.positions, u)
+        unit = jnp.eye(c.effectors.measured.size)
+        (H_e,) = jax.vmap(pull_back)(unit.reshape(-1, *c.effectors.measured.shape))
+        solved = factor_solve(model, c, u, H_e, transpose=True)
+
+        def of_field(field: str) -> Float[Array, "n_e n_tets"]:
+            force = lambda shift: -residual(_shifted(model, field, shift), c, u)
+            _, pull_back = jax.vjp(force, zero)
+            # One row at a time: each holds the work of a whole assembly.
+            return jax.lax.map(lambda row: pull_back(row)[0], solved.x)
+
+        return _Lane(solution, jnp.stack([of_field(f) for f in fields]), solved.ok)
+
+    return jax.lax.map(lane, arrays)
+
+
+def tet_sensitivities(
+    model: Model,
+    configurations: Configuration | Sequence[Configuration],
+    fields: str | Sequence[str],
+    *,
+    newton: NewtonSettings | None = None,
+) -> dict[str, Float[HostArray, "n_e n_tets"]]:
+    """Change of every measured coordinate if a field rises in one tet alone.
+
+    Eq. (9) for the finest layout there is, one control point per tet, by the adjoint
+    side: the rows W_e = K^-T H_e^T are solved for once per configuration, on one
+    factorization, and dx_e/df = -W_e dR/df is one reverse sweep per row, however many
+    tets there are.
+
+    Args:
+        model: The body, with the fields where they are differentiated.
+        configurations: Poses with markers; `measured` is not looked at.
+        fields: Names of fields of the law, or "density".
+        newton: Settings of the equilibrium.
+
+    Returns:
+        By field: rows for the measured coordinates, in the order configuration,
+        marker, axis; in units of the noise per SI unit of the field.
+
+    Raises:
+        ValueError: If a field does not exist, or a configuration has no markers.
+        RuntimeError: If a configuration has no equilibrium, or a singular one.
+    """
+    single = isinstance(configurations, Configuration)
+    posed = (configurations,) if single else tuple(configurations)
+    names = (fields,) if isinstance(fields, str) else tuple(fields)
+    for field in names:
+        find_field(model, field)
+    for c in posed:
+        if c.markers is None:
+            raise ValueError(
+                f"configuration {c.name!r} has no markers: it sees nothing."
+            )
+    # Positions that only count as present, so that the weights are filled in.
+    there = lambda c: eqx.tree_at(
+        lambda c: c.measured, c, c.markers.positions, is_leaf=lambda v: v is None
+    )
+    arrays = configuration_arrays(model.mesh, [there(c) for c in posed])
+    found = _solve(model, arrays, names, newton or NewtonSettings())
+    check_converged(found.solution, tuple(c.name for c in posed))
+    for c, ok in zip(posed, np.asarray(found.ok), strict=True):
+        if not ok:
+            raise RuntimeError(
+                f"configuration {c.name!r}: its tangent is singular at the equilibrium."
+            )
+    weight = np.asarray(arrays.effectors.inverse_std).ravel()
+    seen = weight > 0.0
+    rows = np.moveaxis(np.asarray(found.rows), 1, 0).reshape(
+        len(names), len(weight), model.mesh.n_tets
+    )
+    return {f: weight[seen, None] * rows[i][seen] for i, f in enumerate(names)}

@@ -1,0 +1,262 @@
+"""The trade-off of Sec. V-C: too few points misfit, too many have blind directions.
+
+The bar is made of two zones, 200 and 80 kPa, and measured with noise. One point cannot
+represent it, two can, six (one per slice of the mesh) can as well, but three poses with
+two markers hardly see all of them.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bars import MID, ROOT, STD, TIP, bar, moduli, on_axis, pose
+
+from softcal_jax.calibration import (
+    build_problem,
+    calibrate,
+    synthetic_measurements,
+    with_measured,
+)
+from softcal_jax.fields import Parameter, ParameterSpace, as_space
+from softcal_jax.identifiability import identify
+from softcal_jax.layouts import (
+    FoldScore,
+    LayoutComparison,
+    LayoutScore,
+    _cross_validation,
+    compare_layouts,
+)
+
+CELLS = (6, 1, 1)
+HANG = pose("hang", (MID, TIP))
+PULL = pose("pull", (MID, TIP), force=(0.0, 0.05, 0.0))
+SWAP = pose("swap", (MID, ROOT), clamp="x_max")
+ZONES = ParameterSpace(
+    (
+        Parameter("root", "E", 1e5, 3e4, 1e6, region="root"),
+        Parameter("tip", "E", 1e5, 3e4, 1e6, region="tip"),
+    )
+)
+ONE = on_axis(0.05)
+SLICES = (np.arange(6) + 0.5) / 60.0
+LAYOUTS = {
+    "one": ONE,
+    "two": on_axis(0.025, 0.075, nearest=1),
+    "six": on_axis(*SLICES, nearest=1),
+}
+
+
+def measured(*poses, root=2e5, tip=8e4, noise=True):
+    values = {"root": root, "tip": tip}
+    return synthetic_measurements(bar(CELLS), ZONES, poses, values, noise=noise, seed=1)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return measured(HANG, PULL, SWAP)
+
+
+@pytest.fixture(scope="module")
+def comparison(data):
+    return compare_layouts(bar(CELLS), LAYOUTS, data, make_parameters=moduli)
+
+
+def test_two_points_predict_best(comparison):
+    one, two, six = (
+        next(s for s in comparison.layouts if s.name == name) for name in LAYOUTS
+    )
+    assert comparison.best is two
+    assert comparison.preferred is two
+    assert [s.n_parameters for s in (one, two, six)] == [1, 2, 6]
+    # Noise of size one, or nearly so with as few data.
+    assert two.held_out_noise_rms < 2.0
+    assert two.n_blind == 0
+    # Too few misfit what they are fitted to.
+    assert one.fit_noise_rms > 5.0
+    assert one.held_out_noise_rms > 5.0
+    # Too many fit closer still, but predict worse, along directions nobody sees.
+    assert six.fit_noise_rms < two.fit_noise_rms
+    assert six.held_out_noise_rms > 1.5 * two.held_out_noise_rms
+    assert six.n_blind > 0
+    assert six.verdict == "not identifiable"
+    assert not any(s.failed for s in comparison.layouts)
+
+
+def test_words_and_table(comparison):
+    text = str(comparison)
+    six = next(s for s in comparison.layouts if s.name == "six")
+    assert text.startswith("'two' (2 control points) predicts best: held-out error 0.")
+    are = "is" if six.n_blind == 1 else "are"
+    assert f"'six' fits closer, but {six.n_blind} of 6 directions {are} blind." in text
+    assert "'one' misfits: " in text
+    assert "layout  points  parameters  held-out [mm]" in text
+
+
+def test_a_fold_is_a_calibration_without_that_configuration(comparison, data):
+    """`calibrate` with the last one held out, which shares no loop with the folds."""
+    points = LAYOUTS["two"]
+    alone = calibrate(
+        bar(CELLS), as_space(moduli(points)), data[:2], validation=data[2]
+    )
+    fold = comparison.layouts[0].folds[2]
+    held_out = alone.configurations[2]
+    assert fold.held_out == held_out.name == "swap"
+    np.testing.assert_allclose(fold.rms, held_out.rms_after, rtol=1e-3)
+    squares = (held_out.error_after / STD) ** 2
+    np.testing.assert_allclose(fold.noise_rms, np.sqrt(squares.mean()), rtol=1e-3)
+    both = [c.error_after for c in alone.configurations[:2]]
+    rms = np.sqrt(np.mean(np.sum(np.concatenate(both) ** 2, axis=1)))
+    np.testing.assert_allclose(fold.fit_rms, rms, rtol=1e-3)
+
+
+def test_fit_of_everything_and_its_identifiability(comparison, data):
+    points = LAYOUTS["two"]
+    whole = calibrate(bar(CELLS), as_space(moduli(points)), data)
+    errors = np.concatenate([c.error_after for c in whole.configurations])
+    two = comparison.layouts[0]
+    np.testing.assert_allclose(
+        two.fit_rms, np.sqrt(np.mean(np.sum(errors**2, axis=1))), rtol=1e-3
+    )
+    found = identify(bar(CELLS), moduli(points), data, at=whole.z)
+    np.testing.assert_allclose(
+        two.identifiability.covariance, found.covariance, rtol=1e-2
+    )
+
+
+def test_what_is_held_out_cannot_touch_the_fit(data):
+    """Its measurement may be anything: the fit is the same to the last bit."""
+    problem = build_problem(bar(CELLS), as_space(moduli(ONE)), data)
+    folds = _cross_validation._folds(3)
+    z = []
+    for shift in (0.0, 0.1):
+        wild = eqx.tree_at(
+            lambda p: p.configurations.effectors.measured,
+            problem,
+            problem.configurations.effectors.measured.at[1].add(shift),
+        )
+        start = problem.space.start()[None]
+        settings = _cross_validation.FOR_PREDICTION
+        z.append(_cross_validation._fit(wild, settings, start, folds).z)
+    assert z[0][1] == z[1][1]
+    assert jnp.all(z[0][jnp.array([0, 2, 3])] != z[1][jnp.array([0, 2, 3])])
+
+
+def test_a_fold_repeats_another_pose_without_weight(data):
+    """The middle one held out: its lane is the last one again, weighing nothing."""
+    problem = build_problem(bar(CELLS), as_space(moduli(ONE)), data)
+    folds = _cross_validation._folds(3)
+    whole = problem.configurations
+    fold = _cross_validation._fold_problem(problem, folds.lanes[1], folds.counts[1])
+    fitted = fold.configurations
+    np.testing.assert_array_equal(fitted.force, whole.force[jnp.array([0, 2, 2])])
+    weight = fitted.effectors.inverse_std
+    np.testing.assert_array_equal(weight[1], 0.0)
+    np.testing.assert_allclose(weight[jnp.array([0, 2])], 1.0 / STD)
+    fold = _cross_validation._fold_problem(problem, folds.lanes[3], folds.counts[3])
+    assert eqx.tree_equal(fold.configurations, whole)
+
+
+def soft_and_stiff(start=1e5):
+    """A soft bar (40 kPa), whose third pose bears its load only if it is stiff."""
+    push = pose("push", (MID, TIP), force=(-4.0, 0.0, 0.0), g=0.0, guided=True)
+    (push,) = measured(push, root=2e5, tip=2e5)
+    # So precise that it decides every fit it takes part in.
+    push = eqx.tree_at(lambda c: c.markers.std, push, 1e-7)
+    data = (*measured(HANG, PULL, root=4e4, tip=4e4), push)
+    return compare_layouts(
+        bar(CELLS),
+        {"one": ONE},
+        data,
+        make_parameters=lambda points: moduli(points, start),
+    )
+
+
+def test_a_pose_that_the_fit_cannot_carry_is_named():
+    found = soft_and_stiff()
+    (score,) = found.layouts
+    failed = [(f.held_out, f.failure) for f in score.failed]
+    assert failed == [("push", "with the fitted parameters it has no equilibrium")]
+    # It counts in no average.
+    good = [f.rms for f in score.folds[:2]]
+    np.testing.assert_allclose(score.held_out_rms, np.sqrt(np.mean(np.square(good))))
+    assert found.best is None
+    assert found.preferred is None
+    text = str(found)
+    assert "No layout can be preferred" in text
+    assert "'one' is judged by 2 of 3 folds alone and ranks last:" in text
+    assert "push held out: with the fitted parameters it has no equilibrium." in text
+
+
+def test_a_start_without_equilibrium_is_named():
+    (score,) = soft_and_stiff(start=3.1e4).layouts
+    start = "a fitted configuration has no equilibrium at the start"
+    assert [f.failure for f in score.folds[:2]] == [start, start]
+    assert score.fit_failure == start
+    assert score.verdict == "not known"
+    assert np.isnan(score.held_out_rms)
+    assert f"'one', all configurations fitted: {start}." in str(
+        LayoutComparison.ranked([score])
+    )
+
+
+def test_a_fold_that_did_not_converge_is_named(comparison, data, monkeypatch):
+    """The best layout, with one fold that did not end, ranks last."""
+    real = _cross_validation._fit
+
+    def unfinished(problem, *rest):
+        fits = real(problem, *rest)
+        last = len(problem.space.names) == 2
+        converged = fits.converged.at[0].set(not last)
+        return eqx.tree_at(lambda f: f.converged, fits, converged)
+
+    monkeypatch.setattr(_cross_validation, "_fit", unfinished)
+    found = compare_layouts(bar(CELLS), LAYOUTS, data, make_parameters=moduli)
+    two = found.layouts[-1]
+    assert two.name == "two"
+    assert [f.failure for f in two.folds] == ["the fit did not converge", "", ""]
+    rms = [f.rms for f in comparison.layouts[0].folds[1:]]
+    np.testing.assert_allclose(two.held_out_rms, np.sqrt(np.mean(np.square(rms))))
+    assert found.best.name == "six"
+    assert "hang held out: the fit did not converge." in str(found)
+
+
+def score(name, n_parameters, squares):
+    folds = [
+        FoldScore(f"{i}", 1e-3, float(s**0.5), 1e-3) for i, s in enumerate(squares)
+    ]
+    return LayoutScore(name, 1, n_parameters, tuple(folds), 1e-3, 1.0, "", None)
+
+
+def test_one_standard_error_rule():
+    """By hand: scores 1, 2 and 3, standard error of the best sqrt(3) / sqrt(3) = 1."""
+    best = score("best", 6, [0.0, 0.0, 3.0])
+    assert best.score == pytest.approx(1.0)
+    assert best.standard_error == pytest.approx(1.0)
+    near = score("near", 4, [2.0, 2.0, 1.9])
+    small = score("small", 2, [3.0, 3.0, 3.0])
+    found = LayoutComparison.ranked([small, near, best])
+    assert [s.name for s in found.layouts] == ["best", "near", "small"]
+    assert found.best.name == "best"
+    assert found.preferred.name == "near"
+    assert "Prefer 'near' (1 control point)" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("layouts", "n", "options", "text"),
+    [
+        ({}, 3, {}, "at least one layout is needed"),
+        ({"one": ONE}, 1, {}, "at least 2 are needed, got 1"),
+        ({"one": ONE}, 3, {"starts": 0}, "starts must be at least 1, got 0"),
+        ({"far": on_axis(9.0)}, 3, {}, "layout 'far': control point 'CP 1' of E lies"),
+    ],
+)
+def test_bad_input(layouts, n, options, text):
+    poses = (HANG, PULL, SWAP)[:n]
+    data = [with_measured(c, c.markers.positions) for c in poses]
+    with pytest.raises(ValueError, match=text):
+        compare_layouts(bar(CELLS), layouts, data, make_parameters=moduli, **options)
+
+
+def test_an_unmeasured_pose_is_named():
+    with pytest.raises(ValueError, match="'hang' has no measured positions"):
+        compare_layouts(bar(CELLS), {"one": ONE}, (HANG, PULL), make_parameters=moduli)

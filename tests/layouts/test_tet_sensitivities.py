@@ -1,0 +1,89 @@
+"""Sensitivities per tet against differences of whole equilibria."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bars import MID, STD, TIP, bar, pose, stretched
+
+from softcal_jax.configurations import Configuration, configuration_arrays
+from softcal_jax.equilibrium import NewtonSettings, marker_positions, solve_equilibrium
+from softcal_jax.fields import find_field, set_field
+from softcal_jax.layouts import tet_sensitivities
+from softcal_jax.materials import PointValues
+
+# Equilibria to rounding, so that differences show their own error.
+TIGHT = NewtonSettings(rtol=1e-12)
+POSES = (pose("bent", (MID, TIP)), stretched(MID, TIP))
+
+
+@pytest.fixture(scope="module")
+def sensitivities():
+    return tet_sensitivities(bar((2, 1, 1)), POSES, ("E", "density"), newton=TIGHT)
+
+
+@eqx.filter_jit
+def solved(model, arrays):
+    solution = solve_equilibrium(model, arrays, settings=TIGHT)
+    return marker_positions(model, arrays, solution)
+
+
+def moved(field, tet, step, c):
+    """All coordinates with the field of one tet raised, in units of the noise."""
+    model = bar((2, 1, 1))
+    values = np.array(np.broadcast_to(find_field(model, field)(model), 12))
+    values[tet] += step
+    batch = configuration_arrays(model.mesh, [c])
+    arrays = jax.tree.map(lambda leaf: leaf[0], batch)
+    return np.asarray(solved(set_field(model, field, values), arrays)).ravel() / STD
+
+
+@pytest.mark.parametrize(("field", "size"), [("E", 1e5), ("density", 1e3)])
+@pytest.mark.parametrize("tet", [0, 7])
+def test_against_central_differences(sensitivities, field, size, tet):
+    exact = sensitivities[field][:6, tet]
+    errors = []
+    for step in (2e-2 * size, 1e-2 * size):
+        ends = [moved(field, tet, sign * step, POSES[0]) for sign in (1.0, -1.0)]
+        difference = (ends[0] - ends[1]) / (2.0 * step)
+        errors.append(np.abs(difference - exact).max())
+    assert errors[1] < 1e-3 * np.abs(exact).max()
+    # Second order: half the step leaves a quarter of the error.
+    np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=0.05)
+
+
+def test_rows_follow_configuration_and_marker(sensitivities):
+    """The weight does not matter where there is none; a stiffer tet stretches less."""
+    assert sensitivities["E"].shape == (12, 12)
+    np.testing.assert_array_equal(sensitivities["density"][6:], 0.0)
+    mid, tip = sensitivities["E"][6], sensitivities["E"][9]
+    assert np.all(mid[:6] < 0.0)
+    assert tip.sum() < mid.sum() < 0.0
+
+
+def test_only_measured_axes_have_rows(sensitivities):
+    bent = POSES[0]
+    upright = eqx.tree_at(lambda c: c.markers.axes, bent, "z")
+    found = tet_sensitivities(bar((2, 1, 1)), upright, "E", newton=TIGHT)["E"]
+    np.testing.assert_allclose(found, sensitivities["E"][[2, 5]], rtol=1e-9)
+
+
+def test_values_per_quadrature_point(sensitivities):
+    """A field given per point rises at all points of a tet."""
+    model = bar((2, 1, 1))
+    per_point = set_field(model, "E", PointValues(jnp.full((12, 1), 1e5)))
+    found = tet_sensitivities(per_point, POSES, "E", newton=TIGHT)["E"]
+    np.testing.assert_allclose(found, sensitivities["E"], rtol=1e-8, atol=1e-12)
+
+
+def test_a_pose_without_markers_is_named():
+    bare = Configuration("bare", "x_min")
+    with pytest.raises(ValueError, match="'bare' has no markers: it sees nothing"):
+        tet_sensitivities(bar((2, 1, 1)), (POSES[0], bare), "E")
+
+
+def test_a_pose_without_equilibrium_is_named():
+    crushed = pose("crushed", (MID, TIP), force=(-1e4, 0.0, 0.0))
+    with pytest.raises(RuntimeError, match="'crushed'"):
+        tet_sensitivities(bar((2, 1, 1)), (POSES[0], crushed), "E", newton=TIGHT)
