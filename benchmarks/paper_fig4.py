@@ -48,7 +48,7 @@ SEED = 0
 PAPER_BOUND = 0.1
 """Bound on the step of the paper's loop: 100 kPa, 0.1 rad [-]."""
 
-PAPER_STEPS = 100
+PAPER_STEPS = 60
 """Steps that it is given."""
 
 GOALS = {

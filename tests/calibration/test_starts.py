@@ -154,7 +154,8 @@ def test_calibrate_goes_on_from_the_best_of_several_starts(measured):
     np.testing.assert_allclose(
         found.starts.starts, jax.vmap(space.from_scaled)(expected), rtol=1e-12
     )
-    assert found.history[0].cost == pytest.approx(alone.history[0].cost, rel=1e-9)
+    # The history is that of the fit, which begins where the search ended.
+    assert found.history[0].cost < 1e-6 * alone.history[0].cost
     assert [entry.step for entry in found.history] == list(range(len(found.history)))
     assert len(found.history) <= 4
     assert found.parameters[0].start == pytest.approx(float(p[0]))
