@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import chdtri
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import CalibrationProblem
@@ -122,7 +121,7 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
             f"Standard errors rest on the noise estimated from the residuals ({dof} "
             "degrees of freedom), which holds model error as well."
         )
-    elif dof > 0 and spread.chi_squared > chdtri(dof, 0.01):
+    elif spread.misfits:
         notes.append(
             f"The residuals are larger than the stated noise: chi-squared "
             f"{spread.chi_squared:.0f} for {dof} degrees of freedom. The model cannot "

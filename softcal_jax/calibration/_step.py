@@ -1,8 +1,9 @@
 """One step of the outer loop: a bounded QP, tried, and kept if it helps.
 
 The paper repeats the QP of Eqs. (10) and (11) with a fixed bound on the step until
-lambda_p vanishes. Here the bound is a trust region: it shrinks when the linear model
-was wrong, grows when it was right, and a step that makes the fit worse is not taken.
+lambda_p vanishes. Here the bound is a trust region: it shrinks when a step is refused,
+grows when the linear model was right, and a step is refused that leaves the fit no
+better than the worst of the last few (`MEMORY`).
 """
 
 from functools import partial
@@ -47,8 +48,8 @@ class CalibrationSettings(eqx.Module):
         damping: Levenberg damping of the QP, for columns of W of unit length: it holds
             back directions that the data hardly see. A step that is repeated until it
             vanishes ends at the same minimum, later [-].
-        adapt: Adapt the bound and refuse steps that make the fit worse; without, every
-            QP step is taken with the same bound, as in the paper.
+        adapt: Adapt the bound and refuse steps that do not help over `MEMORY` steps;
+            without, every QP step is taken with the same bound, as in the paper.
     """
 
     tol: float = eqx.field(static=True, default=1e-6)

@@ -4,11 +4,16 @@ from typing import Literal
 
 import equinox as eqx
 import numpy as np
+from scipy.special import chdtrc
 
 from softcal_jax._typing import Bool, Float, HostArray
 
 BLIND = 1e-6
 """Singular value, over the largest, below which a direction is rounding only [-]."""
+
+
+UNLIKELY = 0.01
+"""Probability of a chi-squared as large by chance, below which the model is wrong."""
 
 
 class Uncertainty(eqx.Module):
@@ -31,6 +36,23 @@ class Uncertainty(eqx.Module):
     degrees_of_freedom: int
     chi_squared: float
     at_bound: Bool[HostArray, " n_p"]
+
+    @property
+    def misfit_probability(self) -> float | None:
+        """Probability of residuals as large by chance, if the model is right [-].
+
+        From the chi-squared distribution; None where the noise was estimated from the
+        residuals, or there are no degrees of freedom.
+        """
+        if self.noise == "estimated" or self.degrees_of_freedom <= 0:
+            return None
+        return float(chdtrc(self.degrees_of_freedom, self.chi_squared))
+
+    @property
+    def misfits(self) -> bool:
+        """Whether the residuals are larger than the stated noise explains."""
+        probability = self.misfit_probability
+        return probability is not None and probability < UNLIKELY
 
     @property
     def correlation(self) -> Float[HostArray, "n_p n_p"]:

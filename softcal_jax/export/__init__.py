@@ -1,5 +1,6 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
+from softcal_jax._units import Readable, readable_unit
 from softcal_jax.export._folder import check_results_folder, results_folder
 from softcal_jax.export._identifiability import (
     assessment_dict,
@@ -10,7 +11,7 @@ from softcal_jax.export._identifiability import (
 from softcal_jax.export._json import result_dict, simulation_dict
 from softcal_jax.export._names import file_stems
 from softcal_jax.export._tables import write_json, write_markers_csv
-from softcal_jax.export._units import Readable, readable_estimate, readable_unit
+from softcal_jax.export._units import readable_estimate
 from softcal_jax.export._versions import versions
 from softcal_jax.export._vtu import write_vtu
 

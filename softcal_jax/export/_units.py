@@ -1,42 +1,8 @@
-"""Units that a person reads: kPa instead of 2.638e+05 Pa, degrees instead of rad."""
+"""Values with their standard errors, as a person reads them."""
 
 import math
-from collections.abc import Iterable
-from typing import NamedTuple
 
-
-class Readable(NamedTuple):
-    """A unit for display: shown value = SI value * factor."""
-
-    factor: float
-    unit: str
-
-
-# Ascending; the largest one that keeps the value at or above 1 is taken.
-_PREFIXED = {
-    "Pa": ((1.0, "Pa"), (1e3, "kPa"), (1e6, "MPa"), (1e9, "GPa")),
-    "m": ((1e-3, "mm"), (1.0, "m")),
-    "rad": ((math.pi / 180.0, "deg"),),
-}
-
-
-def readable_unit(values: Iterable[float], unit: str) -> Readable:
-    """The unit in which values of one SI unit read best.
-
-    Args:
-        values: Values in SI; the largest decides.
-        unit: Their SI unit; one without a table here stays as it is.
-
-    Returns:
-        The factor on SI values, and the unit's name.
-    """
-    steps = _PREFIXED.get(unit, ((1.0, unit),))
-    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-    size, name = steps[0]
-    for step, step_name in steps[1:]:
-        if largest >= step:
-            size, name = step, step_name
-    return Readable(1.0 / size, name)
+from softcal_jax._units import readable_unit
 
 
 def readable_estimate(value: float, standard_error: float, unit: str) -> str:

@@ -3,15 +3,10 @@
 import math
 
 import equinox as eqx
-from scipy.special import chdtrc
 
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
-
-UNLIKELY = 0.01
-"""Probability of a chi-squared as large by chance, below which the model is wrong."""
-
 
 EXACT = 1e-3
 """Residuals over the stated noise below which they are no sample of it [-]."""
@@ -68,17 +63,13 @@ def assess(result: CalibrationResult) -> Assessment:
     reasons = []
     if not result.converged:
         reasons.append("The calibration did not converge.")
-    probability = None
-    if spread.noise == "stated" and spread.degrees_of_freedom > 0:
-        dof = spread.degrees_of_freedom
-        probability = float(chdtrc(dof, spread.chi_squared))
-        if probability < UNLIKELY:
-            reasons.append(
-                f"The model cannot match the data within the stated noise: chi-squared "
-                f"{spread.chi_squared:.4g} for {dof} degrees of freedom. Parameters of "
-                "a wrong model are not properties of the material: change the law, the "
-                "element, the control points or the stated noise."
-            )
+    if spread.misfits:
+        reasons.append(
+            "The model cannot match the data within the stated noise: chi-squared "
+            f"{spread.chi_squared:.4g} for {spread.degrees_of_freedom} degrees of "
+            "freedom. Parameters of a wrong model are not properties of the material: "
+            "change the law, the element, the control points or the stated noise."
+        )
     for estimate in result.parameters:
         if estimate.at_bound:
             reasons.append(f"{estimate.name} ended on a bound.")
@@ -96,4 +87,4 @@ def assess(result: CalibrationResult) -> Assessment:
         )
     elif report.verdict != "identifiable":
         reasons.append("The data determine some combinations only weakly.")
-    return Assessment(not reasons, tuple(reasons), probability, report)
+    return Assessment(not reasons, tuple(reasons), spread.misfit_probability, report)

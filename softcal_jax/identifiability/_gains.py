@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import equinox as eqx
 import numpy as np
 
-from softcal_jax.identifiability._display import number, readable, table
+from softcal_jax._units import readable_unit
+from softcal_jax.identifiability._display import number, table
 
 HARDLY = 1.05
 """Factor on a standard error below which a candidate is said to help hardly [-]."""
@@ -45,7 +46,7 @@ class Gain(eqx.Module):
     @property
     def effect(self) -> str:
         """The standard error that falls most, like "E of tip: 101 to 4.1 kPa"."""
-        factor, unit = readable(self.value, self.unit)
+        factor, unit = readable_unit([self.value], self.unit)
         before, after = number(factor * self.before), number(factor * self.after)
         return f"{self.parameter}: {before} to {after} {unit}".rstrip()
 

@@ -6,9 +6,10 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable_unit
 from softcal_jax.identifiability._conditioning import Conditioning
 from softcal_jax.identifiability._directions import Direction
-from softcal_jax.identifiability._display import number, quantity, readable, table
+from softcal_jax.identifiability._display import number, quantity, table
 from softcal_jax.identifiability._spread import Verdict
 
 MOST_SHOWN = 8
@@ -114,7 +115,7 @@ def _row(p: ParameterOutlook) -> tuple[str, ...]:
     alone = quantity(p.data_only, p.unit, like=p.value)
     if p.data_only > p.prior:
         alone = "wider than bounds" if math.isfinite(p.data_only) else "blind"
-    factor, unit = readable(p.value, p.unit)
+    factor, unit = readable_unit([p.value], p.unit)
     value = f"{number(p.value * factor, 4)} {unit}".rstrip()
     return (p.name, value, error, alone, p.verdict)
 

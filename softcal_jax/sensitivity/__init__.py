@@ -2,6 +2,7 @@
 
 from softcal_jax.sensitivity._compliance import (
     Compliance,
+    effector_compliance,
     parameter_compliance,
     parameter_forces,
 )
@@ -16,6 +17,7 @@ __all__ = [
     "DerivativeCheck",
     "Response",
     "check_parameter_derivatives",
+    "effector_compliance",
     "equilibrium_response",
     "parameter_compliance",
     "parameter_forces",

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
 from softcal_jax.equilibrium import (
     Model,
     add_weighted,
@@ -119,6 +119,34 @@ def _one_per_tet(model: Model, value: Any) -> Float[Array, "n_tets m"]:
     return jnp.broadcast_to(value, (model.n_tets,))[:, None]
 
 
+def effector_compliance(
+    effectors: EffectorArrays, displacement: Float[Array, "n_p n_nodes 3"]
+) -> Float[Array, "n_e n_p"]:
+    """W_ep = H_e dx/dz, effector coordinates in the order marker, axis [m].
+
+    Args:
+        effectors: The measured points.
+        displacement: dx/dz by rows [m].
+    """
+    moved = jax.vmap(effectors.positions)(displacement)
+    return moved.reshape(displacement.shape[0], -1).T
+
+
+def effector_rows(
+    effectors: EffectorArrays, u: Float[Array, "n_nodes 3"]
+) -> Float[Array, "n_e n_nodes 3"]:
+    """H_e by rows: how each effector coordinate follows the nodes [-].
+
+    Args:
+        effectors: The measured points.
+        u: Displacement, for its shape: the positions are linear in it [m].
+    """
+    n_e = effectors.measured.size
+    _, pull_back = jax.vjp(effectors.positions, u)
+    unit = jnp.eye(n_e).reshape(n_e, *effectors.measured.shape)
+    return jax.vmap(pull_back)(unit)[0]
+
+
 class Compliance(NamedTuple):
     """W_ep of one configuration, and what it was made of.
 
@@ -165,11 +193,9 @@ def parameter_compliance(
     forces = parameter_forces(model, configuration, u, space, z, derivative=derivative)
     if method == "direct" or (method == "auto" and z.shape[0] <= n_e):
         solved = factor_solve(model, configuration, u, forces)
-        W = jax.vmap(effectors.positions)(solved.x)
-        return Compliance(W.reshape(z.shape[0], n_e).T, solved.x, solved.ok)
-    _, pull_back = jax.vjp(effectors.positions, u)
-    unit = jnp.eye(n_e).reshape(n_e, *effectors.measured.shape)
-    (rows,) = jax.vmap(pull_back)(unit)
+        W = effector_compliance(effectors, solved.x)
+        return Compliance(W, solved.x, solved.ok)
+    rows = effector_rows(effectors, u)
     solved = factor_solve(model, configuration, u, rows, transpose=True)
     W = jnp.sum(solved.x[:, None] * forces[None], axis=(2, 3))
     return Compliance(jnp.asarray(W), None, solved.ok)

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
@@ -15,7 +14,11 @@ from softcal_jax.equilibrium import (
     lane_by_lane,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.sensitivity._compliance import parameter_forces
+from softcal_jax.sensitivity._compliance import (
+    effector_compliance,
+    effector_rows,
+    parameter_forces,
+)
 
 FEW_PARAMETERS = 12
 """Up to here the direct side is taken even where the adjoint one needs fewer solves.
@@ -81,11 +84,9 @@ def equilibrium_response(
             )
             ok = done.ok & done.equilibrium.converged
             x = jnp.where(ok, done.x, 0.0)
-            W = jax.vmap(effectors.positions)(x).reshape(n_p, n_e).T
+            W = effector_compliance(effectors, x)
             return Response(done.equilibrium, W, x, ok)
-        _, pull_back = jax.vjp(effectors.positions, guess)
-        unit = jnp.eye(n_e).reshape(n_e, *effectors.measured.shape)
-        (rows,) = jax.vmap(pull_back)(unit)
+        rows = effector_rows(effectors, guess)
         done = continue_equilibrium(
             model,
             configuration,

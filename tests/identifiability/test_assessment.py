@@ -10,6 +10,7 @@ from softcal_jax.calibration import (
     synthetic_measurements,
     with_measured,
 )
+from softcal_jax.calibration._uncertainty import UNLIKELY
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -19,7 +20,6 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import assess
-from softcal_jax.identifiability._assessment import UNLIKELY
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh, beam
 
