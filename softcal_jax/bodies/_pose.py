@@ -1,0 +1,63 @@
+"""A rigid motion: how far a frame has moved and turned."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from softcal_jax._typing import Float, HostArray
+
+
+def _three_numbers(value: Float[ArrayLike, "3"]) -> Float[HostArray, "3"]:
+    return np.asarray(value, float)
+
+
+class Pose(eqx.Module):
+    """Rigid motion X -> rotation @ (X - origin) + origin + translation.
+
+    The origin is that of the frame that moves; `RigidBody.origin` for a body.
+
+    Attributes:
+        translation: How far the origin moves [m].
+        rotation_vector: Axis of the rotation times its angle [rad].
+    """
+
+    translation: Float[HostArray, "3"] = eqx.field(
+        converter=_three_numbers, default=(0.0, 0.0, 0.0)
+    )
+    rotation_vector: Float[HostArray, "3"] = eqx.field(
+        converter=_three_numbers, default=(0.0, 0.0, 0.0)
+    )
+
+    def __check_init__(self):
+        for name in ("translation", "rotation_vector"):
+            value = getattr(self, name)
+            if value.shape != (3,) or not np.all(np.isfinite(value)):
+                raise ValueError(f"{name} must be three finite numbers, got {value}.")
+        angle = float(np.linalg.norm(self.rotation_vector))
+        if angle > 2.0 * np.pi:
+            raise ValueError(
+                f"rotation_vector turns by {angle:.4g} rad, more than a full turn: "
+                "give radians, not degrees (np.deg2rad)."
+            )
+
+    @classmethod
+    def from_matrix(
+        cls, rotation: Float[ArrayLike, "3 3"], translation: Float[ArrayLike, "3"]
+    ) -> "Pose":
+        """The motion with a rotation matrix [-] and a translation [m].
+
+        Raises:
+            ValueError: If the matrix is not a rotation.
+        """
+        R = np.asarray(rotation, float)
+        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+            raise ValueError(f"rotation must be an orthogonal 3 x 3 matrix, got {R}.")
+        if np.linalg.det(R) < 0.0:
+            raise ValueError("rotation mirrors space (its determinant is -1).")
+        return cls(np.asarray(translation, float), Rotation.from_matrix(R).as_rotvec())
+
+    @property
+    def matrix(self) -> Float[HostArray, "3 3"]:
+        """The rotation as a matrix [-]."""
+        return Rotation.from_rotvec(self.rotation_vector).as_matrix()
