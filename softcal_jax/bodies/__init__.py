@@ -1,5 +1,38 @@
 """Rigid bodies: groups of nodes that move as one frame."""
 
+from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays, body_arrays
+from softcal_jax.bodies._body import KINDS, BodyState, RigidBody, hinge_axes
+from softcal_jax.bodies._kinematics import (
+    Frames,
+    blocked,
+    frame_nodes,
+    frames_at,
+    mounted_axes,
+    place,
+)
 from softcal_jax.bodies._pose import Pose
+from softcal_jax.bodies._rotations import (
+    cross_matrix,
+    rotation_matrix,
+    rotation_vector,
+)
 
-__all__ = ["Pose"]
+__all__ = [
+    "KINDS",
+    "BodyArrays",
+    "BodyState",
+    "BodyStateArrays",
+    "Frames",
+    "Pose",
+    "RigidBody",
+    "blocked",
+    "body_arrays",
+    "cross_matrix",
+    "frame_nodes",
+    "frames_at",
+    "hinge_axes",
+    "mounted_axes",
+    "place",
+    "rotation_matrix",
+    "rotation_vector",
+]

@@ -98,7 +98,7 @@ def build_problem(
     return CalibrationProblem(
         model,
         space,
-        configuration_arrays(model.mesh, configurations),
+        configuration_arrays(model.mesh, configurations, model.mechanism),
         newton or NewtonSettings(),
     )
 

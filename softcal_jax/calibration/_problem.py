@@ -146,4 +146,4 @@ def evaluate(
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_nodes 3"]:
     """Displacements of zero, the guess when there is no better one [m]."""
     n_c = problem.configurations.gravity.shape[0]
-    return jnp.zeros((n_c, *problem.model.mesh.points.shape))
+    return jnp.zeros((n_c, problem.model.n_points, 3))

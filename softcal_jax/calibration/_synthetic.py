@@ -57,7 +57,7 @@ def synthetic_measurements(
     for configuration in configurations:
         if configuration.markers is None:
             raise ValueError(f"configuration {configuration.name!r} has no markers.")
-    arrays = configuration_arrays(model.mesh, configurations)
+    arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
     solution, positions = _simulate(problem, z, at_rest(problem))

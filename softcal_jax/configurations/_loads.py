@@ -6,9 +6,8 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.configurations._nodes import node_indices
 from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
-from softcal_jax.mesh import TetMesh, boundary_faces, locate
+from softcal_jax.mesh import TetMesh, boundary_faces, locate, node_indices
 
 
 def _vector(name: str, unit: str, value) -> HostArray:

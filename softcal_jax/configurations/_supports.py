@@ -5,8 +5,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.configurations._axes import parse_axes
-from softcal_jax.configurations._nodes import node_indices
-from softcal_jax.mesh import TetMesh
+from softcal_jax.mesh import TetMesh, node_indices
 
 
 class Support(eqx.Module):

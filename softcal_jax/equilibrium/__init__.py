@@ -14,7 +14,8 @@ from softcal_jax.equilibrium._continuation import Continuation, continue_equilib
 from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model, build_model
-from softcal_jax.equilibrium._newton import NewtonSettings, external_force
+from softcal_jax.equilibrium._newton import NewtonSettings
+from softcal_jax.equilibrium._problem import external_force
 from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
     check_converged,

@@ -25,7 +25,7 @@ FieldOfLaw = Callable[[Any], Any]
 """Accessor of one field of a law, as `eqx.tree_at` takes it."""
 
 
-def _map_blocks(model: Model, u: Float[Array, "n_nodes _"], function, *per_tet):
+def _map_blocks(model: Model, u: Float[Array, "n_points _"], function, *per_tet):
     """Apply a function of (u, dN, w, law, active, ...) to all tets, block by block.
 
     Returns arrays with axes (block number, ..., tet in block).
@@ -51,7 +51,7 @@ def _map_blocks(model: Model, u: Float[Array, "n_nodes _"], function, *per_tet):
 
 
 def strain_energy(
-    model: Model, u: Float[Array, "n_nodes 3"]
+    model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_blocks block"]:
     """Strain energy of each tet, in blocks [J]."""
     return _map_blocks(
@@ -64,8 +64,8 @@ def strain_energy(
 
 
 def internal_force(
-    model: Model, u: Float[Array, "n_nodes 3"]
-) -> Float[Array, "n_nodes 3"]:
+    model: Model, u: Float[Array, "n_points 3"]
+) -> Float[Array, "n_points 3"]:
     """Internal force f(u; p), the gradient of the strain energy [N]."""
     forces = _map_blocks(
         model,
@@ -77,7 +77,7 @@ def internal_force(
     return _add_forces(model, forces)
 
 
-def energy_and_force(model: Model, u: Float[Array, "n_nodes 3"]):
+def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
     """Strain energy, the sum of its absolute parts, internal force, smallest det F."""
 
     def both(u, dN, w, law, active):
@@ -91,8 +91,8 @@ def energy_and_force(model: Model, u: Float[Array, "n_nodes 3"]):
     return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
 
 
-def tangent_values(model: Model, u: Float[Array, "n_nodes 3"]) -> Float[Array, " nnz"]:
-    """Tangent stiffness K = df/du in the order of the pattern [N/m].
+def tangent_values(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, " nnz"]:
+    """Tangent stiffness K = df/du over all nodes, in the order of the pattern [N/m].
 
     The upper triangle of a conservative model, where K is symmetric; all entries of
     any other.
@@ -107,8 +107,8 @@ def tangent_values(model: Model, u: Float[Array, "n_nodes 3"]) -> Float[Array, "
 
 
 def mixed_tangent(
-    model: Model, u: Float[Array, "n_nodes 3"], theta: Float[Array, "n_blocks block"]
-) -> tuple[Float[Array, " nnz"], Float[Array, "n_nodes 3"]]:
+    model: Model, u: Float[Array, "n_points 3"], theta: Float[Array, "n_blocks block"]
+) -> tuple[Float[Array, " nnz"], Float[Array, "n_points 3"]]:
     """Stiffness and force of the Newton step with volume ratios of their own."""
     p, q = _kept_entries(model)
 
@@ -121,7 +121,7 @@ def mixed_tangent(
 
 
 def predicted_dilatation(
-    model: Model, u: Float[Array, "n_nodes 3"], du: Float[Array, "n_nodes 3"]
+    model: Model, u: Float[Array, "n_points 3"], du: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_blocks block"]:
     """Volume ratio of each tet after a step, to first order: J_bar + dJ_bar du [-]."""
 
@@ -138,11 +138,11 @@ def predicted_dilatation(
 def _kept_entries(model: Model):
     """Local rows and columns of the entries that the pattern of the model keeps."""
     check_law(model.law, model.conservative, model.formulation)
-    return element_entries(model.nodes.shape[1], model.solver.sparsity.symmetric)
+    return element_entries(model.nodes.shape[1], model.pattern.symmetric)
 
 
 def field_forces(
-    model: Model, u: Float[Array, "n_nodes 3"], fields: Mapping[str, FieldOfLaw]
+    model: Model, u: Float[Array, "n_points 3"], fields: Mapping[str, FieldOfLaw]
 ) -> dict[str, Float[Array, "n_blocks m n_en 3 block"]]:
     """Derivatives of each tet's internal force by its own values of some fields [N].
 
@@ -202,20 +202,26 @@ def add_weighted(
 def _add_entries(
     model: Model, entries: Float[Array, "n_blocks n_entries block"]
 ) -> Float[Array, " nnz"]:
-    zero = jnp.zeros(model.solver.sparsity.nnz, entries.dtype)
+    zero = jnp.zeros(model.pattern.nnz, entries.dtype)
     return zero.at[model.destination].add(entries)
 
 
 def _add_forces(
     model: Model, forces: Float[Array, "n_blocks n_en 3 block"]
-) -> Float[Array, "n_nodes 3"]:
-    zero = jnp.zeros(model.mesh.points.shape, forces.dtype)
+) -> Float[Array, "n_points 3"]:
+    zero = jnp.zeros((model.n_points, 3), forces.dtype)
     return zero.at[model.nodes].add(jnp.moveaxis(forces, -1, 2))
 
 
-def gravity_load(model: Model, gravity: Float[Array, "3"]) -> Float[Array, "n_nodes 3"]:
-    """Weight of the body as nodal forces [N], for an acceleration [m/s2]."""
+def gravity_load(
+    model: Model, gravity: Float[Array, "3"]
+) -> Float[Array, "n_points 3"]:
+    """Weight of mesh and rigid bodies as nodal forces [N], for an acceleration."""
     density = jnp.broadcast_to(model.density, (model.n_tets,))
     mass = density[:, None] * model.node_volumes
-    nodal = jnp.zeros(model.mesh.points.shape[0]).at[model.mesh.tets].add(mass)
+    nodal = jnp.zeros(model.n_points).at[model.mesh.tets].add(mass)
+    bodies = model.mechanism.bodies
+    if bodies.n_bodies > 0:
+        on_frames = bodies.mass[:, None] * bodies.mass_weights
+        nodal = nodal.at[model.mesh.n_nodes :].add(on_frames.ravel())
     return nodal[:, None] * gravity[None, :]

@@ -14,15 +14,15 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._assembly import energy_and_force, tangent_values
+from softcal_jax.equilibrium._actuation import System
 from softcal_jax.equilibrium._element import is_mixed
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._newton import (
+from softcal_jax.equilibrium._newton import NewtonSettings, newton
+from softcal_jax.equilibrium._problem import (
     EquilibriumProblem,
-    NewtonSettings,
+    Point,
+    evaluate,
     external_force,
-    mask_supports,
-    newton,
 )
 from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
@@ -36,7 +36,9 @@ MAX_QUICK_STEPS = 4
 CONTRACTION = 0.3
 """Factor by which each of them must bring the residual down [-]."""
 
-RightHandSides = Callable[[Float[Array, "n_nodes 3"]], Float[Array, "n_rhs n_nodes 3"]]
+RightHandSides = Callable[
+    [Float[Array, "n_points 3"]], Float[Array, "n_rhs n_points 3"]
+]
 
 
 class Continuation(NamedTuple):
@@ -49,7 +51,7 @@ class Continuation(NamedTuple):
     """
 
     equilibrium: EquilibriumSolution
-    x: Float[Array, "n_rhs n_nodes 3"]
+    x: Float[Array, "n_rhs n_points 3"]
     ok: Bool[Array, ""]
 
 
@@ -57,8 +59,9 @@ class _Quick(NamedTuple):
     """State of the full Newton steps."""
 
     solution: EquilibriumSolution
-    force: Float[Array, "n_nodes 3"]
-    x: Float[Array, "n_rhs n_nodes 3"]
+    at: Point
+    lambda_a: Float[Array, " n_a"]
+    x: Float[Array, "n_rhs n_points 3"]
     ok: Bool[Array, ""]
     step: Int[Array, ""]
     robust: Bool[Array, ""]
@@ -68,7 +71,7 @@ class _Quick(NamedTuple):
 def continue_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
-    guess: Float[Array, "n_nodes 3"],
+    guess: Float[Array, "n_points 3"],
     right_hand_sides: RightHandSides,
     *,
     settings: NewtonSettings,
@@ -125,73 +128,88 @@ class _Body(NamedTuple):
     settings: NewtonSettings
     rtol: float
 
-    def start(self, guess: Float[Array, "n_nodes 3"]) -> _Quick:
-        """State before the first step; held nodes go where they are held."""
-        fixed = jnp.asarray(self.configuration.fixed)
-        u = jnp.where(fixed, jnp.asarray(self.configuration.imposed), guess)
-        energy, _, force, det = energy_and_force(self.model, u)
-        usable = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force)) & (det > 0.0)
-        # A support that moved, or nothing but rest to start from: with care.
-        usable = usable & jnp.all(u == guess) & jnp.any(guess != 0.0)
-        count, real = jnp.zeros((), jnp.int32), jnp.zeros((), u.dtype)
-        solution = EquilibriumSolution(
-            u, RESULTS.max_steps, count, count, real + 1.0, real + jnp.inf, det, count
+    @property
+    def problem(self) -> EquilibriumProblem:
+        """The parts of a Newton iteration."""
+        f_ext = external_force(self.model, self.configuration)
+        return EquilibriumProblem(
+            self.model, self.configuration, f_ext, self.settings.rtol
         )
-        n_rhs = jax.eval_shape(self.right_hand_sides, u).shape
+
+    def start(self, guess: Float[Array, "n_points 3"]) -> _Quick:
+        """State before the first step; held nodes go where they are held."""
+        one = jnp.ones((), guess.dtype)
+        unknowns = self.problem.unknowns(one)
+        rigid = unknowns.rigid(guess)
+        at = evaluate(self.model, unknowns.held_at(rigid))
+        usable = at.finite & (at.min_det_F > 0.0)
+        # A support that moved, or nothing but rest to start from: with care.
+        usable = usable & ~jnp.any(unknowns.imposed(rigid) != 0.0)
+        usable = usable & jnp.any(guess != 0.0)
+        lambda_a = jnp.zeros_like(at.delta_a)
+        if self.problem.has_multipliers:
+            lambda_a = self.problem.estimated_forces(at, one)
+        count, real = jnp.zeros((), jnp.int32), jnp.zeros((), guess.dtype)
+        solution = EquilibriumSolution(
+            at.u,
+            lambda_a,
+            RESULTS.max_steps,
+            count,
+            count,
+            real + 1.0,
+            real + jnp.inf,
+            at.min_det_F,
+            count,
+        )
+        n_rhs = jax.eval_shape(self.right_hand_sides, at.u).shape
         return _Quick(
             solution,
-            force,
-            jnp.zeros(n_rhs, u.dtype),
+            at,
+            lambda_a,
+            jnp.zeros(n_rhs, guess.dtype),
             jnp.zeros((), bool),
             count,
             ~usable,
             jnp.zeros((), bool),
         )
 
-    def careful(self, s: _Quick) -> tuple[EquilibriumSolution, Array]:
+    def careful(self, s: _Quick) -> tuple[EquilibriumSolution, Point, Array]:
         """Newton with line search and load steps, from the state's displacement."""
-        state = newton(
-            self.model, self.configuration, s.solution.displacement, self.settings
-        )
-        return as_solution(state), state.force
+        state = newton(self.model, self.configuration, s.at.u, self.settings)
+        return as_solution(state), state.at, state.lambda_a
 
     def step(self, s: _Quick) -> _Quick:
         """A full Newton step, after a careful solve if one is due."""
-        solution, force = jax.lax.cond(
-            s.robust, self.careful, lambda s: (s.solution, s.force), s
+        solution, at, lambda_a = jax.lax.cond(
+            s.robust, self.careful, lambda s: (s.solution, s.at, s.lambda_a), s
         )
-        was_careful = s.robust
-        u = solution.displacement
-        f_ext = external_force(self.model, self.configuration)
-        fixed = jnp.asarray(self.configuration.fixed)
-        values = tangent_values(self.model, u)
-        sparsity = self.model.solver.sparsity
-        masked, stiffness = mask_supports(sparsity, values, fixed.ravel())
-        unbalanced = jnp.where(fixed, 0.0, f_ext - force)
-        solved = self.model.solver.factor_solve(masked, unbalanced.reshape(1, -1))
+        was_careful, problem = s.robust, self.problem
+        one = jnp.ones((), at.u.dtype)
+        strict = jnp.zeros((), bool)
+        direction = problem.direction(at, jnp.zeros_like(one), lambda_a, one, strict)
         # A careful solution is one already.
-        du = solved.x[0].reshape(u.shape)
-        new_u = jnp.where(was_careful, u, u + du)
-        energy, _, new_force, det = energy_and_force(self.model, new_u)
-        imposed = jnp.asarray(self.configuration.imposed)
-        residual = EquilibriumProblem(
-            self.model, fixed, imposed, f_ext, self.settings
-        ).relative_residual(new_force, jnp.ones_like(energy), stiffness)
-        stable = solved.ok & (solved.n_negative == 0) & (det > 0.0)
-        sound = stable & jnp.isfinite(energy) & jnp.isfinite(residual)
+        step = jnp.where(was_careful, 0.0, 1.0)
+        new_u = problem.unknowns(one).move(at.u, step * direction.d)
+        new = evaluate(self.model, new_u)
+        new_lambda = direction.lambda_a + step * direction.d_lambda
+        merit = problem.merit(new, new_lambda, one, direction.gap_stiffness)
+        residual = problem.relative(merit, new, new_lambda, one, direction.stiffness)
+        stable = direction.ok & (direction.n_negative == 0) & (new.min_det_F > 0.0)
+        sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual)
         arrived = sound & (residual <= self.rtol)
         contracts = sound & (
             (residual <= CONTRACTION * s.solution.residual) & (s.step < MAX_QUICK_STEPS)
         )
         quick = EquilibriumSolution(
             new_u,
+            new_lambda,
             RESULTS.converged,
             solution.steps + 1,
             jnp.ones_like(s.step),
             jnp.ones_like(residual),
             residual,
-            det,
-            solved.n_negative,
+            new.min_det_F,
+            direction.n_negative,
         )
         taken = ~was_careful & sound
         pick = lambda a, b: jnp.where(taken, a, b)
@@ -199,13 +217,14 @@ class _Body(NamedTuple):
         done = was_careful | arrived
         x, ok = jax.lax.cond(
             done,
-            lambda u: self.further(masked, u),
+            lambda u: self.further(direction.system, u),
             lambda u: (s.x, s.ok),
             solution.displacement,
         )
         return _Quick(
             solution,
-            pick(new_force, force),
+            jax.tree.map(pick, new, at),
+            pick(new_lambda, lambda_a),
             x,
             ok,
             s.step + 1,
@@ -213,13 +232,16 @@ class _Body(NamedTuple):
             done,
         )
 
-    def further(self, masked, u):
+    def further(self, system: System, u):
         """The further solutions, once the equilibrium is there.
 
         The matrix is factorized again: PARDISO keeps its factors in a place that other
         programs may write to in between.
         """
-        rhs = self.right_hand_sides(u)
-        rhs = jnp.where(jnp.asarray(self.configuration.fixed)[None], 0.0, rhs)
-        solved = self.model.solver.factor_solve(masked, rhs.reshape(len(rhs), -1))
-        return solved.x.reshape(rhs.shape), solved.ok
+        unknowns = self.problem.unknowns(jnp.ones((), u.dtype))
+        fixed = unknowns.fixed()
+        free = lambda f: jnp.where(fixed, 0.0, unknowns.gather(u, f))
+        rhs = jax.vmap(free)(self.right_hand_sides(u))
+        gap = jnp.zeros((rhs.shape[0], system.active.shape[0]))
+        solved = system.solve(self.model, rhs, gap)
+        return jax.vmap(lambda d: unknowns.scatter(u, d))(solved.x), solved.ok

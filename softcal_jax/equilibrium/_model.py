@@ -1,5 +1,6 @@
 """The finite-element model of a robot: mesh, law, density, ready for assembly."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
@@ -8,7 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.actuators import AbstractActuator, clique_nodes
+from softcal_jax.bodies import RigidBody
+from softcal_jax.configurations import Mechanism, build_mechanism
 from softcal_jax.elements import shape_functions, shape_gradients, tet_rule
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import (
@@ -16,7 +20,8 @@ from softcal_jax.equilibrium._linear_solver import (
     analyse,
     require_float64,
 )
-from softcal_jax.equilibrium._sparsity import build_sparsity
+from softcal_jax.equilibrium._reduction import Reduction, build_reduction
+from softcal_jax.equilibrium._sparsity import Sparsity, build_sparsity, destinations
 from softcal_jax.materials import AbstractLaw
 from softcal_jax.mesh import TetMesh, check_mesh
 
@@ -32,26 +37,41 @@ class Model(eqx.Module):
         mesh: The mesh [m].
         law: Constitutive law; its arrays hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
-        active: 1 for each tet, 0 for the copies that fill up the last block.
+        mechanism: Its rigid bodies and actuators.
+        active: 1 for each tet; 0 for the copies that fill up the last block, and for
+            tets whose nodes all belong to one rigid body.
+        pattern: Sparsity of the tangent over all nodes.
+        curvature_at: Where the entries of the actuators' tangents go in it.
+        reduction: How the tangent is reduced to the unknowns; None without bodies.
+        solver: Sparse solver of the unknowns.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
     """
 
     mesh: TetMesh
     law: AbstractLaw
     density: Float[Array, "..."]
+    mechanism: Mechanism
     shape_gradients: Float[Array, "n_blocks n_qp n_en 3 block"]
     weights: Float[Array, "n_blocks n_qp block"]
     active: Float[Array, "n_blocks block"]
     nodes: Int[Array, "n_blocks n_en block"]
     destination: Int[Array, "n_blocks n_entries block"]
     node_volumes: Float[Array, "n_tets n_en"]
+    pattern: Sparsity
+    curvature_at: tuple[Int[HostArray, "n_entries n_cliques"], ...]
+    reduction: Reduction | None
     solver: AbstractLinearSolver
     formulation: Formulation = eqx.field(static=True)
 
     @property
+    def n_points(self) -> int:
+        """Nodes of the mesh and of the frames of the rigid bodies."""
+        return self.mechanism.points.shape[0]
+
+    @property
     def n_dof(self) -> int:
-        """Unknowns, three per node."""
-        return 3 * self.mesh.points.shape[0]
+        """Unknowns: three per node, held ones too, and six per rigid body."""
+        return self.solver.sparsity.n_dof
 
     @property
     def n_tets(self) -> int:
@@ -131,6 +151,8 @@ def build_model(
     law: AbstractLaw,
     *,
     density: Float[ArrayLike, "..."],
+    bodies: Sequence[RigidBody] = (),
+    actuators: Sequence[AbstractActuator] = (),
     formulation: Literal["auto"] | Formulation = "auto",
     solver: str | None = None,
 ) -> Model:
@@ -149,6 +171,9 @@ def build_model(
         mesh: The mesh [m], linear or quadratic.
         law: Constitutive law; arrays of it hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
+        bodies: Its rigid bodies.
+        actuators: Its cables, chambers, motors and other actuators. A
+            `SurfacePressure` has no potential, and makes the model not `conservative`.
         formulation: How the volume change enters. "auto" takes "mean-dilatation" for
             quadratic tets whose law has a Poisson's ratio `nu` of 0.49 or more, and
             "displacement" otherwise; `Model.formulation` says which.
@@ -159,8 +184,9 @@ def build_model(
 
     Raises:
         ValueError: If JAX is not in float64, the mesh is not sound, the density is
-            negative, a per-tet array has the wrong length, or the formulation is
-            unknown, or needs a potential that the law does not have.
+            negative, a per-tet array has the wrong length, a body or an actuator does
+            not fit the mesh, or the formulation is unknown, or needs a potential that
+            the law does not have.
     """
     require_float64()
     check_mesh(mesh)
@@ -182,10 +208,15 @@ def build_model(
         return np.moveaxis(cut, 1, -1)
 
     dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
-    active = np.arange(n_blocks * block) < n_tets
-    sparsity, destination = build_sparsity(
-        mesh.tets, mesh.n_nodes, symmetric=law.conservative
-    )
+    mechanism = build_mechanism(mesh, bodies, actuators)
+    conservative = law.conservative and mechanism.actuators.symmetric
+    rigid = _within_one_body(mesh, mechanism)
+    active = np.concatenate([~rigid, np.zeros(n_blocks * block - n_tets, bool)])
+    curved = clique_nodes(mechanism.actuators)
+    cliques = (mesh.tets, *curved)
+    pattern = build_sparsity(cliques, len(mechanism.points), symmetric=conservative)
+    reduction = _reduction(mechanism, pattern, (mesh.tets[~rigid], *curved))
+    unknowns = pattern if reduction is None else reduction.reduced
     rule = tet_rule(2 if n_en == 4 else 4)
     _, w_load = _shape_gradients_at(mesh, degree=2 if n_en == 4 else 4)
     node_volumes = w_load @ shape_functions(rule.barycentric, n_en)
@@ -193,15 +224,39 @@ def build_model(
         mesh,
         law,
         density,
+        mechanism,
         jnp.asarray(blocked(dN)),
         jnp.asarray(blocked(w)),
         jnp.asarray(active.reshape(n_blocks, block), float),
         jnp.asarray(blocked(mesh.tets.astype(np.int32))),
-        jnp.asarray(blocked(destination.T)),
+        jnp.asarray(blocked(destinations(pattern, mesh.tets).T)),
         jnp.asarray(node_volumes),
-        analyse(sparsity, solver),
+        pattern,
+        tuple(destinations(pattern, nodes) for nodes in curved),
+        reduction,
+        analyse(unknowns, solver),
         chosen,
     )
+
+
+def _within_one_body(mesh: TetMesh, mechanism: Mechanism) -> np.ndarray:
+    """Which tets have all nodes in one rigid body."""
+    body = np.full(mesh.n_nodes, -1)
+    body[mechanism.bodies.attached] = mechanism.bodies.body
+    of_tet = body[mesh.tets]
+    return (of_tet[:, 0] >= 0) & np.all(of_tet == of_tet[:, :1], axis=1)
+
+
+def _reduction(mechanism: Mechanism, pattern: Sparsity, cliques) -> Reduction | None:
+    bodies = mechanism.bodies
+    if bodies.n_bodies == 0:
+        return None
+    first_frame = len(mechanism.points) - 4 * bodies.n_bodies
+    rigid = np.concatenate(
+        [bodies.attached, np.arange(first_frame, len(mechanism.points))]
+    )
+    body = np.concatenate([bodies.body, np.repeat(np.arange(bodies.n_bodies), 4)])
+    return build_reduction(pattern, cliques, rigid, bodies.owner[body], bodies.n_bodies)
 
 
 def _checked_density(

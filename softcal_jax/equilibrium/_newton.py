@@ -1,10 +1,11 @@
 """Newton's method on the potential energy, with line search and load stepping.
 
-Minimises Pi(x) = sum_e V_e psi(F_e) - t (f_ext . u) over the free nodes, while the load
-factor t goes from 0 to 1 (paper Eqs. 1-3; equilibrium is a minimum of Pi when forces
-are imposed). One state machine in one `while_loop`: an iteration is a Newton step, and
-the end of a load step, or its failure, only changes t. Where no potential exists, the
-line search is on the norm of the residual.
+Minimises Pi(x) = sum_e V_e psi(F_e) - t (f_ext . u + lambda_a . delta_a) over the free
+unknowns, while the load factor t goes from 0 to 1 (paper Eqs. 1-3; equilibrium is a
+minimum of Pi when forces are imposed). One state machine in one `while_loop`: an
+iteration is a Newton step, and the end of a load step, or its failure, only changes t.
+Where no potential exists, or the equilibrium is a saddle because displacements of
+actuators are imposed, the line search is on the norm of the residual.
 """
 
 from dataclasses import dataclass
@@ -17,15 +18,15 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._assembly import (
-    energy_and_force,
-    gravity_load,
-    mixed_tangent,
-    predicted_dilatation,
-    tangent_values,
-)
-from softcal_jax.equilibrium._element import is_mixed
+from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._problem import (
+    Direction,
+    EquilibriumProblem,
+    Point,
+    evaluate,
+    external_force,
+)
 
 
 class NewtonSettings(eqx.Module):
@@ -62,78 +63,50 @@ class NewtonState(NamedTuple):
     """State of the loop; `*_ok` is the last equilibrium on the load path.
 
     `theta` is the volume ratio of each tet in the mixed Newton step; everything else,
-    the stopping rule too, is of the body with theta = J_bar(u). `unbalanced_before` is
-    the norm of the residual one step ago, for the line search without a potential; inf
-    at the start of a load step, None where a potential exists.
+    the stopping rule too, is of the body with theta = J_bar(u). `merit_before` is the
+    norm of the residual one step ago, for the line search on it; inf at the start of a
+    load step, None where the line search is always on the potential.
     """
 
-    u: Float[Array, "n_nodes 3"]
+    at: Point
     theta: Float[Array, "n_blocks block"]
-    force: Float[Array, "n_nodes 3"]
-    energy: Float[Array, ""]
-    energy_scale: Float[Array, ""]
-    u_ok: Float[Array, "n_nodes 3"]
+    lambda_a: Float[Array, " n_a"]
+    u_ok: Float[Array, "n_points 3"]
+    lambda_ok: Float[Array, " n_a"]
     load: Float[Array, ""]
     load_ok: Float[Array, ""]
     increment: Float[Array, ""]
     step: Int[Array, ""]
     step_in_load: Int[Array, ""]
     load_steps: Int[Array, ""]
-    unbalanced_before: Float[Array, ""] | None
+    merit_before: Float[Array, ""] | None
     residual: Float[Array, ""]
-    min_det_F: Float[Array, ""]
     n_negative: Int[Array, ""]
     any_singular: Bool[Array, ""]
     result: RESULTS
     done: Bool[Array, ""]
 
 
-def external_force(
-    model: Model, configuration: ConfigurationArrays
-) -> Float[Array, "n_nodes 3"]:
-    """Dead loads and weight as nodal forces, f_ext(p) [N]."""
-    weight = gravity_load(model, jnp.asarray(configuration.gravity))
-    return jnp.asarray(configuration.force) + weight
+class _Trial(NamedTuple):
+    """A point along a Newton step."""
 
-
-def product(sparsity, values, v):
-    """K v, for a K kept as its pattern says."""
-    rows, cols = sparsity.rows, sparsity.indices
-    if not sparsity.symmetric:
-        return jnp.zeros_like(v).at[rows].add(values * v[cols])
-    lower = jnp.where(rows == cols, 0.0, values)
-    upper = jnp.zeros_like(v).at[rows].add(values * v[cols])
-    return upper.at[cols].add(lower * v[rows])
-
-
-def mask_supports(sparsity, values, fixed):
-    """Tangent whose supported rows and columns are those of the identity, scaled."""
-    held = fixed[sparsity.rows] | fixed[sparsity.indices]
-    diagonal = values[sparsity.diagonal]
-    # The mean stiffness, not 1, keeps the matrix well scaled in any unit.
-    scale = jnp.mean(jnp.abs(diagonal))
-    on_diagonal = jnp.where(fixed, scale, diagonal)
-    return jnp.where(held, 0.0, values).at[sparsity.diagonal].set(on_diagonal), scale
+    at: Point
+    lambda_a: Float[Array, " n_a"]
+    merit: Float[Array, ""]
+    good: Bool[Array, ""]
 
 
 @dataclass(frozen=True, eq=False)  # JAX caches its methods by identity
-class EquilibriumProblem:
-    """One configuration while it is solved: the parts of a Newton iteration."""
+class NewtonLoop:
+    """The iterations of one configuration."""
 
-    model: Model
-    fixed: Bool[Array, "n_nodes 3"]
-    imposed: Float[Array, "n_nodes 3"]
-    f_ext: Float[Array, "n_nodes 3"]
+    body: EquilibriumProblem
     settings: NewtonSettings
 
     @property
-    def mixed(self) -> bool:
-        """Whether the volume ratios are unknowns of the Newton step."""
-        return is_mixed(self.model.formulation, self.model.weights.shape[1])
-
-    def evaluate(self, u):
-        """Energy, its scale, internal force and smallest det F."""
-        return energy_and_force(self.model, u)
+    def model(self) -> Model:
+        """The model."""
+        return self.body.model
 
     def strict(self, s: NewtonState):
         """Whether only steps that lower Pi are taken."""
@@ -142,70 +115,47 @@ class EquilibriumProblem:
             return jnp.ones((), bool)
         return s.increment < self.settings.strict_below
 
-    def dilatation(self, s: NewtonState, u, du):
-        """Volume ratios after a step; nothing to do in the displacement formulation."""
-        return predicted_dilatation(self.model, u, du) if self.mixed else s.theta
+    @property
+    def _always_potential(self) -> bool:
+        return self.model.conservative and not self.body.has_multipliers
 
-    def remembered(self, unbalanced):
-        """Norm of a residual, kept only where the line search needs it."""
-        return None if self.model.conservative else jnp.linalg.norm(unbalanced)
+    def remembered(self, merit):
+        """Norm of a residual, kept only where the line search may need it."""
+        return None if self._always_potential else jnp.asarray(merit)
 
-    def unbalanced(self, force, load):
-        """Out-of-balance force on the free coordinates."""
-        return jnp.where(self.fixed, 0.0, force - load * self.f_ext)
+    def potential(self, at: Point, load):
+        """Pi at a point, and the scale of its rounding [J]."""
+        f_ext = self.body.f_ext
+        work = load * f_ext * at.u
+        value, scale = at.energy - jnp.sum(work), at.energy_scale
+        scale = scale + jnp.sum(jnp.abs(work))
+        forces = actuation.imposed_forces(self.body.configuration.actuation)
+        of_actuators = load * forces * at.delta_a
+        value = value - jnp.sum(of_actuators)
+        return value, scale + jnp.sum(jnp.abs(of_actuators))
 
-    def relative_residual(self, force, load, stiffness):
-        """Residual on free nodes, relative to external, internal and reaction force."""
-        points = jnp.asarray(self.model.mesh.points)
-        size = jnp.max(jnp.ptp(points, axis=0))
-        norm = jnp.linalg.norm
-        scale = jnp.maximum(norm(load * self.f_ext), norm(force))
-        # Without any load, what remains is the rounding of positions.
-        eps = jnp.finfo(points.dtype).eps
-        rounding = eps / self.settings.rtol * stiffness * size
-        return norm(self.unbalanced(force, load)) / jnp.maximum(scale, rounding)
-
-    def direction(self, s: NewtonState, du_held):
-        """Newton step at the current load, and the mean stiffness of a node."""
-        sparsity, fixed = self.model.solver.sparsity, self.fixed.ravel()
-        if self.mixed:
-            at_u = self.dilatation(s, s.u, jnp.zeros_like(s.u))
-            theta = jnp.where(self.strict(s), at_u, s.theta)
-            values, force = mixed_tangent(self.model, s.u, theta)
-        else:
-            values, force = tangent_values(self.model, s.u), s.force
-        # Held nodes that still have to move pull on the free ones: - K du_held.
-        pull = jax.lax.cond(
-            jnp.any(du_held != 0.0),
-            lambda: product(sparsity, values, du_held.ravel()),
-            lambda: jnp.zeros_like(du_held.ravel()),
-        )
-        masked, stiffness = mask_supports(sparsity, values, fixed)
-        rhs = (s.load * self.f_ext - force).ravel() - pull
-        rhs = jnp.where(fixed, stiffness * du_held.ravel(), rhs)
-        solved = self.model.solver.factor_solve(masked, rhs[None])
-        return solved, solved.x[0].reshape(s.u.shape), stiffness
-
-    def lower_potential(self, s: NewtonState, d, slope):
+    def lower_potential(self, s: NewtonState, direction: Direction):
         """Test of a trial step: whether Pi has gone down enough (Armijo)."""
-        potential = s.energy - s.load * jnp.sum(self.f_ext * s.u)
-        work = jnp.sum(jnp.abs(self.f_ext * s.u))
+        before, scale = self.potential(s.at, s.load)
+        slope, d = direction.slope, direction.d
 
-        def test(alpha, u, energy, scale, force):
-            new = energy - s.load * jnp.sum(self.f_ext * u)
-            armijo = new <= potential + 1e-4 * alpha * slope
+        def test(alpha, at, lambda_a, merit):
+            del merit
+            new, new_scale = self.potential(at, s.load)
+            armijo = new <= before + 1e-4 * alpha * slope
             # Near the solution Pi changes by less than its own rounding, and the slope
             # decides (approximate Wolfe condition of Hager and Zhang, SIAM J. Optim.
             # 16, 2005).
-            slope_new = jnp.sum(self.unbalanced(force, s.load) * d)
+            g, _ = self.body.unbalanced(at, lambda_a, s.load)
+            slope_new = jnp.sum(self.body.on_unknowns(at.u, s.load, g) * d)
             flat = (slope_new <= 0.8 * jnp.abs(slope)) & (
-                new <= potential + 1e-6 * (scale + s.energy_scale + work)
+                new <= before + 1e-6 * (scale + new_scale)
             )
             return armijo | flat
 
         return test
 
-    def lower_residual(self, s: NewtonState, unbalanced_before: Float[Array, ""]):
+    def lower_residual(self, s: NewtonState, direction: Direction):
         """Test of a trial step: whether the residual has gone down enough.
 
         Below the larger of the last two, which a Newton direction always can (Grippo,
@@ -214,79 +164,104 @@ class EquilibriumProblem:
         stretches a slender body, so its residual rises by orders of magnitude and
         falls again one step later. Monotone descent creeps already under own weight.
         """
-        norm = jnp.linalg.norm
-        now = norm(self.unbalanced(s.force, s.load))
-        reference = jnp.maximum(unbalanced_before, now)
+        assert s.merit_before is not None
+        now = self.body.merit(s.at, direction.lambda_a, s.load, direction.gap_stiffness)
+        reference = jnp.maximum(s.merit_before, now)
 
-        def test(alpha, u, energy, scale, force):
-            del u, energy, scale
-            new = norm(self.unbalanced(force, s.load))
-            return new <= (1.0 - 1e-4 * alpha) * reference
+        def test(alpha, at, lambda_a, merit):
+            del at, lambda_a
+            return merit <= (1.0 - 1e-4 * alpha) * reference
 
         return test
 
-    def line_search(self, s: NewtonState, d, lower, moving):
-        """Backtrack until the step passes the test `lower` and all is finite.
+    def lower(self, s: NewtonState, direction: Direction):
+        """The test that suits what is imposed."""
+        if not self.model.conservative:
+            return self.lower_residual(s, direction)
+        if self._always_potential:
+            return self.lower_potential(s, direction)
+        saddle = jnp.any(self.body.by_multiplier())
+        residual = self.lower_residual(s, direction)
+        potential = self.lower_potential(s, direction)
+
+        def test(alpha, at, lambda_a, merit):
+            return jnp.where(
+                saddle,
+                residual(alpha, at, lambda_a, merit),
+                potential(alpha, at, lambda_a, merit),
+            )
+
+        return test
+
+    def line_search(self, s: NewtonState, direction: Direction) -> _Trial:
+        """Backtrack until the step passes the test and all is finite.
 
         Full steps are taken first, downhill or not: the first step of a large rotation
         always raises Pi, and of a nearly incompressible body by orders of magnitude; a
         strict search then creeps. They are only trusted
         when they end in a stable state; see `step`.
         """
+        lower, moving = self.lower(s, direction), direction.moving
 
         def trial(alpha):
-            u = s.u + alpha * d
-            energy, scale, force, det = self.evaluate(u)
-            enough = lower(alpha, u, energy, scale, force)
-            finite = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force))
-            good = (enough | moving | ~self.strict(s)) & finite
-            return u, energy, scale, force, det, good
+            u = self.body.unknowns(s.load).move(s.at.u, alpha * direction.d)
+            at = evaluate(self.model, u)
+            lambda_a = direction.lambda_a + alpha * direction.d_lambda
+            merit = self.body.merit(at, lambda_a, s.load, direction.gap_stiffness)
+            enough = lower(alpha, at, lambda_a, merit)
+            good = (enough | moving | ~self.strict(s)) & at.finite
+            return _Trial(at, lambda_a, merit, good)
 
         def keep_trying(carry):
-            _, backtracks, (*_, good) = carry
-            return ~good & (backtracks < self.settings.max_backtracks) & ~moving
+            _, backtracks, tried = carry
+            return ~tried.good & (backtracks < self.settings.max_backtracks) & ~moving
 
         def halve(carry):
             alpha, backtracks, _ = carry
             return 0.5 * alpha, backtracks + 1, trial(0.5 * alpha)
 
-        one = jnp.ones((), s.u.dtype)
+        one = jnp.ones((), s.at.u.dtype)
         return jax.lax.while_loop(keep_trying, halve, (one, 0, trial(one)))[2]
 
     def step(self, s: NewtonState) -> NewtonState:
         """One Newton iteration, and what follows from it for the load."""
-        du_held = jnp.where(self.fixed, s.load * self.imposed - s.u, 0.0)
-        moving = jnp.any(du_held != 0.0)
-        solved, d, stiffness = self.direction(s, du_held)
-        slope = jnp.sum(self.unbalanced(s.force, s.load) * d)
-        if s.unbalanced_before is None:  # a potential exists
-            downhill = moving | (slope <= 0.0) | ~self.strict(s)
-            lower = self.lower_potential(s, d, slope)
-        else:  # a Newton step always points down the residual
-            downhill = jnp.ones((), bool)
-            lower = self.lower_residual(s, s.unbalanced_before)
-        u, energy, scale, force, det, good = self.line_search(s, d, lower, moving)
-        good = good & solved.ok & downhill
-        residual = self.relative_residual(force, s.load, stiffness)
+        direction = self.body.direction(
+            s.at, s.theta, s.lambda_a, s.load, self.strict(s)
+        )
+        downhill = jnp.ones((), bool)
+        if self.model.conservative:  # otherwise it always points down the residual
+            saddle = jnp.any(self.body.by_multiplier())
+            downhill = direction.moving | (direction.slope <= 0.0) | ~self.strict(s)
+            downhill = downhill | saddle
+        tried = self.line_search(s, direction)
+        good = tried.good & direction.ok & downhill
+        residual = self.body.relative(
+            tried.merit, tried.at, tried.lambda_a, s.load, direction.stiffness
+        )
         residual = jnp.where(good, residual, jnp.inf)
         s = s._replace(
             step=s.step + 1,
             step_in_load=s.step_in_load + 1,
-            n_negative=solved.n_negative,
-            any_singular=~solved.ok,
+            n_negative=direction.n_negative,
+            any_singular=~direction.ok,
         )
+        before = self.remembered(
+            0.0
+            if self._always_potential
+            else self.body.merit(
+                s.at, direction.lambda_a, s.load, direction.gap_stiffness
+            )
+        )
+        u, du = s.at.u, tried.at.u - s.at.u
         moved = s._replace(
-            u=u,
-            force=force,
-            energy=energy,
-            energy_scale=scale,
-            unbalanced_before=self.remembered(self.unbalanced(s.force, s.load)),
+            at=tried.at,
+            lambda_a=tried.lambda_a,
+            merit_before=before,
             residual=residual,
-            min_det_F=det,
-            theta=self.dilatation(s, s.u, u - s.u),
+            theta=self.body.dilatation(s.theta, u, du),
         )
         converged = residual <= self.settings.rtol
-        astray = converged & self.suspicious(s, det)
+        astray = converged & self.suspicious(s, tried.at.min_det_F)
         good, converged = good & ~astray, converged & ~astray
         out_of_steps = s.step_in_load >= self.settings.max_steps_per_load
         failed = ~good | (~converged & out_of_steps)
@@ -308,14 +283,16 @@ class EquilibriumProblem:
         """Keep an equilibrium; raise the load, or finish."""
         increment = jnp.minimum(2.0 * s.increment, 1.0 - s.load)
         finished = s.load >= 1.0
-        outcome = RESULTS.where(s.min_det_F > 0.0, RESULTS.converged, RESULTS.inverted)
+        sound = s.at.min_det_F > 0.0
+        outcome = RESULTS.where(sound, RESULTS.converged, RESULTS.inverted)
         outcome = RESULTS.where(s.n_negative > 0, RESULTS.unstable, outcome)
         return s._replace(
-            u_ok=s.u,
+            u_ok=s.at.u,
+            lambda_ok=s.lambda_a,
             load_ok=s.load,
             load=jnp.minimum(s.load + increment, 1.0),
             increment=increment,
-            unbalanced_before=self.remembered(jnp.inf),
+            merit_before=self.remembered(jnp.inf),
             step_in_load=jnp.zeros_like(s.step),
             load_steps=s.load_steps + 1,
             result=RESULTS.where(finished, outcome, s.result),
@@ -330,57 +307,57 @@ class EquilibriumProblem:
             s.n_negative > 0, RESULTS.unstable, RESULTS.load_step_too_small
         )
         why = RESULTS.where(s.any_singular, RESULTS.singular, buckled)
-        energy, scale, force, _ = self.evaluate(s.u_ok)
         return s._replace(
-            u=s.u_ok,
-            theta=self.dilatation(s, s.u_ok, jnp.zeros_like(s.u_ok)),
-            force=force,
-            energy=energy,
-            energy_scale=scale,
+            at=evaluate(self.model, s.u_ok),
+            theta=self.body.dilatation(s.theta, s.u_ok, jnp.zeros_like(s.u_ok)),
+            lambda_a=s.lambda_ok,
             load=s.load_ok + increment,
             increment=increment,
-            unbalanced_before=self.remembered(jnp.inf),
+            merit_before=self.remembered(jnp.inf),
             step_in_load=jnp.zeros_like(s.step),
             result=RESULTS.where(give_up, why, s.result),
             done=give_up,
         )
 
-    def start(self, u0: Float[Array, "n_nodes 3"]) -> NewtonState:
+    def start(self, u0: Float[Array, "n_points 3"]) -> NewtonState:
         """State before the first iteration, at full load."""
-        energy, scale, force, det = self.evaluate(u0)
-        # A guess with inverted tets or infinite energy is worth less than rest.
-        usable = jnp.isfinite(energy) & jnp.all(jnp.isfinite(force)) & (det > 0.0)
-        keep = lambda value, rest: jnp.where(usable, value, rest)
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
         rest, count = jnp.zeros_like(u0), jnp.zeros((), jnp.int32)
+        guess = evaluate(self.model, self.body.unknowns(one).rigid(u0))
+        # A guess with inverted tets or infinite energy is worth less than rest.
+        usable = guess.finite & (guess.min_det_F > 0.0)
+        none = jnp.zeros(self.model.mechanism.n_actuators)
+        at = _select(usable, guess, Point(rest, zero, zero, rest, none, one))
+        lambda_a = none
+        if self.body.has_multipliers:
+            warm = jnp.any(at.u != 0.0)
+            lambda_a = jnp.where(warm, self.body.estimated_forces(at, one), 0.0)
         state = NewtonState(
-            u=keep(u0, rest),
+            at=at,
             theta=zero,
-            force=keep(force, rest),
-            energy=keep(energy, zero),
-            energy_scale=keep(scale, zero),
+            lambda_a=lambda_a,
             u_ok=rest,
+            lambda_ok=none,
             load=one,
             load_ok=zero,
             increment=one,
             step=count,
             step_in_load=count,
             load_steps=count,
-            unbalanced_before=self.remembered(jnp.inf),
+            merit_before=self.remembered(jnp.inf),
             residual=jnp.full_like(zero, jnp.inf),
-            min_det_F=keep(det, one),
             n_negative=count,
             any_singular=jnp.zeros((), bool),
             result=RESULTS.max_steps,
             done=jnp.zeros((), bool),
         )
-        return state._replace(theta=self.dilatation(state, state.u, rest))
+        return state._replace(theta=self.body.dilatation(zero, at.u, rest))
 
 
 def newton(
     model: Model,
     configuration: ConfigurationArrays,
-    u0: Float[Array, "n_nodes 3"],
+    u0: Float[Array, "n_points 3"],
     settings: NewtonSettings,
 ) -> NewtonState:
     """Solve one configuration from the guess `u0`, at full load first.
@@ -389,11 +366,11 @@ def newton(
     stepping begins from rest.
     """
     f_ext = external_force(model, configuration)
-    fixed, imposed = map(jnp.asarray, (configuration.fixed, configuration.imposed))
-    body = EquilibriumProblem(model, fixed, imposed, f_ext, settings)
+    body = EquilibriumProblem(model, configuration, f_ext, settings.rtol)
+    loop = NewtonLoop(body, settings)
     keep_going = lambda s: ~s.done & (s.step < settings.max_steps)
-    return jax.lax.while_loop(keep_going, body.step, body.start(u0))
+    return jax.lax.while_loop(keep_going, loop.step, loop.start(u0))
 
 
-def _select(flag, new: NewtonState, old: NewtonState) -> NewtonState:
+def _select(flag, new, old):
     return jax.tree.map(lambda a, b: jnp.where(flag, a, b), new, old)

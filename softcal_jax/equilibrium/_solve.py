@@ -1,6 +1,7 @@
 """Static equilibrium of a configuration, differentiable and batched."""
 
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,25 +11,30 @@ import numpy as np
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._assembly import internal_force, tangent_values
 from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._newton import (
-    NewtonSettings,
-    NewtonState,
+from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState, newton
+from softcal_jax.equilibrium._problem import (
+    EquilibriumProblem,
+    evaluate,
     external_force,
     mask_supports,
-    newton,
     product,
 )
+from softcal_jax.equilibrium._unknowns import Unknowns
 
 
 class EquilibriumSolution(eqx.Module):
     """Equilibrium of one configuration, or of a batch (leading axis on every field).
 
     Attributes:
-        displacement: Nodal displacement u [m]; nan where no equilibrium was found.
+        displacement: Displacement u of the nodes of the mesh, then of the four nodes
+            of each rigid body's frame [m]; nan where no equilibrium was found.
+        multipliers: Forces of the actuators whose displacement is imposed, 0 for the
+            others; `actuator_forces` gives those of all.
         result: Outcome; only `RESULTS.converged` is an equilibrium.
         steps: Newton iterations, all load steps together.
         load_steps: Load increments that were taken (1: full load at once).
@@ -41,7 +47,8 @@ class EquilibriumSolution(eqx.Module):
             model is not conservative.
     """
 
-    displacement: Float[Array, "*batch n_nodes 3"]
+    displacement: Float[Array, "*batch n_points 3"]
+    multipliers: Float[Array, "*batch n_a"]
     result: RESULTS
     steps: Int[Array, "*batch"]
     load_steps: Int[Array, "*batch"]
@@ -57,43 +64,109 @@ class EquilibriumSolution(eqx.Module):
 
 
 def residual(
-    model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_nodes 3"]
-) -> Float[Array, "n_nodes 3"]:
-    """Out-of-balance force f_int(x; p) - f_ext(p), all nodes [N]; paper Eq. (1).
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+    lambda_a: Float[Array, " n_a"] | None = None,
+) -> Float[Array, "n_points 3"]:
+    """Out-of-balance force f - f_ext - H_a^T lambda_a on all nodes [N]; Eq. (1).
 
     Zero on free coordinates at equilibrium; on held ones it is the reaction, the force
-    of the support on the body.
+    of the support on the body. Summed over a rigid body it is zero, or what holds it.
+
+    Args:
+        model: The model.
+        configuration: One configuration.
+        u: Displacement [m].
+        lambda_a: Forces of the actuators whose displacement is imposed; found from the
+            balance by default, which holds at equilibrium.
     """
-    return internal_force(model, u) - external_force(model, configuration)
+    f_ext = external_force(model, configuration)
+    f = internal_force(model, u) - f_ext
+    if model.mechanism.n_actuators == 0:
+        return f
+    at, problem = _at(model, configuration, u)
+    one = jnp.ones((), u.dtype)
+    if lambda_a is None:
+        lambda_a = problem.estimated_forces(at, one)
+    forces = problem.all_forces(lambda_a, one)
+    rows = actuation.rows(model, u)
+    return f - jnp.sum(forces[:, None, None] * rows, axis=0)
+
+
+def _at(model: Model, configuration: ConfigurationArrays, u):
+    f_ext = external_force(model, configuration)
+    problem = EquilibriumProblem(model, configuration, f_ext, NewtonSettings().rtol)
+    return evaluate(model, u), problem
+
+
+class Linearisation(NamedTuple):
+    """The bordered system at an equilibrium.
+
+    Attributes:
+        unknowns: The unknowns at full load.
+        system: The matrix.
+    """
+
+    unknowns: Unknowns
+    system: actuation.System
+
+    def free(self, u, forces):
+        """Forces on the free unknowns, 0 on the others [N]."""
+        gathered = self.unknowns.gather(u, forces)
+        return jnp.where(self.unknowns.fixed(), 0.0, gathered)
+
+
+def linearise(
+    model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
+) -> Linearisation:
+    """Tangent and actuator rows at an equilibrium displacement."""
+    one = jnp.ones((), u.dtype)
+    at, problem = _at(model, configuration, u)
+    lambda_a = jnp.zeros_like(at.delta_a)
+    if problem.has_multipliers:
+        lambda_a = problem.estimated_forces(at, one)
+    g, rows = problem.unbalanced(at, lambda_a, one)
+    full = actuation.add_curvature(
+        model, tangent_values(model, u), u, problem.all_forces(lambda_a, one)
+    )
+    unknowns = problem.unknowns(one)
+    reduced = unknowns.reduce(u, full, g)
+    masked, _ = mask_supports(model.solver.sparsity, reduced, unknowns.fixed())
+    H_a = problem.rows_on_unknowns(u, one, rows)
+    system = actuation.System(masked, H_a, problem.taut(at, one))
+    return Linearisation(unknowns, system)
 
 
 def factor_solve(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_nodes 3"],
-    rhs: Float[Array, "n_rhs n_nodes 3"],
+    u: Float[Array, "n_points 3"],
+    rhs: Float[Array, "n_rhs n_points 3"],
     *,
     transpose: bool = False,
 ) -> LinearSolution:
-    """Solve K(u) dx = rhs on the free nodes, one factorization for all rows.
+    """Solve K(u) dx = rhs on the free unknowns, one factorization for all rows.
+
+    Where displacements of actuators are imposed, they stay: the inverse is that of the
+    bordered system, W_ep - W_ea W_aa^-1 W_ap in place of W_ep.
 
     Args:
-        model: The body.
+        model: The model.
         configuration: Its supports decide which rows are held.
-        u: Displacement where K is taken [m].
+        u: Equilibrium displacement, where K is taken [m].
         rhs: Right-hand sides; entries on held nodes are ignored [N].
         transpose: Solve with K^T, which is K only for a conservative model.
 
     Returns:
-        The solutions, zero on held nodes [m].
+        Displacements of all nodes, zero on held ones [m].
     """
-    sparsity = model.solver.sparsity
-    fixed = configuration.fixed.ravel()
-    values = tangent_values(model, u)
-    masked, _ = mask_supports(sparsity, values, fixed)
-    flat = jnp.where(fixed, 0.0, rhs.reshape(rhs.shape[0], -1))
-    solved = model.solver.factor_solve(masked, flat, transpose=transpose)
-    return solved._replace(x=solved.x.reshape(rhs.shape))
+    lin = linearise(model, configuration, u)
+    forces = jax.vmap(lambda f: lin.free(u, f))(rhs)
+    gap = jnp.zeros((rhs.shape[0], model.mechanism.n_actuators))
+    solved = lin.system.solve(model, forces, gap, transpose=transpose)
+    x = jax.vmap(lambda d: lin.unknowns.scatter(u, d))(solved.x)
+    return LinearSolution(x, solved.n_negative, solved.ok)
 
 
 def _lane(settings: NewtonSettings):
@@ -109,15 +182,27 @@ def as_solution(state: NewtonState) -> EquilibriumSolution:
     carried = state.done & (state.load_ok >= 1.0)
     return EquilibriumSolution(
         # Where there is no equilibrium, no displacement may pass for one.
-        jnp.where(carried, state.u, jnp.nan),
+        jnp.where(carried, state.at.u, jnp.nan),
+        jnp.where(carried, state.lambda_a, jnp.nan),
         state.result,
         state.step,
         state.load_steps,
         state.load_ok,
         state.residual,
-        state.min_det_F,
+        state.at.min_det_F,
         state.n_negative,
     )
+
+
+def _held_at(model, configuration, u):
+    """Where held nodes are at full load, as a function of what holds them [m]."""
+    return Unknowns(model, configuration, jnp.ones((), u.dtype)).held_at(u)
+
+
+def _gap(model, configuration, u):
+    """How far imposed displacements of actuators are from what they should be."""
+    value = jnp.asarray(configuration.actuation.value)
+    return value - actuation.displacements(model, u)
 
 
 @eqx.filter_custom_jvp
@@ -127,41 +212,57 @@ def _equilibrium(model, configuration, u0, *, settings):
 
 @_equilibrium.def_jvp
 def _equilibrium_jvp(primals, tangents, *, settings):
-    """Implicit derivative K du = -(dR/dp) dp - K_held du_held; Eqs. (7) to (9)."""
+    """Implicit derivative of the bordered system; Eqs. (7) to (9).
+
+    K du - H_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held.
+    """
     model, configuration, u0 = primals
     t_model, t_configuration, _ = tangents
     solution = _equilibrium(model, configuration, u0, settings=settings)
-    u = solution.displacement
-    fixed = configuration.fixed
-    t_imposed = t_configuration.imposed
-    du_held = (
-        jnp.zeros_like(u) if t_imposed is None else jnp.where(fixed, t_imposed, 0.0)
-    )
+    u, lambda_a = solution.displacement, solution.multipliers
+    inputs, t_inputs = (model, configuration), (t_model, t_configuration)
+    held = lambda model, configuration: _held_at(model, configuration, u)
+    _, du_held = eqx.filter_jvp(held, inputs, t_inputs)
     _, dR = eqx.filter_jvp(
-        residual, (model, configuration, u), (t_model, t_configuration, du_held)
+        lambda *inputs: residual(*inputs, lambda_a),
+        (*inputs, u),
+        (*t_inputs, du_held),
     )
-    sparsity = model.solver.sparsity
-    values = tangent_values(model, u)
-    masked, _ = mask_supports(sparsity, values, fixed.ravel())
+    _, dgap = eqx.filter_jvp(_gap, (*inputs, u), (*t_inputs, du_held))
+    lin = linearise(model, configuration, u)
+    sparsity, n_dof = model.solver.sparsity, model.n_dof
+    values, H_a, active = lin.system
+
+    def matvec(v):
+        x, lam = v[:n_dof], jnp.where(active, v[n_dof:], 0.0)
+        force = product(sparsity, values, x) - jnp.sum(lam[:, None] * H_a, axis=0)
+        gap = jnp.where(active, -jnp.sum(H_a * x, axis=1), v[n_dof:])
+        return jnp.concatenate([force, gap])
 
     def solve(_, b, transpose=False):
-        solved = model.solver.factor_solve(masked, b[None], transpose=transpose)
+        gap = jnp.where(active, -b[n_dof:], 0.0)[None]
+        solved = lin.system.solve(model, b[None, :n_dof], gap, transpose=transpose)
+        lam = jnp.where(active, solved.lambda_a[0], b[n_dof:])
         # A derivative that does not exist must not pass for zero.
-        return jnp.where(solved.ok, solved.x[0], jnp.nan)
+        return jnp.where(solved.ok, jnp.concatenate([solved.x[0], lam]), jnp.nan)
 
-    du = jax.lax.custom_linear_solve(
-        lambda v: product(sparsity, masked, v),
-        jnp.where(fixed, 0.0, -dR).ravel(),
+    d = jax.lax.custom_linear_solve(
+        matvec,
+        jnp.concatenate([-lin.free(u, dR), jnp.where(active, -dgap, 0.0)]),
         solve,
         transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
     )
-    none = jax.tree.map(lambda _: None, solution)
-    du = jnp.where(fixed, du_held, du.reshape(u.shape))
+    du = du_held + lin.unknowns.scatter(u, d[:n_dof])
     # Where there is no equilibrium there is no derivative of it.
     du = jnp.where(solution.converged, du, jnp.nan)
+    d_lambda = jnp.where(solution.converged, d[n_dof:], jnp.nan)
+    none = jax.tree.map(lambda _: None, solution)
     return solution, eqx.tree_at(
-        lambda s: s.displacement, none, du, is_leaf=lambda leaf: leaf is None
+        lambda s: (s.displacement, s.multipliers),
+        none,
+        (du, d_lambda),
+        is_leaf=lambda leaf: leaf is None,
     )
 
 
@@ -169,7 +270,7 @@ def solve_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
     *,
-    guess: Float[Array, "n_nodes 3"] | None = None,
+    guess: Float[Array, "n_points 3"] | None = None,
     settings: NewtonSettings | None = None,
 ) -> EquilibriumSolution:
     """Static equilibrium of one configuration; traceable, differentiable, for `vmap`.
@@ -188,7 +289,7 @@ def solve_equilibrium(
         The solution with its outcome; nothing is raised here, since a batch may hold
         lanes that fail. `check_converged` raises.
     """
-    u0 = jnp.zeros(model.mesh.points.shape) if guess is None else guess
+    u0 = jnp.zeros((model.n_points, 3)) if guess is None else guess
     return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())
 
 
@@ -205,7 +306,7 @@ def marker_positions(
     Returns:
         Positions in the frame of the mesh; nan where there is no equilibrium.
     """
-    x = jnp.asarray(model.mesh.points) + solution.displacement
+    x = jnp.asarray(model.mechanism.points) + solution.displacement
     return configuration.effectors.positions(x)
 
 

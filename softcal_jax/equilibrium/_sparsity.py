@@ -5,6 +5,8 @@ into those of the identity, so configurations that are held at different places 
 one symbolic analysis and one compiled program.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 
@@ -46,6 +48,20 @@ class Sparsity(eqx.Module):
         """Stored entries."""
         return self.indices.shape[0]
 
+    def positions(
+        self, rows: Int[HostArray, "..."], columns: Int[HostArray, "..."]
+    ) -> Int[HostArray, "..."]:
+        """Where entries stand; on the other side of the diagonal, if kept only there.
+
+        Args:
+            rows: Their rows.
+            columns: Their columns; every entry is in the pattern.
+        """
+        keys = self.rows.astype(np.int64) * self.n_dof + self.indices
+        row, column = _upward(self.symmetric, np.asarray(rows), np.asarray(columns))
+        found = np.searchsorted(keys, row.astype(np.int64) * self.n_dof + column)
+        return found.astype(np.int32)
+
 
 def element_entries(n_en: int, symmetric: bool) -> tuple[HostArray, HostArray]:
     """Local rows and columns of an element matrix: its upper triangle, or all."""
@@ -61,43 +77,72 @@ def _upward(symmetric: bool, row, col):
 
 
 def build_sparsity(
-    tets: Int[HostArray, "n_tets n_en"], n_nodes: int, *, symmetric: bool = True
-) -> tuple[Sparsity, Int[HostArray, "n_entries n_tets"]]:
-    """Pattern of the tangent, and where each element entry goes in it.
+    cliques: Sequence[Int[HostArray, "n m"]], n_nodes: int, *, symmetric: bool = True
+) -> Sparsity:
+    """Pattern of a matrix that couples the nodes of each clique, tets before all.
 
     Args:
-        tets: Nodes of each tet.
-        n_nodes: Nodes of the mesh.
-        symmetric: Whether the tangent is, so that the upper triangle is enough.
+        cliques: Sets of nodes that are coupled; arrays of sets of equal size.
+        n_nodes: Nodes, three unknowns each.
+        symmetric: Whether the matrix is, so that the upper triangle is enough.
 
     Returns:
-        The pattern, and for each tet the position of each entry of its element matrix,
-        in the order of `element_entries`.
+        The pattern.
     """
-    n_tets, n_en = tets.shape
-    dof = (3 * tets[:, :, None] + np.arange(3)).reshape(n_tets, 3 * n_en)
-    p, q = element_entries(n_en, symmetric)
-    n_dof = 3 * n_nodes
     # Node pairs first: nine times fewer keys to sort than pairs of unknowns.
-    a, b = np.triu_indices(n_en) if symmetric else np.indices((n_en, n_en))
-    low, high = _upward(symmetric, tets[:, a], tets[:, b])
-    pairs = np.unique(low.astype(np.int64) * n_nodes + high)
+    own = np.arange(n_nodes, dtype=np.int64)
+    found = [own * n_nodes + own]
+    for nodes in cliques:
+        m = nodes.shape[1]
+        a, b = np.triu_indices(m) if symmetric else np.indices((m, m))
+        low, high = _upward(symmetric, nodes[:, a], nodes[:, b])
+        found.append(np.unique(low.astype(np.int64) * n_nodes + high))
+    pairs = np.unique(np.concatenate(found))
     row_node, col_node = pairs // n_nodes, pairs % n_nodes
     i, j = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
-    row = (3 * row_node[:, None] + i).ravel()
-    col = (3 * col_node[:, None] + j).ravel()
-    keys = row * n_dof + col
-    keys = np.sort(keys[row <= col] if symmetric else keys)
+    rows = (3 * row_node[:, None] + i).ravel()
+    columns = (3 * col_node[:, None] + j).ravel()
+    return from_entries(rows, columns, 3 * n_nodes, symmetric=symmetric)
+
+
+def from_entries(
+    rows: Int[HostArray, " n"],
+    columns: Int[HostArray, " n"],
+    n_dof: int,
+    *,
+    symmetric: bool,
+) -> Sparsity:
+    """Pattern from its entries, in any order and as often as they come.
+
+    Args:
+        rows: Their rows.
+        columns: Their columns.
+        n_dof: Rows of the matrix; each has an entry on the diagonal.
+        symmetric: Whether entries below the diagonal are left out.
+    """
+    keys = rows.astype(np.int64) * n_dof + columns
+    keys = np.unique(keys[rows <= columns] if symmetric else keys)
     rows, indices = keys // n_dof, keys % n_dof
-    indptr = np.searchsorted(rows, np.arange(n_dof + 1))
-    r, c = _upward(symmetric, dof[:, p], dof[:, q])
-    destination = np.searchsorted(keys, (r.astype(np.int64) * n_dof + c).T)
-    sparsity = Sparsity(
-        indptr.astype(np.int32),
+    return Sparsity(
+        np.searchsorted(rows, np.arange(n_dof + 1)).astype(np.int32),
         indices.astype(np.int32),
         rows.astype(np.int32),
         np.searchsorted(keys, np.arange(n_dof) * (n_dof + 1)).astype(np.int32),
         # Sorted by column, the entries stand in the order of the transpose.
         None if symmetric else np.lexsort((rows, indices)).astype(np.int32),
     )
-    return sparsity, destination.astype(np.int32)
+
+
+def destinations(
+    sparsity: Sparsity, nodes: Int[HostArray, "n m"]
+) -> Int[HostArray, "n_entries n"]:
+    """Where the entries of each clique's matrix go, in the order of `element_entries`.
+
+    Args:
+        sparsity: A pattern that holds the cliques.
+        nodes: Their nodes.
+    """
+    n, m = nodes.shape
+    dof = (3 * nodes[:, :, None] + np.arange(3)).reshape(n, 3 * m)
+    p, q = element_entries(m, sparsity.symmetric)
+    return sparsity.positions(dof[:, p].T, dof[:, q].T)

@@ -208,7 +208,7 @@ def _markers(
 ) -> list[dict[str, Any]]:
     if configuration.markers is None:
         return []
-    arrays = configuration_arrays(model.mesh, [configuration])
+    arrays = configuration_arrays(model.mesh, [configuration], model.mechanism)
     effectors = jax.tree.map(lambda leaf: leaf[0], arrays.effectors)
     simulated = np.asarray(effectors.positions(jnp.asarray(model.mesh.points + u)))
     return [

@@ -113,7 +113,7 @@ def survey(
     if not configurations:
         return Survey(space, z, ())
     posed = [_as_if_measured(c) for c in configurations]
-    arrays = configuration_arrays(model.mesh, posed)
+    arrays = configuration_arrays(model.mesh, posed, model.mechanism)
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     solution, compliance = _solve(problem, z)
     names = tuple(c.name for c in configurations)

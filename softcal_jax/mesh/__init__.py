@@ -8,6 +8,7 @@ from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._generators import beam
 from softcal_jax.mesh._location import MaterialPoints, locate
 from softcal_jax.mesh._meshio import MeshWarning
+from softcal_jax.mesh._nodes import node_indices
 from softcal_jax.mesh._order import to_linear, to_quadratic
 from softcal_jax.mesh._quality import QualityReport, Spread, quality_report
 from softcal_jax.mesh._reading import read_mesh
@@ -28,6 +29,7 @@ __all__ = [
     "boundary_faces",
     "check_mesh",
     "locate",
+    "node_indices",
     "quality_report",
     "read_mesh",
     "select_faces",

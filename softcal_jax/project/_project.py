@@ -221,7 +221,9 @@ class Project(eqx.Module):
                 f"{self.path}: configurations: there is none to simulate; add "
                 "[[configurations]]."
             )
-        lanes = configuration_arrays(self.model.mesh, self.configurations)
+        lanes = configuration_arrays(
+            self.model.mesh, self.configurations, self.model.mechanism
+        )
         return _simulate(self.model, lanes, self.newton)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from softcal_jax._typing import HostArray, Int
-from softcal_jax.mesh import TetMesh
+from softcal_jax.mesh._tet_mesh import TetMesh
 
 
 def node_indices(

@@ -1,0 +1,191 @@
+"""Rigid bodies as arrays; their nodes follow four frame nodes each."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._names import suggestion
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.bodies._body import RigidBody
+from softcal_jax.mesh import TetMesh, node_indices
+
+
+class BodyArrays(eqx.Module):
+    """The rigid bodies of a model.
+
+    Each body adds four nodes to those of the mesh: the origin of its frame and the ends
+    of its axes, `length` away. Whatever is fixed on the body is an affine combination
+    of them, so that markers, cables and weights need not know of bodies.
+
+    Attributes:
+        attached: Nodes of the mesh that belong to a body.
+        body: The body of each.
+        weights: Their weights on the four frame nodes [-].
+        origin: Origin of each frame at rest [m].
+        axes: Axes of each frame at rest, by rows [-].
+        owner: The body whose six unknowns move each body: itself, unless it is tied.
+        mounting_translation: Translation of the mounting [m].
+        mounting_rotation: Its rotation vector [rad].
+        mass: Mass beside that of the tets [kg].
+        mass_weights: Weights of its centre on the frame nodes [-].
+        length: Length of the axes in the mesh [m].
+        names: Names of the bodies.
+    """
+
+    attached: Int[HostArray, " n_attached"]
+    body: Int[HostArray, " n_attached"]
+    weights: Float[HostArray, "n_attached 4"]
+    origin: Float[HostArray, "n_b 3"]
+    axes: Float[HostArray, "n_b 3 3"]
+    owner: Int[HostArray, " n_b"]
+    mounting_translation: Float[Array, "n_b 3"]
+    mounting_rotation: Float[Array, "n_b 3"]
+    mass: Float[Array, " n_b"]
+    mass_weights: Float[HostArray, "n_b 4"]
+    length: float = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def n_bodies(self) -> int:
+        """Number of bodies."""
+        return len(self.names)
+
+    @property
+    def frame_points(self) -> Float[HostArray, "n_frame_nodes 3"]:
+        """The frame nodes at rest: origin and ends of the axes of each body [m]."""
+        ends = self.origin[:, None] + self.length * self.axes
+        return np.concatenate([self.origin[:, None], ends], axis=1).reshape(-1, 3)
+
+    def at(self, body: int, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 4"]:
+        """Weights on the frame nodes of a body for points fixed on it [-].
+
+        Args:
+            body: Its number.
+            points: Where they are at rest [m].
+        """
+        return _affine(self.origin[body], self.axes[body], self.length, points)
+
+
+def _affine(origin, axes, length, points):
+    local = (np.asarray(points) - origin) @ axes.T / length
+    return np.concatenate([1.0 - local.sum(axis=1, keepdims=True), local], axis=1)
+
+
+def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
+    """Stack the rigid bodies of a mesh.
+
+    Args:
+        mesh: The mesh at rest.
+        bodies: Its bodies; there may be none.
+
+    Returns:
+        The arrays.
+
+    Raises:
+        ValueError: If a name is used twice, a group is unknown, a node belongs to two
+            bodies, a body has fewer than three nodes in general position, or is tied
+            to one that is unknown or tied itself.
+    """
+    names = tuple(body.name for body in bodies)
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"rigid body {name!r} is named more than once.")
+    nodes = [_nodes(mesh, body) for body in bodies]
+    _check_disjoint(mesh, names, nodes)
+    origins = [
+        mesh.points[n].mean(axis=0) if b.origin is None else b.origin
+        for b, n in zip(bodies, nodes, strict=True)
+    ]
+    axes = [np.eye(3) if b.axes is None else b.axes for b in bodies]
+    length = float(mesh.size)
+    stacked = lambda rows, *shape: np.array(rows, float).reshape(len(bodies), *shape)
+    weights = [
+        _affine(o, a, length, mesh.points[n])
+        for o, a, n in zip(origins, axes, nodes, strict=True)
+    ]
+    centres = [
+        _affine(
+            o, a, length, (o if b.centre_of_mass is None else b.centre_of_mass)[None]
+        )
+        for b, o, a in zip(bodies, origins, axes, strict=True)
+    ]
+    counts = [len(n) for n in nodes]
+    return BodyArrays(
+        np.concatenate([np.zeros(0, int), *nodes]).astype(np.int32),
+        np.repeat(np.arange(len(bodies)), counts).astype(np.int32),
+        np.concatenate([np.zeros((0, 4)), *weights]),
+        stacked(origins, 3),
+        stacked(axes, 3, 3),
+        _owners(bodies, names),
+        jnp.asarray(stacked([b.mounting.translation for b in bodies], 3)),
+        jnp.asarray(stacked([b.mounting.rotation_vector for b in bodies], 3)),
+        jnp.asarray(stacked([b.mass for b in bodies])),
+        stacked(centres, 4),
+        length,
+        names,
+    )
+
+
+def _nodes(mesh: TetMesh, body: RigidBody) -> HostArray:
+    what = f"rigid body {body.name!r}"
+    found = np.unique(
+        np.concatenate([node_indices(mesh, where, what) for where in body.where])
+    )
+    x = mesh.points[found] - mesh.points[found].mean(axis=0)
+    spread = np.linalg.svd(x, compute_uv=False) if len(found) > 2 else np.zeros(3)
+    if len(found) < 3 or spread[1] < 1e-6 * mesh.size:
+        raise ValueError(
+            f"{what} holds {len(found)} nodes on a line or a point: it needs three "
+            "that span a plane. For a hinge or a clamp along an edge, use a Support."
+        )
+    return found
+
+
+def _check_disjoint(mesh: TetMesh, names, nodes) -> None:
+    first = np.full(mesh.n_nodes, -1)
+    for k, own in enumerate(nodes):
+        shared = own[first[own] >= 0]
+        if shared.size:
+            raise ValueError(
+                f"rigid bodies {names[first[shared[0]]]!r} and {names[k]!r} share "
+                f"{shared.size} nodes, such as node {shared[0]} at "
+                f"{mesh.points[shared[0]].tolist()} m: make them one body, or tie one "
+                "to the other with disjoint groups."
+            )
+        first[own] = k
+
+
+def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
+    owner = np.arange(len(bodies), dtype=np.int32)
+    for k, body in enumerate(bodies):
+        if body.tied_to is None:
+            continue
+        if body.tied_to not in names:
+            raise ValueError(
+                f"rigid body {body.name!r} is tied to {body.tied_to!r}, which is not a "
+                f"body.{suggestion(body.tied_to, names)} Bodies: {', '.join(names)}."
+            )
+        owner[k] = names.index(body.tied_to)
+        root = bodies[owner[k]]
+        if root.tied_to is not None:
+            raise ValueError(
+                f"rigid body {body.name!r} is tied to {root.name!r}, which is tied to "
+                f"{root.tied_to!r} itself: tie both to {root.tied_to!r}."
+            )
+    return owner
+
+
+class BodyStateArrays(eqx.Module):
+    """What a configuration does with the bodies.
+
+    Attributes:
+        kind: Index in `KINDS` for each body.
+        translation: Where held and hinged ones are, beyond their mounting [m].
+        rotation: Rotation vector of held ones, likewise [rad].
+    """
+
+    kind: Int[Array | HostArray, "*batch n_b"]
+    translation: Float[Array | HostArray, "*batch n_b 3"]
+    rotation: Float[Array | HostArray, "*batch n_b 3"]

@@ -1,0 +1,133 @@
+"""Descriptions of rigid bodies: which nodes they hold, and what they hang on."""
+
+from collections.abc import Iterable
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.bodies._pose import Pose
+
+
+def _as_groups(where) -> tuple:
+    if isinstance(where, str):
+        return (where,)
+    array = np.asarray(where) if not isinstance(where, Iterable) else where
+    if isinstance(array, np.ndarray):
+        return (array,)
+    return tuple(array)
+
+
+def _as_point(value: Float[ArrayLike, "3"] | None) -> Float[HostArray, "3"] | None:
+    return None if value is None else np.asarray(value, float)
+
+
+class RigidBody(eqx.Module):
+    """Nodes of the mesh that move as one: a plate, a motor arm, the end of a branch.
+
+    The coupling is exact: the nodes have no unknowns of their own, the body has six. A
+    tet whose nodes all belong to one body is not deformed; its weight stays.
+
+    The body has a frame. A configuration says whether it is free, held, or turns about
+    the third axis of that frame (`BodyState`; a `Motor` turns it, too).
+
+    Attributes:
+        name: Name of the body.
+        where: Its nodes: name of a node or surface group, several names, or indices.
+        origin: Origin of its frame on the mesh at rest; by default the mean of its
+            nodes. A hinge goes through it [m].
+        axes: Axes of the frame at rest, by rows; by default those of the mesh [-].
+        mounting: How the body is brought from where the mesh has it to where it is
+            mounted, like a flat sheet that is bent onto its motors; relative to the
+            other body where it is tied to one.
+        tied_to: Another body, not tied itself, that this one is fixed on.
+        mass: Mass beside that of its tets [kg].
+        centre_of_mass: Where that mass is, on the mesh at rest; by default the origin
+            of the frame [m].
+    """
+
+    name: str
+    where: tuple[str | Int[HostArray, " n"], ...] = eqx.field(converter=_as_groups)
+    origin: Float[HostArray, "3"] | None = eqx.field(converter=_as_point, default=None)
+    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_as_point, default=None)
+    mounting: Pose = eqx.field(default_factory=Pose)
+    tied_to: str | None = None
+    mass: float = 0.0
+    centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
+        converter=_as_point, default=None
+    )
+
+    def __check_init__(self):
+        for name in ("origin", "centre_of_mass"):
+            value = getattr(self, name)
+            if value is not None and (
+                value.shape != (3,) or not np.all(np.isfinite(value))
+            ):
+                raise ValueError(
+                    f"{name} of rigid body {self.name!r} must be three finite numbers "
+                    f"[m], got {value}."
+                )
+        if not 0.0 <= self.mass < np.inf:
+            raise ValueError(
+                f"mass of rigid body {self.name!r} must be finite and not negative "
+                f"[kg], got {self.mass:g}."
+            )
+        if self.axes is not None and (
+            self.axes.shape != (3, 3)
+            or not np.allclose(self.axes @ self.axes.T, np.eye(3), atol=1e-6)
+            or np.linalg.det(self.axes) < 0.0
+        ):
+            raise ValueError(
+                f"axes of rigid body {self.name!r} must be three orthogonal unit "
+                f"vectors by rows, right-handed, got {self.axes.tolist()}; "
+                "`hinge_axes` makes them from the axis of a hinge."
+            )
+        if self.tied_to == self.name:
+            raise ValueError(f"rigid body {self.name!r} is tied to itself.")
+
+
+def hinge_axes(axis: Float[ArrayLike, "3"]) -> Float[HostArray, "3 3"]:
+    """Axes of a frame whose third one is the axis of a hinge, by rows [-].
+
+    Args:
+        axis: Direction of the hinge, of any length.
+
+    Raises:
+        ValueError: If the axis has no direction.
+    """
+    third = np.asarray(axis, float)
+    length = np.linalg.norm(third)
+    if third.shape != (3,) or not np.isfinite(length) or length == 0.0:
+        raise ValueError(
+            f"the axis of a hinge must be three finite numbers, not all zero, got "
+            f"{axis!r}."
+        )
+    third = third / length
+    # The coordinate axis that is farthest from it gives a well-defined first axis.
+    first = np.eye(3)[np.argmin(np.abs(third))]
+    first = first - third * (third @ first)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(third, first), third])
+
+
+class BodyState(eqx.Module):
+    """What a configuration does with a rigid body.
+
+    Attributes:
+        kind: "free", "held" or "hinged" (only turning about its third axis).
+        pose: Where it is held, beyond its mounting.
+    """
+
+    kind: str
+    pose: Pose = eqx.field(default_factory=Pose)
+
+    def __check_init__(self):
+        if self.kind not in KINDS:
+            raise ValueError(
+                f"a rigid body is {', '.join(map(repr, KINDS))}, got {self.kind!r}."
+            )
+
+
+KINDS = ("free", "hinged", "held")
+"""What a body may do, in the order of `BodyStateArrays.kind`."""

@@ -1,0 +1,144 @@
+"""Where rigid bodies are, and how they and what hangs on them move.
+
+A step of a body is a twist: three displacements of the origin of its frame and three
+angles, along its mounted axes. Angles are counted in metres at the ends of the frame's
+axes (times `BodyArrays.length`), so that all unknowns have one unit.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
+from softcal_jax.bodies._body import KINDS
+from softcal_jax.bodies._rotations import rotation_matrix
+
+
+class Frames(NamedTuple):
+    """Where the frames of the bodies are.
+
+    Attributes:
+        origin: Their origins [m].
+        rotation: Their rotations from rest [-].
+    """
+
+    origin: Float[Array, "n_b 3"]
+    rotation: Float[Array, "n_b 3 3"]
+
+
+def frames_at(bodies: BodyArrays, ends: Float[Array, "n_frame_nodes 3"]) -> Frames:
+    """Frames from the positions of the frame nodes.
+
+    Args:
+        bodies: The bodies.
+        ends: Positions of origin and axis ends, four of each body [m].
+
+    Returns:
+        The frames; axes that a linear prediction has distorted are made orthogonal.
+    """
+    ends = ends.reshape(bodies.n_bodies, 4, 3)
+    now = (ends[:, 1:] - ends[:, :1]) / bodies.length
+    first = now[:, 0] / jnp.linalg.norm(now[:, 0], axis=1, keepdims=True)
+    second = now[:, 1] - first * jnp.sum(first * now[:, 1], axis=1, keepdims=True)
+    second = second / jnp.linalg.norm(second, axis=1, keepdims=True)
+    orthogonal = jnp.stack([first, second, jnp.cross(first, second)], axis=1)
+    rotation = jnp.sum(orthogonal[:, :, :, None] * bodies.axes[:, :, None, :], axis=1)
+    return Frames(ends[:, 0], rotation)
+
+
+def frame_nodes(bodies: BodyArrays, frames: Frames) -> Float[Array, "n_b 4 3"]:
+    """Positions of the frame nodes [m]."""
+    axes = _apply(frames.rotation[:, None], bodies.axes)
+    ends = frames.origin[:, None] + bodies.length * axes
+    return jnp.concatenate([frames.origin[:, None], ends], axis=1)
+
+
+def _apply(R: Float[Array, "... 3 3"], v: Float[Array, "... 3"]):
+    """R v, for stacks of both."""
+    return jnp.sum(R * v[..., None, :], axis=-1)
+
+
+def mounted_axes(bodies: BodyArrays, load: Float[Array, ""]) -> Float[Array, "n_b 3 3"]:
+    """Axes of the frames after a share of the mounting, by rows [-]."""
+    R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
+    return _apply(R[:, None], bodies.axes)
+
+
+def place(
+    bodies: BodyArrays,
+    state: BodyStateArrays,
+    load: Float[Array, ""],
+    frames: Frames,
+    twist: Float[Array, "n_b 6"],
+) -> Frames:
+    """Frames after a twist of the free ones, with all others where they have to be.
+
+    Args:
+        bodies: The bodies.
+        state: What the configuration does with them.
+        load: Share of mountings and imposed poses that is applied [-].
+        frames: Frames before the twist.
+        twist: Twist of each body along its mounted axes, angles in metres [m].
+
+    Returns:
+        The frames.
+    """
+    axes = mounted_axes(bodies, load)
+    along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
+    turn = jax.vmap(rotation_matrix)
+    mounting = turn(load * bodies.mounting_rotation)
+    home = bodies.origin + load * (bodies.mounting_translation + state.translation)
+    free = Frames(
+        frames.origin + along(twist[:, :3]),
+        _product(turn(along(twist[:, 3:]) / bodies.length), frames.rotation),
+    )
+    angle = _hinge_angle(_product(frames.rotation, _transposed(mounting)), axes)
+    angle = angle + twist[:, 5] / bodies.length
+    hinged = Frames(home, _product(turn(angle[:, None] * axes[:, 2]), mounting))
+    held = Frames(home, _product(turn(load * state.rotation), mounting))
+    kind = state.kind[:, None]
+    pick = lambda a, b, c: jnp.where(
+        kind == KINDS.index("free"), a, jnp.where(kind == KINDS.index("hinged"), b, c)
+    )
+    origin = pick(free.origin, hinged.origin, held.origin)
+    kind = kind[:, :, None]
+    rotation = pick(free.rotation, hinged.rotation, held.rotation)
+    # A tied body has the motion of its owner after its own mounting.
+    owner = bodies.owner
+    tied = (owner != jnp.arange(bodies.n_bodies))[:, None]
+    arm = bodies.origin + load * bodies.mounting_translation - bodies.origin[owner]
+    on_owner = Frames(
+        origin[owner] + _apply(rotation[owner], arm),
+        _product(rotation[owner], mounting),
+    )
+    return Frames(
+        jnp.where(tied, on_owner.origin, origin),
+        jnp.where(tied[:, :, None], on_owner.rotation, rotation),
+    )
+
+
+def _product(A: Float[Array, "n_b 3 3"], B: Float[Array, "n_b 3 3"]):
+    return jnp.sum(A[:, :, :, None] * B[:, None], axis=2)
+
+
+def _transposed(A: Float[Array, "n_b 3 3"]):
+    return jnp.swapaxes(A, 1, 2)
+
+
+def _hinge_angle(R: Float[Array, "n_b 3 3"], axes: Float[Array, "n_b 3 3"]):
+    """Angle by which each rotation turns about the third axis [rad]."""
+    first = _apply(R, axes[:, 0])
+    return jnp.arctan2(
+        jnp.sum(first * axes[:, 1], axis=1), jnp.sum(first * axes[:, 0], axis=1)
+    )
+
+
+def blocked(state: BodyStateArrays, bodies: BodyArrays):
+    """Which entries of the twists are no unknowns."""
+    kind = state.kind[:, None]
+    hinge = jnp.arange(6)[None] == 5
+    free = (kind == KINDS.index("free")) | ((kind == KINDS.index("hinged")) & hinge)
+    tied = (bodies.owner != jnp.arange(bodies.n_bodies))[:, None]
+    return ~free | tied

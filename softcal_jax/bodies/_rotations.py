@@ -1,0 +1,74 @@
+"""Rotations: from a rotation vector to a matrix and back, safe to differentiate."""
+
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float
+
+# Below this squared angle the series are exact to rounding [rad2].
+_SMALL = 1e-4
+
+
+def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """The matrix that takes a vector v to w x v, hat(w)."""
+    zero = jnp.zeros_like(w[0])
+    return jnp.stack(
+        [
+            jnp.stack([zero, -w[2], w[1]]),
+            jnp.stack([w[2], zero, -w[0]]),
+            jnp.stack([-w[1], w[0], zero]),
+        ]
+    )
+
+
+def rotation_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Rotation about w by its length: the exponential of hat(w), Rodrigues' formula.
+
+    Args:
+        w: Rotation vector [rad].
+    """
+    square = jnp.sum(w * w)
+    small = square < _SMALL
+    # The branch that is not taken must not divide by zero either.
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    sine = jnp.where(
+        small,
+        1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)),
+        jnp.sin(angle) / angle,
+    )
+    versine = jnp.where(
+        small,
+        0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
+        (1.0 - jnp.cos(angle)) / angle**2,
+    )
+    W = cross_matrix(w)
+    return jnp.eye(3) + sine * W + versine * (W @ W)
+
+
+def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """Rotation vector of a rotation matrix, of length 0 to pi [rad].
+
+    Through the unit quaternion, whose largest component is found first (Shepperd,
+    J. Guidance Control 1, 1978): accurate at all angles, half a turn included.
+    """
+    trace = jnp.trace(R)
+    four = 1.0 + jnp.concatenate([trace[None], 2.0 * jnp.diag(R) - trace])
+    off = jnp.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    both = R + R.T
+    rows = jnp.stack(
+        [
+            jnp.stack([four[0], off[0], off[1], off[2]]),
+            jnp.stack([off[0], four[1], both[0, 1], both[0, 2]]),
+            jnp.stack([off[1], both[0, 1], four[2], both[1, 2]]),
+            jnp.stack([off[2], both[0, 2], both[1, 2], four[3]]),
+        ]
+    )
+    largest = jnp.argmax(four)
+    q = rows[largest] / (2.0 * jnp.sqrt(four[largest]))
+    q = jnp.where(q[0] < 0.0, -q, q)
+    square = jnp.sum(q[1:] ** 2)
+    small = square < _SMALL
+    sine = jnp.sqrt(jnp.where(small, 1.0, square))
+    # 2 arcsin(s) / s, with s the sine of half the angle.
+    series = 2.0 + square / 3.0 * (1.0 + square * 9.0 / 20.0 * (1.0 + square * 25 / 42))
+    factor = jnp.where(small, series, 2.0 * jnp.arctan2(sine, q[0]) / sine)
+    return factor * q[1:]

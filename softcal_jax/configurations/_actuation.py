@@ -1,0 +1,134 @@
+"""What a configuration asks of actuators and rigid bodies."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._names import unknown_name
+from softcal_jax.bodies import KINDS, BodyState, BodyStateArrays, Pose
+from softcal_jax.configurations._arrays import ActuationArrays
+from softcal_jax.configurations._mechanism import Mechanism
+
+
+class ImposedForce(eqx.Module):
+    """The force lambda_a of an actuator is given; its displacement follows.
+
+    Attributes:
+        value: Tension of a cable [N], pressure of a chamber [Pa], torque of a motor
+            [N m], force of a force actuator [N].
+    """
+
+    value: float
+
+
+class ImposedDisplacement(eqx.Module):
+    """The displacement delta_a of an actuator is given; its force is solved for.
+
+    Attributes:
+        value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
+            motor [rad], displacement of a force actuator's point [m].
+    """
+
+    value: float
+
+
+Actuation = Mapping[str, ImposedForce | ImposedDisplacement]
+BodyStates = Mapping[str, BodyState | Pose | str]
+
+
+def actuation_arrays(
+    mechanism: Mechanism, actuation: Actuation, configuration: str
+) -> ActuationArrays:
+    """What is asked of each actuator; of those not named, nothing.
+
+    A cable or chamber that is not named has no force, a motor stays at its zero.
+
+    Args:
+        mechanism: The actuators of the model.
+        actuation: What is asked, by their names.
+        configuration: Name of the configuration, for messages.
+
+    Raises:
+        ValueError: If a name is unknown, a value is not finite, a cable would push, a
+            motor turns by more than half a turn, or a displacement is imposed on what
+            has none.
+    """
+    actuators = mechanism.actuators
+    what = f"configuration {configuration!r}"
+    motor = np.array([body >= 0 for body in actuators.motor_body], bool)
+    by_displacement = motor.copy()
+    value = np.zeros(len(actuators.names))
+    for name, asked in actuation.items():
+        if name not in actuators.names:
+            raise unknown_name(f"actuator of {what}", name, actuators.names)
+        a = actuators.names.index(name)
+        kind = actuators.kinds[a]
+        imposed = isinstance(asked, ImposedDisplacement)
+        unit = kind.displacement_unit if imposed else kind.force_unit
+        if unit is None:
+            raise ValueError(
+                f"{what}: {kind.noun} {name!r} has no displacement that could be "
+                f"imposed; give ImposedForce(...) [{kind.force_unit}]."
+            )
+        if not np.isfinite(asked.value):
+            raise ValueError(
+                f"{what}: {kind.noun} {name!r} needs a finite number [{unit}], got "
+                f"{asked.value}."
+            )
+        if kind.unilateral and not imposed and asked.value < 0.0:
+            raise ValueError(
+                f"{what}: {kind.noun} {name!r} has the force {asked.value:g} {unit}: "
+                "it only pulls, so the force must not be negative."
+            )
+        if motor[a] and imposed and abs(asked.value) > np.pi:
+            raise ValueError(
+                f"{what}: motor {name!r} turns by {asked.value:g} rad, expected -pi to "
+                "pi: angles are in radians (np.deg2rad turns degrees into them)."
+            )
+        by_displacement[a], value[a] = imposed, asked.value
+    return ActuationArrays(by_displacement, value)
+
+
+def body_state_arrays(
+    mechanism: Mechanism, states: BodyStates, configuration: str
+) -> BodyStateArrays:
+    """What the rigid bodies do; those not named are free.
+
+    Args:
+        mechanism: The bodies of the model.
+        states: What they do, by their names; a `Pose` holds the body there, and a
+            text is the `kind` of a `BodyState`.
+        configuration: Name of the configuration, for messages.
+
+    Raises:
+        ValueError: If a name is unknown, or a body is tied to another or has a motor.
+    """
+    bodies = mechanism.bodies
+    what = f"configuration {configuration!r}"
+    kind = np.zeros(bodies.n_bodies, np.int32)
+    translation = np.zeros((bodies.n_bodies, 3))
+    rotation = np.zeros((bodies.n_bodies, 3))
+    for name, given in states.items():
+        if name not in bodies.names:
+            raise unknown_name(f"rigid body of {what}", name, bodies.names)
+        k = bodies.names.index(name)
+        if bodies.owner[k] != k:
+            raise ValueError(
+                f"{what}: rigid body {name!r} is tied to "
+                f"{bodies.names[bodies.owner[k]]!r}, and moves with it; pose that one."
+            )
+        if k in mechanism.actuators.motor_body:
+            motor = mechanism.actuators.names[mechanism.actuators.motor_body.index(k)]
+            raise ValueError(
+                f"{what}: rigid body {name!r} is turned by motor {motor!r}; impose the "
+                "motor's angle or torque in `actuation` instead."
+            )
+        if isinstance(given, Pose):
+            state = BodyState("held", given)
+        else:
+            state = BodyState(given) if isinstance(given, str) else given
+        kind[k] = KINDS.index(state.kind)
+        translation[k] = state.pose.translation
+        rotation[k] = state.pose.rotation_vector
+    return BodyStateArrays(kind, translation, rotation)

@@ -1,0 +1,87 @@
+"""What a robot has beside its soft body: rigid bodies and actuators, as arrays."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.actuators import AbstractActuator, ActuatorArrays, actuator_arrays
+from softcal_jax.bodies import BodyArrays, RigidBody, body_arrays
+from softcal_jax.mesh import TetMesh
+
+
+class Mechanism(eqx.Module):
+    """Rigid bodies and actuators of a model; either may be missing.
+
+    Nodes are numbered through: those of the mesh, then four of each body's frame.
+
+    Attributes:
+        points: All nodes at rest, the frame nodes of the bodies last [m].
+        bodies: The rigid bodies.
+        actuators: The actuators.
+        motor_zero: What each actuator that is a motor adds to its angle: its error of
+            zero [rad]. 0 for all others.
+    """
+
+    points: Float[HostArray, "n_points 3"]
+    bodies: BodyArrays
+    actuators: ActuatorArrays
+    motor_zero: Float[Array, " n_a"]
+
+    @property
+    def n_actuators(self) -> int:
+        """Number of actuators."""
+        return len(self.actuators.names)
+
+
+def build_mechanism(
+    mesh: TetMesh,
+    bodies: Sequence[RigidBody] = (),
+    actuators: Sequence[AbstractActuator] = (),
+) -> Mechanism:
+    """Stack the rigid bodies and actuators of a mesh.
+
+    Args:
+        mesh: The mesh at rest.
+        bodies: Rigid bodies.
+        actuators: Cables, chambers, motors, forces.
+
+    Returns:
+        The mechanism.
+
+    Raises:
+        ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
+            body that is tied to another or has a motor already.
+    """
+    stacked = body_arrays(mesh, bodies)
+    points = np.concatenate([mesh.points, stacked.frame_points])
+    numbers = {name: k for k, name in enumerate(stacked.names)}
+    arrays = actuator_arrays(mesh, points, actuators, numbers)
+    _check_motors(stacked, arrays)
+    zero = jnp.zeros(len(arrays.names))
+    return Mechanism(points, stacked, arrays, zero)
+
+
+def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
+    turned: dict[int, str] = {}
+    for name, body in zip(actuators.names, actuators.motor_body, strict=True):
+        if body < 0:
+            continue
+        if bodies.owner[body] != body:
+            root = bodies.names[bodies.owner[body]]
+            raise ValueError(
+                f"motor {name!r} turns {bodies.names[body]!r}, which is tied to "
+                f"{root!r}: let it turn {root!r}."
+            )
+        if body in turned:
+            raise ValueError(
+                f"motors {turned[body]!r} and {name!r} both turn {bodies.names[body]!r}."
+            )
+        if np.any(np.asarray(bodies.mounting_rotation[body]) != 0.0):
+            raise ValueError(
+                f"motor {name!r} turns {bodies.names[body]!r}, whose mounting turns it "
+                "already: give that rotation to the axes of the body, or to the angle."
+            )
+        turned[body] = name

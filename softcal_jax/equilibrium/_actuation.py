@@ -1,0 +1,178 @@
+"""Actuators in equilibrium: their forces, and what imposes their displacements.
+
+The potential holds -sum_a lambda_a delta_a (Eq. 1 of the paper). Where delta_a is
+imposed, lambda_a is solved for: the bordered system
+
+    [ K  -H_a^T ] [ dx        ]   [ -g                   ]
+    [ H_a   0   ] [ dlambda_a ] = [ delta_a imposed - delta_a ]
+
+by elimination of dx, through the compliance W_aa = H_a K^-1 H_a^T of the same factors.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.actuators import (
+    actuator_displacements,
+    actuator_rows,
+    curvature_entries,
+)
+from softcal_jax.configurations import ActuationArrays
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._sparsity import element_entries
+
+
+def positions(model: Model, u: Float[Array, "n_points 3"]):
+    """Positions of all nodes [m]."""
+    return jnp.asarray(model.mechanism.points) + u
+
+
+def displacements(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
+    """Displacements delta_a of the actuators."""
+    return actuator_displacements(model.mechanism.actuators, positions(model, u))
+
+
+def rows(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, "n_a n_points 3"]:
+    """H_a by rows: the force of each actuator on all nodes for lambda_a = 1."""
+    return actuator_rows(model.mechanism.actuators, positions(model, u))
+
+
+def by_multiplier(model: Model, actuation: ActuationArrays) -> Bool[Array, " n_a"]:
+    """Which actuators have a displacement imposed, and lambda_a solved for.
+
+    A motor is not among them: an imposed angle holds its body.
+    """
+    motor = jnp.asarray(model.mechanism.actuators.motor_body) >= 0
+    return jnp.asarray(actuation.by_displacement) & ~motor
+
+
+def imposed_forces(actuation: ActuationArrays) -> Float[Array, " n_a"]:
+    """Forces lambda_a at full load where they are imposed, 0 elsewhere."""
+    by_displacement = jnp.asarray(actuation.by_displacement)
+    return jnp.where(by_displacement, 0.0, jnp.asarray(actuation.value))
+
+
+def add_curvature(
+    model: Model,
+    values: Float[Array, " nnz"],
+    u: Float[Array, "n_points 3"],
+    lambda_a: Float[Array, " n_a"],
+) -> Float[Array, " nnz"]:
+    """The tangent of all nodes with the part of the actuators' forces, -dH_a^T/dx.
+
+    Args:
+        model: The model.
+        values: Tangent of the body.
+        u: Displacement [m].
+        lambda_a: Forces of the actuators.
+    """
+    actuators = model.mechanism.actuators
+    found = curvature_entries(actuators, positions(model, u), lambda_a)
+    for matrices, at in zip(found, model.curvature_at, strict=True):
+        p, q = element_entries(matrices.shape[1] // 3, model.pattern.symmetric)
+        values = values.at[at].add(-matrices[:, p, q].T)
+    return values
+
+
+class Bordered(NamedTuple):
+    """Solution of bordered systems that share their matrix.
+
+    Attributes:
+        x: Steps of the unknowns, one row per right-hand side [m].
+        lambda_a: Changes of the actuators' forces, 0 where they are imposed.
+        W_aa: Compliance of the actuators.
+        n_negative: Negative eigenvalues of the tangent on the steps that leave the
+            imposed displacements alone; -1 where the solver counts none.
+        ok: Whether the solutions exist.
+    """
+
+    x: Float[Array, "n_rhs n_dof"]
+    lambda_a: Float[Array, "n_rhs n_a"]
+    W_aa: Float[Array, "n_a n_a"]
+    n_negative: Array
+    ok: Bool[Array, ""]
+
+
+class System(NamedTuple):
+    """The matrix of a bordered system.
+
+    Attributes:
+        values: Tangent of the unknowns, supports masked.
+        H_a: Rows of the actuators on the unknowns, zero on held ones.
+        active: Which actuators have a displacement imposed that acts.
+    """
+
+    values: Float[Array, " nnz_reduced"]
+    H_a: Float[Array, "n_a n_dof"]
+    active: Bool[Array, " n_a"]
+
+    def solve(
+        self,
+        model: Model,
+        force: Float[Array, "n_rhs n_dof"],
+        gap: Float[Array, "n_rhs n_a"],
+        *,
+        transpose: bool = False,
+    ) -> Bordered:
+        """Steps of the unknowns under forces, with some displacements given.
+
+        Args:
+            model: The model.
+            force: Right-hand sides, 0 on held unknowns [N].
+            gap: How far each active displacement has to go.
+            transpose: Solve with K^T.
+        """
+        n_rhs, n_a = gap.shape
+        solver = model.solver
+        if n_a == 0:
+            solved = solver.factor_solve(self.values, force, transpose=transpose)
+            none = jnp.zeros((0, 0))
+            return Bordered(solved.x, gap, none, solved.n_negative, solved.ok)
+        solved = solver.factor_solve(
+            self.values, jnp.concatenate([force, self.H_a]), transpose=transpose
+        )
+        x, by_a = solved.x[:n_rhs], solved.x[n_rhs:]
+        product = lambda A, B: jnp.sum(A[:, None] * B[None], axis=-1)
+        W_aa = product(self.H_a, by_a)
+        S = jnp.where(self.active[:, None] & self.active[None], W_aa, 0.0)
+        rest = jnp.where(self.active[None], gap - product(x, self.H_a), 0.0)
+        unit = jnp.diag(jnp.where(self.active, 0.0, 1.0))
+        lambda_a = jnp.linalg.solve(S + unit, rest.T).T
+        x = x + jnp.sum(lambda_a[:, :, None] * by_a[None], axis=1)
+        # In(bordered) = In(K) + In(-S); one negative one for each multiplier is its
+        # own, the others are those of K on the steps that leave delta_a alone.
+        positive = jnp.sum(jnp.linalg.eigvalsh(0.5 * (S + S.T) - unit) > 0.0)
+        constrained = solved.n_negative + positive - jnp.sum(self.active)
+        n_negative = jnp.where(solved.n_negative < 0, -1, constrained)
+        ok = solved.ok & jnp.all(jnp.isfinite(lambda_a))
+        keep = lambda value: jnp.where(ok, value, 0.0)
+        return Bordered(
+            keep(x),
+            keep(lambda_a),
+            W_aa,
+            n_negative.astype(solved.n_negative.dtype),
+            ok,
+        )
+
+
+def estimated_forces(
+    H_a: Float[Array, "n_a n_dof"],
+    active: Bool[Array, " n_a"],
+    unbalanced: Float[Array, " n_dof"],
+) -> Float[Array, " n_a"]:
+    """Forces of the active actuators that best balance the rest; 0 for all others.
+
+    Exact at equilibrium (first-order multiplier estimate).
+
+    Args:
+        H_a: Rows of the actuators on the unknowns, zero on held ones.
+        active: Which actuators have a displacement imposed.
+        unbalanced: Internal minus external and imposed forces, zero on held ones [N].
+    """
+    H = jnp.where(active[:, None], H_a, 0.0)
+    normal = jnp.sum(H[:, None] * H[None], axis=-1)
+    scale = jnp.maximum(jnp.diag(normal), jnp.finfo(H.dtype).tiny)
+    unit = jnp.where(active, 0.0, scale)
+    return jnp.linalg.solve(normal + jnp.diag(unit), jnp.sum(H * unbalanced, axis=1))

@@ -1,0 +1,191 @@
+"""The tangent in the unknowns of free nodes and rigid bodies.
+
+Nodes of a body move with it, du = G d, so its tangent is G^T K G and a part from the
+turning of forces (`geometric_stiffness`). K is assembled over all nodes first; here its
+entries go to their places. Rows of nodes that belong to bodies stay, empty, so that
+node i always has the unknowns 3 i to 3 i + 2.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.equilibrium._sparsity import Sparsity, from_entries
+
+
+class Reduction(eqx.Module):
+    """Where entries of the tangent over all nodes go in that of the unknowns.
+
+    Attributes:
+        full: Pattern over all nodes.
+        reduced: Pattern over the unknowns: three per node, then six per body.
+        rigid: Nodes that belong to bodies, their frame nodes too.
+        owner: The body whose unknowns move each.
+        kept: Entries between free nodes.
+        kept_at: Where they go.
+        mixed: Blocks between a free and a rigid node.
+        mixed_rigid: Number, in `rigid`, of the latter.
+        mixed_at: Where they go.
+        mixed_below_at: Where their transposes go, if the matrix is not symmetric.
+        mixed_below: Blocks between a rigid and a free node, likewise.
+        inner: Blocks between two rigid nodes.
+        inner_first: Numbers of the first of these.
+        inner_second: Numbers of the second.
+        bodies: Entries of the matrix of all bodies that the pattern has.
+        bodies_at: Where they go.
+    """
+
+    full: Sparsity
+    reduced: Sparsity
+    rigid: Int[HostArray, " n_rigid"]
+    owner: Int[HostArray, " n_rigid"]
+    kept: Int[HostArray, " n_kept"]
+    kept_at: Int[HostArray, " n_kept"]
+    mixed: Int[HostArray, "n_mixed 3 3"]
+    mixed_rigid: Int[HostArray, " n_mixed"]
+    mixed_at: Int[HostArray, "n_mixed 3 6"]
+    mixed_below: Int[HostArray, "n_below 3 3"]
+    mixed_below_at: Int[HostArray, "n_below 6 3"]
+    inner: Int[HostArray, "n_inner 3 3"]
+    inner_first: Int[HostArray, " n_inner"]
+    inner_second: Int[HostArray, " n_inner"]
+    bodies: Int[HostArray, " n_body_entries"]
+    bodies_at: Int[HostArray, " n_body_entries"]
+
+
+def build_reduction(
+    full: Sparsity,
+    cliques: Sequence[Int[HostArray, "n m"]],
+    rigid: Int[HostArray, " n_rigid"],
+    owner: Int[HostArray, " n_rigid"],
+    n_bodies: int,
+) -> Reduction:
+    """Plan the reduction, once, on the host.
+
+    Args:
+        full: Pattern over all nodes.
+        cliques: Sets of nodes that the tangent couples; those within one body left out.
+        rigid: Nodes that belong to bodies.
+        owner: The body that moves each.
+        n_bodies: Number of bodies.
+    """
+    n_nodes = full.n_dof // 3
+    number = np.full(n_nodes, -1)
+    number[rigid] = np.arange(rigid.size)
+    a, b = _ordered_pairs(cliques, n_nodes)
+    mixed = (number[a] < 0) & (number[b] >= 0)
+    inner = (number[a] >= 0) & (number[b] >= 0)
+    first, second = number[a[inner]], number[b[inner]]
+    free_row, body_column = a[mixed], owner[number[b[mixed]]]
+    body_rows = lambda k: 3 * n_nodes + 6 * k[:, None] + np.arange(6)
+    rows = np.broadcast_to(_node_rows(free_row)[:, :, None], (mixed.sum(), 3, 6))
+    columns = np.broadcast_to(body_rows(body_column)[:, None, :], rows.shape)
+    coupled = np.unique(
+        np.concatenate(
+            [
+                owner[first] * n_bodies + owner[second],
+                np.arange(n_bodies) * (n_bodies + 1),
+            ]
+        )
+    )
+    k, m = coupled // n_bodies, coupled % n_bodies
+    body_row = np.broadcast_to(body_rows(k)[:, :, None], (k.size, 6, 6))
+    body_col = np.broadcast_to(body_rows(m)[:, None, :], body_row.shape)
+    free = (number[full.rows // 3] < 0) & (number[full.indices // 3] < 0)
+    kept = np.flatnonzero(free)
+    n_dof = 3 * n_nodes + 6 * n_bodies
+    all_rows = [full.rows[kept], rows.ravel(), columns.ravel(), body_row.ravel()]
+    all_columns = [full.indices[kept], columns.ravel(), rows.ravel(), body_col.ravel()]
+    diagonal = np.arange(n_dof)
+    reduced = from_entries(
+        np.concatenate([*all_rows, diagonal]),
+        np.concatenate([*all_columns, diagonal]),
+        n_dof,
+        symmetric=full.symmetric,
+    )
+    below = mixed if not full.symmetric else np.zeros_like(mixed)
+    in_pattern = (
+        (body_row <= body_col) if full.symmetric else np.full(body_row.shape, True)
+    )
+    flat = np.ravel_multi_index(
+        (body_row - 3 * n_nodes, body_col - 3 * n_nodes), (6 * n_bodies, 6 * n_bodies)
+    )
+    return Reduction(
+        full,
+        reduced,
+        rigid.astype(np.int32),
+        owner.astype(np.int32),
+        kept.astype(np.int32),
+        reduced.positions(full.rows[kept], full.indices[kept]),
+        _blocks(full, a[mixed], b[mixed]),
+        number[b[mixed]].astype(np.int32),
+        reduced.positions(rows, columns),
+        _blocks(full, b[below], a[below]),
+        reduced.positions(
+            np.swapaxes(columns[below[mixed]], 1, 2),
+            np.swapaxes(rows[below[mixed]], 1, 2),
+        ),
+        _blocks(full, a[inner], b[inner]),
+        first.astype(np.int32),
+        second.astype(np.int32),
+        flat[in_pattern].astype(np.int32),
+        reduced.positions(body_row[in_pattern], body_col[in_pattern]),
+    )
+
+
+def _ordered_pairs(cliques, n_nodes: int) -> tuple[HostArray, HostArray]:
+    """Every pair of coupled nodes once, in both orders."""
+    keys = [
+        np.unique(nodes[:, :, None].astype(np.int64) * n_nodes + nodes[:, None, :])
+        for nodes in cliques
+    ]
+    found = np.unique(np.concatenate(keys))
+    return found // n_nodes, found % n_nodes
+
+
+def _node_rows(nodes: HostArray) -> HostArray:
+    return 3 * nodes[:, None] + np.arange(3)
+
+
+def _blocks(full: Sparsity, a: HostArray, b: HostArray) -> HostArray:
+    """Where the 3 x 3 blocks of pairs of nodes stand."""
+    rows = np.broadcast_to(_node_rows(a)[:, :, None], (a.size, 3, 3))
+    columns = np.broadcast_to(_node_rows(b)[:, None, :], rows.shape)
+    return full.positions(rows, columns)
+
+
+def reduce_values(
+    plan: Reduction,
+    values: Float[Array, " nnz"],
+    G: Float[Array, "n_rigid 3 6"],
+    extra: Float[Array, "n_b 6 6"],
+) -> Float[Array, " nnz_reduced"]:
+    """Tangent of the unknowns, G^T K G plus a block on each body.
+
+    Args:
+        plan: Where entries go.
+        values: Tangent over all nodes.
+        G: How the rigid nodes follow the unknowns of their bodies.
+        extra: What is added on the diagonal blocks of the bodies.
+    """
+    n_b = extra.shape[0]
+    out = jnp.zeros(plan.reduced.nnz, values.dtype)
+    out = out.at[plan.kept_at].set(values[plan.kept])
+    product = lambda A, B: jnp.sum(A[..., :, :, None] * B[..., None, :, :], axis=-2)
+    mixed = product(values[plan.mixed], G[plan.mixed_rigid])
+    out = out.at[plan.mixed_at].add(mixed)
+    if not plan.reduced.symmetric:
+        G_T = jnp.swapaxes(G[plan.mixed_rigid], 1, 2)
+        out = out.at[plan.mixed_below_at].add(product(G_T, values[plan.mixed_below]))
+    right = product(values[plan.inner], G[plan.inner_second])
+    inner = product(jnp.swapaxes(G[plan.inner_first], 1, 2), right)
+    owner = jnp.asarray(plan.owner)
+    pair = owner[plan.inner_first] * n_b + owner[plan.inner_second]
+    blocks = jax.ops.segment_sum(inner, pair, n_b * n_b).reshape(n_b, n_b, 6, 6)
+    blocks = blocks.at[jnp.arange(n_b), jnp.arange(n_b)].add(extra)
+    whole = jnp.swapaxes(blocks, 1, 2).reshape(-1)
+    return out.at[plan.bodies_at].add(whole[plan.bodies])

@@ -1,0 +1,228 @@
+"""Unknowns of equilibrium: three per node, six per rigid body.
+
+A state is the displacement u of all nodes, those of bodies and their frames among them.
+A step d of the unknowns moves it: free nodes by d, the nodes of a body by the exact
+rigid motion of its twist, and what is held to where it is held.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.bodies import (
+    KINDS,
+    BodyStateArrays,
+    Frames,
+    blocked,
+    frame_nodes,
+    frames_at,
+    mounted_axes,
+    place,
+)
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._reduction import reduce_values
+
+_UNMOVED = 1e-12
+"""Share of a body's frame below which a distance to where it is held is rounding."""
+
+
+def body_states(model: Model, configuration: ConfigurationArrays) -> BodyStateArrays:
+    """What the configuration does with the bodies, its motors included.
+
+    A motor whose angle is imposed holds its body there; one whose torque is imposed
+    leaves it on the hinge.
+    """
+    mechanism = model.mechanism
+    state = configuration.bodies
+    actuation = configuration.actuation
+    kind, rotation = jnp.asarray(state.kind), jnp.asarray(state.rotation)
+    translation = jnp.asarray(state.translation)
+    third = mounted_axes(mechanism.bodies, jnp.ones(()))[:, 2]
+    for a, body in enumerate(mechanism.actuators.motor_body):
+        if body >= 0:
+            by_angle = actuation.by_displacement[a]
+            angle = actuation.value[a] + mechanism.motor_zero[a]
+            there = jnp.where(by_angle, KINDS.index("held"), KINDS.index("hinged"))
+            kind = kind.at[body].set(there.astype(kind.dtype))
+            turned = jnp.where(by_angle, angle, 0.0) * third[body]
+            rotation = rotation.at[body].set(turned)
+    return BodyStateArrays(kind, translation, rotation)
+
+
+class Unknowns(NamedTuple):
+    """The unknowns of one configuration at one state.
+
+    Attributes:
+        model: The model.
+        configuration: Its supports and what it does with the bodies.
+        load: Share of the load that is applied [-].
+    """
+
+    model: Model
+    configuration: ConfigurationArrays
+    load: Float[Array, ""]
+
+    @property
+    def _has_bodies(self) -> bool:
+        return self.model.reduction is not None
+
+    def fixed(self) -> Bool[Array, " n_dof"]:
+        """Which of them are held, or belong to a body."""
+        held = jnp.asarray(self.configuration.fixed)
+        plan = self.model.reduction
+        if plan is None:
+            return held.ravel()
+        bodies = self.model.mechanism.bodies
+        twists = blocked(body_states(self.model, self.configuration), bodies)
+        return jnp.concatenate([held.at[plan.rigid].set(True).ravel(), twists.ravel()])
+
+    def gather(
+        self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
+    ) -> Float[Array, " n_dof"]:
+        """Forces on the unknowns, G^T f, of forces on all nodes [N].
+
+        Args:
+            u: Displacement [m].
+            forces: Forces on the nodes [N].
+        """
+        plan = self.model.reduction
+        if plan is None:
+            return forces.ravel()
+        on_bodies = jnp.sum(self._follow(u) * forces[plan.rigid][:, :, None], axis=1)
+        n_b = self.model.mechanism.bodies.n_bodies
+        wrench = jax.ops.segment_sum(on_bodies, jnp.asarray(plan.owner), n_b)
+        free = forces.at[plan.rigid].set(0.0)
+        return jnp.concatenate([free.ravel(), wrench.ravel()])
+
+    def scatter(
+        self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
+    ) -> Float[Array, "n_points 3"]:
+        """Displacements of all nodes in a small step of the unknowns, G d [m]."""
+        plan = self.model.reduction
+        if plan is None:
+            return d.reshape(u.shape)
+        free, twists = d[: u.size].reshape(u.shape), d[u.size :].reshape(-1, 6)
+        along = jnp.sum(self._follow(u) * twists[plan.owner][:, None, :], axis=2)
+        return free.at[plan.rigid].set(along)
+
+    def rigid(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+        """The displacement with every body rigid again, as its frame has it [m].
+
+        For guesses: a linear prediction stretches what turns.
+        """
+        return self._with_bodies(u, self._frames(u)) if self._has_bodies else u
+
+    def move(
+        self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
+    ) -> Float[Array, "n_points 3"]:
+        """Displacement after a step of the unknowns [m].
+
+        Bodies move rigidly and stay so. Whatever is held goes to where it is held at
+        this load; a step has supported nodes already in it.
+        """
+        plan = self.model.reduction
+        if plan is None:
+            return u + d.reshape(u.shape)
+        bodies = self.model.mechanism.bodies
+        states = body_states(self.model, self.configuration)
+        twists = d[u.size :].reshape(-1, 6)
+        frames = place(bodies, states, self.load, self._frames(u), twists)
+        return self._with_bodies(u + d[: u.size].reshape(u.shape), frames)
+
+    def imposed(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+        """How far held nodes still have to move to where they are held [m]."""
+        held = jnp.asarray(self.configuration.fixed)
+        target = self.load * jnp.asarray(self.configuration.imposed)
+        gap = jnp.where(held, target - u, 0.0)
+        plan = self.model.reduction
+        if plan is None:
+            return gap
+        there = self.move(u, jnp.zeros(u.size + 6 * self._n_bodies))[plan.rigid]
+        far = there - u[plan.rigid]
+        rounding = _UNMOVED * self.model.mechanism.bodies.length
+        return gap.at[plan.rigid].set(jnp.where(jnp.abs(far) > rounding, far, 0.0))
+
+    def held_at(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+        """Displacement with held nodes where they are held; u elsewhere [m]."""
+        held = jnp.asarray(self.configuration.fixed)
+        target = self.load * jnp.asarray(self.configuration.imposed)
+        there = jnp.where(held, target, u)
+        if not self._has_bodies:
+            return there
+        return self.move(there, jnp.zeros(u.size + 6 * self._n_bodies))
+
+    def reduce(
+        self,
+        u: Float[Array, "n_points 3"],
+        values: Float[Array, " nnz"],
+        unbalanced: Float[Array, "n_points 3"],
+    ) -> Float[Array, " nnz_reduced"]:
+        """Tangent in the unknowns from that of all nodes [N/m].
+
+        Args:
+            u: Displacement [m].
+            values: Tangent over all nodes.
+            unbalanced: Out-of-balance forces, internal minus external: those on the
+                nodes of a body turn with it, or rather do not, and resist the twist.
+        """
+        plan = self.model.reduction
+        if plan is None:
+            return values
+        return reduce_values(
+            plan, values, self._follow(u), self._geometric(u, unbalanced)
+        )
+
+    @property
+    def _n_bodies(self) -> int:
+        return self.model.mechanism.bodies.n_bodies
+
+    def _frames(self, u: Float[Array, "n_points 3"]) -> Frames:
+        n_nodes = self.model.mesh.n_nodes
+        points = jnp.asarray(self.model.mechanism.points)
+        return frames_at(self.model.mechanism.bodies, (points + u)[n_nodes:])
+
+    def _with_bodies(self, u: Float[Array, "n_points 3"], frames: Frames):
+        """The displacement with all nodes of bodies where the frames have them."""
+        bodies, n_nodes = self.model.mechanism.bodies, self.model.mesh.n_nodes
+        points = jnp.asarray(self.model.mechanism.points)
+        ends = frame_nodes(bodies, frames)
+        attached = jnp.sum(bodies.weights[:, :, None] * ends[bodies.body], axis=1)
+        u = u.at[n_nodes:].set(ends.reshape(-1, 3) - points[n_nodes:])
+        return u.at[bodies.attached].set(attached - points[bodies.attached])
+
+    def _arms(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_rigid 3"]:
+        """From the origin of the body that moves it to each rigid node [m]."""
+        plan = self.model.reduction
+        assert plan is not None
+        x = jnp.asarray(self.model.mechanism.points) + u
+        origins = x[self.model.mesh.n_nodes :: 4]
+        return x[plan.rigid] - origins[plan.owner]
+
+    def _follow(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_rigid 3 6"]:
+        """How rigid nodes follow the twists of their bodies, G [-]."""
+        plan, bodies = self.model.reduction, self.model.mechanism.bodies
+        assert plan is not None
+        axes = mounted_axes(bodies, self.load)[plan.owner]
+        arms = self._arms(u) / bodies.length
+        # w x r for the three axes w.
+        turns = jnp.cross(axes, jnp.broadcast_to(arms[:, None], axes.shape))
+        return jnp.swapaxes(jnp.concatenate([axes, turns], axis=1), 1, 2)
+
+    def _geometric(self, u, unbalanced) -> Float[Array, "n_b 6 6"]:
+        """Second derivative of the work of forces in the twists.
+
+        Of x(w) = exp(hat(w)) r at w = 0: sym(g r^T) - (g . r) I for a force g.
+        """
+        plan, bodies = self.model.reduction, self.model.mechanism.bodies
+        assert plan is not None
+        r, g = self._arms(u), unbalanced[plan.rigid]
+        both = 0.5 * (g[:, :, None] * r[:, None] + r[:, :, None] * g[:, None])
+        work = jnp.sum(g * r, axis=1)
+        blocks = both - work[:, None, None] * jnp.eye(3)
+        total = jax.ops.segment_sum(blocks, jnp.asarray(plan.owner), self._n_bodies)
+        B = mounted_axes(bodies, self.load) / bodies.length
+        turned = jnp.einsum("bij,bjk,blk->bil", B, total, B)
+        return jnp.zeros((self._n_bodies, 6, 6)).at[:, 3:, 3:].set(turned)
