@@ -6,8 +6,13 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
-from softcal_jax.mesh import TetMesh, boundary_faces, locate, node_indices
+from softcal_jax.mesh import (
+    TetMesh,
+    boundary_faces,
+    locate,
+    node_indices,
+    surface_shares,
+)
 
 
 def _vector(name: str, unit: str, value) -> HostArray:
@@ -140,7 +145,7 @@ class SurfaceForce(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Consistent forces on the nodes of the surface [N]."""
-        shares = _surface_shares(mesh, mesh.faces(self.where))
+        shares = surface_shares(mesh, mesh.faces(self.where))
         force = _vector("force", "N", self.force)
         return (shares / shares.sum())[:, None] * force
 
@@ -158,23 +163,8 @@ class SurfaceTraction(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Consistent forces on the nodes of the surface [N]."""
-        shares = _surface_shares(mesh, mesh.faces(self.where))
+        shares = surface_shares(mesh, mesh.faces(self.where))
         return shares[:, None] * _vector("traction", "Pa", self.traction)
-
-
-def _surface_shares(
-    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
-) -> Float[HostArray, " n_nodes"]:
-    """Integral of every shape function over the faces [m2]."""
-    rule = triangle_rule(4)
-    n_fn = faces.shape[1]
-    N = shape_functions(rule.barycentric, n_fn)
-    dN = shape_gradients(rule.barycentric, n_fn)
-    tangents = np.einsum("fai,qaj->fqji", mesh.points[faces], dN)
-    area = 0.5 * np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
-    out = np.zeros(mesh.n_nodes)
-    np.add.at(out, faces, (area * rule.weights) @ N)
-    return out
 
 
 def _boundary_edges(mesh: TetMesh) -> Int[HostArray, "n_edges n_ln"]:

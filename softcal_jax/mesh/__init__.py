@@ -13,6 +13,7 @@ from softcal_jax.mesh._order import to_linear, to_quadratic
 from softcal_jax.mesh._quality import QualityReport, Spread, quality_report
 from softcal_jax.mesh._reading import read_mesh
 from softcal_jax.mesh._selection import Box, Plane, Sphere, select_faces, select_nodes
+from softcal_jax.mesh._surfaces import surface_shares
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces, volumes
 
@@ -34,6 +35,7 @@ __all__ = [
     "read_mesh",
     "select_faces",
     "select_nodes",
+    "surface_shares",
     "to_linear",
     "to_quadratic",
     "volumes",
