@@ -33,7 +33,7 @@ from benchmarks._timing import interleave, median_ms, ratio, run_process
 from softcal_jax import Model
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import energy_and_force, tangent_values
-from softcal_jax.equilibrium._newton import mask_supports
+from softcal_jax.equilibrium._problem import mask_supports
 
 BEAM = Beam((0.1, 0.02, 0.02), E=3e5, nu=0.4)
 TOL = 1e-8

@@ -259,7 +259,7 @@ class EquilibriumProblem:
         """Which imposed displacements act at an equilibrium: all but slack cables'."""
         actuators = self.model.mechanism.actuators
         wanted = load * jnp.asarray(self.configuration.actuation.value)
-        short = wanted - at.delta_a >= -_TAUT * self.model.mesh.size
+        short = wanted - at.delta_a >= -_TAUT * self.model.mechanism.bodies.length
         return self.by_multiplier() & (short | ~jnp.asarray(actuators.unilateral))
 
     def estimated_forces(self, at: Point, load) -> Float[Array, " n_a"]:
@@ -275,7 +275,7 @@ class EquilibriumProblem:
         )
 
     def merit(self, at: Point, lambda_a, load, gap_stiffness) -> Float[Array, ""]:
-        """Norm of the out-of-balance forces, gaps counted by the force they need [N]."""
+        """Norm of the out-of-balance forces, gaps by the force they need [N]."""
         g, _ = self.unbalanced(at, lambda_a, load)
         g = self.on_unknowns(at.u, load, g)
         gap, _ = self.gap(at, lambda_a, load, gap_stiffness)

@@ -223,12 +223,14 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     inputs, t_inputs = (model, configuration), (t_model, t_configuration)
     held = lambda model, configuration: _held_at(model, configuration, u)
     _, du_held = eqx.filter_jvp(held, inputs, t_inputs)
+    du_held = jnp.zeros_like(u) if du_held is None else du_held
     _, dR = eqx.filter_jvp(
         lambda *inputs: residual(*inputs, lambda_a),
         (*inputs, u),
         (*t_inputs, du_held),
     )
     _, dgap = eqx.filter_jvp(_gap, (*inputs, u), (*t_inputs, du_held))
+    dgap = jnp.zeros_like(lambda_a) if dgap is None else dgap
     lin = linearise(model, configuration, u)
     sparsity, n_dof = model.solver.sparsity, model.n_dof
     values, H_a, active = lin.system
@@ -236,7 +238,7 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     def matvec(v):
         x, lam = v[:n_dof], jnp.where(active, v[n_dof:], 0.0)
         force = product(sparsity, values, x) - jnp.sum(lam[:, None] * H_a, axis=0)
-        gap = jnp.where(active, -jnp.sum(H_a * x, axis=1), v[n_dof:])
+        gap = jnp.where(active, -jnp.sum(H_a * x[None], axis=1), v[n_dof:])
         return jnp.concatenate([force, gap])
 
     def solve(_, b, transpose=False):
@@ -325,11 +327,12 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
         return
     lines = []
     for lane in bad:
-        one = jax.tree.map(lambda leaf, lane=lane: jnp.atleast_1d(leaf)[lane], solution)
+        of = lambda leaf, lane=lane: np.atleast_1d(np.asarray(leaf))[lane]
+        result = jax.tree.map(lambda leaf: jnp.asarray(of(leaf)), solution.result)
         lines.append(
-            f"configuration {names[lane]!r}: {RESULTS[one.result]} "
-            f"({int(one.steps)} Newton steps, {100 * float(one.load_reached):.0f} % of "
-            f"the load carried, residual {float(one.residual):.1e}, smallest det F "
-            f"{float(one.min_det_F):.3g})"
+            f"configuration {names[lane]!r}: {RESULTS[result]} "
+            f"({of(solution.steps)} Newton steps, {100 * of(solution.load_reached):.0f} "
+            f"% of the load carried, residual {of(solution.residual):.1e}, smallest "
+            f"det F {of(solution.min_det_F):.3g})"
         )
     raise RuntimeError("no equilibrium found.\n" + "\n".join(lines))

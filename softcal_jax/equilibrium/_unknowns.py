@@ -221,7 +221,7 @@ class Unknowns(NamedTuple):
         r, g = self._arms(u), unbalanced[plan.rigid]
         both = 0.5 * (g[:, :, None] * r[:, None] + r[:, :, None] * g[:, None])
         work = jnp.sum(g * r, axis=1)
-        blocks = both - work[:, None, None] * jnp.eye(3)
+        blocks = both - work[:, None, None] * jnp.eye(3)[None]
         total = jax.ops.segment_sum(blocks, jnp.asarray(plan.owner), self._n_bodies)
         B = mounted_axes(bodies, self.load) / bodies.length
         turned = jnp.einsum("bij,bjk,blk->bil", B, total, B)

@@ -29,7 +29,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
     tangent_values,
 )
-from softcal_jax.equilibrium._newton import product
+from softcal_jax.equilibrium._problem import product
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.materials import (
     ClassicalCorotational,

@@ -190,6 +190,7 @@ def make_simulation(model, outcomes=(True, False)):
     )(jnp.array(outcomes))
     solution = EquilibriumSolution(
         displacement=jnp.stack([jnp.asarray(sag(model.mesh))] * n),
+        multipliers=jnp.zeros((n, 0)),
         result=result,
         steps=jnp.arange(4, 4 + n),
         load_steps=jnp.ones(n, int),
