@@ -14,13 +14,18 @@ from softcal_jax.actuators._arrays import (
     curvature_entries,
 )
 from softcal_jax.actuators._cable import Cable, Guide
+from softcal_jax.actuators._forces import ForceActuator, SurfaceForceActuator
+from softcal_jax.actuators._motor import Motor
 
 __all__ = [
     "AbstractActuator",
     "ActuatorArrays",
     "Cable",
+    "ForceActuator",
     "Guide",
     "Kind",
+    "Motor",
+    "SurfaceForceActuator",
     "actuator_arrays",
     "actuator_displacements",
     "actuator_rows",
