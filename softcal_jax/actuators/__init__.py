@@ -14,18 +14,22 @@ from softcal_jax.actuators._arrays import (
     curvature_entries,
 )
 from softcal_jax.actuators._cable import Cable, Guide
+from softcal_jax.actuators._chamber import Chamber
 from softcal_jax.actuators._forces import ForceActuator, SurfaceForceActuator
 from softcal_jax.actuators._motor import Motor
+from softcal_jax.actuators._pressure import SurfacePressure
 
 __all__ = [
     "AbstractActuator",
     "ActuatorArrays",
     "Cable",
+    "Chamber",
     "ForceActuator",
     "Guide",
     "Kind",
     "Motor",
     "SurfaceForceActuator",
+    "SurfacePressure",
     "actuator_arrays",
     "actuator_displacements",
     "actuator_rows",
