@@ -13,7 +13,7 @@ from softcal_jax.actuators import (
     clique_nodes,
     curvature_entries,
 )
-from softcal_jax.mesh import beam
+from softcal_jax.mesh import beam, locate
 
 PATH = ((0.0, 0.01, 0.02), (0.03, 0.03, 0.02), (0.1, 0.01, 0.0))
 ORIGIN = np.array([0.2, 0.0, 0.1])
@@ -104,12 +104,16 @@ def test_cables_of_one_robot_are_told_apart():
 def test_clique_nodes_are_unique_but_for_padding(order):
     """Neighbouring guides share nodes, which must meet in one row of the clique."""
     mesh = body(order)
-    arrays = arrays_of(mesh, Cable("c", ((0.001, 0.01, 0.01), (0.002, 0.01, 0.01))))
+    ends = np.array([(0.051, 0.01, 0.011), (0.052, 0.01, 0.011)])
+    arrays = arrays_of(mesh, Cable("c", tuple(ends)))
     (nodes,) = clique_nodes(arrays)
     x = jnp.asarray(bent(mesh.points))
     (entries,) = curvature_entries(arrays, x, jnp.ones(1))
     own, first = np.unique(nodes[0], return_index=True)
-    assert own.size < nodes.shape[1]
+    carriers = locate(mesh, ends, max_distance=0.0).nodes
+    assert own.size < carriers.size
+    # Padding adds no node: the tangent would couple it to the cable.
+    np.testing.assert_array_equal(own, np.unique(carriers))
     padding = np.delete(np.arange(nodes.shape[1]), first)
     blocks = np.asarray(entries).reshape(nodes.shape[1], 3, nodes.shape[1], 3)
     assert not blocks[padding].any()
