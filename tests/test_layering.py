@@ -15,6 +15,8 @@ LAYERS = [
     {"mesh"},
     {"materials"},
     {"fields"},
+    {"bodies"},
+    {"actuators"},
     {"configurations"},
     {"equilibrium"},
     {"sensitivity"},

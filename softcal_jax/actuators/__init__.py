@@ -1,0 +1,38 @@
+"""Actuators: their displacement delta_a, and the force on the nodes per lambda_a.
+
+A description says what the user means; `actuator_arrays` attaches it to the nodes; pure
+functions of the nodal positions give delta_a, its rows H_a and their derivatives.
+"""
+
+from softcal_jax.actuators._actuator import AbstractActuator, Kind
+from softcal_jax.actuators._arrays import (
+    ActuatorArrays,
+    actuator_arrays,
+    actuator_displacements,
+    actuator_rows,
+    clique_nodes,
+    curvature_entries,
+)
+from softcal_jax.actuators._cable import Cable, Guide
+from softcal_jax.actuators._chamber import Chamber
+from softcal_jax.actuators._forces import ForceActuator, SurfaceForceActuator
+from softcal_jax.actuators._motor import Motor
+from softcal_jax.actuators._pressure import SurfacePressure
+
+__all__ = [
+    "AbstractActuator",
+    "ActuatorArrays",
+    "Cable",
+    "Chamber",
+    "ForceActuator",
+    "Guide",
+    "Kind",
+    "Motor",
+    "SurfaceForceActuator",
+    "SurfacePressure",
+    "actuator_arrays",
+    "actuator_displacements",
+    "actuator_rows",
+    "clique_nodes",
+    "curvature_entries",
+]

@@ -1,0 +1,118 @@
+"""Forces of fixed direction, at a point or spread over a surface."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.actuators._actuator import (
+    AbstractActuator,
+    Kind,
+    RestState,
+    as_vector,
+    check_direction,
+    check_vector,
+)
+from softcal_jax.actuators._cliques import AbstractPotentialCliques
+from softcal_jax.mesh import surface_shares
+
+
+class ForceActuator(AbstractActuator):
+    """A force of fixed direction at a material point of the body.
+
+    delta_a = d . (x_point - X_point) with d the unit direction [m]; lambda_a is the
+    force [N].
+
+    Attributes:
+        name: Its name.
+        point: Where it acts at rest, on or in the mesh [m].
+        direction: Direction of a positive force, of any length.
+    """
+
+    name: str
+    point: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    kind: ClassVar[Kind] = Kind("force actuator", "N", "m")
+
+    def __check_init__(self):
+        check_vector(f"{self.label}: point", "m", self.point)
+        check_direction(f"{self.label}: direction", self.direction)
+
+    def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
+        """The nodes that carry the point.
+
+        Args:
+            rest: What it is attached to.
+            owner: Its number among the actuators.
+
+        Raises:
+            ValueError: If the point lies outside the mesh.
+        """
+        nodes, weights = rest.on_mesh(self.point, self.label)
+        return _weighted_nodes(nodes, weights, self.direction, owner)
+
+
+class SurfaceForceActuator(AbstractActuator):
+    """A force of fixed direction, spread evenly over a surface by its area at rest.
+
+    delta_a = d . (mean displacement of the surface) [m], with d the unit direction and
+    the mean weighted by area at rest; lambda_a is the total force [N].
+
+    Attributes:
+        name: Its name.
+        surface: Name of a surface group.
+        direction: Direction of a positive force, of any length.
+    """
+
+    name: str
+    surface: str
+    direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    kind: ClassVar[Kind] = Kind("surface force actuator", "N", "m")
+
+    def __check_init__(self):
+        check_direction(f"{self.label}: direction", self.direction)
+
+    def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
+        """The nodes of the surface.
+
+        Args:
+            rest: What it is attached to.
+            owner: Its number among the actuators.
+
+        Raises:
+            ValueError: If the surface is unknown.
+        """
+        faces = rest.mesh.faces(self.surface)
+        nodes = np.unique(faces)
+        shares = surface_shares(rest.mesh, faces)[nodes]
+        return _weighted_nodes(nodes, shares / shares.sum(), self.direction, owner)
+
+
+def _weighted_nodes(nodes, weights, direction, owner: int) -> "WeightedNodes":
+    unit = direction / np.linalg.norm(direction)
+    return WeightedNodes(
+        jnp.asarray(nodes[:, None]),
+        jnp.full(len(nodes), owner, nodes.dtype),
+        jnp.asarray((weights[:, None] * unit)[:, None]),
+    )
+
+
+class WeightedNodes(AbstractPotentialCliques):
+    """Single nodes; each adds its weighted position to delta_a.
+
+    Attributes:
+        nodes: One node per clique.
+        owner: Number of the actuator.
+        weights: Weights of its coordinates [-].
+    """
+
+    nodes: Int[Array, "*cliques 1"]
+    owner: Int[Array, "*cliques"]
+    weights: Float[Array, "*cliques 1 3"]
+    curved: ClassVar[bool] = False
+
+    def contribution(self, x: Float[Array, "1 3"]) -> Float[Array, ""]:
+        """Weighted position of one node [m]."""
+        return jnp.sum(self.weights * x)

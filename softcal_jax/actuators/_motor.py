@@ -1,0 +1,64 @@
+"""Motors: a torque that turns a rigid body."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float, Int
+from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
+from softcal_jax.actuators._cliques import AbstractPotentialCliques
+
+
+class Motor(AbstractActuator):
+    """Turns a rigid body about the third axis of its frame at rest.
+
+    delta_a is the angle of its first axis, seen in the plane of the first two axes at
+    rest [rad], in (-pi, pi]; lambda_a is the torque [N m]. A body that is free to tilt
+    has no such angle once its first axis stands upright on that plane.
+
+    Attributes:
+        name: Its name.
+        body: Name of the rigid body.
+    """
+
+    name: str
+    body: str
+    kind: ClassVar[Kind] = Kind("motor", "N m", "rad")
+
+    def cliques(self, rest: RestState, owner: int) -> "MotorFrames":
+        """The frame of the body.
+
+        Args:
+            rest: What it is attached to.
+            owner: Its number among the actuators.
+
+        Raises:
+            ValueError: If no rigid body has the name.
+        """
+        nodes = rest.frame_nodes(self.body, self.label)
+        origin, first, second, _ = rest.points[nodes]
+        return MotorFrames(
+            jnp.asarray(nodes[None]),
+            jnp.full(1, owner, nodes.dtype),
+            jnp.asarray([[first - origin, second - origin]]),
+        )
+
+
+class MotorFrames(AbstractPotentialCliques):
+    """Frames of driven bodies; each adds its angle to delta_a.
+
+    Attributes:
+        nodes: The four nodes of each frame.
+        owner: Number of the motor.
+        plane: First and second axis at rest, of one length [m].
+    """
+
+    nodes: Int[Array, "*cliques 4"]
+    owner: Int[Array, "*cliques"]
+    plane: Float[Array, "*cliques 2 3"]
+    curved: ClassVar[bool] = True
+
+    def contribution(self, x: Float[Array, "4 3"]) -> Float[Array, ""]:
+        """Angle of the first axis of one frame [rad]."""
+        along, across = self.plane @ (x[1] - x[0])
+        return jnp.arctan2(across, along)

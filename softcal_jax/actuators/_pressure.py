@@ -1,0 +1,61 @@
+"""Pressure that follows an open surface: a force without a potential."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float, Int
+from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
+from softcal_jax.actuators._cliques import AbstractCliques
+from softcal_jax.actuators._surfaces import outward_faces, vector_areas
+
+
+class SurfacePressure(AbstractActuator):
+    """A pressure on a surface of the body that turns and grows with it.
+
+    lambda_a is the pressure [Pa]; where it is positive it pushes on the body, along
+    minus its outward normal. On an open surface there is no potential in general, so
+    there is no displacement delta_a, and the tangent is not symmetric.
+
+    Attributes:
+        name: Its name.
+        surface: Name of a surface group on the boundary of the body. The order of the
+            nodes of its faces does not matter.
+    """
+
+    name: str
+    surface: str
+    kind: ClassVar[Kind] = Kind("surface pressure", "Pa", None)
+
+    def cliques(self, rest: RestState, owner: int) -> "PressureFaces":
+        """The faces of the surface.
+
+        Args:
+            rest: What it is attached to.
+            owner: Its number among the actuators.
+
+        Raises:
+            ValueError: If the surface is unknown or not on the boundary.
+        """
+        faces = outward_faces(rest.mesh, self.surface, self.label)
+        return PressureFaces(
+            jnp.asarray(faces), jnp.full(len(faces), owner, faces.dtype)
+        )
+
+
+class PressureFaces(AbstractCliques):
+    """Faces under a following pressure.
+
+    Attributes:
+        nodes: 3 or 6 nodes of each face, its normal out of the body.
+        owner: Number of the surface pressure.
+    """
+
+    nodes: Int[Array, "*cliques n_fn"]
+    owner: Int[Array, "*cliques"]
+    curved: ClassVar[bool] = True
+
+    def row(self, x: Float[Array, "n_fn 3"]) -> Float[Array, "n_fn 3"]:
+        """Consistent forces per pressure, -integral of N n dA over the face [m2]."""
+        n_dA, N = vector_areas(x)
+        return -N.T @ n_dA
