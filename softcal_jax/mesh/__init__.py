@@ -7,6 +7,7 @@ metres.
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._generators import beam
 from softcal_jax.mesh._location import MaterialPoints, locate
+from softcal_jax.mesh._merge import merge
 from softcal_jax.mesh._meshio import MeshWarning
 from softcal_jax.mesh._order import to_linear, to_quadratic
 from softcal_jax.mesh._quality import QualityReport, Spread, quality_report
@@ -28,6 +29,7 @@ __all__ = [
     "boundary_faces",
     "check_mesh",
     "locate",
+    "merge",
     "quality_report",
     "read_mesh",
     "select_faces",
