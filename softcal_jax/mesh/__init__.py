@@ -15,6 +15,7 @@ from softcal_jax.mesh._reading import read_mesh
 from softcal_jax.mesh._selection import Box, Plane, Sphere, select_faces, select_nodes
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces, volumes
+from softcal_jax.mesh._tripod import tripod
 
 __all__ = [
     "Box",
@@ -36,5 +37,6 @@ __all__ = [
     "select_nodes",
     "to_linear",
     "to_quadratic",
+    "tripod",
     "volumes",
 ]
