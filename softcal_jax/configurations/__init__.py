@@ -16,8 +16,11 @@ from softcal_jax.configurations._loads import (
 )
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._measurements import MarkerTable, read_markers
+from softcal_jax.configurations._pose_table import PoseTable, in_frame
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
+from softcal_jax.configurations._tracker import read_polhemus, read_poses
+from softcal_jax.configurations._turns import TrackerWarning
 
 __all__ = [
     "STANDARD_GRAVITY",
@@ -30,11 +33,16 @@ __all__ = [
     "Markers",
     "NodalForces",
     "PointForce",
+    "PoseTable",
     "Registration",
     "Support",
     "SurfaceForce",
     "SurfaceTraction",
+    "TrackerWarning",
     "configuration_arrays",
+    "in_frame",
     "read_markers",
+    "read_polhemus",
+    "read_poses",
     "register",
 ]
