@@ -16,6 +16,7 @@ from softcal_jax.configurations._loads import (
 )
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._measurements import MarkerTable, read_markers
+from softcal_jax.configurations._pose_averages import AveragedPose, average_poses
 from softcal_jax.configurations._pose_table import PoseTable, in_frame
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
@@ -25,6 +26,7 @@ from softcal_jax.configurations._turns import TrackerWarning
 __all__ = [
     "STANDARD_GRAVITY",
     "AbstractLoad",
+    "AveragedPose",
     "Configuration",
     "ConfigurationArrays",
     "EdgeForce",
@@ -39,6 +41,7 @@ __all__ = [
     "SurfaceForce",
     "SurfaceTraction",
     "TrackerWarning",
+    "average_poses",
     "configuration_arrays",
     "in_frame",
     "read_markers",
