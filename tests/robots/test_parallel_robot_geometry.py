@@ -164,3 +164,22 @@ def test_degrees_are_refused():
 def test_refuses(change, message):
     with pytest.raises(ValueError, match=message):
         ParallelRobotGeometry(**change)
+
+
+def test_joint_range_is_where_the_branches_are_straight():
+    """Free length against the chord from the rod's rim to the end, all arms alike."""
+    free = ROBOT.branch_length - ROBOT.end_length - ROBOT.centre_radius
+    arm = ARMS[0]
+    inner = np.array([ROBOT.branch_length - ROBOT.end_length, -ROBOT.sheet_height, 0.0])
+    rim = np.array([ROBOT.centre_radius, -ROBOT.rod_half_length, 0.0])
+
+    def chord(angle):
+        return np.linalg.norm(moved(arm.pose(float(angle)), arm.origin, inner) - rim)
+
+    # The angles are whole degrees: 0.3 mm of chord per degree.
+    for angle in ROBOT.joint_range:
+        np.testing.assert_allclose(chord(angle), free, atol=0.3e-3)
+    within = np.linspace(*ROBOT.joint_range, 9)[1:-1]
+    assert all(chord(angle) < free for angle in within)
+    assert chord(np.deg2rad(19.0)) > free
+    assert chord(np.deg2rad(62.0)) > free
