@@ -13,6 +13,7 @@ LAYERS = [
     {"_names", "_typing", "_results", "_units"},
     {"elements"},
     {"mesh"},
+    {"bodies"},
     {"materials"},
     {"fields"},
     {"bodies"},

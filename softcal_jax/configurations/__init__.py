@@ -25,13 +25,18 @@ from softcal_jax.configurations._loads import (
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._measurements import MarkerTable, read_markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
+from softcal_jax.configurations._pose_averages import AveragedPose, average_poses
+from softcal_jax.configurations._pose_table import PoseTable, in_frame
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
+from softcal_jax.configurations._tracker import read_polhemus, read_poses
+from softcal_jax.configurations._turns import TrackerWarning
 
 __all__ = [
     "STANDARD_GRAVITY",
     "AbstractLoad",
     "ActuationArrays",
+    "AveragedPose",
     "Configuration",
     "ConfigurationArrays",
     "EdgeForce",
@@ -43,12 +48,18 @@ __all__ = [
     "Mechanism",
     "NodalForces",
     "PointForce",
+    "PoseTable",
     "Registration",
     "Support",
     "SurfaceForce",
     "SurfaceTraction",
+    "TrackerWarning",
+    "average_poses",
     "build_mechanism",
     "configuration_arrays",
+    "in_frame",
     "read_markers",
+    "read_polhemus",
+    "read_poses",
     "register",
 ]

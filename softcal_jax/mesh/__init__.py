@@ -7,6 +7,7 @@ metres.
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._generators import beam
 from softcal_jax.mesh._location import MaterialPoints, locate
+from softcal_jax.mesh._merge import merge
 from softcal_jax.mesh._meshio import MeshWarning
 from softcal_jax.mesh._nodes import node_indices
 from softcal_jax.mesh._order import to_linear, to_quadratic
@@ -16,6 +17,7 @@ from softcal_jax.mesh._selection import Box, Plane, Sphere, select_faces, select
 from softcal_jax.mesh._surfaces import surface_shares
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces, volumes
+from softcal_jax.mesh._tripod import tripod
 
 __all__ = [
     "Box",
@@ -30,6 +32,7 @@ __all__ = [
     "boundary_faces",
     "check_mesh",
     "locate",
+    "merge",
     "node_indices",
     "quality_report",
     "read_mesh",
@@ -38,5 +41,6 @@ __all__ = [
     "surface_shares",
     "to_linear",
     "to_quadratic",
+    "tripod",
     "volumes",
 ]

@@ -21,7 +21,7 @@ def _oriented(corners: HostArray) -> HostArray:
     return corners
 
 
-def _kuhn_cell(parity: tuple[int, ...]) -> HostArray:
+def kuhn_cell(parity: tuple[int, ...]) -> HostArray:
     """Six tets of a cell: the paths from its even to its odd corner (Kuhn, 1960).
 
     The corners are on the doubled lattice, so a cell is two steps wide.
@@ -58,7 +58,7 @@ def _lattice_tets(cells: HostArray, pattern: str) -> HostArray:
         table = _centred_cell()[None]
         kind = np.zeros(len(grid), int)
     else:
-        table = np.array([_kuhn_cell(parity) for parity in product((0, 1), repeat=3)])
+        table = np.array([kuhn_cell(parity) for parity in product((0, 1), repeat=3)])
         kind = grid % 2 @ np.array([4, 2, 1])
     nodes = 2 * grid[:, None, None] + table[kind]
     return np.ravel_multi_index(

@@ -1,0 +1,266 @@
+"""The flat sheet with branches and a hole of the parallel robot, Sec. VI."""
+
+import math
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax.mesh._generators import kuhn_cell
+from softcal_jax.mesh._order import to_quadratic
+from softcal_jax.mesh._tet_mesh import TetMesh
+from softcal_jax.mesh._topology import boundary_faces
+
+
+class _Shape(NamedTuple):
+    """Lengths of the sheet [m] and its number of branches."""
+
+    length: float
+    width: float
+    hole_radius: float
+    centre_radius: float
+    end_length: float
+    branches: int
+
+    @property
+    def notch(self) -> tuple[float, float]:
+        """Where the sides of neighbours meet: along, and across their branches [m]."""
+        half = self.width / 2.0
+        return half / math.tan(math.pi / self.branches), half
+
+    def root(self, size: float) -> float:
+        """Where the strip along a branch begins [m], past the notch."""
+        along, half = self.notch
+        return max(half, along + size)
+
+
+class _Sector(NamedTuple):
+    """The grid of one branch: rows go outwards, columns go around.
+
+    The fan from the hole to the root of the branch has all the columns, the strip along
+    the branch the middle ones. The last column is the first one of the next branch.
+    """
+
+    points: Float[HostArray, "n_rows n_columns 2"]
+    used: Bool[HostArray, "n_rows-1 n_columns-1"]
+    n_centre: int
+    n_fan: int
+    n_end: int
+
+
+def tripod(
+    length: float = 0.066,
+    width: float = 0.030,
+    thickness: float = 0.005,
+    *,
+    hole_radius: float = 0.005,
+    centre_radius: float = 0.0075,
+    end_length: float = 0.015,
+    branches: int = 3,
+    y: float = 0.0,
+    size: float = 0.005,
+    layers: int = 1,
+    order: int = 2,
+) -> TetMesh:
+    """A flat sheet of equal branches around a hole; by default the one of Sec. VI.
+
+    The sheet lies in the (x, z) plane. Branch k, from 1, leaves at the azimuth
+    360 (k - 1) / branches degrees, counted from +x towards +z. The hole is a polygon
+    with its corners on the circle; all sides are straight, in quadratic tets too.
+
+    The squares of a grid around the hole and along the branches are cut towards
+    alternate corners, so that the mesh is its own image in every symmetry of the plane
+    sheet. Top and bottom mirror each other if the number of layers is even.
+
+    Node and tet groups: "end 1", "end 2", ... (the last `end_length` of each branch)
+    and "centre" (within `centre_radius`); sides of tets lie along both borders. Surface
+    groups: "top" (largest y) and "bottom".
+
+    Args:
+        length: Length of a branch, from the centre of the sheet [m].
+        width: Width of a branch [m].
+        thickness: Extent along y [m].
+        hole_radius: Radius of the hole [m].
+        centre_radius: Radius of the group "centre" [m].
+        end_length: Length of the groups "end 1", "end 2", ... [m].
+        branches: Number of branches, two at least.
+        y: Where the mid-surface lies along y [m].
+        size: Edge length in the plane that the branches come close to [m].
+        layers: Number of layers of tets through the thickness.
+        order: 2 for quadratic tets; 1 for linear ones, which are far too stiff in
+            bending.
+
+    Returns:
+        The mesh.
+
+    Raises:
+        ValueError: If a length is not positive and finite, a number is out of its
+            range, the centre does not fit between the branches, or a branch is too
+            short for its end.
+    """
+    shape = _Shape(length, width, hole_radius, centre_radius, end_length, branches)
+    _check_numbers(shape, thickness, y, size, layers, order)
+    _check_fit(shape, size)
+    sector = _sector(shape, size)
+    levels = y + thickness * (np.arange(layers + 1) / layers - 0.5)
+    mesh = _with_sides(_extruded(sector, branches, levels), levels)
+    return mesh if order == 1 else to_quadratic(mesh)
+
+
+def _sector(shape: _Shape, size: float) -> _Sector:
+    """The grid of the branch at azimuth zero, (x, z) [m]."""
+    along, half = shape.notch
+    root, pitch = shape.root(size), math.pi / shape.branches
+    # An odd number, so that no cut crosses the sharp cell at the root's corner.
+    n_side = 1 + 2 * max(0, round(((root - along) / size - 1.0) / 2.0))
+    n_across = 2 * max(1, round(half / size))
+    n_around = n_across + 2 * n_side
+
+    side = np.column_stack(
+        [np.linspace(along, root, n_side + 1), np.full(n_side + 1, half)]
+    )
+    across = np.linspace(-half, half, n_across + 1)
+    front = np.column_stack([np.full(n_across + 1, root), across])
+    outline = np.vstack([side[:-1] * [1, -1], front, side[-2::-1]])
+    angle = np.linspace(-pitch, pitch, n_around + 1)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+
+    radii = _steps(shape.hole_radius, shape.centre_radius, size / 2.0)
+    centre = radii[:, None, None] * circle
+    arc = 2.0 * pitch * shape.centre_radius / n_around
+    # The narrowest gap decides, or its cells would be slivers.
+    gap = np.linalg.norm(outline - centre[-1], axis=1).min()
+    share = _graded(gap, arc, size)[1:, None, None]
+    fan = np.concatenate([centre, (1.0 - share) * centre[-1] + share * outline])
+
+    begin = shape.length - shape.end_length
+    free, end = _steps(root, begin, size), _steps(begin, shape.length, size)
+    s = np.concatenate([free[1:], end[1:]])
+    strip = np.full((len(s), n_around + 1, 2), np.nan)
+    middle = slice(n_side, n_side + n_across + 1)
+    strip[:, middle] = np.stack(np.broadcast_arrays(s[:, None], across), axis=-1)
+
+    points = np.concatenate([fan, strip])
+    there = ~np.isnan(points[:, :, 0])
+    used = there[1:, 1:] & there[1:, :-1]
+    return _Sector(points, used, len(radii) - 1, len(fan) - 1, len(end) - 1)
+
+
+def _steps(start: float, stop: float, size: float) -> Float[HostArray, " n"]:
+    """Equal steps of about a size, one at least."""
+    return np.linspace(start, stop, max(1, round((stop - start) / size)) + 1)
+
+
+def _graded(length: float, first: float, last: float) -> Float[HostArray, " n"]:
+    """Steps from 0 to 1 that grow from one size towards another along a length."""
+    n = max(1, round(length / math.sqrt(first * last)))
+    growth = np.geomspace(first, last, n)
+    return np.concatenate([[0.0], np.cumsum(growth) / growth.sum()])
+
+
+def _extruded(
+    sector: _Sector, branches: int, levels: Float[HostArray, " n_levels"]
+) -> TetMesh:
+    """The sheet of linear tets with the groups of its cells."""
+    n_rows, n_columns = sector.points.shape[:2]
+    around = branches * (n_columns - 1)
+    cells = np.argwhere(np.tile(sector.used, (len(levels) - 1, 1, branches)))
+    table = np.array([kuhn_cell(parity) for parity in product((0, 1), repeat=3)]) // 2
+    # Seen from the notch, so that its wide cells are cut through the notch.
+    parity = (cells + np.array([0, sector.n_fan, 0])) % 2 @ np.array([4, 2, 1])
+    nodes = cells[:, None, None] + table[parity]
+    nodes[..., 2] %= around
+    grid = (len(levels), n_rows, around)
+    numbers = np.ravel_multi_index(tuple(np.moveaxis(nodes, -1, 0)), grid)
+    used, tets = np.unique(numbers, return_inverse=True)
+    level, row, column = np.unravel_index(used, grid)
+    points = _placed(sector, branches, row, column, levels[level])
+    tets = _upright(points, tets.reshape(-1, 4))
+    groups = _cell_groups(sector, branches, cells)
+    members = {name: np.flatnonzero(np.repeat(w, 6)) for name, w in groups.items()}
+    return TetMesh(
+        points,
+        tets,
+        {name: np.unique(tets[chosen]) for name, chosen in members.items()},
+        {},
+        members,
+    )
+
+
+def _placed(
+    sector: _Sector,
+    branches: int,
+    row: Int[HostArray, " n"],
+    column: Int[HostArray, " n"],
+    y: Float[HostArray, " n"],
+) -> Float[HostArray, "n 3"]:
+    """Positions of nodes of the grid of all branches [m]."""
+    branch, column = np.divmod(column, sector.used.shape[1])
+    x, z = sector.points[row, column].T
+    azimuth = 2.0 * np.pi * branch / branches
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    return np.column_stack([c * x - s * z, y, s * x + c * z])
+
+
+def _upright(
+    points: Float[HostArray, "n_nodes 3"], tets: Int[HostArray, "n_tets 4"]
+) -> Int[HostArray, "n_tets 4"]:
+    """Tets with a positive volume: rows, columns and levels are a left-handed frame."""
+    corners = points[tets]
+    inverted = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+    return np.where(inverted[:, None], tets[:, [0, 1, 3, 2]], tets)
+
+
+def _cell_groups(
+    sector: _Sector, branches: int, cells: Int[HostArray, "n_cells 3"]
+) -> dict[str, Bool[HostArray, " n_cells"]]:
+    """Which cells belong to the centre and to the end of each branch."""
+    n_rows, n_columns = sector.used.shape
+    row, branch = cells[:, 1], cells[:, 2] // n_columns
+    at_end = row >= n_rows - sector.n_end
+    ends = {f"end {k + 1}": at_end & (branch == k) for k in range(branches)}
+    return {**ends, "centre": row < sector.n_centre}
+
+
+def _with_sides(mesh: TetMesh, levels: Float[HostArray, " n_levels"]) -> TetMesh:
+    """The sheet with its top and bottom as surface groups."""
+    faces = boundary_faces(mesh)
+    y = mesh.points[:, 1][faces]
+    for name, level in (("top", levels[-1]), ("bottom", levels[0])):
+        mesh = mesh.with_surface_group(name, faces[(y == level).all(axis=1)])
+    return mesh
+
+
+def _check_numbers(
+    shape: _Shape, thickness: float, y: float, size: float, layers: int, order: int
+) -> None:
+    lengths = {**shape._asdict(), "thickness": thickness, "size": size}
+    branches = lengths.pop("branches")
+    for name, value in lengths.items():
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be positive and finite [m], got {value}.")
+    if not np.isfinite(y):
+        raise ValueError(f"y must be finite [m], got {y}.")
+    if branches < 2:
+        raise ValueError(f"branches must be 2 or more, got {branches}.")
+    if layers < 1:
+        raise ValueError(f"layers must be 1 or more, got {layers}.")
+    if order not in (1, 2):
+        raise ValueError(f"order must be 1 (linear) or 2 (quadratic), got {order}.")
+
+
+def _check_fit(shape: _Shape, size: float) -> None:
+    reach = math.hypot(*shape.notch)
+    if not shape.hole_radius < shape.centre_radius < reach:
+        raise ValueError(
+            f"hole_radius < centre_radius < {reach:.4g} m is needed, where the sides "
+            f"of neighbouring branches meet; got {shape.hole_radius:g} and "
+            f"{shape.centre_radius:g} m."
+        )
+    free = shape.length - shape.root(size)
+    if not shape.end_length < free:
+        raise ValueError(
+            f"end_length must be below {free:.4g} m, what is left of the branch past "
+            f"its root at {shape.root(size):.4g} m; got {shape.end_length:g} m."
+        )

@@ -1,0 +1,264 @@
+"""Shape and arms of the parallel robot of Sec. VI: two sheets, a rod, six motors."""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.bodies import Pose
+from softcal_jax.fields import ControlPoints
+from softcal_jax.mesh import TetMesh, merge, tripod
+
+SHEETS = {"lower": -1.0, "upper": 1.0}
+"""The sheets, and the side of the middle on which they lie along y."""
+
+N_BRANCHES = 3
+
+
+class Arm(eqx.Module):
+    """A motor's arm and the branch end that is rigid on it.
+
+    The end moves from the flat sheet in two steps. `mounting` shifts it onto the arm
+    at the angle zero, where the arm points at the robot's axis; it does not turn.
+    Then the motor turns it by its angle about the fixed line through `axis_point`.
+
+    Poses refer to the rest frame whose origin is `origin`, the middle of the end at
+    s = 58.5 mm on the mid-surface of the flat sheet, and whose axes are those of the
+    robot: a `RigidBody` needs this origin.
+
+    Attributes:
+        name: "lower 1" to "upper 3".
+        end: Group of the mesh that the arm carries.
+        origin: Middle of the branch end at rest [m].
+        axis_point: Point of the motor axis [m].
+        axis_direction: Unit vector along the motor axis [-]: a positive angle turns the
+            inward direction of the branch, -e_r, towards the robot's middle, e_a.
+        mounting: Motion of the end onto the arm at the angle zero.
+    """
+
+    name: str
+    end: str
+    origin: Float[HostArray, "3"]
+    axis_point: Float[HostArray, "3"]
+    axis_direction: Float[HostArray, "3"]
+    mounting: Pose
+
+    def pose(self, angle: float) -> Pose:
+        """Motion of the end from the flat sheet to an angle of the arm.
+
+        Its origin goes to axis_point + arm_length (-cos(angle) e_r + sin(angle) e_a),
+        and the branch leaves the arm along that same direction.
+
+        Args:
+            angle: Of the motor [rad].
+
+        Raises:
+            ValueError: If the angle is not finite, or more than a full turn.
+        """
+        turn = angle * self.axis_direction
+        mounted = self.origin + self.mounting.translation
+        arm = Rotation.from_rotvec(turn).apply(mounted - self.axis_point)
+        return Pose(self.axis_point + arm - self.origin, turn)
+
+
+class ParallelRobotGeometry(eqx.Module):
+    """The parallel robot of Sec. VI at rest, flat and unstrained.
+
+    The robot's axis is y, and its middle the origin. The sheets lie in (x, z) planes;
+    azimuths and theta count from +x towards +z; gravity acts along -z. Each sheet has
+    branches at 0, 120 and 240 degrees, held at their ends by motor arms, and its centre
+    is rigid on a rod along y, which pulls both sheets towards the middle.
+
+    "Published" numbers are the authors' (paper and scene), the others are ours.
+
+    Attributes:
+        branch_length: From the centre of a sheet, published [m].
+        branch_width: Published [m].
+        thickness: Of a sheet, along y, published [m].
+        hole_radius: Published [m].
+        sheet_mass: Mass of one sheet, published [kg].
+        sheet_height: Distance of the flat mid-surfaces from the middle, published [m].
+        centre_radius: Within it a sheet is rigid on the rod, published [m].
+        rod_half_length: Distance from the middle at which the rod holds the centres,
+            published [m].
+        end_length: Part of a branch that is rigid on its arm, published [m].
+        axis_radius: Distance of the motor axes from the robot's axis [m].
+        axis_height: Distance of the motor axes from the middle along y [m].
+        arm_length: From the motor axis to the middle of the branch end [m].
+        working_angle: Of the arms in the working point [rad].
+        single_range: Angles of a motor while the others are at work [rad].
+        joint_range: Angles of all six motors together that do not stretch the
+            branches [rad].
+        inner_radius: Where the inner control point of a branch lies [m].
+        outer_radius: Where the outer control point of a branch lies [m].
+        ring_radius: Where the six control points around the centre lie [m].
+        E_t: Modulus across the fibre before calibration [Pa].
+        E_l: Modulus along the fibre before calibration [Pa].
+        nu: Poisson's ratio [-].
+        spiral_angle: Angle of the fibre from the radius before calibration [rad].
+        gravity: Acceleration along -z [m/s2].
+    """
+
+    branch_length: float = 0.066
+    branch_width: float = 0.030
+    thickness: float = 0.005
+    hole_radius: float = 0.005
+    sheet_mass: float = 0.032
+    sheet_height: float = 0.060
+    centre_radius: float = 0.0075
+    rod_half_length: float = 0.040
+    end_length: float = 0.015
+    axis_radius: float = 0.066
+    axis_height: float = 0.090
+    arm_length: float = 0.030
+    working_angle: float = math.radians(45.0)
+    single_range: tuple[float, float] = (math.radians(25.0), math.radians(65.0))
+    joint_range: tuple[float, float] = (math.radians(21.0), math.radians(60.0))
+    inner_radius: float = 0.026
+    outer_radius: float = 0.042
+    ring_radius: float = 0.013
+    E_t: float = 1400e3
+    E_l: float = 350e3
+    nu: float = 0.3
+    spiral_angle: float = math.radians(60.0)
+    gravity: float = 9.81
+
+    def __check_init__(self):
+        angles = {"single_range", "joint_range", "working_angle", "spiral_angle", "nu"}
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.name not in angles and not (np.isfinite(value) and value > 0.0):
+                raise ValueError(
+                    f"{field.name} must be positive and finite, got {value}."
+                )
+        if not self.rod_half_length <= self.sheet_height:
+            raise ValueError(
+                f"the rod must not push the sheets apart: rod_half_length "
+                f"{self.rod_half_length:g} m exceeds sheet_height "
+                f"{self.sheet_height:g} m."
+            )
+
+    @property
+    def azimuths(self) -> Float[HostArray, "3"]:
+        """Directions of the branches, from +x towards +z [rad]."""
+        return 2.0 * np.pi * np.arange(N_BRANCHES) / N_BRANCHES
+
+    @property
+    def density(self) -> float:
+        """Mass over the volume of the sheet with a round hole [kg/m3]."""
+        half = self.branch_width / 2.0
+        root = half / math.tan(math.pi / N_BRANCHES)
+        strips = self.branch_width * (self.branch_length - root) + half * root
+        area = N_BRANCHES * strips - math.pi * self.hole_radius**2
+        return self.sheet_mass / (area * self.thickness)
+
+    @property
+    def rod_pull(self) -> float:
+        """How far the rod pulls each sheet towards the middle [m]."""
+        return self.sheet_height - self.rod_half_length
+
+    def mesh(self, *, size: float = 0.005, layers: int = 1, order: int = 2) -> TetMesh:
+        """The two flat sheets, with groups like "lower/end 1" and "upper/centre".
+
+        Args:
+            size: Edge length in the plane of a sheet [m].
+            layers: Number of layers of tets through the thickness.
+            order: 2 for quadratic tets; linear ones are wrong by a factor 1.7 in twist.
+
+        Raises:
+            ValueError: If `tripod` refuses the dimensions.
+        """
+        return merge(
+            {
+                sheet: tripod(
+                    self.branch_length,
+                    self.branch_width,
+                    self.thickness,
+                    hole_radius=self.hole_radius,
+                    centre_radius=self.centre_radius,
+                    end_length=self.end_length,
+                    branches=N_BRANCHES,
+                    y=side * self.sheet_height,
+                    size=size,
+                    layers=layers,
+                    order=order,
+                )
+                for sheet, side in SHEETS.items()
+            }
+        )
+
+    def control_points(self) -> ControlPoints:
+        """The twelve control points that both sheets share, as in Fig. 6.
+
+        Two on each branch and six around the centre, which count by (x, z) alone and
+        stand at y = 0: "CP branch 1 inner", "CP branch 1 outer", ..., "CP ring 30 deg",
+        "CP ring 90 deg", ...
+        """
+        places = self._control_point_places()
+        return ControlPoints(
+            {
+                name: (radius * math.cos(azimuth), 0.0, radius * math.sin(azimuth))
+                for name, (radius, azimuth) in places.items()
+            },
+            axes="xz",
+        )
+
+    def start_field(self) -> dict[str, Float[HostArray, " n_cp"]]:
+        """E_t, E_l [Pa] and theta [rad] at the control points before calibration.
+
+        The fibre is a spiral: theta is the azimuth plus `spiral_angle`. It may exceed
+        half a turn, by which the same fibre comes back.
+        """
+        azimuth = np.array([a for _, a in self._control_point_places().values()])
+        return {
+            "E_t": np.full(azimuth.shape, self.E_t),
+            "E_l": np.full(azimuth.shape, self.E_l),
+            "theta": azimuth + self.spiral_angle,
+        }
+
+    def _control_point_places(self) -> dict[str, tuple[float, float]]:
+        """Radius [m] and azimuth [rad] of each control point."""
+        on_branches = {
+            f"CP branch {k} {name}": (radius, float(azimuth))
+            for k, azimuth in enumerate(self.azimuths, start=1)
+            for name, radius in (
+                ("inner", self.inner_radius),
+                ("outer", self.outer_radius),
+            )
+        }
+        ring = {
+            f"CP ring {degrees} deg": (self.ring_radius, math.radians(degrees))
+            for degrees in range(30, 360, 60)
+        }
+        return on_branches | ring
+
+    def arms(self) -> tuple[Arm, ...]:
+        """The six arms: "lower 1", "lower 2", "lower 3", "upper 1", ..."""
+        return tuple(
+            self._arm(sheet, branch)
+            for sheet in SHEETS
+            for branch in range(1, N_BRANCHES + 1)
+        )
+
+    def _arm(self, sheet: str, branch: int) -> Arm:
+        side = SHEETS[sheet]
+        azimuth = self.azimuths[branch - 1]
+        e_r = np.array([np.cos(azimuth), 0.0, np.sin(azimuth)])
+        e_y = np.array([0.0, 1.0, 0.0])
+        middle_of_end = self.branch_length - self.end_length / 2.0
+        origin = middle_of_end * e_r + side * self.sheet_height * e_y
+        axis_point = self.axis_radius * e_r + side * self.axis_height * e_y
+        # axis x (-e_r) = e_a, the direction along y towards the middle.
+        axis_direction = np.cross(-side * e_y, e_r)
+        on_arm = axis_point - self.arm_length * e_r
+        return Arm(
+            name=f"{sheet} {branch}",
+            end=f"{sheet}/end {branch}",
+            origin=origin,
+            axis_point=axis_point,
+            axis_direction=axis_direction,
+            mounting=Pose(on_arm - origin, np.zeros(3)),
+        )
