@@ -109,13 +109,19 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
         blind = ", ".join(
             n for n, flag in zip(names, undetermined, strict=True) if flag
         )
-        why = (
-            "more measured coordinates than parameters are needed, and there are "
-            f"{dof} to spare"
-            if dof <= 0
-            else "the data cannot tell them apart"
-        )
-        notes.append(f"No standard error for {blind}: {why}. Add measurements.")
+        why, remedy = "the data cannot tell them apart", "Add measurements."
+        if dof <= 0:
+            why = (
+                "more measured coordinates than parameters are needed, and there are "
+                f"{dof} to spare"
+            )
+            if spread.noise == "estimated":
+                why = f"to estimate the noise from the residuals, {why}"
+                remedy = (
+                    "Add measurements, or state the `std` of the markers and take it "
+                    'as it is with noise = "stated".'
+                )
+        notes.append(f"No standard error for {blind}: {why}. {remedy}")
     elif spread.noise == "estimated":
         notes.append(
             f"Standard errors rest on the noise estimated from the residuals ({dof} "

@@ -165,10 +165,11 @@ class ControlPoints(eqx.Module):
             gaps = np.linalg.norm(x[:j] - x[j], axis=1)
             i = int(np.argmin(gaps))
             if gaps[i] <= 1e-9 * size:
+                where = "" if self.axes == AXES else f" along {self.axes}"
                 raise ValueError(
-                    f"control points {self.names[i]!r} and {self.names[j]!r} coincide "
-                    f"(distance {gaps[i]:.1e} m along {self.axes}): the data could "
-                    "never tell their values apart. Remove one, or move it."
+                    f"control points {self.names[i]!r} and {self.names[j]!r} coincide"
+                    f"{where}: the data could never tell their values apart. Remove "
+                    "one, or move it."
                 )
 
     @property

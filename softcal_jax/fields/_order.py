@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
 from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._spread import ControlPointParameters
@@ -42,7 +43,7 @@ def order_terms(
     """
     pairs = []
     for smaller, larger in order:
-        left, right = _sides(entries, smaller), _sides(entries, larger)
+        left, right = (_sides(entries, name, "order") for name in (smaller, larger))
         shared = [key for key in left if key in right]
         if not shared:
             raise ValueError(
@@ -74,8 +75,14 @@ def _check_known(small: Term, large: Term) -> None:
         )
 
 
-def _sides(entries: Entries, name: str) -> dict[str, Term]:
-    """Terms of a parameter, or of a field at each of its control points."""
+def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
+    """Terms of a parameter, or of a field at each of its control points.
+
+    Args:
+        entries: Entries of a parameter space.
+        name: The parameter or the field.
+        key: What names it, "order" or "axes", for the error.
+    """
     parameters = [q for entry in entries for q in entry.parameters]
     columns = {q.name: i for i, q in enumerate(parameters)}
     if name in columns:
@@ -96,9 +103,11 @@ def _sides(entries: Entries, name: str) -> dict[str, Term]:
                     )
                 sides[point] = side
     if not sides:
+        fields = [e.field for e in entries if isinstance(e, ControlPointParameters)]
         raise ValueError(
-            f"order names {name!r}, which is neither a parameter nor a field with "
-            f"control points; parameters are {', '.join(columns)}."
+            f"{key} names {name!r}, which is neither a parameter nor a field with "
+            f"control points.{suggestion(name, [*fields, *columns])} Parameters are "
+            f"{', '.join(columns)}."
         )
     return sides
 
@@ -136,7 +145,7 @@ def axis_columns(
     rows: list[list[int]] = []
     parameters = [q for entry in entries for q in entry.parameters]
     for axis in axes:
-        sides = [_sides(entries, name) for name in axis]
+        sides = [_sides(entries, name, "axes") for name in axis]
         found = []
         for key in sides[0]:
             columns = [s[key].column if key in s else None for s in sides]

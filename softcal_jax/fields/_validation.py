@@ -110,7 +110,8 @@ def _check_control_points(model: Any, entry: ControlPointParameters) -> None:
     strongest = np.asarray(points.weights(sampled)).max(axis=0)
     for name, weight in zip(points.names, strongest, strict=True):
         if weight == 0.0 and name not in entry.fixed:
-            why, remedy = f"has {points.nearest} nearer ones", "Raise `nearest`"
+            why = f"has others nearer, and nearest is {points.nearest}"
+            remedy = "Raise `nearest`"
             if points.nearest is None:
                 why = f"is nearer to others, with power {points.power:g}"
                 remedy = "Lower `power`"
@@ -127,15 +128,21 @@ def _check_order(space: ParameterSpace) -> None:
     best = np.asarray(
         jnp.minimum(A * space.lower()[None], A * space.upper()[None]).sum(axis=1) - b
     )
-    pairs = list(zip(space.order_names(), excess, best, strict=True))
+    order = "order asks for {0} <= {1}: start with equal or ordered values"
+    axes = (
+        "axes names the smaller modulus first: swap the two there, or start with equal "
+        "or ordered values"
+    )
+    given = zip(space.order_names(), excess, best, strict=True)
+    pairs = [(*pair, order) for pair in given]
     if space.chart is not None:
         names, z = space.names, np.asarray(space.start())
         low, high = np.asarray(space.lower()), np.asarray(space.upper())
         for s, l in zip(space.chart.small, space.chart.large, strict=True):
             # The two moduli must be able to differ.
             least = np.inf if low[s] >= high[l] else 0.0
-            pairs.append(((names[s], names[l]), z[s] - z[l], least))
-    for (small, large), over, least in pairs:
+            pairs.append(((names[s], names[l]), z[s] - z[l], least, axes))
+    for (small, large), over, least, rule in pairs:
         if least > 1e-12:
             raise ValueError(
                 f"the bounds leave no room for {small} <= {large}: lower the bounds of "
@@ -143,8 +150,7 @@ def _check_order(space: ParameterSpace) -> None:
             )
         if over > 1e-12:
             raise ValueError(
-                f"the start has {small} above {large}, against the order: start with "
-                "equal or ordered values."
+                f"the start has {small} above {large}, but {rule.format(small, large)}."
             )
 
 

@@ -36,7 +36,9 @@ class Ranking(eqx.Module):
             lines += gain_table(self.gains, self.n_parameters)
             lines.append(
                 f"Without a candidate {self.blind_before} of {self.n_parameters} "
-                "directions are blind. Volume: factor on that of the uncertainty."
+                "directions are blind. Volume: factor on that of the uncertainty, "
+                "exp(-D gain / 2). E gain: information added where there is least, in "
+                "units of what the bounds know."
             )
         return "\n".join(lines + [str(u) for u in self.unranked])
 

@@ -91,6 +91,11 @@ def _report(found: Identifiability) -> str:
     ]
     head = ("parameter", "value", "standard error", "from data alone", "verdict")
     lines += table(head, [_row(p) for p in found.parameters])
+    if any(p.data_only > p.prior for p in found.parameters):
+        lines.append(
+            "The standard error takes the bounds for knowledge; the verdict compares "
+            "it with that of the bounds alone."
+        )
     blind = found.blind
     if blind:
         lines.append(
@@ -129,8 +134,8 @@ def _remedies(found: Identifiability) -> list[str]:
         return []
     advice = (
         "What to do: another configuration (load, orientation, other end clamped), "
-        "more effectors, or less noise; `rank_configurations` tells which "
-        "configuration adds most. Or calibrate fewer parameters."
+        "more markers, or less noise; ranking candidates tells which configuration "
+        "adds most. Or calibrate fewer parameters."
     )
     if missing > 0:
         several = "s are" if missing > 1 else " is"

@@ -76,7 +76,10 @@ def _finish(axes: "matplotlib.axes.Axes") -> None:
     axes.margins(x=0.02)
     axes.yaxis.label.set_fontsize(14)
     if axes.get_legend_handles_labels()[0]:
-        legend = axes.legend(fontsize=13, framealpha=0.9)
+        # Beside the panel: inside, it would cover a curve.
+        legend = axes.legend(
+            fontsize=13, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.04)
+        )
         for text in legend.get_texts():
             text.set_parse_math(False)  # a name may hold a dollar sign
 

@@ -94,7 +94,7 @@ def _wrong_value(details: ErrorDetails) -> str:
     kind, value, context = details["type"], details["input"], details.get("ctx", {})
     if kind in ("quantity", "value_error"):
         return str(context.get("problem") or context.get("error"))
-    got = f"got {_shown(value)}; expected "
+    got = f"got {shown(value)}; expected "
     if kind == "literal_error":
         # pydantic writes them as 'a', 'b' or 'c'.
         choices = re.findall("'([^']*)'", context["expected"])
@@ -107,7 +107,8 @@ def _wrong_value(details: ErrorDetails) -> str:
     return f"{got}{details['msg'].removeprefix('Input should be ')}."
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value as a project file writes it."""
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 

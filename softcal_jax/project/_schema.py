@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
+from softcal_jax.project._problems import shown
 from softcal_jax.project._schema_material import MaterialTable
 from softcal_jax.project._schema_mesh import GroupTable, MeshTable
 from softcal_jax.project._schema_parameters import (
@@ -71,8 +72,18 @@ class ProjectTable(Table):
     @field_validator("control_points", mode="before")
     @classmethod
     def _check_named(cls, sets: Any) -> Any:
-        if isinstance(sets, dict) and "positions" in sets:
-            known = ControlPointsTable.model_fields
+        if not isinstance(sets, dict):
+            return sets
+        known = ControlPointsTable.model_fields
+        for name, points in sets.items():
+            if name not in known and not isinstance(points, dict):
+                own = f'"{name}" = {shown(points)}'
+                raise ValueError(
+                    f"got {own}; expected sets of control points, each with a name: "
+                    f"write [control_points.ends] and below positions = {{ {own} }}, "
+                    'and control_points = "ends" in [[parameters]].'
+                )
+        if "positions" in sets:
             if all(key in known for key in sets):
                 raise ValueError(
                     "a set of control points needs a name: write "

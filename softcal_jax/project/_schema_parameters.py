@@ -90,6 +90,16 @@ class ParameterTable(Table):
             }
         return _parsed(value, field)
 
+    @field_validator("control_points", mode="before")
+    @classmethod
+    def _check_set(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            raise ValueError(
+                f"got {value!r}; expected the name of one set in [control_points], "
+                'like "ends". All control points of that set are calibrated.'
+            )
+        return value
+
     @model_validator(mode="after")
     def _check(self) -> "ParameterTable":
         if self.control_points is not None:

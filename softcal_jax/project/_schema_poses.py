@@ -4,8 +4,16 @@ import math
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
+from softcal_jax.project._problems import shown
 from softcal_jax.project._quantities import ACCELERATION, scalar
 from softcal_jax.project._table import (
     Acceleration,
@@ -132,6 +140,17 @@ class CandidateTable(Table):
     supports: tuple[SupportTable, ...] = ()
     loads: tuple[LoadTable, ...] = ()
     markers: tuple[str, ...] | None = None
+
+    @field_validator("supports", mode="before")
+    @classmethod
+    def _check_supports(cls, value: Any) -> Any:
+        groups = value if isinstance(value, list) else [value]
+        if not groups or isinstance(groups[0], dict):
+            return value
+        names = ", ".join(f"{{ group = {shown(group)} }}" for group in groups)
+        raise ValueError(
+            f"got {shown(value)}; expected a list of tables, like [{names}]."
+        )
 
 
 class ConfigurationTable(CandidateTable):

@@ -352,6 +352,7 @@ def test_undetermined_parameters_are_named(model):
     assert result.converged
     assert np.isnan(result.parameters[0].standard_error)
     assert any("No standard error for E" in note for note in result.notes)
+    assert any('noise = "stated"' in note for note in result.notes)
 
 
 def test_poisson_ratio_that_may_lock_warns():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, nnls
 
-from softcal_jax.calibration import bounded_step
+from softcal_jax.calibration import _qp, bounded_step
 
 step = jax.jit(bounded_step)
 
@@ -296,3 +296,39 @@ def test_wrong_calls_say_so():
         bounded_step(jnp.eye(1), one, -one, one, A=jnp.eye(1))
     with pytest.raises(ValueError, match=r"damping must be positive, got 0\.0"):
         bounded_step(jnp.eye(1), one, -one, one, damping=0.0)
+
+
+def test_iteration_starts_at_the_optimum_of_the_active_set(monkeypatch):
+    """Q y + c + G^T dual = 0, duals positive at upper and negative at lower limits.
+
+    From a start with wrong signs BoxOSQP finds the same step, but in more iterations.
+    """
+    starts = []
+
+    class Recorder(_qp.BoxOSQP):
+        def run(self, first, objective, G, limits):
+            starts.append((first, objective, G, limits))
+            return super().run(first, objective, G, limits)
+
+    monkeypatch.setattr(_qp, "BoxOSQP", Recorder)
+    # The first goes to its upper, the second to its lower bound, the others to the row.
+    error = jnp.array([-3.0, 3.0, -0.8, -0.9])
+    A, b = jnp.array([[0.0, 0.0, 1.0, 1.0]]), jnp.array([1.0])
+    ours = bounded_step(jnp.eye(4), error, -jnp.ones(4), jnp.ones(4), A=A, b=b)
+    np.testing.assert_allclose(ours.lambda_p, [1.0, -1.0, 0.45, 0.55], atol=ROUNDING)
+    ((first, (Q, c), G, (low, high)),) = starts
+    (y, z), dual, _ = first
+    np.testing.assert_allclose(Q @ y + c + G.T @ dual, 0.0, atol=ROUNDING)
+    np.testing.assert_allclose(z, G @ y, atol=ROUNDING)
+    np.testing.assert_array_equal(np.abs(z - low) < ROUNDING, dual < -ROUNDING)
+    np.testing.assert_array_equal(np.abs(z - high) < ROUNDING, dual > ROUNDING)
+    assert [int(np.sum(dual < -ROUNDING)), int(np.sum(dual > ROUNDING))] == [1, 2]
+
+
+def test_a_row_that_pushes_without_being_met_is_a_violation():
+    """y = 0 is stationary with a multiplier of 0.5, but the row has a slack of 1."""
+    one = jnp.ones(1)
+    qp = _qp._Scaled(jnp.eye(1), -0.5 * one, -one, one, jnp.eye(1), one)
+    residual = _qp._kkt_residual(qp, jnp.zeros(1), 0.5 * one)
+    np.testing.assert_allclose(residual, 0.5, rtol=ROUNDING)
+    np.testing.assert_allclose(_qp._kkt_residual(qp, 0.5 * one, 0.0 * one), 0.0)

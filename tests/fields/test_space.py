@@ -188,7 +188,7 @@ def test_order_rows_can_be_traced():
         (
             [modulus("E_t")],
             [("E_l", "E_t")],
-            "order names 'E_l', which is neither .*; parameters are E_t of root, ",
+            "order names 'E_l', which is neither .* Parameters are E_t of root, ",
         ),
         (
             [modulus("E_t"), modulus("E_l", OTHERS)],

@@ -135,7 +135,10 @@ def test_distance_counts_along_the_axes_of_the_control_points():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"nearest": 1}, "every tet has 1 nearer ones. Raise `nearest`, or move it"),
+        (
+            {"nearest": 1},
+            "others nearer, and nearest is 1. Raise `nearest`, or move it",
+        ),
         ({"power": 1e4}, "is nearer to others, with power 10000. Lower `power`, or"),
     ],
 )
@@ -194,7 +197,7 @@ ANGLE = ControlPointParameters(
     [
         ({}, {}, None),
         ({"start": 1.5e5}, {}, None),
-        ({"start": [2e5, 3e5]}, {}, "start has E_l of tip above E_t of tip, against"),
+        ({"start": [2e5, 3e5]}, {}, "start has E_l of tip above E_t of tip, but"),
         (
             {"lower": 5e5, "start": 6e5},
             {"upper": 4e5},
@@ -211,5 +214,7 @@ def test_start_and_bounds_must_allow_the_order(way, soft, stiff, message):
     if message is None:
         check_parameters(with_fibre(), space)
     else:
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises(ValueError, match=message) as caught:
             check_parameters(with_fibre(), space)
+        if "start" in message:
+            assert f"but {way} " in str(caught.value)

@@ -221,13 +221,15 @@ def test_report_is_in_the_units_of_a_person():
     assert "17.19 deg  52 deg" in text
     assert "theta of CP 2 (100 %)" in text
     assert "At least 1 more measured coordinate is needed." in text
-    assert "rank_configurations" in text
+    assert "ranking candidates" in text
+    assert "takes the bounds for knowledge" in text
 
 
 def test_a_good_verdict_asks_for_nothing():
     text = str(judge(1e3 * np.eye(2), modulus("E"), angle()))
     assert text.startswith("Identifiable at these values")
     assert "What to do" not in text
+    assert "knowledge" not in text  # the bounds hardly count
     assert "hardly see" not in text
 
 

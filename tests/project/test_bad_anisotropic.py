@@ -109,7 +109,7 @@ CASES = {
     ),
     "coinciding": (
         ('"CP 2" = "(150, 7.5, 7.5) mm"', '"CP 2" = "(0, 7.5, 7.5) mm"'),
-        "control_points.ends: control points 'CP 1' and 'CP 2' coincide (distance",
+        "control_points.ends: control points 'CP 1' and 'CP 2' coincide: the data coul",
     ),
     "far outside": (
         ('"CP 2" = "(150, 7.5, 7.5) mm"', '"CP 2" = "(150, 7.5, 7.5) cm"'),
@@ -185,7 +185,33 @@ CASES = {
     ),
     "start against the order": (
         ("axes = [[", 'order = [["E_t", "E_l"]]\n# [['),
-        "parameters: the start has E_t of CP 1 above E_l of CP 1, against the order: ",
+        "parameters: the start has E_t of CP 1 above E_l of CP 1, but order asks for E",
+    ),
+    "axis with the larger modulus first": (
+        ('"E_l", "E_t", "theta"', '"E_t", "E_l", "theta"'),
+        "parameters: the start has E_t of CP 1 above E_l of CP 1, but axes names the s"
+        "maller modulus first: swap the two there, or start with equal or ordered ",
+    ),
+    "axis of a misspelt field": (
+        ('"E_t", "theta"', '"E_t", "teta"'),
+        "parameter_space: axes names 'teta', which is neither a parameter nor a field "
+        "with control points. Did you mean 'theta'? Parameters are E_t of CP 1, E_t of",
+    ),
+    "control points without a set": (
+        (
+            f"[control_points.ends]\n{POSITIONS}\npower = 2\n",
+            '[control_points]\ntip = "(0, 0, 0) mm"\n',
+        ),
+        'control_points: got "tip" = "(0, 0, 0) mm"; expected sets of control points, '
+        "each with a name: write [control_points.ends] and below positions = ",
+    ),
+    "parameter at a list of control points": (
+        (f'{E_L}control_points = "ends"', f'{E_L}control_points = ["CP 1", "CP 2"]'),
+        "parameters.E_l.control_points: got ['CP 1', 'CP 2']; expected the name of one",
+    ),
+    "support by its name alone": (
+        ('supports = [{ group = "x_max" }]', 'supports = "x_max"'),
+        'candidates.pose 4.supports: got "x_max"; expected a list of tables, like [{ g',
     ),
     "measured candidate": (
         ('name = "pose 2"', 'name = "pose 2"\nmeasured.file = "m.csv"'),
