@@ -14,6 +14,7 @@ from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
     each_clique,
 )
+from softcal_jax.actuators._motor import Motor
 from softcal_jax.mesh import TetMesh
 
 
@@ -27,12 +28,14 @@ class ActuatorArrays(eqx.Module):
         rest: Sum of the contributions at rest, in the units of delta_a.
         names: Name of each actuator.
         kinds: Its kind, with the units of lambda_a and delta_a.
+        motor_body: Number of the rigid body that it turns; -1 if it is no motor.
     """
 
     groups: tuple[AbstractCliques, ...]
     rest: Float[Array, " n_a"]
     names: tuple[str, ...] = eqx.field(static=True)
     kinds: tuple[Kind, ...] = eqx.field(static=True)
+    motor_body: tuple[int, ...] = eqx.field(static=True)
 
     @property
     def n_actuators(self) -> int:
@@ -99,6 +102,7 @@ def actuator_arrays(
         _contributions(groups, jnp.asarray(points), len(names)),
         names,
         tuple(actuator.kind for actuator in actuators),
+        tuple(bodies[a.body] if isinstance(a, Motor) else -1 for a in actuators),
     )
 
 

@@ -1,6 +1,6 @@
 """Descriptions of rigid bodies: which nodes they hold, and what they hang on."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -19,7 +19,9 @@ def _as_groups(where) -> tuple:
     return tuple(array)
 
 
-def _as_point(value: Float[ArrayLike, "3"] | None) -> Float[HostArray, "3"] | None:
+def _as_point(
+    value: Float[ArrayLike, "..."] | Sequence | None,
+) -> Float[HostArray, "..."] | None:
     return None if value is None else np.asarray(value, float)
 
 
@@ -87,7 +89,9 @@ class RigidBody(eqx.Module):
             raise ValueError(f"rigid body {self.name!r} is tied to itself.")
 
 
-def hinge_axes(axis: Float[ArrayLike, "3"]) -> Float[HostArray, "3 3"]:
+def hinge_axes(
+    axis: Float[ArrayLike, "3"] | Sequence[float],
+) -> Float[HostArray, "3 3"]:
     """Axes of a frame whose third one is the axis of a hinge, by rows [-].
 
     Args:

@@ -50,7 +50,7 @@ def frames_at(bodies: BodyArrays, ends: Float[Array, "n_frame_nodes 3"]) -> Fram
 
 def frame_nodes(bodies: BodyArrays, frames: Frames) -> Float[Array, "n_b 4 3"]:
     """Positions of the frame nodes [m]."""
-    axes = _apply(frames.rotation[:, None], bodies.axes)
+    axes = _apply(frames.rotation[:, None], jnp.asarray(bodies.axes))
     ends = frames.origin[:, None] + bodies.length * axes
     return jnp.concatenate([frames.origin[:, None], ends], axis=1)
 
@@ -63,7 +63,7 @@ def _apply(R: Float[Array, "... 3 3"], v: Float[Array, "... 3"]):
 def mounted_axes(bodies: BodyArrays, load: Float[Array, ""]) -> Float[Array, "n_b 3 3"]:
     """Axes of the frames after a share of the mounting, by rows [-]."""
     R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
-    return _apply(R[:, None], bodies.axes)
+    return _apply(R[:, None], jnp.asarray(bodies.axes))
 
 
 def place(
@@ -89,7 +89,8 @@ def place(
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
     turn = jax.vmap(rotation_matrix)
     mounting = turn(load * bodies.mounting_rotation)
-    home = bodies.origin + load * (bodies.mounting_translation + state.translation)
+    rest = jnp.asarray(bodies.origin)
+    home = rest + load * (bodies.mounting_translation + state.translation)
     free = Frames(
         frames.origin + along(twist[:, :3]),
         _product(turn(along(twist[:, 3:]) / bodies.length), frames.rotation),
@@ -108,7 +109,7 @@ def place(
     # A tied body has the motion of its owner after its own mounting.
     owner = bodies.owner
     tied = (owner != jnp.arange(bodies.n_bodies))[:, None]
-    arm = bodies.origin + load * bodies.mounting_translation - bodies.origin[owner]
+    arm = rest + load * bodies.mounting_translation - rest[owner]
     on_owner = Frames(
         origin[owner] + _apply(rotation[owner], arm),
         _product(rotation[owner], mounting),

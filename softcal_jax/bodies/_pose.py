@@ -1,5 +1,7 @@
 """A rigid motion: how far a frame has moved and turned."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
@@ -8,7 +10,9 @@ from scipy.spatial.transform import Rotation
 from softcal_jax._typing import Float, HostArray
 
 
-def _three_numbers(value: Float[ArrayLike, "3"]) -> Float[HostArray, "3"]:
+def _three_numbers(
+    value: Float[ArrayLike, "3"] | Sequence[float],
+) -> Float[HostArray, "3"]:
     return np.asarray(value, float)
 
 
@@ -23,10 +27,10 @@ class Pose(eqx.Module):
     """
 
     translation: Float[HostArray, "3"] = eqx.field(
-        converter=_three_numbers, default=(0.0, 0.0, 0.0)
+        converter=_three_numbers, default_factory=lambda: np.zeros(3)
     )
     rotation_vector: Float[HostArray, "3"] = eqx.field(
-        converter=_three_numbers, default=(0.0, 0.0, 0.0)
+        converter=_three_numbers, default_factory=lambda: np.zeros(3)
     )
 
     def __check_init__(self):

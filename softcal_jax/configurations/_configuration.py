@@ -53,24 +53,24 @@ class Configuration(eqx.Module):
         supports: How the body is held: one or several; the name of a group clamps it.
         gravity: Acceleration of gravity, in the frame of the mesh [m/s2].
         loads: Dead loads, one or several.
+        markers: Points that are measured or followed; may be left out.
+        measured: Measured marker positions in the frame of the mesh [m].
         bodies: What rigid bodies do, by name: a `Pose` where they are held, "held",
             "hinged", or a `BodyState`; the others are free.
         actuation: What is asked of actuators, by name: `ImposedForce` or
             `ImposedDisplacement`. Of the others nothing: no force; a motor at zero.
-        markers: Points that are measured or followed; may be left out.
-        measured: Measured marker positions in the frame of the mesh [m].
     """
 
     name: str
     supports: tuple[Support, ...] = eqx.field(converter=_as_supports, default=())
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
     loads: tuple[AbstractLoad, ...] = eqx.field(converter=_as_loads, default=())
-    bodies: BodyStates = eqx.field(converter=dict, default_factory=dict)
-    actuation: Actuation = eqx.field(converter=dict, default_factory=dict)
     markers: Markers | None = None
     measured: Float[HostArray, "n_markers 3"] | None = eqx.field(
         converter=_as_measured, default=None
     )
+    bodies: BodyStates = eqx.field(default_factory=dict)
+    actuation: Actuation = eqx.field(default_factory=dict)
 
     def __check_init__(self):
         gravity = np.asarray(self.gravity, float)

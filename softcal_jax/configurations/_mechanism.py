@@ -77,7 +77,8 @@ def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
             )
         if body in turned:
             raise ValueError(
-                f"motors {turned[body]!r} and {name!r} both turn {bodies.names[body]!r}."
+                f"motors {turned[body]!r} and {name!r} both turn "
+                f"{bodies.names[body]!r}."
             )
         if np.any(np.asarray(bodies.mounting_rotation[body]) != 0.0):
             raise ValueError(

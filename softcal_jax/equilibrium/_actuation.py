@@ -175,4 +175,6 @@ def estimated_forces(
     normal = jnp.sum(H[:, None] * H[None], axis=-1)
     scale = jnp.maximum(jnp.diag(normal), jnp.finfo(H.dtype).tiny)
     unit = jnp.where(active, 0.0, scale)
-    return jnp.linalg.solve(normal + jnp.diag(unit), jnp.sum(H * unbalanced[None], axis=1))
+    return jnp.linalg.solve(
+        normal + jnp.diag(unit), jnp.sum(H * unbalanced[None], axis=1)
+    )

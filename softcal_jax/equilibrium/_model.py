@@ -189,9 +189,10 @@ def build_model(
             the law does not have.
     """
     require_float64()
-    check_mesh(mesh)
     _check_fields(law, mesh.n_tets)
     density = _checked_density(density, mesh.n_tets)
+    mechanism = build_mechanism(mesh, bodies, actuators)
+    check_mesh(mesh, linked=_linked(mechanism))
     n_tets, n_en = mesh.tets.shape
     chosen = _formulation(formulation, law, n_en)
     check_law(law, law.conservative, chosen)
@@ -208,7 +209,6 @@ def build_model(
         return np.moveaxis(cut, 1, -1)
 
     dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
-    mechanism = build_mechanism(mesh, bodies, actuators)
     conservative = law.conservative and mechanism.actuators.symmetric
     rigid = _within_one_body(mesh, mechanism)
     active = np.concatenate([~rigid, np.zeros(n_blocks * block - n_tets, bool)])
@@ -237,6 +237,18 @@ def build_model(
         analyse(unknowns, solver),
         chosen,
     )
+
+
+def _linked(mechanism: Mechanism) -> list[np.ndarray]:
+    """Nodes of the mesh that each rigid body holds together, tied ones included.
+
+    Bodies with motors are linked by the ground.
+    """
+    bodies = mechanism.bodies
+    owner = bodies.owner[bodies.body]
+    driven = np.isin(owner, mechanism.actuators.motor_body)
+    sets = [bodies.attached[(owner == k) & ~driven] for k in range(bodies.n_bodies)]
+    return [nodes for nodes in (bodies.attached[driven], *sets) if nodes.size]
 
 
 def _within_one_body(mesh: TetMesh, mechanism: Mechanism) -> np.ndarray:

@@ -272,12 +272,13 @@ class NewtonLoop:
     def suspicious(self, s: NewtonState, det):
         """Whether full steps may have jumped; load stepping then finds the path.
 
-        To a saddle, where negative eigenvalues show it; without a potential, inverted
-        tets are the only sign.
+        To a saddle, where negative eigenvalues show it, or past a tet turned inside
+        out, which some laws survive.
         """
+        jumped = (det <= 0.0) & (s.increment >= self.settings.strict_below)
         if self.model.conservative:
-            return (s.n_negative > 0) & ~self.strict(s)
-        return (det <= 0.0) & (s.increment >= self.settings.strict_below)
+            jumped = jumped | ((s.n_negative > 0) & ~self.strict(s))
+        return jumped
 
     def next_load(self, s: NewtonState) -> NewtonState:
         """Keep an equilibrium; raise the load, or finish."""

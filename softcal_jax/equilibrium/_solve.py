@@ -225,7 +225,7 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     _, du_held = eqx.filter_jvp(held, inputs, t_inputs)
     du_held = jnp.zeros_like(u) if du_held is None else du_held
     _, dR = eqx.filter_jvp(
-        lambda *inputs: residual(*inputs, lambda_a),
+        lambda model, configuration, u: residual(model, configuration, u, lambda_a),
         (*inputs, u),
         (*t_inputs, du_held),
     )
@@ -327,12 +327,17 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
         return
     lines = []
     for lane in bad:
-        of = lambda leaf, lane=lane: np.atleast_1d(np.asarray(leaf))[lane]
-        result = jax.tree.map(lambda leaf: jnp.asarray(of(leaf)), solution.result)
+        of = partial(_of_lane, lane)
+        result = jax.tree.map(lambda a, of=of: jnp.asarray(of(a)), solution.result)
         lines.append(
             f"configuration {names[lane]!r}: {RESULTS[result]} "
-            f"({of(solution.steps)} Newton steps, {100 * of(solution.load_reached):.0f} "
-            f"% of the load carried, residual {of(solution.residual):.1e}, smallest "
-            f"det F {of(solution.min_det_F):.3g})"
+            f"({of(solution.steps)} Newton steps, "
+            f"{100 * of(solution.load_reached):.0f} % of the load carried, residual "
+            f"{of(solution.residual):.1e}, smallest det F {of(solution.min_det_F):.3g})"
         )
     raise RuntimeError("no equilibrium found.\n" + "\n".join(lines))
+
+
+def _of_lane(lane, leaf):
+    """The value of one lane; a solution without a batch is lane 0."""
+    return np.atleast_1d(np.asarray(leaf))[lane]

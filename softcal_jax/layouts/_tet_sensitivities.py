@@ -111,7 +111,9 @@ def tet_sensitivities(
     there = lambda c: eqx.tree_at(
         lambda c: c.measured, c, c.markers.positions, is_leaf=lambda v: v is None
     )
-    arrays = configuration_arrays(model.mesh, [there(c) for c in posed], model.mechanism)
+    arrays = configuration_arrays(
+        model.mesh, [there(c) for c in posed], model.mechanism
+    )
     found = _solve(model, arrays, names, newton or NewtonSettings())
     check_converged(found.solution, tuple(c.name for c in posed))
     for c, ok in zip(posed, np.asarray(found.ok), strict=True):

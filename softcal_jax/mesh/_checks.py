@@ -1,11 +1,13 @@
 """Refuses a mesh that cannot carry a simulation."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from softcal_jax._typing import HostArray
+from softcal_jax._typing import HostArray, Int
 from softcal_jax.elements import TET_EDGES, tet_rule
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import FaceTable, face_table, jacobian_determinants
@@ -14,7 +16,9 @@ FLAT = 1e-6
 """A tet is flat below this part of the volume of the regular tet of its rms edge."""
 
 
-def check_mesh(mesh: TetMesh) -> None:
+def check_mesh(
+    mesh: TetMesh, *, linked: Sequence[Int[HostArray, " n"]] = ()
+) -> None:
     """Checks that every tet has a positive volume and that the tets form one body.
 
     A quadratic tet must have det dX/dxi > 0 at its ten nodes and at the quadrature
@@ -23,6 +27,8 @@ def check_mesh(mesh: TetMesh) -> None:
 
     Args:
         mesh: The mesh.
+        linked: Sets of nodes that something else holds together, such as rigid bodies:
+            parts with nodes in the same set count as one.
 
     Raises:
         ValueError: If tets are inverted, flat, repeated or overlapping, nodes are
@@ -33,7 +39,7 @@ def check_mesh(mesh: TetMesh) -> None:
         *_unused(mesh),
         *_bad_shapes(mesh),
         *_repeated(mesh, table),
-        *_disconnected(mesh, table),
+        *_disconnected(mesh, table, linked),
     ]
     if len(problems) == 1:
         raise ValueError(f"bad mesh: {problems[0]}")
@@ -124,11 +130,19 @@ def _repeated(mesh: TetMesh, table: FaceTable) -> list[str]:
     return []
 
 
-def _disconnected(mesh: TetMesh, table: FaceTable) -> list[str]:
+def _disconnected(mesh: TetMesh, table: FaceTable, linked) -> list[str]:
     tet = np.repeat(np.arange(mesh.n_tets), 4)
     shape = (mesh.n_tets, len(table.counts))
     on_face = coo_array((np.ones(len(tet)), (tet, table.inverse)), shape).tocsr()
     n_parts, part = connected_components(on_face @ on_face.T, directed=False)
+    of_node = np.empty(mesh.n_nodes, int)
+    of_node[mesh.tets] = part[:, None]
+    for nodes in linked:
+        of_node = np.where(
+            np.isin(of_node, of_node[nodes]), of_node[nodes].min(), of_node
+        )
+    part = np.unique(of_node[mesh.tets[:, 0]], return_inverse=True)[1]
+    n_parts = int(part.max()) + 1
     if n_parts == 1:
         return []
     sizes = sorted(np.bincount(part).tolist(), reverse=True)
@@ -137,7 +151,7 @@ def _disconnected(mesh: TetMesh, table: FaceTable) -> list[str]:
     remedy = (
         f"{len(pairs)} pairs of nodes coincide: merge them"
         if len(pairs)
-        else "Join them or keep one"
+        else "Join them, keep one, or link them by a rigid body"
     )
     return [
         f"it is disconnected: {n_parts} parts of {listed} tets that share no face. "
