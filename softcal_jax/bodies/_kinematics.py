@@ -108,7 +108,7 @@ def place(
     rotation = pick(free.rotation, hinged.rotation, held.rotation)
     # A tied body has the motion of its owner after its own mounting.
     owner = bodies.owner
-    tied = (owner != jnp.arange(bodies.n_bodies))[:, None]
+    tied = (owner != jnp.arange(bodies.n_bodies, dtype=jnp.int32))[:, None]
     arm = rest + load * bodies.mounting_translation - rest[owner]
     on_owner = Frames(
         origin[owner] + _apply(rotation[owner], arm),
@@ -141,5 +141,5 @@ def blocked(state: BodyStateArrays, bodies: BodyArrays):
     kind = state.kind[:, None]
     hinge = jnp.arange(6)[None] == 5
     free = (kind == KINDS.index("free")) | ((kind == KINDS.index("hinged")) & hinge)
-    tied = (bodies.owner != jnp.arange(bodies.n_bodies))[:, None]
+    tied = (bodies.owner != jnp.arange(bodies.n_bodies, dtype=jnp.int32))[:, None]
     return ~free | tied

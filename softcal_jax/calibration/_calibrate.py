@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -87,10 +86,10 @@ def build_problem(
     """
     configurations = _as_sequence(configurations)
     for configuration in configurations:
-        if configuration.measured is None:
+        if not configuration.is_measured:
             raise ValueError(
                 f"configuration {configuration.name!r} has no measured positions: give "
-                "`markers` and `measured`."
+                "`markers` and `measured`, or `effectors` with measured values."
             )
     space = as_space(parameters)
     check_parameters(model, space)
@@ -179,10 +178,11 @@ def calibrate(
             journal.note(state)
         after = state.evaluation
         fits = configuration_fits(
+            model,
             configurations,
             "calibration",
-            before.positions,
-            after.positions,
+            before.effectors,
+            after.effectors,
             after.equilibrium,
         )
         missing: tuple[str, ...] = ()
@@ -243,9 +243,9 @@ def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
         for lane, c in enumerate(validation)
         if lane not in lanes
     ]
-    kept = [validation[lane] for lane in lanes]
-    solution = jax.tree.map(lambda leaf: leaf[lanes], last)
-    fits = configuration_fits(kept, "validation", before[lanes], after[lanes], solution)
+    fits = configuration_fits(
+        problem.model, validation, "validation", before, after, last, lanes.tolist()
+    )
     return fits, tuple(notes)
 
 

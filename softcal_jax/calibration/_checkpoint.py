@@ -74,8 +74,11 @@ def history_entry(
 ) -> HistoryEntry:
     """What a step is remembered by."""
     evaluation = state.evaluation
-    weight = problem.configurations.effectors.inverse_std
-    squares = jnp.sum(jnp.where(weight > 0, evaluation.delta_e, 0.0) ** 2)
+    effectors = problem.configurations.effectors
+    n_points = effectors.nodes.shape[-2]  # a mean of lengths, not of angles
+    weight = effectors.inverse_std[:, :n_points]
+    delta_e = evaluation.delta_e[:, :n_points]
+    squares = jnp.sum(jnp.where(weight > 0, delta_e, 0.0) ** 2)
     markers = max(int(jnp.sum(jnp.any(weight > 0, axis=-1))), 1)
     p = problem.space.from_scaled(state.z)
     return HistoryEntry(

@@ -10,7 +10,7 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
-    marker_positions,
+    effector_values,
     solve_equilibrium,
 )
 from softcal_jax.fields import ParameterSpace
@@ -45,8 +45,8 @@ class Evaluation(eqx.Module):
 
     Attributes:
         equilibrium: Solutions, one lane per configuration.
-        positions: Simulated marker positions [m].
-        delta_e: Simulated minus measured positions [m]; 0 where nothing is measured.
+        effectors: Simulated effector coordinates: positions [m], turns [rad], ...
+        delta_e: Simulated minus measured ones; 0 where nothing is measured.
         error: The same in units of the noise, stacked over configurations [-].
         W_ep: Stacked compliances in units of the noise, per unit of lambda_p [-].
         tangents: du/dz of each lane, or None where W_ep came from the adjoint side [m].
@@ -54,11 +54,11 @@ class Evaluation(eqx.Module):
     """
 
     equilibrium: EquilibriumSolution
-    positions: Float[Array, "n_c n_markers 3"]
-    delta_e: Float[Array, "n_c n_markers 3"]
+    effectors: Float[Array, "n_c n_rows 3"]
+    delta_e: Float[Array, "n_c n_rows 3"]
     error: Float[Array, " n_e"]
     W_ep: Float[Array, "n_e n_p"]
-    tangents: Float[Array, "n_c n_p n_nodes 3"] | None
+    tangents: Float[Array, "n_c n_p n_points 3"] | None
     ok: Bool[Array, ""]
 
     @property
@@ -70,9 +70,9 @@ class Evaluation(eqx.Module):
 def simulate(
     problem: CalibrationProblem,
     z: Float[Array, " n_p"],
-    guess: Float[Array, "n_c n_nodes 3"],
-) -> tuple[EquilibriumSolution, Float[Array, "n_c n_markers 3"]]:
-    """Equilibria of all configurations and their simulated marker positions [m].
+    guess: Float[Array, "n_c n_points 3"],
+) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
+    """Equilibria of all configurations and their effector coordinates.
 
     Args:
         problem: The calibration.
@@ -80,7 +80,7 @@ def simulate(
         guess: Displacements to start from [m].
 
     Returns:
-        Solutions and positions, one lane per configuration.
+        Solutions and effectors, one lane per configuration.
     """
     model = problem.space.apply(problem.model, z)
 
@@ -88,24 +88,30 @@ def simulate(
         solution = solve_equilibrium(
             model, configuration, guess=u0, settings=problem.newton
         )
-        return solution, marker_positions(model, configuration, solution)
+        return solution, _effectors(model, configuration, solution)
 
     return jax.vmap(lane)(problem.configurations, guess)
 
 
+def _effectors(model: Model, configuration: ConfigurationArrays, solution):
+    return effector_values(
+        model, configuration, solution.displacement, solution.multipliers
+    )
+
+
 def effector_errors(
-    problem: CalibrationProblem, positions: Float[Array, "n_c n_markers 3"]
-) -> Float[Array, "n_c n_markers 3"]:
-    """Delta_e, simulated minus measured positions; 0 where nothing is measured [m]."""
+    problem: CalibrationProblem, e: Float[Array, "n_c n_rows 3"]
+) -> Float[Array, "n_c n_rows 3"]:
+    """Delta_e, simulated minus measured values; 0 where nothing is measured."""
     effectors = problem.configurations.effectors
     seen = effectors.inverse_std > 0.0
-    return jnp.where(seen, positions - effectors.measured, 0.0)
+    return jnp.where(seen, e - effectors.measured, 0.0)
 
 
 def evaluate(
     problem: CalibrationProblem,
     z: Float[Array, " n_p"],
-    guess: Float[Array, "n_c n_nodes 3"],
+    guess: Float[Array, "n_c n_points 3"],
 ) -> Evaluation:
     """Equilibria, stacked errors Delta_e and compliances W_ep (paper Eqs. 9, 10).
 
@@ -129,10 +135,10 @@ def evaluate(
             newton=problem.newton,
             rtol=LOOSE,
         )
-        return response, marker_positions(model, configuration, response.equilibrium)
+        return response, _effectors(model, configuration, response.equilibrium)
 
-    response, positions = jax.vmap(lane)(problem.configurations, guess)
-    delta_e = effector_errors(problem, positions)
+    response, effectors = jax.vmap(lane)(problem.configurations, guess)
+    delta_e = effector_errors(problem, effectors)
     weight = jnp.asarray(problem.configurations.effectors.inverse_std)
     error = jnp.ravel(weight * delta_e)
     W = response.W_ep.reshape(-1, z.shape[0]) * weight.reshape(-1, 1)
@@ -140,10 +146,10 @@ def evaluate(
     ok = jnp.all(solution.converged) & jnp.all(response.ok)
     ok = ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W))
     tangents = response.displacement
-    return Evaluation(solution, positions, delta_e, error, W, tangents, ok)
+    return Evaluation(solution, effectors, delta_e, error, W, tangents, ok)
 
 
-def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_nodes 3"]:
+def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
     """Displacements of zero, the guess when there is no better one [m]."""
     n_c = problem.configurations.gravity.shape[0]
     return jnp.zeros((n_c, problem.model.n_points, 3))

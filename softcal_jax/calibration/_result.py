@@ -4,14 +4,27 @@ from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._starts import MultiStartResult
 from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
-from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import EquilibriumSolution, Model, NewtonSettings
+from softcal_jax.configurations import (
+    Configuration,
+    NamedRow,
+    configuration_arrays,
+    effector_rows,
+    row_numbers,
+)
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    effector_positions,
+)
 from softcal_jax.fields import ParameterSpace
 
 
@@ -73,8 +86,34 @@ class HistoryEntry(eqx.Module):
         return f"step {self.step}: rms {1e3 * self.rms:.3f} mm, {values}{refused}"
 
 
+class EffectorFit(eqx.Module):
+    """Measured and simulated values of an effector that is no point.
+
+    Attributes:
+        name: Its name.
+        unit: Unit of its values.
+        measured: Measured values; a turn is counted from the measured orientation.
+        before: Simulated values with the start parameters; NaN without equilibrium.
+        after: Simulated values with the calibrated parameters; likewise.
+        error_before: Simulated minus measured, 0 where not measured.
+        error_after: The same after calibration.
+        is_turn: Whether it is the orientation of a rigid body.
+    """
+
+    name: str
+    unit: str
+    measured: Float[HostArray, " k"]
+    before: Float[HostArray, " k"]
+    after: Float[HostArray, " k"]
+    error_before: Float[HostArray, " k"]
+    error_after: Float[HostArray, " k"]
+    is_turn: bool
+
+
 class ConfigurationFit(eqx.Module):
-    """Measured and simulated markers of one configuration.
+    """Measured and simulated effectors of one configuration.
+
+    Points, markers before all, stand in arrays; `others` holds the rest.
 
     Attributes:
         name: Name of the configuration.
@@ -93,6 +132,7 @@ class ConfigurationFit(eqx.Module):
         newton_steps: Newton iterations of the last equilibrium.
         residual: Its relative residual [-].
         min_det_F: Its smallest det F [-].
+        others: Effectors that are no points: orientations, lengths, angles, forces.
     """
 
     name: str
@@ -109,6 +149,20 @@ class ConfigurationFit(eqx.Module):
     newton_steps: int
     residual: float
     min_det_F: float
+    others: tuple[EffectorFit, ...] = ()
+
+    @property
+    def turn_before(self) -> float:
+        """Root mean square angle between simulated and measured orientations [rad].
+
+        With the start parameters; NaN without an orientation or an equilibrium.
+        """
+        return _rms_turn([e.error_before for e in self.others if e.is_turn])
+
+    @property
+    def turn_after(self) -> float:
+        """The same after calibration [rad]."""
+        return _rms_turn([e.error_after for e in self.others if e.is_turn])
 
     @property
     def rms_before(self) -> float:
@@ -136,7 +190,13 @@ class ConfigurationFit(eqx.Module):
 
 
 def _rms(distances: Float[HostArray, "n_markers 3"]) -> float:
+    if len(distances) == 0:
+        return float("nan")
     return float(np.sqrt(np.mean(np.sum(distances**2, axis=1))))
+
+
+def _rms_turn(errors: list[Float[HostArray, "3"]]) -> float:
+    return _rms(np.array(errors).reshape(-1, 3))
 
 
 class CalibrationResult(eqx.Module):
@@ -232,48 +292,87 @@ def parameter_estimates(
 
 
 def configuration_fits(
+    model: Model,
     configurations: Sequence[Configuration],
     role: Literal["calibration", "validation"],
-    before: Float[Array, "n_c n_markers 3"],
-    after: Float[Array, "n_c n_markers 3"],
+    before: Float[Array, "n_c n_rows 3"],
+    after: Float[Array, "n_c n_rows 3"],
     solution: EquilibriumSolution,
+    lanes: Sequence[int] | None = None,
 ) -> tuple[ConfigurationFit, ...]:
-    """Measured and simulated markers of configurations, with both sets of parameters.
+    """Measured and simulated effectors of configurations, with both sets of parameters.
 
     Args:
-        configurations: The configurations.
+        model: The body.
+        configurations: The configurations of a batch.
         role: Fitted, or only predicted.
-        before: Simulated positions with the start parameters [m].
-        after: Simulated positions with the calibrated parameters [m].
+        before: Simulated effector coordinates with the start parameters.
+        after: The same with the calibrated parameters.
         solution: Equilibria with the calibrated parameters.
+        lanes: Which of them to report; all by default.
 
     Returns:
         One entry per configuration.
     """
+    mesh, mechanism = model.mesh, model.mechanism
+    rows = [effector_rows(mesh, c, mechanism) for c in configurations]
+    rest = jnp.zeros((model.n_points, 3))
+    arrays = configuration_arrays(mesh, configurations, mechanism)
+    at_rest = jax.vmap(lambda e: effector_positions(model, e, rest))(arrays.effectors)
     fits = []
-    for lane, c in enumerate(configurations):
-        if c.markers is None or c.measured is None:
-            raise ValueError(f"configuration {c.name!r} has no measured positions.")
-        n = len(c.markers.names)
-        seen = c.markers.inverse_std() > 0.0
-        first, last = np.asarray(before[lane])[:n], np.asarray(after[lane])[:n]
-        measured = np.asarray(c.measured)
+    for lane, (c, numbers) in enumerate(
+        zip(configurations, row_numbers(rows), strict=True)
+    ):
+        if lanes is not None and lane not in lanes:
+            continue
+        named = rows[lane]
+        points = [i for i, (_, row) in enumerate(named) if row.quantity == "point"]
+        take = lambda e, which, lane=lane, n=numbers: np.asarray(e[lane])[
+            [n[i] for i in which]
+        ].reshape(-1, 3)
+        own = [named[i].row for i in points]
+        measured = np.array([row.measured for row in own]).reshape(-1, 3)
+        seen = np.array([row.inverse_std > 0.0 for row in own]).reshape(-1, 3)
+        first, last = take(before, points), take(after, points)
+        others = tuple(
+            _effector_fit(named[i], take(before, [i])[0], take(after, [i])[0])
+            for i in range(len(named))
+            if i not in points
+        )
         fits.append(
             ConfigurationFit(
                 c.name,
                 role,
-                c.markers.names,
+                tuple(named[i].name for i in points),
                 measured,
                 seen,
-                c.markers.positions,
+                take(at_rest, points),
                 first,
                 last,
                 np.where(seen, first - measured, 0.0),
                 np.where(seen, last - measured, 0.0),
-                np.asarray(solution.displacement[lane]),
+                np.asarray(solution.displacement[lane])[: mesh.n_nodes],
                 int(solution.steps[lane]),
                 float(solution.residual[lane]),
                 float(solution.min_det_F[lane]),
+                others,
             )
         )
     return tuple(fits)
+
+
+def _effector_fit(named: NamedRow, before, after) -> EffectorFit:
+    name, row = named
+    seen = row.inverse_std > 0.0
+    width = 3 if row.quantity in ("turn", "reaction") else 1
+    cut = lambda value: np.asarray(value)[:width]
+    return EffectorFit(
+        name,
+        row.unit,
+        cut(row.measured),
+        cut(before),
+        cut(after),
+        cut(np.where(seen, before - row.measured, 0.0)),
+        cut(np.where(seen, after - row.measured, 0.0)),
+        row.quantity == "turn",
+    )

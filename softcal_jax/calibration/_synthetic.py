@@ -1,7 +1,7 @@
 """Measurements made by the model itself, to test a calibration before any are taken."""
 
 from collections.abc import Mapping, Sequence
-from typing import cast
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,8 +10,11 @@ import numpy as np
 from softcal_jax.calibration._problem import CalibrationProblem, at_rest, simulate
 from softcal_jax.configurations import (
     Configuration,
-    Markers,
     configuration_arrays,
+    effector_rows,
+    measured_as,
+    measured_at_rest,
+    row_numbers,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import ParameterSpace
@@ -29,14 +32,14 @@ def synthetic_measurements(
     seed: int = 0,
     newton: NewtonSettings | None = None,
 ) -> tuple[Configuration, ...]:
-    """Configurations with the marker positions that known parameters would give.
+    """Configurations with the measurements that known parameters would give.
 
     Args:
         model: The body.
         space: The parameters.
-        configurations: Poses with markers; measured positions are replaced.
+        configurations: Poses with effectors; measured values are replaced.
         values: Value of every parameter, by name, in SI units.
-        noise: Whether to add normal errors with the standard deviation of the markers.
+        noise: Whether to add normal errors with the stated standard deviations.
         seed: Seed of these errors.
         newton: Settings of the equilibrium.
 
@@ -44,7 +47,8 @@ def synthetic_measurements(
         The configurations, measured.
 
     Raises:
-        ValueError: If a value is missing or unknown, or a configuration has no markers.
+        ValueError: If a value is missing or unknown, or a configuration has no
+            effectors.
         RuntimeError: If a configuration has no equilibrium.
     """
     unknown = sorted(set(values) ^ set(space.names))
@@ -54,34 +58,28 @@ def synthetic_measurements(
             f"{'not given' if unknown[0] in space.names else 'no parameter'}. "
             f"Parameters: {', '.join(space.names)}."
         )
-    for configuration in configurations:
-        if configuration.markers is None:
-            raise ValueError(f"configuration {configuration.name!r} has no markers.")
-    arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
+    mesh, mechanism = model.mesh, model.mechanism
+    posed = [measured_at_rest(c, mesh, mechanism) for c in configurations]
+    arrays = configuration_arrays(mesh, posed, mechanism)
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    solution, positions = _simulate(problem, z, at_rest(problem))
+    solution, effectors = _simulate(problem, z, at_rest(problem))
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
+    rows = [effector_rows(mesh, c, mechanism) for c in posed]
     measured = []
-    for c, x in zip(configurations, np.asarray(positions), strict=True):
-        markers = cast(Markers, c.markers)
-        x = x[: len(markers.names)]
+    for c, own, numbers, values_of in zip(
+        configurations, rows, row_numbers(rows), np.asarray(effectors), strict=True
+    ):
+        e = values_of[numbers]
         if noise:
-            std = np.asarray(markers.std, float)
-            std = std[:, None] if std.ndim == 1 else std
-            x = x + std * random.standard_normal(x.shape)
-        measured.append(with_measured(c, x))
+            inverse_std = np.array([row.inverse_std for _, row in own])
+            std = np.where(inverse_std > 0.0, 1.0 / np.maximum(inverse_std, 1e-300), 0)
+            e = e + std * random.standard_normal(e.shape)
+        measured.append(measured_as(c, e, mesh, mechanism))
     return tuple(measured)
 
 
 def with_measured(configuration: Configuration, measured) -> Configuration:
     """A configuration with other measured marker positions [m]."""
-    return Configuration(
-        configuration.name,
-        configuration.supports,
-        configuration.gravity,
-        configuration.loads,
-        configuration.markers,
-        measured,
-    )
+    return replace(configuration, measured=measured)

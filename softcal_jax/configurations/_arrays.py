@@ -1,7 +1,6 @@
 """Configurations as arrays: what the solver sees, one lane per configuration."""
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import BodyStateArrays
@@ -11,25 +10,48 @@ AnyArray = Array | HostArray
 
 
 class EffectorArrays(eqx.Module):
-    """Measured points; configurations with fewer markers are padded with weight zero.
+    """Effectors in rows of three coordinates: points, turns, scalars, forces.
+
+    A marker or the centroid of a group is a point, the orientation of a rigid body a
+    turn; a scalar, which is the displacement of an actuator or an angle between two
+    bodies, and the force of an actuator take the first place of their row; reactions of
+    the ground come last. Configurations with fewer are padded with weight zero.
 
     Attributes:
-        nodes: Nodes that carry each marker.
+        nodes: Nodes that carry each point.
         weights: Their weights [-]; position = sum of weights times node positions.
-        measured: Measured positions, in the frame of the mesh [m].
-        inverse_std: 1 / standard deviation per coordinate; 0 where not measured [1/m].
+        turn_body: Body of each turn.
+        turn_reference: Orientation that it is counted from, as a matrix [-].
+        scalar_index: Actuator and -1, or the two bodies of an angle.
+        scalar_axis: Axis of the angle, in the frame of the mesh at rest [-].
+        force_actuator: Actuator of each force.
+        reaction_nodes: Nodes of each reaction.
+        reaction_weights: 1 for each of them, 0 for padding.
+        measured: Measured values, or goals, of all rows.
+        inverse_std: 1 / standard deviation per coordinate; 0 where not measured.
     """
 
-    nodes: Int[AnyArray, "*batch n_markers n_carriers"]
-    weights: Float[AnyArray, "*batch n_markers n_carriers"]
-    measured: Float[AnyArray, "*batch n_markers 3"]
-    inverse_std: Float[AnyArray, "*batch n_markers 3"]
+    nodes: Int[AnyArray, "*batch n_points n_carriers"]
+    weights: Float[AnyArray, "*batch n_points n_carriers"]
+    turn_body: Int[AnyArray, "*batch n_turns"]
+    turn_reference: Float[AnyArray, "*batch n_turns 3 3"]
+    scalar_index: Int[AnyArray, "*batch n_scalars 2"]
+    scalar_axis: Float[AnyArray, "*batch n_scalars 3"]
+    force_actuator: Int[AnyArray, "*batch n_forces"]
+    reaction_nodes: Int[AnyArray, "*batch n_reactions n_carriers"]
+    reaction_weights: Float[AnyArray, "*batch n_reactions n_carriers"]
+    measured: Float[AnyArray, "*batch n_rows 3"]
+    inverse_std: Float[AnyArray, "*batch n_rows 3"]
 
-    def positions(
-        self, x: Float[AnyArray, "n_points 3"]
-    ) -> Float[Array, "n_markers 3"]:
-        """Simulated positions for the nodal positions `x` [m]."""
-        return jnp.sum(jnp.asarray(self.weights)[:, :, None] * x[self.nodes], axis=1)
+    @property
+    def has_forces(self) -> bool:
+        """Whether some rows are forces, which depend on more than positions."""
+        return self.force_actuator.shape[-1] + self.reaction_nodes.shape[-2] > 0
+
+    @property
+    def only_points(self) -> bool:
+        """Whether all rows are points, so that they are linear in the positions."""
+        return self.nodes.shape[-2] == self.measured.shape[-2]
 
 
 class ActuationArrays(eqx.Module):

@@ -1,6 +1,7 @@
 """One posed robot: how it is held and loaded, and what was measured on it."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -18,6 +19,12 @@ from softcal_jax.configurations._actuation import (
 )
 from softcal_jax.configurations._arrays import ConfigurationArrays, EffectorArrays
 from softcal_jax.configurations._carriers import carriers
+from softcal_jax.configurations._effector_arrays import (
+    NamedRow,
+    marker_rows,
+    stack_effectors,
+)
+from softcal_jax.configurations._effectors import AbstractEffector
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
@@ -55,6 +62,8 @@ class Configuration(eqx.Module):
         loads: Dead loads, one or several.
         markers: Points that are measured or followed; may be left out.
         measured: Measured marker positions in the frame of the mesh [m].
+        effectors: What else is measured, or followed: frames of rigid bodies, lengths,
+            volumes, angles, forces. Each has its own measured value.
         bodies: What rigid bodies do, by name: a `Pose` where they are held, "held",
             "hinged", or a `BodyState`; the others are free.
         actuation: What is asked of actuators, by name: `ImposedForce` or
@@ -69,8 +78,15 @@ class Configuration(eqx.Module):
     measured: Float[HostArray, "n_markers 3"] | None = eqx.field(
         converter=_as_measured, default=None
     )
+    effectors: tuple[AbstractEffector, ...] = eqx.field(converter=tuple, default=())
     bodies: BodyStates = eqx.field(default_factory=dict)
     actuation: Actuation = eqx.field(default_factory=dict)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether a marker or an effector has a measured value."""
+        of_effectors = [getattr(e, "measured", None) for e in self.effectors]
+        return any(value is not None for value in (self.measured, *of_effectors))
 
     def __check_init__(self):
         gravity = np.asarray(self.gravity, float)
@@ -115,12 +131,10 @@ def configuration_arrays(
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"configuration {name!r} is named more than once.")
-    carried = [_carriers(mesh, c) for c in configurations]
-    most = max(len(markers) for markers in carried)
-    widest = max((len(n) for markers in carried for n, _ in markers), default=0)
+    rows = [effector_rows(mesh, c, mechanism) for c in configurations]
     lanes = [
-        _lane(mesh, mechanism, c, _effectors(c, markers, (most, widest)))
-        for c, markers in zip(configurations, carried, strict=True)
+        _lane(mesh, mechanism, c, effectors)
+        for c, effectors in zip(configurations, stack_effectors(rows), strict=True)
     ]
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *lanes)
 
@@ -168,34 +182,88 @@ def _check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:
         )
 
 
-def _carriers(mesh: TetMesh, c: Configuration):
-    """Nodes and weights of each marker; the error names the configuration."""
-    if c.markers is None:
-        return []
+def effector_rows(
+    mesh: TetMesh, c: Configuration, mechanism: Mechanism
+) -> list[NamedRow]:
+    """Rows of effector coordinates of a configuration: its markers, then the others.
+
+    Args:
+        mesh: The mesh.
+        c: The configuration.
+        mechanism: Rigid bodies and actuators of the model.
+
+    Raises:
+        ValueError: If a name is used twice, or an effector does not fit the model.
+    """
     try:
-        return carriers(mesh, c.markers)
+        carried = [] if c.markers is None else carriers(mesh, c.markers)
     except ValueError as error:
+        assert c.markers is not None
         raise ValueError(
             f"markers {', '.join(c.markers.names)} of configuration {c.name!r}: {error}"
         ) from error
+    rows = marker_rows(c, carried)
+    for effector in c.effectors:
+        if effector.name in [name for name, _ in rows]:
+            raise ValueError(
+                f"effector {effector.name!r} of configuration {c.name!r} has the name "
+                "of another one."
+            )
+        try:
+            found = effector.rows(mesh, mechanism)
+        except ValueError as error:
+            raise ValueError(f"configuration {c.name!r}: {error}") from error
+        rows += [NamedRow(effector.name, row) for row in found]
+    return rows
 
 
-def _effectors(c: Configuration, carried: list, shape: tuple[int, int]):
-    """Effector arrays, padded to a number of markers and of nodes per marker."""
-    n_markers, n_nodes = shape
-    out = EffectorArrays(
-        np.zeros((n_markers, n_nodes), np.int32),
-        np.zeros((n_markers, n_nodes)),
-        np.zeros((n_markers, 3)),
-        np.zeros((n_markers, 3)),
-    )
-    for i, (nodes, weights) in enumerate(carried):
-        out.nodes[i, : len(nodes)], out.weights[i, : len(nodes)] = nodes, weights
-    if c.markers is not None and c.measured is not None:
-        n = len(carried)
-        out.measured[:n] = np.nan_to_num(c.measured)
-        out.inverse_std[:n] = c.markers.inverse_std()
-    return out
+def measured_as(
+    c: Configuration,
+    values: Float[HostArray, "n 3"],
+    mesh: TetMesh,
+    mechanism: Mechanism,
+) -> Configuration:
+    """A configuration with other measured values.
+
+    Args:
+        c: The configuration.
+        values: Values of its rows, as `effector_rows` lists them; turns from rest.
+        mesh: The mesh.
+        mechanism: Rigid bodies and actuators of the model.
+    """
+    n_markers = 0 if c.markers is None else len(c.markers.names)
+    used, effectors = n_markers, []
+    for effector in c.effectors:
+        n = len(effector.rows(mesh, mechanism))
+        effectors.append(effector.measured_as(values[used : used + n], mechanism))
+        used += n
+    measured = None if c.markers is None else values[:n_markers]
+    return replace(c, measured=measured, effectors=tuple(effectors))
+
+
+def measured_at_rest(
+    c: Configuration, mesh: TetMesh, mechanism: Mechanism
+) -> Configuration:
+    """A configuration whose effectors all count, with values that mean nothing.
+
+    Args:
+        c: The configuration.
+        mesh: The mesh.
+        mechanism: Rigid bodies and actuators of the model.
+
+    Raises:
+        ValueError: If it has neither markers nor other effectors.
+    """
+    if c.markers is None and not c.effectors:
+        raise ValueError(
+            f"configuration {c.name!r} has no markers and no other effectors: it sees "
+            "nothing."
+        )
+    rows = effector_rows(mesh, c, mechanism)
+    rest = np.zeros((len(rows), 3))
+    if c.markers is not None:
+        rest[: len(c.markers.names)] = c.markers.positions
+    return measured_as(c, rest, mesh, mechanism)
 
 
 def _check_held(

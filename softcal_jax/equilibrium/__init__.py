@@ -11,6 +11,13 @@ from softcal_jax.equilibrium._assembly import (
     tangent_values,
 )
 from softcal_jax.equilibrium._continuation import Continuation, continue_equilibrium
+from softcal_jax.equilibrium._effectors import (
+    actuator_forces,
+    effector_forces,
+    effector_positions,
+    effector_values,
+    marker_positions,
+)
 from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model, build_model
@@ -20,9 +27,9 @@ from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
     check_converged,
     factor_solve,
-    marker_positions,
     residual,
     solve_equilibrium,
+    solved_forces,
 )
 
 __all__ = [
@@ -32,10 +39,14 @@ __all__ = [
     "LinearSolution",
     "Model",
     "NewtonSettings",
+    "actuator_forces",
     "add_weighted",
     "build_model",
     "check_converged",
     "continue_equilibrium",
+    "effector_forces",
+    "effector_positions",
+    "effector_values",
     "energy_and_force",
     "external_force",
     "factor_solve",
@@ -46,6 +57,7 @@ __all__ = [
     "marker_positions",
     "residual",
     "solve_equilibrium",
+    "solved_forces",
     "strain_energy",
     "tangent_values",
 ]

@@ -143,8 +143,9 @@ class System(NamedTuple):
         x = x + jnp.sum(lambda_a[:, :, None] * by_a[None], axis=1)
         # In(bordered) = In(K) + In(-S); one negative one for each multiplier is its
         # own, the others are those of K on the steps that leave delta_a alone.
-        positive = jnp.sum(jnp.linalg.eigvalsh(0.5 * (S + S.T) - unit) > 0.0)
-        constrained = solved.n_negative + positive - jnp.sum(self.active)
+        positive = jnp.linalg.eigvalsh(0.5 * (S + S.T) - unit) > 0.0
+        count = lambda flags: jnp.sum(flags, dtype=solved.n_negative.dtype)
+        constrained = solved.n_negative + count(positive) - count(self.active)
         n_negative = jnp.where(solved.n_negative < 0, -1, constrained)
         ok = solved.ok & jnp.all(jnp.isfinite(lambda_a))
         keep = lambda value: jnp.where(ok, value, 0.0)
@@ -152,7 +153,7 @@ class System(NamedTuple):
             keep(x),
             keep(lambda_a),
             W_aa,
-            n_negative.astype(solved.n_negative.dtype),
+            n_negative,
             ok,
         )
 

@@ -100,6 +100,14 @@ def _at(model: Model, configuration: ConfigurationArrays, u):
     return evaluate(model, u), problem
 
 
+def solved_forces(
+    model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
+) -> Float[Array, " n_a"]:
+    """Forces of actuators whose displacement is imposed, at an equilibrium."""
+    at, problem = _at(model, configuration, u)
+    return problem.estimated_forces(at, jnp.ones((), u.dtype))
+
+
 class Linearisation(NamedTuple):
     """The bordered system at an equilibrium.
 
@@ -293,23 +301,6 @@ def solve_equilibrium(
     """
     u0 = jnp.zeros((model.n_points, 3)) if guess is None else guess
     return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())
-
-
-def marker_positions(
-    model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
-) -> Float[Array, "n_markers 3"]:
-    """Simulated positions of the markers of one configuration [m].
-
-    Args:
-        model: The body.
-        configuration: One configuration, with markers.
-        solution: Its equilibrium.
-
-    Returns:
-        Positions in the frame of the mesh; nan where there is no equilibrium.
-    """
-    x = jnp.asarray(model.mechanism.points) + solution.displacement
-    return configuration.effectors.positions(x)
 
 
 def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:

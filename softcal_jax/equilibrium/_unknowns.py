@@ -94,7 +94,7 @@ class Unknowns(NamedTuple):
         on_bodies = jnp.sum(self._follow(u) * forces[plan.rigid][:, :, None], axis=1)
         n_b = self.model.mechanism.bodies.n_bodies
         wrench = jax.ops.segment_sum(on_bodies, jnp.asarray(plan.owner), n_b)
-        free = forces.at[plan.rigid].set(0.0)
+        free = forces.at[plan.rigid].set(0.0, unique_indices=True)
         return jnp.concatenate([free.ravel(), wrench.ravel()])
 
     def scatter(
@@ -106,7 +106,7 @@ class Unknowns(NamedTuple):
             return d.reshape(u.shape)
         free, twists = d[: u.size].reshape(u.shape), d[u.size :].reshape(-1, 6)
         along = jnp.sum(self._follow(u) * twists[plan.owner][:, None, :], axis=2)
-        return free.at[plan.rigid].set(along)
+        return free.at[plan.rigid].set(along, unique_indices=True)
 
     def rigid(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
         """The displacement with every body rigid again, as its frame has it [m].
@@ -191,7 +191,8 @@ class Unknowns(NamedTuple):
         ends = frame_nodes(bodies, frames)
         attached = jnp.sum(bodies.weights[:, :, None] * ends[bodies.body], axis=1)
         u = u.at[n_nodes:].set(ends.reshape(-1, 3) - points[n_nodes:])
-        return u.at[bodies.attached].set(attached - points[bodies.attached])
+        moved = attached - points[bodies.attached]
+        return u.at[bodies.attached].set(moved, unique_indices=True)
 
     def _arms(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_rigid 3"]:
         """From the origin of the body that moves it to each rigid node [m]."""

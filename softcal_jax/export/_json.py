@@ -11,7 +11,12 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ConfigurationFit
 from softcal_jax.configurations import Configuration, configuration_arrays
-from softcal_jax.equilibrium import RESULTS, EquilibriumSolution, Model
+from softcal_jax.equilibrium import (
+    RESULTS,
+    EquilibriumSolution,
+    Model,
+    effector_positions,
+)
 from softcal_jax.export._identifiability import (
     assessment_dict,
     identifiability_dict,
@@ -141,6 +146,18 @@ def _fit(fit: ConfigurationFit) -> dict[str, Any]:
             }
             for i, marker in enumerate(fit.marker_names)
         ],
+        "effectors": [
+            {
+                "name": effector.name,
+                "unit": effector.unit,
+                "is_turn": effector.is_turn,
+                "measured": effector.measured,
+                "simulated_before": effector.before,
+                "simulated": effector.after,
+                "residual": effector.error_after,
+            }
+            for effector in fit.others
+        ],
         "newton_steps": fit.newton_steps,
         "residual": fit.residual,
         "min_det_F": fit.min_det_F,
@@ -203,14 +220,14 @@ def _lane(
 def _markers(
     model: Model,
     configuration: Configuration,
-    u: Float[HostArray, "n_nodes 3"],
+    u: Float[HostArray, "n_points 3"],
     ok: bool,
 ) -> list[dict[str, Any]]:
     if configuration.markers is None:
         return []
     arrays = configuration_arrays(model.mesh, [configuration], model.mechanism)
     effectors = jax.tree.map(lambda leaf: leaf[0], arrays.effectors)
-    simulated = np.asarray(effectors.positions(jnp.asarray(model.mesh.points + u)))
+    simulated = np.asarray(effector_positions(model, effectors, jnp.asarray(u)))
     return [
         {
             "name": marker,

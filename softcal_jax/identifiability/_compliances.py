@@ -27,7 +27,7 @@ class EnergyCompliance(eqx.Module):
 def energy_compliance(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_nodes 3"],
+    u: Float[Array, "n_points 3"],
     space: ParameterSpace,
     z: Float[Array, " n_p"],
 ) -> EnergyCompliance:
@@ -47,11 +47,11 @@ def energy_compliance(
         z: Their scaled values [-].
 
     Returns:
-        Both compliances, effector coordinates in the order marker, axis.
+        Both compliances, effector coordinates in the order effector, axis.
     """
     forces = parameter_forces(model, configuration, u, space, z)
     solved = factor_solve(model, configuration, u, forces)
-    W_ep = effector_compliance(configuration.effectors, solved.x)
+    W_ep = effector_compliance(model, configuration, u, solved.x, space, z)
     W = jnp.sum(forces[:, None] * solved.x[None], axis=(2, 3))
     ok = solved.ok & jnp.all(jnp.isfinite(W)) & jnp.all(jnp.isfinite(W_ep))
     # Symmetric but for the rounding of the factorization.

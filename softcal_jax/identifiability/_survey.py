@@ -9,7 +9,11 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import CalibrationProblem, at_rest, simulate
-from softcal_jax.configurations import Configuration, configuration_arrays
+from softcal_jax.configurations import (
+    Configuration,
+    configuration_arrays,
+    measured_at_rest,
+)
 from softcal_jax.equilibrium import (
     RESULTS,
     EquilibriumSolution,
@@ -112,8 +116,13 @@ def survey(
     z = _scaled_values(space, at)
     if not configurations:
         return Survey(space, z, ())
-    posed = [_as_if_measured(c) for c in configurations]
-    arrays = configuration_arrays(model.mesh, posed, model.mechanism)
+    mesh, mechanism = model.mesh, model.mechanism
+    # One without effectors sees nothing, which is a verdict and no error.
+    posed = [
+        measured_at_rest(c, mesh, mechanism) if c.markers or c.effectors else c
+        for c in configurations
+    ]
+    arrays = configuration_arrays(mesh, posed, mechanism)
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     solution, compliance = _solve(problem, z)
     names = tuple(c.name for c in configurations)
@@ -162,15 +171,6 @@ def _sensed(
     W_ep = np.asarray(compliance.W_ep[lane])[seen]
     W = weight[seen, None] * W_ep
     return Sensed(name, W_ep, W, np.asarray(compliance.W_pp[lane]), failure)
-
-
-def _as_if_measured(c: Configuration) -> Configuration:
-    """The configuration with positions, whose values only count as present."""
-    if c.markers is None:
-        return c
-    return eqx.tree_at(
-        lambda c: c.measured, c, c.markers.positions, is_leaf=lambda leaf: leaf is None
-    )
 
 
 def _failure(

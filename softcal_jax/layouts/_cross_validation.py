@@ -212,6 +212,8 @@ def _score(
     """The folds of one layout, the fit of everything, and what the data see then."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     error = np.asarray(fits.error)
+    # Distances are of points; turns and forces count in units of the noise.
+    points_of = slice(0, problem.configurations.effectors.nodes.shape[-2])
     every = range(len(names))
     folds = []
     for held_out, configuration in enumerate(names):
@@ -224,9 +226,9 @@ def _score(
         folds.append(
             FoldScore(
                 configuration,
-                _rms(now, weight, [held_out]),
+                _rms(now[:, points_of], weight[:, points_of], [held_out]),
                 _noise_rms(now, weight, [held_out]),
-                _rms(now, weight, others),
+                _rms(now[:, points_of], weight[:, points_of], others),
             )
         )
     failure = _failure(fits, len(names), None)
@@ -235,7 +237,9 @@ def _score(
         len(points.names),
         len(problem.space.names),
         tuple(folds),
-        np.nan if failure else _rms(error[-1], weight, list(every)),
+        np.nan
+        if failure
+        else _rms(error[-1][:, points_of], weight[:, points_of], list(every)),
         np.nan if failure else _noise_rms(error[-1], weight, list(every)),
         failure,
         _seen(problem, fits),
@@ -269,7 +273,7 @@ def _rms(
     weight: Float[HostArray, "n_c n_markers 3"],
     lanes: list[int],
 ) -> float:
-    """Root mean square of the distances of the markers that are measured [m]."""
+    """Root mean square of the distances of the points that are measured [m]."""
     there = np.any(weight[lanes] > 0.0, axis=2)
     squares = np.sum(error[lanes] ** 2, axis=2)
     return float(np.sqrt(np.mean(squares[there])))

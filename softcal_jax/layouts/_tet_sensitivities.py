@@ -1,6 +1,7 @@
 """How the effectors follow a field that changes in one tet, for all tets at once."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
     configuration_arrays,
+    measured_at_rest,
 )
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
@@ -25,6 +27,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import find_field, set_field
 from softcal_jax.materials import PointValues, is_point_values
+from softcal_jax.sensitivity import effector_rows
 
 
 class _Lane(NamedTuple):
@@ -53,13 +56,12 @@ def _solve(
     def lane(c: ConfigurationArrays) -> _Lane:
         solution = solve_equilibrium(model, c, settings=newton)
         u = solution.displacement
-        _, pull_back = jax.vjp(c.effectors.positions, u)
-        unit = jnp.eye(c.effectors.measured.size)
-        (H_e,) = jax.vmap(pull_back)(unit.reshape(-1, *c.effectors.measured.shape))
+        H_e = effector_rows(model, c.effectors, u)
         solved = factor_solve(model, c, u, H_e, transpose=True)
 
         def of_field(field: str) -> Float[Array, "n_e n_tets"]:
-            force = lambda shift: -residual(_shifted(model, field, shift), c, u)
+            shifted = partial(_shifted, model, field)
+            force = lambda shift: -residual(shifted(shift), c, u, solution.multipliers)
             _, pull_back = jax.vjp(force, zero)
             # One row at a time: each holds the work of a whole assembly.
             return jax.lax.map(lambda row: pull_back(row)[0], solved.x)
@@ -94,7 +96,8 @@ def tet_sensitivities(
         marker, axis; in units of the noise per SI unit of the field.
 
     Raises:
-        ValueError: If a field does not exist, or a configuration has no markers.
+        ValueError: If a field does not exist, a configuration has no effectors, or one
+            of them is a force.
         RuntimeError: If a configuration has no equilibrium, or a singular one.
     """
     single = isinstance(configurations, Configuration)
@@ -102,18 +105,14 @@ def tet_sensitivities(
     names = (fields,) if isinstance(fields, str) else tuple(fields)
     for field in names:
         find_field(model, field)
-    for c in posed:
-        if c.markers is None:
-            raise ValueError(
-                f"configuration {c.name!r} has no markers: it sees nothing."
-            )
-    # Positions that only count as present, so that the weights are filled in.
-    there = lambda c: eqx.tree_at(
-        lambda c: c.measured, c, c.markers.positions, is_leaf=lambda v: v is None
-    )
-    arrays = configuration_arrays(
-        model.mesh, [there(c) for c in posed], model.mechanism
-    )
+    mesh, mechanism = model.mesh, model.mechanism
+    there = [measured_at_rest(c, mesh, mechanism) for c in posed]
+    arrays = configuration_arrays(mesh, there, mechanism)
+    if arrays.effectors.has_forces:
+        raise ValueError(
+            "tet_sensitivities takes effectors that follow from positions, and some "
+            "are forces: leave out ActuatorForce and SupportReaction."
+        )
     found = _solve(model, arrays, names, newton or NewtonSettings())
     check_converged(found.solution, tuple(c.name for c in posed))
     for c, ok in zip(posed, np.asarray(found.ok), strict=True):

@@ -133,7 +133,7 @@ def write_simulation(
             entry["files"] = []
             if not entry["converged"]:
                 continue
-            u = np.asarray(solution.displacement[lane])
+            u = np.asarray(solution.displacement[lane])[: model.mesh.n_nodes]
             entry["files"].append(f"{stem}.vtu")
             write_vtu(folder / f"{stem}.vtu", model, u)
             if problem is None:

@@ -3,6 +3,7 @@
 from softcal_jax.sensitivity._compliance import (
     Compliance,
     effector_compliance,
+    effector_rows,
     parameter_compliance,
     parameter_forces,
 )
@@ -18,6 +19,7 @@ __all__ = [
     "Response",
     "check_parameter_derivatives",
     "effector_compliance",
+    "effector_rows",
     "equilibrium_response",
     "parameter_compliance",
     "parameter_forces",

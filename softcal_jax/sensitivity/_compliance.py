@@ -16,10 +16,13 @@ from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
 from softcal_jax.equilibrium import (
     Model,
     add_weighted,
+    effector_forces,
+    effector_positions,
     factor_solve,
     field_forces,
     gravity_load,
     residual,
+    solved_forces,
 )
 from softcal_jax.fields import ParameterSpace, find_field
 from softcal_jax.materials import is_point_values
@@ -33,13 +36,13 @@ FINITE_DIFFERENCE_STEP = 6e-6
 def parameter_forces(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_nodes 3"],
+    u: Float[Array, "n_points 3"],
     space: ParameterSpace,
     z: Float[Array, " n_p"],
     *,
     derivative: Derivative = "autodiff",
     step: float | Float[Array, ""] = FINITE_DIFFERENCE_STEP,
-) -> Float[Array, "n_p n_nodes 3"]:
+) -> Float[Array, "n_p n_points 3"]:
     """H_p^T by rows: the force that a unit step of each parameter puts on the nodes.
 
     H_p^T = -(d R / d p) S at fixed displacement; autodiff, or the paper's finite
@@ -62,8 +65,10 @@ def parameter_forces(
     if derivative == "autodiff":
         return _by_fields(model, configuration, u, space, z, directions)
 
+    lambda_a = solved_forces(model, configuration, u)
+
     def force(z):
-        return -residual(space.apply(model, z), configuration, u)
+        return -residual(space.apply(model, z), configuration, u, lambda_a)
 
     difference = lambda d: (force(z + step * d) - force(z - step * d)) / (2.0 * step)
     return jax.lax.map(difference, directions)
@@ -72,11 +77,11 @@ def parameter_forces(
 def _by_fields(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_nodes 3"],
+    u: Float[Array, "n_points 3"],
     space: ParameterSpace,
     z: Float[Array, " n_p"],
     directions: Float[Array, "n_p n_p"],
-) -> Float[Array, "n_p n_nodes 3"]:
+) -> Float[Array, "n_p n_points 3"]:
     """Autodiff in two factors: by the field in each tet, and of the field by z.
 
     A dozen control points of one field then cost one pass over the tets.
@@ -120,29 +125,54 @@ def _one_per_tet(model: Model, value: Any) -> Float[Array, "n_tets m"]:
 
 
 def effector_compliance(
-    effectors: EffectorArrays, displacement: Float[Array, "n_p n_nodes 3"]
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+    displacement: Float[Array, "n_p n_points 3"],
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
 ) -> Float[Array, "n_e n_p"]:
-    """W_ep = H_e dx/dz, effector coordinates in the order marker, axis [m].
+    """W_ep = H_e dx/dz, effector coordinates in the order effector, axis [m].
+
+    Forces depend on the parameters beside the positions: with
+    e = e(x, z), W_ep = H_e dx/dz + de/dz.
 
     Args:
-        effectors: The measured points.
+        model: The body with the parameters of `z` applied.
+        configuration: One configuration with its effectors.
+        u: Equilibrium displacement [m].
         displacement: dx/dz by rows [m].
+        space: The parameters.
+        z: Their scaled values [-].
     """
-    moved = jax.vmap(effectors.positions)(displacement)
+    effectors = configuration.effectors
+    if effectors.only_points:  # linear
+        weights = jnp.asarray(effectors.weights)[None, :, :, None]
+        moved = jnp.sum(weights * displacement[:, effectors.nodes], axis=2)
+        return moved.reshape(displacement.shape[0], -1).T
+    where = lambda u: effector_positions(model, effectors, u)
+    moved = jax.vmap(lambda du: jax.jvp(where, (u,), (du,))[1])(displacement)
+    if effectors.has_forces:
+        forces = lambda z, u: effector_forces(space.apply(model, z), configuration, u)
+        unit = jnp.eye(z.shape[0])
+        changed = jax.vmap(lambda dz, du: jax.jvp(forces, (z, u), (dz, du))[1])
+        moved = jnp.concatenate([moved, changed(unit, displacement)], axis=1)
     return moved.reshape(displacement.shape[0], -1).T
 
 
 def effector_rows(
-    effectors: EffectorArrays, u: Float[Array, "n_nodes 3"]
-) -> Float[Array, "n_e n_nodes 3"]:
+    model: Model, effectors: EffectorArrays, u: Float[Array, "n_points 3"]
+) -> Float[Array, "n_e n_points 3"]:
     """H_e by rows: how each effector coordinate follows the nodes [-].
 
     Args:
-        effectors: The measured points.
-        u: Displacement, for its shape: the positions are linear in it [m].
+        model: The body.
+        effectors: Effectors that follow from positions: no forces.
+        u: Displacement [m].
     """
     n_e = effectors.measured.size
-    _, pull_back = jax.vjp(effectors.positions, u)
+    where = lambda u: effector_positions(model, effectors, u)
+    _, pull_back = jax.vjp(where, u)
     unit = jnp.eye(n_e).reshape(n_e, *effectors.measured.shape)
     return jax.vmap(pull_back)(unit)[0]
 
@@ -157,14 +187,14 @@ class Compliance(NamedTuple):
     """
 
     W_ep: Float[Array, "n_e n_p"]
-    displacement: Float[Array, "n_p n_nodes 3"] | None
+    displacement: Float[Array, "n_p n_points 3"] | None
     ok: Bool[Array, ""]
 
 
 def parameter_compliance(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_nodes 3"],
+    u: Float[Array, "n_points 3"],
     space: ParameterSpace,
     z: Float[Array, " n_p"],
     *,
@@ -186,16 +216,25 @@ def parameter_compliance(
         derivative: How H_p is made, see `parameter_forces`.
 
     Returns:
-        W_ep with effector coordinates in the order marker, axis.
+        W_ep with effector coordinates in the order effector, axis.
+
+    Raises:
+        ValueError: If the adjoint side is asked for although some effectors are forces.
     """
     effectors = configuration.effectors
     n_e = effectors.measured.size
     forces = parameter_forces(model, configuration, u, space, z, derivative=derivative)
-    if method == "direct" or (method == "auto" and z.shape[0] <= n_e):
+    if method == "adjoint" and effectors.has_forces:
+        raise ValueError(
+            'method "adjoint" cannot tell how forces follow the parameters, and '
+            'some effectors are forces: take "direct".'
+        )
+    few = z.shape[0] <= n_e or effectors.has_forces
+    if method == "direct" or (method == "auto" and few):
         solved = factor_solve(model, configuration, u, forces)
-        W = effector_compliance(effectors, solved.x)
+        W = effector_compliance(model, configuration, u, solved.x, space, z)
         return Compliance(W, solved.x, solved.ok)
-    rows = effector_rows(effectors, u)
+    rows = effector_rows(model, effectors, u)
     solved = factor_solve(model, configuration, u, rows, transpose=True)
     W = jnp.sum(solved.x[:, None] * forces[None], axis=(2, 3))
     return Compliance(jnp.asarray(W), None, solved.ok)

@@ -40,14 +40,14 @@ class Response(NamedTuple):
 
     equilibrium: EquilibriumSolution
     W_ep: Float[Array, "*batch n_e n_p"]
-    displacement: Float[Array, "*batch n_p n_nodes 3"] | None
+    displacement: Float[Array, "*batch n_p n_points 3"] | None
     ok: Bool[Array, "*batch"]
 
 
 def equilibrium_response(
     model: Model,
     configuration: ConfigurationArrays,
-    guess: Float[Array, "n_nodes 3"],
+    guess: Float[Array, "n_points 3"],
     space: ParameterSpace,
     z: Float[Array, " n_p"],
     *,
@@ -70,28 +70,30 @@ def equilibrium_response(
         rtol: Relative residual at which the quick Newton steps stop [-].
 
     Returns:
-        Equilibrium and compliance, effector coordinates in the order marker, axis.
+        Equilibrium and compliance, effector coordinates in the order effector, axis.
     """
 
     @lane_by_lane
     def lane(model, configuration, guess, space, z):
         effectors = configuration.effectors
         n_e, n_p = effectors.measured.size, z.shape[0]
-        if n_p <= max(n_e, FEW_PARAMETERS):
+        if n_p <= max(n_e, FEW_PARAMETERS) or effectors.has_forces:
             forces = lambda u: parameter_forces(model, configuration, u, space, z)
             done = continue_equilibrium(
                 model, configuration, guess, forces, settings=newton, rtol=rtol
             )
             ok = done.ok & done.equilibrium.converged
             x = jnp.where(ok, done.x, 0.0)
-            W = effector_compliance(effectors, x)
+            u = done.equilibrium.displacement
+            W = effector_compliance(model, configuration, u, x, space, z)
+            W = jnp.where(ok, W, 0.0)
             return Response(done.equilibrium, W, x, ok)
-        rows = effector_rows(effectors, guess)
+        rows = lambda u: effector_rows(model, effectors, u)
         done = continue_equilibrium(
             model,
             configuration,
             guess,
-            lambda u: rows,
+            rows,
             settings=newton,
             rtol=rtol,
             transpose=True,

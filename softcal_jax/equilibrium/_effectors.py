@@ -1,0 +1,181 @@
+"""Effector coordinates e of a state, in rows of three (paper Sec. II)."""
+
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.bodies import frames_at, rotation_vector
+from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
+from softcal_jax.equilibrium import _actuation as actuation
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._solve import (
+    EquilibriumSolution,
+    residual,
+    solved_forces,
+)
+from softcal_jax.equilibrium._unknowns import Unknowns
+
+
+def effector_values(
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+    multipliers: Float[Array, " n_a"] | None = None,
+) -> Float[Array, "n_rows 3"]:
+    """Coordinates of all effectors: positions [m], turns [rad], scalars, forces [N].
+
+    Args:
+        model: The model.
+        configuration: One configuration, with its effectors.
+        u: Equilibrium displacement [m].
+        multipliers: Forces of actuators whose displacement is imposed; found from the
+            balance by default.
+
+    Returns:
+        Rows in the order of `EffectorArrays`.
+    """
+    kinematic = effector_positions(model, configuration.effectors, u)
+    if not configuration.effectors.has_forces:
+        return kinematic
+    forces = effector_forces(model, configuration, u, multipliers)
+    return jnp.concatenate([kinematic, forces])
+
+
+def effector_positions(
+    model: Model, effectors: EffectorArrays, u: Float[Array, "n_points 3"]
+) -> Float[Array, "n_rows_of_positions 3"]:
+    """Rows that follow from positions alone: points, turns and scalars.
+
+    Args:
+        model: The model.
+        effectors: The effectors.
+        u: Displacement [m].
+    """
+    x = actuation.positions(model, u)
+    weights = jnp.asarray(effectors.weights)
+    rows = [jnp.sum(weights[:, :, None] * x[effectors.nodes], axis=1)]
+    if effectors.only_points:
+        return rows[0]
+    bodies = model.mechanism.bodies
+    n_scalars = effectors.scalar_index.shape[0]
+    if bodies.n_bodies > 0:
+        rotation = frames_at(bodies, x[model.mesh.n_nodes :]).rotation
+        reference = jnp.asarray(effectors.turn_reference)
+        rows.append(jax.vmap(_turn)(rotation[effectors.turn_body], reference))
+    else:
+        rotation = jnp.broadcast_to(jnp.eye(3)[None], (1, 3, 3))
+    if n_scalars > 0:
+        first, second = effectors.scalar_index[:, 0], effectors.scalar_index[:, 1]
+        axes = jnp.asarray(effectors.scalar_axis)
+        angle = jax.vmap(_angle)(rotation[first], rotation[second], axes)
+        value = angle
+        if model.mechanism.n_actuators > 0:
+            delta_a = actuation.displacements(model, u)
+            value = jnp.where(second < 0, delta_a[first], angle)
+        none = jnp.zeros_like(value)
+        rows.append(jnp.stack([value, none, none], axis=1))
+    return jnp.concatenate(rows)
+
+
+def marker_positions(
+    model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
+) -> Float[Array, "n_markers 3"]:
+    """Simulated positions of the markers of one configuration [m].
+
+    Args:
+        model: The body.
+        configuration: One configuration, with markers.
+        solution: Its equilibrium.
+
+    Returns:
+        Positions in the frame of the mesh, markers first, then the points of other
+        effectors; nan where there is no equilibrium.
+    """
+    effectors = configuration.effectors
+    n_points = effectors.nodes.shape[0]
+    return effector_positions(model, effectors, solution.displacement)[:n_points]
+
+
+def _turn(R: Float[Array, "3 3"], reference: Float[Array, "3 3"]):
+    """Rotation vector from a reference orientation, in the frame of the mesh."""
+    return rotation_vector(jnp.sum(R[:, None, :] * reference[None, :, :], axis=-1))
+
+
+def _angle(
+    R: Float[Array, "3 3"], other: Float[Array, "3 3"], axis: Float[Array, "3"]
+) -> Float[Array, ""]:
+    """Angle of the relative rotation other^T R about an axis fixed on the other."""
+    relative = jnp.sum(other[:, :, None] * R[:, None, :], axis=0)
+    # A direction across the axis, from the coordinate axis that is farthest from it.
+    start = jnp.eye(3)[jnp.argmin(jnp.abs(axis))]
+    across = start - axis * jnp.sum(axis * start)
+    size = jnp.sum(across**2)
+    across = across / jnp.sqrt(jnp.where(size > 0.0, size, 1.0))
+    turned = jnp.sum(relative * across[None, :], axis=1)
+    y = jnp.sum(turned * jnp.cross(axis, across))
+    x = jnp.sum(turned * across)
+    # Padding has no axis, and atan2(0, 0) no derivative.
+    return jnp.arctan2(y, jnp.where((x == 0.0) & (y == 0.0), 1.0, x))
+
+
+def actuator_forces(
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+    multipliers: Float[Array, " n_a"] | None = None,
+) -> Float[Array, " n_a"]:
+    """Forces lambda_a of all actuators, imposed or solved for, in their units.
+
+    Of a motor whose angle is imposed: the torque with which it holds its body.
+
+    Args:
+        model: The model.
+        configuration: One configuration.
+        u: Equilibrium displacement [m].
+        multipliers: Forces of actuators whose displacement is imposed; found from the
+            balance by default.
+    """
+    forces = actuation.imposed_forces(configuration.actuation)
+    r = residual(model, configuration, u, multipliers)
+    if multipliers is None:
+        multipliers = solved_forces(model, configuration, u)
+    forces = jnp.where(
+        actuation.by_multiplier(model, configuration.actuation), multipliers, forces
+    )
+    unknowns = Unknowns(model, configuration, jnp.ones((), u.dtype))
+    gathered = unknowns.gather(u, r)
+    for a, body in enumerate(model.mechanism.actuators.motor_body):
+        if body >= 0:
+            # The last entry of the wrench, per metre at the end of the frame's axis.
+            torque = gathered[u.size + 6 * body + 5] * model.mechanism.bodies.length
+            held = configuration.actuation.by_displacement[a]
+            forces = forces.at[a].set(jnp.where(held, torque, forces[a]))
+    return forces
+
+
+def effector_forces(
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+    multipliers: Float[Array, " n_a"] | None = None,
+) -> Float[Array, "n_rows_of_forces 3"]:
+    """Rows that need the balance of forces: those of actuators, and reactions [N].
+
+    Args:
+        model: The model.
+        configuration: One configuration, with its effectors.
+        u: Equilibrium displacement [m].
+        multipliers: Forces of actuators whose displacement is imposed; found from the
+            balance by default.
+    """
+    effectors = configuration.effectors
+    rows = []
+    if effectors.force_actuator.shape[0] > 0:
+        forces = actuator_forces(model, configuration, u, multipliers)
+        value = forces[effectors.force_actuator]
+        none = jnp.zeros_like(value)
+        rows.append(jnp.stack([value, none, none], axis=1))
+    r = residual(model, configuration, u, multipliers)
+    weights = jnp.asarray(effectors.reaction_weights)
+    rows.append(jnp.sum(weights[:, :, None] * r[effectors.reaction_nodes], axis=1))
+    return jnp.concatenate(rows)
