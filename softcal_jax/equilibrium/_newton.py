@@ -36,7 +36,8 @@ class NewtonSettings(eqx.Module):
         rtol: Residual at which Newton stops, relative to the largest of external force,
             internal force and reactions [-].
         max_steps: Newton iterations for one configuration, all load steps together.
-        max_steps_per_load: Newton iterations after which a load step is cut.
+        max_steps_per_load: Newton iterations after which a load step is cut, unless
+            the last one brought the residual down by a factor of ten.
         smallest_load_step: Load increment below which load stepping gives up [-].
         strict_below: Load increment below which the line search is strict [-].
         max_backtracks: Halvings of a Newton step before it counts as failed.
@@ -209,7 +210,9 @@ class NewtonLoop:
             lambda_a = direction.lambda_a + alpha * direction.d_lambda
             merit = self.body.merit(at, lambda_a, s.load, direction.gap_stiffness)
             enough = lower(alpha, at, lambda_a, merit)
-            good = (enough | moving | ~self.strict(s)) & at.finite
+            # Some laws survive a tet turned inside out, and then hardly find back.
+            inside_out = (at.min_det_F <= 0.0) & (s.at.min_det_F > 0.0) & ~moving
+            good = (enough | moving | ~self.strict(s)) & at.finite & ~inside_out
             return _Trial(at, lambda_a, merit, good)
 
         def keep_trying(carry):
@@ -239,6 +242,7 @@ class NewtonLoop:
             tried.merit, tried.at, tried.lambda_a, s.load, direction.stiffness
         )
         residual = jnp.where(good, residual, jnp.inf)
+        before_step = s.residual
         s = s._replace(
             step=s.step + 1,
             step_in_load=s.step_in_load + 1,
@@ -263,8 +267,10 @@ class NewtonLoop:
         converged = residual <= self.settings.rtol
         astray = converged & self.suspicious(s, tried.at.min_det_F)
         good, converged = good & ~astray, converged & ~astray
+        # A step that is closing in is not cut short of its end.
+        closing = residual < 0.1 * before_step
         out_of_steps = s.step_in_load >= self.settings.max_steps_per_load
-        failed = ~good | (~converged & out_of_steps)
+        failed = ~good | (~converged & out_of_steps & ~closing)
         s = _select(good, moved, s)
         s = _select(converged, self.next_load(s), s)
         return jax.lax.cond(failed, self.back, lambda s: s, s)
