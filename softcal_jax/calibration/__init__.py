@@ -13,6 +13,7 @@ from softcal_jax.calibration._problem import (
     Evaluation,
     at_rest,
     evaluate,
+    first_guess,
     simulate,
 )
 from softcal_jax.calibration._qp import QPStep, bounded_step
@@ -66,6 +67,7 @@ __all__ = [
     "calibration_step",
     "decide",
     "evaluate",
+    "first_guess",
     "fit_notes",
     "initial_state",
     "levenberg_marquardt",

@@ -24,8 +24,8 @@ from softcal_jax.calibration._notes import (
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
-    at_rest,
     evaluate,
+    first_guess,
     simulate,
 )
 from softcal_jax.calibration._result import (
@@ -62,6 +62,7 @@ _evaluate = eqx.filter_jit(evaluate)
 _propose = eqx.filter_jit(propose)
 _decide = eqx.filter_jit(decide)
 _simulate = eqx.filter_jit(simulate)
+_first_guess = eqx.filter_jit(first_guess)
 
 
 def build_problem(
@@ -166,7 +167,7 @@ def calibrate(
     journal = Journal(problem, settings, checkpoint, progress, search=(starts, seed))
     with Clock() as clock:
         start = problem.space.admissible(problem.space.start())
-        before = _evaluate(problem, start, at_rest(problem))
+        before = _evaluate(problem, start, _first_guess(problem, start))
         check_converged(before.equilibrium, tuple(c.name for c in configurations))
         state, search = _begin(problem, settings, start, before, journal, starts, seed)
         while not (state.converged or state.stalled) and (
@@ -213,7 +214,7 @@ def _begin(
     if starts > 1:
         search = multi_start(problem, _all_starts(start, problem, starts, seed))
         start = jnp.asarray(search.z[search.best])
-        before = _evaluate(problem, start, at_rest(problem))
+        before = _evaluate(problem, start, _first_guess(problem, start))
     state = initial_state(settings, start, before)
     journal.note(state)
     return state, search
@@ -231,9 +232,9 @@ def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
     One that has no equilibrium is left out, with a note: it must neither pass for a
     prediction nor cost the user the fit.
     """
-    guess = at_rest(problem)
-    first, before = _simulate(problem, problem.space.start(), guess)
-    last, after = _simulate(problem, z, guess)
+    start = problem.space.start()
+    first, before = _simulate(problem, start, _first_guess(problem, start))
+    last, after = _simulate(problem, z, _first_guess(problem, z))
     # A pose that only the start parameters cannot hold has no "before".
     before = jnp.where(first.converged[:, None, None], before, jnp.nan)
     lanes = np.flatnonzero(np.asarray(last.converged))
@@ -259,6 +260,7 @@ def _result(problem, noise, settings, state, history, fits, notes) -> Calibratio
         n_measured,
         at_bound,
         noise,
+        np.asarray(problem.space.prior_weights()),
     )
     return CalibrationResult(
         converged=bool(state.converged),

@@ -6,8 +6,8 @@ import optimistix as optx
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
-    at_rest,
     effector_errors,
+    first_guess,
     simulate,
 )
 
@@ -33,7 +33,7 @@ def levenberg_marquardt(
     Returns:
         Scaled parameters, and whether it converged inside the bounds.
     """
-    guess = at_rest(problem)
+    guess = first_guess(problem, problem.space.start())
     weight = problem.configurations.effectors.inverse_std
 
     def errors(z, problem):
@@ -41,7 +41,8 @@ def levenberg_marquardt(
         delta_e = effector_errors(problem, positions)
         # A configuration without equilibrium makes the step cost infinitely much.
         ok = solution.converged[:, None, None]
-        return jnp.where(ok, weight * delta_e, jnp.inf).ravel()
+        of_data = jnp.where(ok, weight * delta_e, jnp.inf).ravel()
+        return jnp.concatenate([of_data, problem.space.from_prior(z)])
 
     solution = optx.least_squares(
         errors,

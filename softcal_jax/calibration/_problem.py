@@ -49,6 +49,8 @@ class Evaluation(eqx.Module):
         delta_e: Simulated minus measured ones; 0 where nothing is measured.
         error: The same in units of the noise, stacked over configurations [-].
         W_ep: Stacked compliances in units of the noise, per unit of lambda_p [-].
+        prior: Distance of the parameters from what was known of them, in units of its
+            standard deviation [-].
         tangents: du/dz of each lane, or None where W_ep came from the adjoint side [m].
         ok: Whether every lane has an equilibrium and a regular tangent.
     """
@@ -58,13 +60,18 @@ class Evaluation(eqx.Module):
     delta_e: Float[Array, "n_c n_rows 3"]
     error: Float[Array, " n_e"]
     W_ep: Float[Array, "n_e n_p"]
+    prior: Float[Array, " n_p"]
     tangents: Float[Array, "n_c n_p n_points 3"] | None
     ok: Bool[Array, ""]
 
     @property
     def cost(self) -> Float[Array, ""]:
-        """Half the sum of squared errors in noise units; infinite if not ok [-]."""
-        return jnp.where(self.ok, 0.5 * jnp.sum(self.error**2), jnp.inf)
+        """Half the sum of squared errors in noise units; infinite if not ok [-].
+
+        The distance from the prior counts as errors do.
+        """
+        squares = jnp.sum(self.error**2) + jnp.sum(self.prior**2)
+        return jnp.where(self.ok, 0.5 * squares, jnp.inf)
 
 
 def simulate(
@@ -146,10 +153,38 @@ def evaluate(
     ok = jnp.all(solution.converged) & jnp.all(response.ok)
     ok = ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W))
     tangents = response.displacement
-    return Evaluation(solution, effectors, delta_e, error, W, tangents, ok)
+    prior = problem.space.from_prior(z)
+    return Evaluation(solution, effectors, delta_e, error, W, prior, tangents, ok)
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
-    """Displacements of zero, the guess when there is no better one [m]."""
+    """Displacements of zero, as a guess [m]."""
     n_c = problem.configurations.gravity.shape[0]
     return jnp.zeros((n_c, problem.model.n_points, 3))
+
+
+def first_guess(
+    problem: CalibrationProblem, z: Float[Array, " n_p"]
+) -> Float[Array, "n_c n_points 3"]:
+    """Displacements to start from when there is nothing better [m].
+
+    Rest; for a robot with rigid bodies the equilibrium of the configuration before:
+    its poses lie near each other, and far from the parts before they were mounted.
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+    """
+    rest = at_rest(problem)
+    if problem.model.mechanism.bodies.n_bodies == 0:
+        return rest
+    model = problem.space.apply(problem.model, z)
+
+    def follow(u, configuration):
+        solution = solve_equilibrium(
+            model, configuration, guess=u, settings=problem.newton
+        )
+        found = jnp.where(solution.converged, solution.displacement, u)
+        return found, found
+
+    return jax.lax.scan(follow, rest[0], problem.configurations)[1]

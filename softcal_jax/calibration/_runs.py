@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, Int
-from softcal_jax.calibration._problem import CalibrationProblem, at_rest, evaluate
+from softcal_jax.calibration._problem import CalibrationProblem, evaluate, first_guess
 from softcal_jax.calibration._step import (
     CalibrationSettings,
     decide,
@@ -138,7 +138,8 @@ def _minimise(
     The start is evaluated by the first pass of the loop, so that `evaluate`, most of
     the program, is in it once.
     """
-    z, rest = problem.space.admissible(start), at_rest(problem)
+    z = problem.space.admissible(start)
+    rest = first_guess(problem, z)
     empty = jax.tree.map(
         lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
         jax.eval_shape(evaluate, problem, z, rest),

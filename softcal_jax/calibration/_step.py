@@ -150,10 +150,14 @@ def propose(
     A, b = space.order_rows()
     b = b - A @ state.z
     chart = space.chart
+    W_ep, error = now.W_ep, now.error
+    if space.has_prior:
+        W_ep = jnp.concatenate([W_ep, jnp.diag(space.prior_weights())])
+        error = jnp.concatenate([error, now.prior])
     if chart is None:
-        qp = solve(now.W_ep, now.error, low, high, A=A, b=b)
+        qp = solve(W_ep, error, low, high, A=A, b=b)
         dz, z = qp.lambda_p, space.wrap(state.z + qp.lambda_p)
-        linear = now.W_ep @ qp.lambda_p + now.error
+        linear = W_ep @ qp.lambda_p + error
     else:
         # The QP moves tensors; the bounds of their moduli become rows.
         tensor = chart.to_tensor(state.z)
@@ -161,10 +165,10 @@ def propose(
         moduli = np.concatenate([chart.small, chart.large])
         free = np.concatenate([moduli, chart.angle])
         rows = jnp.concatenate([A @ J, J[moduli], -J[moduli]])
-        W = now.W_ep @ J
+        W = W_ep @ J
         qp = solve(
             W,
-            now.error,
+            error,
             low.at[free].set(-state.step_bound),
             high.at[free].set(state.step_bound),
             A=rows,
@@ -172,7 +176,7 @@ def propose(
         )
         dz, z = J @ qp.lambda_p, chart.from_tensor(tensor + qp.lambda_p)
         z = space.admissible(z)
-        linear = W @ qp.lambda_p + now.error
+        linear = W @ qp.lambda_p + error
     guess = now.equilibrium.displacement
     if now.tangents is not None:
         guess = guess + jnp.einsum("p,cpni->cni", dz, now.tangents)

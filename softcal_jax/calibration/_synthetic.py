@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax.calibration._problem import CalibrationProblem, at_rest, simulate
+from softcal_jax.calibration._problem import CalibrationProblem, first_guess, simulate
 from softcal_jax.configurations import (
     Configuration,
     configuration_arrays,
@@ -20,6 +20,7 @@ from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import ParameterSpace
 
 _simulate = eqx.filter_jit(simulate)
+_first_guess = eqx.filter_jit(first_guess)
 
 
 def synthetic_measurements(
@@ -63,7 +64,7 @@ def synthetic_measurements(
     arrays = configuration_arrays(mesh, posed, mechanism)
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    solution, effectors = _simulate(problem, z, at_rest(problem))
+    solution, effectors = _simulate(problem, z, _first_guess(problem, z))
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
     rows = [effector_rows(mesh, c, mechanism) for c in posed]

@@ -67,12 +67,15 @@ def uncertainty(
     n_measured: int,
     at_bound: Bool[HostArray, " n_p"],
     noise: Literal["stated", "estimated"],
+    prior_weights: Float[HostArray, " n_p"] | None = None,
 ) -> Uncertainty:
-    """Covariance s^2 (W^T W)^-1 over the parameters that are not on a bound.
+    """Covariance (W^T W / s^2 + P)^-1 over the parameters that are not on a bound.
 
     s is 1 for a stated noise; for an estimated one s^2 is the sum of squared errors
     over its degrees of freedom, so that only the ratios of the stated standard
-    deviations count (Bates and Watts, Nonlinear Regression Analysis, ch. 2).
+    deviations count (Bates and Watts, Nonlinear Regression Analysis, ch. 2). P is the
+    inverse covariance of the prior; a parameter that it determines takes the less of a
+    degree of freedom, the less the data say of it.
 
     Args:
         W: Stacked compliances in noise units.
@@ -80,29 +83,47 @@ def uncertainty(
         n_measured: Measured coordinates.
         at_bound: Parameters on a bound; they have no standard error.
         noise: Where the noise comes from.
+        prior_weights: 1 / standard deviations of the prior, 0 without; none by default.
 
     Returns:
         The covariance and what it rests on.
     """
     free = np.flatnonzero(~at_bound)
-    dof = n_measured - len(free)
+    weights = np.zeros(W.shape[1]) if prior_weights is None else prior_weights
+    prior = np.diag(weights[free])
+    dof = n_measured - _informed(W[:, free], prior)
     chi_squared = float(np.sum(error**2))
     covariance = np.full((W.shape[1], W.shape[1]), np.nan)
     scale = 1.0
     if noise == "estimated":
         scale = float(np.sqrt(chi_squared / dof)) if dof > 0 else np.nan
-    if len(free):
-        # Columns of unit length, so that a small parameter is not a blind direction.
-        size = np.linalg.norm(W[:, free], axis=0)
-        size = np.where(size > 0.0, size, 1.0)
-        _, singular, Vt = np.linalg.svd(W[:, free] / size)
-        singular = np.append(singular, np.zeros(len(free) - len(singular)))
-        seen = singular > BLIND * max(singular[0], 1e-300)
-        # A parameter is determined if no direction without data contains it.
-        share = np.sum(Vt[~seen] ** 2, axis=0)
-        known = free[share <= BLIND]
-        inverse = Vt[seen].T @ np.diag(singular[seen] ** -2.0) @ Vt[seen]
-        full = np.zeros_like(covariance)
-        full[np.ix_(free, free)] = scale**2 * inverse / np.outer(size, size)
-        covariance[np.ix_(known, known)] = full[np.ix_(known, known)]
+    if len(free) and np.isfinite(scale):
+        inverse, known = _inverse(np.concatenate([W[:, free], scale * prior]))
+        at = free[known]
+        covariance[np.ix_(at, at)] = scale**2 * inverse[np.ix_(known, known)]
     return Uncertainty(covariance, noise, scale, dof, chi_squared, at_bound)
+
+
+def _informed(
+    W: Float[HostArray, "n_e n_free"], prior: Float[HostArray, "n_free n_free"]
+) -> int:
+    """How many parameters the data determine, rather than the prior, rounded."""
+    if not np.any(prior):
+        return W.shape[1]
+    normal = W.T @ W
+    total = normal + prior.T @ prior
+    return round(float(np.trace(np.linalg.pinv(total) @ normal)))
+
+
+def _inverse(rows: Float[HostArray, "n n_free"]):
+    """(rows^T rows)^-1, and which parameters it is known for."""
+    # Columns of unit length, so that a small parameter is not a blind direction.
+    size = np.linalg.norm(rows, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    _, singular, Vt = np.linalg.svd(rows / size)
+    singular = np.append(singular, np.zeros(rows.shape[1] - len(singular)))
+    seen = singular > BLIND * max(singular[0], 1e-300)
+    # A parameter is determined if no direction without data contains it.
+    known = np.sum(Vt[~seen] ** 2, axis=0) <= BLIND
+    inverse = Vt[seen].T @ np.diag(singular[seen] ** -2.0) @ Vt[seen]
+    return inverse / np.outer(size, size), np.flatnonzero(known)

@@ -210,8 +210,10 @@ class NewtonLoop:
             lambda_a = direction.lambda_a + alpha * direction.d_lambda
             merit = self.body.merit(at, lambda_a, s.load, direction.gap_stiffness)
             enough = lower(alpha, at, lambda_a, merit)
-            # Some laws survive a tet turned inside out, and then hardly find back.
-            inside_out = (at.min_det_F <= 0.0) & (s.at.min_det_F > 0.0) & ~moving
+            # Some laws survive a tet turned inside out, and then hardly find back. A
+            # support that goes too far is cut short like a load.
+            inside_out = (at.min_det_F <= 0.0) & (s.at.min_det_F > 0.0)
+            inside_out = inside_out & (~moving | ~self.strict(s))
             good = (enough | moving | ~self.strict(s)) & at.finite & ~inside_out
             return _Trial(at, lambda_a, merit, good)
 

@@ -34,6 +34,9 @@ class Parameter(eqx.Module):
         periodic: Whether upper and lower bound are the same thing, as for the angle of
             an axis between -90 and 90 degrees: a step may then leave by one and comes
             back in by the other.
+        prior_std: Standard deviation of what is known before any data, about `start`:
+            relative on a log scale (0.3 is 30 %), in SI units on a linear one. None
+            where nothing is known.
     """
 
     name: str = eqx.field(static=True)
@@ -51,6 +54,9 @@ class Parameter(eqx.Module):
         default=None, converter=lambda v: None if v is None else _number(v)
     )
     periodic: bool = eqx.field(static=True, default=False)
+    prior_std: Float[Array, ""] | None = eqx.field(
+        default=None, converter=lambda v: None if v is None else _number(v)
+    )
 
     def __check_init__(self):
         if any(is_traced(v) for v in (self.start, self.lower)):
@@ -88,6 +94,12 @@ class Parameter(eqx.Module):
                 f"{what}: max_step must be positive, got {float(self.max_step):g}."
             )
 
+        if self.prior_std is not None and not float(self.prior_std) > 0.0:
+            raise ValueError(
+                f"{what}: prior_std must be positive, got {float(self.prior_std):g}; "
+                "leave it out where nothing is known before."
+            )
+
     @property
     def parameters(self) -> tuple["Parameter", ...]:
         """The unknowns that it adds: itself."""
@@ -97,6 +109,13 @@ class Parameter(eqx.Module):
     def unit_step(self) -> Float[Array, ""]:
         """S of a linear scale."""
         return self.upper - self.lower if self.S is None else self.S
+
+    def prior_weight(self) -> Float[Array, ""]:
+        """1 / standard deviation of the prior in scaled units; 0 without one [-]."""
+        if self.prior_std is None:
+            return jnp.zeros(())
+        unit = jnp.ones(()) if self.scale == "log" else self.unit_step
+        return unit / self.prior_std
 
     def to_scaled(self, p: Float[Array, ""]) -> Float[Array, ""]:
         """Scaled coordinate z: ln p, or p / S [-]."""

@@ -152,6 +152,26 @@ class ParameterSpace(eqx.Module):
         periodic = jnp.asarray([q.periodic for q in self.parameters])
         return jnp.where(periodic, jnp.minimum(gap, turn - gap), gap)
 
+    @property
+    def has_prior(self) -> bool:
+        """Whether something is known of a parameter before any data."""
+        return any(q.prior_std is not None for q in self.parameters)
+
+    def prior_weights(self) -> Float[Array, " n_p"]:
+        """1 / standard deviations of the prior; 0 where nothing is known [-]."""
+        return jnp.stack([q.prior_weight() for q in self.parameters])
+
+    def from_prior(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Distance of scaled parameters from their start, in units of the prior [-].
+
+        With a sign; the shorter way round if periodic.
+        """
+        gap = z - self.start()
+        turn = self.upper() - self.lower()
+        periodic = jnp.asarray([q.periodic for q in self.parameters])
+        gap = jnp.where(periodic, gap - turn * jnp.round(gap / turn), gap)
+        return self.prior_weights() * gap
+
     def admissible(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
         """Parameters within their bounds, the moduli of an axis a little apart."""
         z = self.wrap(z)

@@ -54,6 +54,8 @@ class ControlPointParameters(eqx.Module):
         tied: Control points whose value is that of another parameter, and its name,
             like {"upper 1": "E_t of lower 1"}.
         max_step: Largest entry of lambda_p in one step [-].
+        prior_std: Standard deviation of what is known of each value before any data,
+            about its start; relative on a log scale, in SI units on a linear one.
     """
 
     field: str = eqx.field(static=True)
@@ -71,6 +73,7 @@ class ControlPointParameters(eqx.Module):
     tied: tuple[tuple[str, str], ...] = eqx.field(static=True)
     max_step: Float[Array, ""] | None
     periodic: tuple[bool, ...] = eqx.field(static=True)
+    prior_std: Float[Array, ""] | None
 
     def __init__(
         self,
@@ -89,6 +92,7 @@ class ControlPointParameters(eqx.Module):
         fixed: Mapping[str, Float[ArrayLike, ""]] | None = None,
         tied: Mapping[str, str] | None = None,
         max_step: Float[ArrayLike, ""] | None = None,
+        prior_std: Float[ArrayLike, ""] | None = None,
     ):
         """One unknown per control point that is neither fixed nor tied.
 
@@ -114,7 +118,7 @@ class ControlPointParameters(eqx.Module):
         self.interpolation, self.sampling = interpolation, sampling
         self.fixed = {k: jnp.asarray(v, float) for k, v in (fixed or {}).items()}
         self.tied = tuple((tied or {}).items())
-        self.max_step = number(max_step)
+        self.max_step, self.prior_std = number(max_step), number(prior_std)
         span = np.asarray(self.upper - self.lower)
         director = interpolation == "director"
         self.periodic = tuple(bool(director and np.isclose(v, np.pi)) for v in span)
@@ -171,6 +175,7 @@ class ControlPointParameters(eqx.Module):
                 unit=self.unit,
                 max_step=self.max_step,
                 periodic=self.periodic[i],
+                prior_std=self.prior_std,
             )
             for i, name in enumerate(self.control_points.names)
             if name not in self.fixed and name not in dict(self.tied)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import CalibrationProblem, at_rest, simulate
+from softcal_jax.calibration import CalibrationProblem, first_guess, simulate
 from softcal_jax.configurations import (
     Configuration,
     configuration_arrays,
@@ -74,7 +74,7 @@ class Survey(eqx.Module):
 def _solve(
     problem: CalibrationProblem, z: Float[Array, " n_p"]
 ) -> tuple[EquilibriumSolution, EnergyCompliance]:
-    solution, _ = simulate(problem, z, at_rest(problem))
+    solution, _ = simulate(problem, z, first_guess(problem, z))
     model = problem.space.apply(problem.model, z)
     lane = lambda c, u: energy_compliance(model, c, u, problem.space, z)
     return solution, jax.vmap(lane)(problem.configurations, solution.displacement)

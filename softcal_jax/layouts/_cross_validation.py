@@ -11,9 +11,9 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration import (
     CalibrationProblem,
     CalibrationSettings,
-    at_rest,
     build_problem,
     evaluate,
+    first_guess,
     random_starts,
     run_starts,
 )
@@ -110,7 +110,7 @@ def _fit(
         cost = jnp.where(jnp.any(runs.converged), cost, runs.cost)
         best = jnp.argmin(cost)
         z = runs.z[best]
-        after = evaluate(problem, z, at_rest(problem))
+        after = evaluate(problem, z, first_guess(problem, z))
         return _Fits(
             z,
             runs.cost[best],

@@ -1,0 +1,232 @@
+"""The parallel robot of Sec. VI of the paper, as a calibration problem."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import Motor
+from softcal_jax.bodies import Pose, RigidBody, hinge_axes
+from softcal_jax.configurations import (
+    BodyFrame,
+    Configuration,
+    ImposedDisplacement,
+)
+from softcal_jax.equilibrium import Model, build_model
+from softcal_jax.fields import ControlPointParameters, ParameterSpace
+from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
+from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
+
+EFFECTOR = "rod"
+"""Name of the rigid rod, and of the 6-D sensor at its middle."""
+
+PRIOR = {"E_t": 0.3, "E_l": 0.3, "theta": float(np.deg2rad(20.0))}
+"""Standard deviations of what is known of a printed field: 30 % and 20 degrees."""
+
+BOUNDS = {"E_t": (200e3, 6e6), "E_l": (50e3, 3e6)}
+"""Bounds of the moduli [Pa]."""
+
+_WORK, _LOW, _HIGH = 45.0, 25.0, 65.0
+
+CALIBRATION_ANGLES = (
+    (_WORK, _WORK, _WORK, _WORK, _WORK, _WORK),
+    (_LOW, _WORK, _WORK, _WORK, _WORK, _WORK),
+    (_WORK, _HIGH, _WORK, _WORK, _WORK, _WORK),
+    (_WORK, _WORK, _LOW, _WORK, _WORK, _WORK),
+    (_WORK, _WORK, _WORK, _HIGH, _WORK, _WORK),
+    (_WORK, _WORK, _WORK, _WORK, _LOW, _WORK),
+    (_WORK, _WORK, _WORK, _WORK, _WORK, _HIGH),
+)
+"""Angles of the six motors in the seven calibration poses, ours [degrees].
+
+The working point, then one motor at a time to an end of its range.
+"""
+
+VALIDATION_ANGLES = (
+    (_HIGH, _WORK, _WORK, _WORK, _WORK, _WORK),
+    (_WORK, _WORK, _HIGH, _WORK, _WORK, _WORK),
+    (_WORK, _WORK, _WORK, _WORK, _HIGH, _WORK),
+    (30.0, _WORK, _WORK, 60.0, _WORK, _WORK),
+    (_WORK, 60.0, _WORK, _WORK, 30.0, _WORK),
+    (30.0, 30.0, 30.0, 55.0, 55.0, 55.0),
+    (55.0, 40.0, 50.0, 35.0, 50.0, 40.0),
+)
+"""Angles of the six motors in the seven test poses, ours [degrees]."""
+
+
+class ParallelRobot(eqx.Module):
+    """The robot, its parameters and its poses, before anything is measured.
+
+    Attributes:
+        model: Two sheets, six arms with motors, and the rod.
+        space: {E_t, E_l, theta} at twelve control points that both sheets share.
+        configurations: The seven calibration poses.
+        validation: Seven other poses.
+        geometry: Its dimensions.
+    """
+
+    model: Model
+    space: ParameterSpace
+    configurations: tuple[Configuration, ...]
+    validation: tuple[Configuration, ...]
+    geometry: ParallelRobotGeometry
+
+
+def parallel_robot(
+    geometry: ParallelRobotGeometry | None = None,
+    *,
+    size: float = 0.005,
+    layers: int = 1,
+    order: Literal[1, 2] = 2,
+    prior: Mapping[str, float] | None = PRIOR,
+    std: float = 0.76e-3,
+    std_angle: float = float(np.deg2rad(0.15)),
+) -> ParallelRobot:
+    """Two soft tripod sheets on six motors, joined by a rod with a 6-D sensor.
+
+    Sec. VI of the paper, with the authors' published dimensions; arms, control points,
+    poses and start field are ours (see `ParallelRobotGeometry`).
+
+    Args:
+        geometry: Dimensions; the published ones by default.
+        size: Edge length of the tets in the plane of a sheet [m].
+        layers: Layers of tets through the thickness.
+        order: 2 for quadratic tets; linear ones are wrong by a factor 1.7 in twist.
+        prior: Standard deviations of what is known of E_t and E_l (relative) and theta
+            [rad] before calibration, or None. Without one, directions that the data do
+            not see drift.
+        std: Standard deviation of the sensor's position [m].
+        std_angle: Standard deviation of its orientation [rad].
+
+    Returns:
+        The robot. `synthetic_measurements` or a tracker measures it.
+    """
+    geometry = geometry or ParallelRobotGeometry()
+    mesh = geometry.mesh(size=size, layers=layers, order=order)
+    law = Corotational(
+        ReducedTransverseIsotropic(
+            geometry.E_t, geometry.E_l, geometry.nu, Fibre(0.0, plane="xz")
+        )
+    )
+    bodies, motors = mechanism(geometry)
+    model = build_model(
+        mesh, law, density=geometry.density, bodies=bodies, actuators=motors
+    )
+    poses = lambda name, angles: tuple(
+        pose(geometry, f"{name} {k}", row, std=std, std_angle=std_angle)
+        for k, row in enumerate(angles, start=1)
+    )
+    space = control_space(geometry, prior)
+    start = space.apply(model, space.start())
+    return ParallelRobot(
+        start,
+        space,
+        poses("pose", CALIBRATION_ANGLES),
+        poses("test", VALIDATION_ANGLES),
+        geometry,
+    )
+
+
+def mechanism(
+    geometry: ParallelRobotGeometry,
+) -> tuple[tuple[RigidBody, ...], tuple[Motor, ...]]:
+    """Arms, rod and upper cap as rigid bodies, and the six motors.
+
+    The rod is the body of the lower centre, its frame at the rod's middle; the upper
+    centre is tied to it, a rod's length above, which pulls the sheets together.
+
+    Args:
+        geometry: Dimensions of the robot.
+    """
+    arms = tuple(
+        RigidBody(
+            arm.name,
+            arm.end,
+            origin=arm.axis_point - arm.mounting.translation,
+            axes=hinge_axes(arm.axis_direction),
+            mounting=arm.mounting,
+        )
+        for arm in geometry.arms()
+    )
+    # The middle of the rod, on the flat sheets.
+    middle = np.array([0.0, -geometry.rod_pull, 0.0])
+    rod = RigidBody(EFFECTOR, "lower/centre", origin=middle)
+    cap = RigidBody(
+        "cap",
+        "upper/centre",
+        origin=-middle,
+        tied_to=EFFECTOR,
+        mounting=Pose(2.0 * middle),
+    )
+    return (*arms, rod, cap), tuple(Motor(arm.name, arm.name) for arm in arms)
+
+
+def control_space(
+    geometry: ParallelRobotGeometry, prior: Mapping[str, float] | None
+) -> ParameterSpace:
+    """{E_t, E_l, theta} at the twelve control points, as tensors, with their prior.
+
+    Args:
+        geometry: Dimensions of the robot, and the start field.
+        prior: Standard deviations by field, or None.
+    """
+    points, start = geometry.control_points(), geometry.start_field()
+    known = prior or {}
+    moduli = [
+        ControlPointParameters(
+            field,
+            points,
+            start=start[field],
+            lower=BOUNDS[field][0],
+            upper=BOUNDS[field][1],
+            unit="Pa",
+            interpolation="log",
+            prior_std=known.get(field),
+        )
+        for field in ("E_t", "E_l")
+    ]
+    half = np.pi / 2
+    theta = ControlPointParameters(
+        "theta",
+        points,
+        start=np.mod(start["theta"] + half, np.pi) - half,
+        lower=-half,
+        upper=half,
+        unit="rad",
+        scale="linear",
+        S=1.0,
+        interpolation="director",
+        prior_std=known.get("theta"),
+    )
+    return ParameterSpace((*moduli, theta), axes=[("E_l", "E_t", "theta")])
+
+
+def pose(
+    geometry: ParallelRobotGeometry,
+    name: str,
+    angles: Sequence[float] | Float[HostArray, "6"],
+    *,
+    std: float,
+    std_angle: float,
+) -> Configuration:
+    """A pose of the robot by the angles of its motors.
+
+    Args:
+        geometry: Dimensions of the robot.
+        name: Name of the configuration.
+        angles: Angles of "lower 1" to "upper 3" [degrees].
+        std: Standard deviation of the sensor's position [m].
+        std_angle: Standard deviation of its orientation [rad].
+    """
+    names = [arm.name for arm in geometry.arms()]
+    return Configuration(
+        name,
+        gravity=(0.0, 0.0, -geometry.gravity),
+        effectors=(BodyFrame(EFFECTOR, EFFECTOR, std=std, std_angle=std_angle),),
+        actuation={
+            motor: ImposedDisplacement(float(np.deg2rad(angle)))
+            for motor, angle in zip(names, angles, strict=True)
+        },
+    )
