@@ -76,6 +76,7 @@ __all__ = [
     "random_starts",
     "run_starts",
     "simulate",
+    "simulated_measurements",
     "synthetic_measurements",
     "uncertainty",
     "with_measured",

@@ -90,14 +90,29 @@ def simulate(
         Solutions and effectors, one lane per configuration.
     """
     model = problem.space.apply(problem.model, z)
+    return simulate_model(model, problem.configurations, guess, problem.newton)
+
+
+def simulate_model(
+    model: Model,
+    configurations: ConfigurationArrays,
+    guess: Float[Array, "n_c n_points 3"],
+    newton: NewtonSettings,
+) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
+    """The same for a model as it is.
+
+    Args:
+        model: The body.
+        configurations: One lane per configuration.
+        guess: Displacements to start from [m].
+        newton: Settings of the equilibrium.
+    """
 
     def lane(configuration, u0):
-        solution = solve_equilibrium(
-            model, configuration, guess=u0, settings=problem.newton
-        )
+        solution = solve_equilibrium(model, configuration, guess=u0, settings=newton)
         return solution, _effectors(model, configuration, solution)
 
-    return jax.vmap(lane)(problem.configurations, guess)
+    return jax.vmap(lane)(configurations, guess)
 
 
 def _effectors(model: Model, configuration: ConfigurationArrays, solution):
@@ -175,16 +190,28 @@ def first_guess(
         problem: The calibration.
         z: Scaled parameters [-].
     """
-    rest = at_rest(problem)
-    if problem.model.mechanism.bodies.n_bodies == 0:
-        return rest
     model = problem.space.apply(problem.model, z)
+    return chained_guess(model, problem.configurations, problem.newton)
+
+
+def chained_guess(
+    model: Model, configurations: ConfigurationArrays, newton: NewtonSettings
+) -> Float[Array, "n_c n_points 3"]:
+    """The same for a model as it is.
+
+    Args:
+        model: The body.
+        configurations: One lane per configuration.
+        newton: Settings of the equilibrium.
+    """
+    n_c = configurations.gravity.shape[0]
+    rest = jnp.zeros((n_c, model.n_points, 3))
+    if model.mechanism.bodies.n_bodies == 0:
+        return rest
 
     def follow(u, configuration):
-        solution = solve_equilibrium(
-            model, configuration, guess=u, settings=problem.newton
-        )
+        solution = solve_equilibrium(model, configuration, guess=u, settings=newton)
         found = jnp.where(solution.converged, solution.displacement, u)
         return found, found
 
-    return jax.lax.scan(follow, rest[0], problem.configurations)[1]
+    return jax.lax.scan(follow, rest[0], configurations)[1]

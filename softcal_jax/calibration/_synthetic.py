@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax.calibration._problem import CalibrationProblem, first_guess, simulate
+from softcal_jax.calibration._problem import chained_guess, simulate_model
 from softcal_jax.configurations import (
     Configuration,
     configuration_arrays,
@@ -19,8 +19,8 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import ParameterSpace
 
-_simulate = eqx.filter_jit(simulate)
-_first_guess = eqx.filter_jit(first_guess)
+_simulate_model = eqx.filter_jit(simulate_model)
+_chained_guess = eqx.filter_jit(chained_guess)
 
 
 def synthetic_measurements(
@@ -59,20 +59,51 @@ def synthetic_measurements(
             f"{'not given' if unknown[0] in space.names else 'no parameter'}. "
             f"Parameters: {', '.join(space.names)}."
         )
+    z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
+    robot = space.apply(model, z)
+    return simulated_measurements(
+        robot, configurations, noise=noise, seed=seed, newton=newton
+    )
+
+
+def simulated_measurements(
+    model: Model,
+    configurations: Sequence[Configuration],
+    *,
+    noise: bool = False,
+    seed: int = 0,
+    newton: NewtonSettings | None = None,
+) -> tuple[Configuration, ...]:
+    """Configurations with the measurements that a model gives as it is.
+
+    Args:
+        model: The body, which plays the real one.
+        configurations: Poses with effectors; measured values are replaced.
+        noise: Whether to add normal errors with the stated standard deviations.
+        seed: Seed of these errors.
+        newton: Settings of the equilibrium.
+
+    Returns:
+        The configurations, measured.
+
+    Raises:
+        ValueError: If a configuration has no effectors.
+        RuntimeError: If a configuration has no equilibrium.
+    """
     mesh, mechanism = model.mesh, model.mechanism
     posed = [measured_at_rest(c, mesh, mechanism) for c in configurations]
     arrays = configuration_arrays(mesh, posed, mechanism)
-    problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
-    z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    solution, effectors = _simulate(problem, z, _first_guess(problem, z))
+    newton = newton or NewtonSettings()
+    guess = _chained_guess(model, arrays, newton)
+    solution, effectors = _simulate_model(model, arrays, guess, newton)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
     rows = [effector_rows(mesh, c, mechanism) for c in posed]
     measured = []
-    for c, own, numbers, values_of in zip(
+    for c, own, numbers, values in zip(
         configurations, rows, row_numbers(rows), np.asarray(effectors), strict=True
     ):
-        e = values_of[numbers]
+        e = values[numbers]
         if noise:
             inverse_std = np.array([row.inverse_std for _, row in own])
             std = np.where(inverse_std > 0.0, 1.0 / np.maximum(inverse_std, 1e-300), 0)

@@ -1,6 +1,37 @@
 """Ready-made robots, with the data they were measured with."""
 
 from softcal_jax.robots._anisotropic_beam import AnisotropicBeam, anisotropic_beam
+from softcal_jax.robots._parallel_robot import (
+    CALIBRATION_ANGLES,
+    PRIOR,
+    VALIDATION_ANGLES,
+    ParallelRobot,
+    parallel_robot,
+    pose,
+)
+from softcal_jax.robots._parallel_robot_geometry import Arm, ParallelRobotGeometry
+from softcal_jax.robots._printed_robot import (
+    PrintingErrors,
+    as_read,
+    printed_robot,
+    with_stated,
+)
 from softcal_jax.robots._silicone_beam import silicone_beam_path
 
-__all__ = ["AnisotropicBeam", "anisotropic_beam", "silicone_beam_path"]
+__all__ = [
+    "CALIBRATION_ANGLES",
+    "PRIOR",
+    "VALIDATION_ANGLES",
+    "AnisotropicBeam",
+    "Arm",
+    "ParallelRobot",
+    "ParallelRobotGeometry",
+    "PrintingErrors",
+    "anisotropic_beam",
+    "as_read",
+    "parallel_robot",
+    "pose",
+    "printed_robot",
+    "silicone_beam_path",
+    "with_stated",
+]
