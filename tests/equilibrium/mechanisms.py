@@ -57,7 +57,7 @@ def solved(model: Model, configuration: Configuration, settings=NewtonSettings()
     lane = arrays(model, configuration)
     solution, values = solve(model, lane, settings)
     assert bool(solution.converged), RESULTS[solution.result]
-    return solution, np.asarray(values), lane
+    return solution, np.array(values), lane
 
 
 def values_of(model, lane, where, new):

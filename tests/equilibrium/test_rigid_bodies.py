@@ -318,8 +318,8 @@ def _inputs(both):
 
 
 @jax.jit
-def frames(lane, inputs):
-    return values_of(MODEL, lane, _inputs, inputs)
+def frames(both, inputs):
+    return values_of(*both, _inputs, inputs)
 
 
 @pytest.fixture(scope="module", params=["free", "hinged", "held"])
@@ -330,12 +330,12 @@ def start(request):
     if request.param == "free":
         state = "free"
     lane = arrays(MODEL, posed(tip=state))
-    return lane, _inputs((MODEL, lane))
+    return (MODEL, lane), _inputs((MODEL, lane))
 
 
 @jax.jit
-def derivative(lane, inputs, tangent):
-    return jax.jvp(partial(frames, lane), (inputs,), (tangent,))[1]
+def derivative(both, inputs, tangent):
+    return jax.jvp(partial(frames, both), (inputs,), (tangent,))[1]
 
 
 def direction(inputs, name):
@@ -348,11 +348,11 @@ def direction(inputs, name):
 
 @pytest.mark.parametrize("name", Inputs._fields)
 def test_derivatives_meet_differences_at_second_order(start, name):
-    lane, inputs = start
+    both, inputs = start
     tangent = direction(inputs, name)
-    jvp = derivative(lane, inputs, tangent)
+    jvp = derivative(both, inputs, tangent)
     assert jnp.max(jnp.abs(jvp)) > 1e-4
-    function = partial(frames, lane)
+    function = partial(frames, both)
     error = lambda h: jnp.max(
         jnp.abs(central_difference(function, inputs, tangent, h) - jvp)
     )
@@ -360,12 +360,12 @@ def test_derivatives_meet_differences_at_second_order(start, name):
 
 
 def test_forward_equals_reverse(start):
-    lane, inputs = start
+    both, inputs = start
     parts = [direction(inputs, name) for name in Inputs._fields]
     tangent = jax.tree.map(lambda *same: sum(same), *parts)
-    forward = derivative(lane, inputs, tangent)
+    forward = derivative(both, inputs, tangent)
     cotangent = jr.normal(jr.key(5), forward.shape)
-    pull_back = jax.jit(lambda x, c: jax.vjp(partial(frames, lane), x)[1](c)[0])
+    pull_back = jax.jit(lambda x, c: jax.vjp(partial(frames, both), x)[1](c)[0])
     reverse = pull_back(inputs, cotangent)
     products = [float(jnp.vdot(a, b)) for a, b in zip(reverse, tangent, strict=True)]
     # Both solve with the same factor; rounding times its condition remains.
