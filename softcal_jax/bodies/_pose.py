@@ -13,7 +13,7 @@ from softcal_jax._typing import Float, HostArray
 def _three_numbers(
     value: Float[ArrayLike, "3"] | Sequence[float],
 ) -> Float[HostArray, "3"]:
-    return np.asarray(value, float)
+    return np.array(value, float)  # a copy: SciPy's rotations want to write
 
 
 class Pose(eqx.Module):
@@ -54,7 +54,7 @@ class Pose(eqx.Module):
         Raises:
             ValueError: If the matrix is not a rotation.
         """
-        R = np.asarray(rotation, float)
+        R = np.array(rotation, float)
         if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
             raise ValueError(f"rotation must be an orthogonal 3 x 3 matrix, got {R}.")
         if np.linalg.det(R) < 0.0:

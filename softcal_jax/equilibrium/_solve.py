@@ -207,6 +207,13 @@ def _held_at(model, configuration, u):
     return Unknowns(model, configuration, jnp.ones((), u.dtype)).held_at(u)
 
 
+def _free_residual(model, configuration, u, lambda_a):
+    """Out-of-balance forces on the free unknowns [N]."""
+    unknowns = Unknowns(model, configuration, jnp.ones((), u.dtype))
+    gathered = unknowns.gather(u, residual(model, configuration, u, lambda_a))
+    return jnp.where(unknowns.fixed(), 0.0, gathered)
+
+
 def _gap(model, configuration, u):
     """How far imposed displacements of actuators are from what they should be."""
     value = jnp.asarray(configuration.actuation.value)
@@ -232,33 +239,47 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     held = lambda model, configuration: _held_at(model, configuration, u)
     _, du_held = eqx.filter_jvp(held, inputs, t_inputs)
     du_held = jnp.zeros_like(u) if du_held is None else du_held
-    _, dR = eqx.filter_jvp(
-        lambda model, configuration, u: residual(model, configuration, u, lambda_a),
-        (*inputs, u),
-        (*t_inputs, du_held),
+    # Forces on the unknowns, not on the nodes: the arm of a force changes, too, where
+    # the mounting of a tied body does.
+    on_unknowns = lambda model, configuration, u: _free_residual(
+        model, configuration, u, lambda_a
     )
-    _, dgap = eqx.filter_jvp(_gap, (*inputs, u), (*t_inputs, du_held))
-    dgap = jnp.zeros_like(lambda_a) if dgap is None else dgap
+    _, dR = eqx.filter_jvp(on_unknowns, (*inputs, u), (*t_inputs, du_held))
     lin = linearise(model, configuration, u)
     sparsity, n_dof = model.solver.sparsity, model.n_dof
     values, H_a, active = lin.system
+    n_a = active.shape[0]
+    b = -dR
+    if n_a > 0:  # an array without entries makes JAX 0.10.2 lose the solver's call
+        _, dgap = eqx.filter_jvp(_gap, (*inputs, u), (*t_inputs, du_held))
+        dgap = jnp.zeros_like(lambda_a) if dgap is None else dgap
+        b = jnp.concatenate([b, jnp.where(active, -dgap, 0.0)])
 
     def matvec(v):
-        x, lam = v[:n_dof], jnp.where(active, v[n_dof:], 0.0)
-        force = product(sparsity, values, x) - jnp.sum(lam[:, None] * H_a, axis=0)
+        x = v[:n_dof]
+        force = product(sparsity, values, x)
+        if n_a == 0:
+            return force
+        lam = jnp.where(active, v[n_dof:], 0.0)
+        force = force - jnp.sum(lam[:, None] * H_a, axis=0)
         gap = jnp.where(active, -jnp.sum(H_a * x[None], axis=1), v[n_dof:])
         return jnp.concatenate([force, gap])
 
     def solve(_, b, transpose=False):
-        gap = jnp.where(active, -b[n_dof:], 0.0)[None]
+        gap = jnp.zeros((1, n_a))
+        if n_a > 0:
+            gap = jnp.where(active, -b[n_dof:], 0.0)[None]
         solved = lin.system.solve(model, b[None, :n_dof], gap, transpose=transpose)
-        lam = jnp.where(active, solved.lambda_a[0], b[n_dof:])
+        d = solved.x[0]
+        if n_a > 0:
+            lam = jnp.where(active, solved.lambda_a[0], b[n_dof:])
+            d = jnp.concatenate([d, lam])
         # A derivative that does not exist must not pass for zero.
-        return jnp.where(solved.ok, jnp.concatenate([solved.x[0], lam]), jnp.nan)
+        return jnp.where(solved.ok, d, jnp.nan)
 
     d = jax.lax.custom_linear_solve(
         matvec,
-        jnp.concatenate([-lin.free(u, dR), jnp.where(active, -dgap, 0.0)]),
+        b,
         solve,
         transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
@@ -266,7 +287,7 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     du = du_held + lin.unknowns.scatter(u, d[:n_dof])
     # Where there is no equilibrium there is no derivative of it.
     du = jnp.where(solution.converged, du, jnp.nan)
-    d_lambda = jnp.where(solution.converged, d[n_dof:], jnp.nan)
+    d_lambda = jnp.where(solution.converged, d[n_dof:], jnp.nan) if n_a else lambda_a
     none = jax.tree.map(lambda _: None, solution)
     return solution, eqx.tree_at(
         lambda s: (s.displacement, s.multipliers),

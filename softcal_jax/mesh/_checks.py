@@ -16,7 +16,7 @@ FLAT = 1e-6
 """A tet is flat below this part of the volume of the regular tet of its rms edge."""
 
 
-def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " n"]] = ()) -> None:
+def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) -> None:
     """Checks that every tet has a positive volume and that the tets form one body.
 
     A quadratic tet must have det dX/dxi > 0 at its ten nodes and at the quadrature
@@ -132,14 +132,11 @@ def _disconnected(mesh: TetMesh, table: FaceTable, linked) -> list[str]:
     tet = np.repeat(np.arange(mesh.n_tets), 4)
     shape = (mesh.n_tets, len(table.counts))
     on_face = coo_array((np.ones(len(tet)), (tet, table.inverse)), shape).tocsr()
-    n_parts, part = connected_components(on_face @ on_face.T, directed=False)
-    of_node = np.empty(mesh.n_nodes, int)
-    of_node[mesh.tets] = part[:, None]
+    _, part = connected_components(on_face @ on_face.T, directed=False)
     for nodes in linked:
-        of_node = np.where(
-            np.isin(of_node, of_node[nodes]), of_node[nodes].min(), of_node
-        )
-    part = np.unique(of_node[mesh.tets[:, 0]], return_inverse=True)[1]
+        held = np.isin(part, part[np.isin(mesh.tets, nodes).any(axis=1)])
+        part = np.where(held, part[held].min(), part)
+    part = np.unique(part, return_inverse=True)[1]
     n_parts = int(part.max()) + 1
     if n_parts == 1:
         return []
