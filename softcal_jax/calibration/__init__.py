@@ -39,7 +39,11 @@ from softcal_jax.calibration._step import (
     initial_state,
     propose,
 )
-from softcal_jax.calibration._synthetic import synthetic_measurements, with_measured
+from softcal_jax.calibration._synthetic import (
+    simulated_measurements,
+    synthetic_measurements,
+    with_measured,
+)
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 
 __all__ = [

@@ -73,6 +73,7 @@ def simulated_measurements(
     noise: bool = False,
     seed: int = 0,
     newton: NewtonSettings | None = None,
+    first: Model | None = None,
 ) -> tuple[Configuration, ...]:
     """Configurations with the measurements that a model gives as it is.
 
@@ -82,6 +83,8 @@ def simulated_measurements(
         noise: Whether to add normal errors with the stated standard deviations.
         seed: Seed of these errors.
         newton: Settings of the equilibrium.
+        first: A model of the same mesh and mechanism whose equilibria are easier to
+            find and lie near: its states are the guesses.
 
     Returns:
         The configurations, measured.
@@ -94,7 +97,7 @@ def simulated_measurements(
     posed = [measured_at_rest(c, mesh, mechanism) for c in configurations]
     arrays = configuration_arrays(mesh, posed, mechanism)
     newton = newton or NewtonSettings()
-    guess = _chained_guess(model, arrays, newton)
+    guess = _chained_guess(first or model, arrays, newton)
     solution, effectors = _simulate_model(model, arrays, guess, newton)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)

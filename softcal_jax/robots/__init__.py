@@ -11,9 +11,10 @@ from softcal_jax.robots._parallel_robot import (
 )
 from softcal_jax.robots._parallel_robot_geometry import Arm, ParallelRobotGeometry
 from softcal_jax.robots._printed_robot import (
+    PrintedRobot,
     PrintingErrors,
-    as_read,
     printed_robot,
+    read_poses_of,
     with_stated,
 )
 from softcal_jax.robots._silicone_beam import silicone_beam_path
@@ -26,12 +27,13 @@ __all__ = [
     "Arm",
     "ParallelRobot",
     "ParallelRobotGeometry",
+    "PrintedRobot",
     "PrintingErrors",
     "anisotropic_beam",
-    "as_read",
     "parallel_robot",
     "pose",
     "printed_robot",
+    "read_poses_of",
     "silicone_beam_path",
     "with_stated",
 ]

@@ -9,13 +9,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import BodyFrame, Configuration
+from softcal_jax.calibration import simulated_measurements
+from softcal_jax.configurations import AbstractEffector, BodyFrame, Configuration
 from softcal_jax.equilibrium import Model, build_model
-from softcal_jax.materials import Fibre, FibreReinforced
+from softcal_jax.materials import (
+    Corotational,
+    Fibre,
+    FibreReinforced,
+    ReducedTransverseIsotropic,
+)
 from softcal_jax.robots._parallel_robot import mechanism
 from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
 
@@ -30,7 +35,7 @@ class PrintingErrors(eqx.Module):
         motor_zero: Standard deviation of the zero of each motor [rad].
         mounting: Standard deviation of the place of each motor, per axis [m].
         position: Standard deviation of the tracker's position, per axis [m].
-        orientation: Standard deviation of the tracker's rotation vector, per axis [rad].
+        orientation: Standard deviation of the tracker's rotation, per axis [rad].
     """
 
     moduli: float = 0.3
@@ -42,6 +47,20 @@ class PrintingErrors(eqx.Module):
     orientation: float = float(np.deg2rad(0.3))
 
 
+class PrintedRobot(eqx.Module):
+    """A synthetic robot.
+
+    Attributes:
+        model: The robot: fibre-reinforced, finer, with all its errors.
+        first: The same with the corotational law, to find equilibria by.
+        errors: How far it is from the one that was ordered.
+    """
+
+    model: Model
+    first: Model
+    errors: PrintingErrors
+
+
 def printed_robot(
     geometry: ParallelRobotGeometry | None = None,
     *,
@@ -49,8 +68,8 @@ def printed_robot(
     errors: PrintingErrors | None = None,
     size: float = 0.005,
     layers: int = 1,
-) -> Model:
-    """A robot with the fibre-reinforced law and fields that vary about the ordered ones.
+) -> PrintedRobot:
+    """A robot with another law, and fields that vary about the ordered ones.
 
     Both sheets were printed alike: they share the fields, as functions of (x, z).
 
@@ -62,7 +81,7 @@ def printed_robot(
         layers: Layers of tets through the thickness.
 
     Returns:
-        The robot, to be measured by `simulated_measurements` with poses of `as_read`.
+        The robot.
     """
     geometry, errors = geometry or ParallelRobotGeometry(), errors or PrintingErrors()
     random = np.random.default_rng(seed)
@@ -73,22 +92,22 @@ def printed_robot(
     E_l = geometry.E_l * np.exp(errors.moduli * vary())
     # The ordered spiral, which the control points of the model only interpolate.
     theta = np.arctan2(places[:, 1], places[:, 0]) + geometry.spiral_angle
-    theta = theta + errors.theta * vary()
+    fibre = Fibre(theta + errors.theta * vary(), plane="xz")
     shear = np.sqrt(E_t * E_l) / (2.0 * (1.0 + geometry.nu))
-    law = FibreReinforced(E_t, E_l, geometry.nu, shear, Fibre(theta, plane="xz"))
+    law = FibreReinforced(E_t, E_l, geometry.nu, shear, fibre)
     bodies, motors = mechanism(geometry)
-    model = build_model(
-        mesh, law, density=geometry.density, bodies=bodies, actuators=motors
-    )
-    n_motors, n_bodies = len(motors), len(bodies)
-    zero = errors.motor_zero * random.standard_normal(n_motors)
-    shift = np.zeros((n_bodies, 3))
-    shift[:n_motors] = errors.mounting * random.standard_normal((n_motors, 3))
-    return eqx.tree_at(
+    zero = errors.motor_zero * random.standard_normal(len(motors))
+    shift = np.zeros((len(bodies), 3))
+    shift[: len(motors)] = errors.mounting * random.standard_normal((len(motors), 3))
+    build = lambda law: eqx.tree_at(
         lambda m: (m.mechanism.motor_zero, m.mechanism.bodies.mounting_translation),
-        model,
-        (jnp.asarray(zero), model.mechanism.bodies.mounting_translation + shift),
+        build_model(
+            mesh, law, density=geometry.density, bodies=bodies, actuators=motors
+        ),
+        replace_fn=lambda old: old + (zero if old.ndim == 1 else shift),
     )
+    easy = Corotational(ReducedTransverseIsotropic(E_t, E_l, geometry.nu, fibre))
+    return PrintedRobot(build(law), build(easy), errors)
 
 
 def _smooth(
@@ -104,20 +123,42 @@ def _smooth(
     return np.sqrt(2.0 / n) * np.cos(places @ waves.T + phases).sum(axis=1)
 
 
-def as_read(
-    configurations: Sequence[Configuration], errors: PrintingErrors | None = None
+def read_poses_of(
+    robot: PrintedRobot, configurations: Sequence[Configuration], *, seed: int
 ) -> tuple[Configuration, ...]:
-    """Poses whose sensors have the tracker's own noise, to be measured with.
+    """What the tracker reads on a printed robot.
 
     Args:
-        configurations: Poses with frames as effectors.
-        errors: How far readings are off.
+        robot: The robot.
+        configurations: Poses with frames as effectors. They keep the standard
+            deviations that they state, which are those of who calibrates.
+        seed: Seed of the readings.
+
+    Returns:
+        The configurations, measured.
+
+    Raises:
+        RuntimeError: If a pose has no equilibrium.
     """
-    errors = errors or PrintingErrors()
-    return tuple(
+    errors = robot.errors
+    as_read = [
         with_stated(c, std=errors.position, std_angle=errors.orientation)
         for c in configurations
+    ]
+    measured = simulated_measurements(
+        robot.model, as_read, noise=True, seed=seed, first=robot.first
     )
+    return tuple(
+        replace(m, effectors=tuple(map(_as_stated, m.effectors, c.effectors)))
+        for c, m in zip(configurations, measured, strict=True)
+    )
+
+
+def _as_stated(read: AbstractEffector, stated: AbstractEffector) -> AbstractEffector:
+    """A reading with the standard deviations of who calibrates."""
+    if isinstance(read, BodyFrame) and isinstance(stated, BodyFrame):
+        return replace(read, std=stated.std, std_angle=stated.std_angle)
+    return read
 
 
 def with_stated(
