@@ -64,17 +64,12 @@ def solved(
     return solution, np.array(values), lane
 
 
-def values_of(model, lane, where, new):
+def values_of(model, lane, guess, where, new):
     """Effectors' coordinates as a function of one part of (model, lane)."""
     model, lane = eqx.tree_at(where, (model, lane), new)
-    return solve(model, lane, jnp.zeros((model.n_points, 3)), TIGHT)[1]
+    return solve(model, lane, guess, TIGHT)[1]
 
 
 def positions(model: Model, solution) -> np.ndarray:
     """Where all nodes are, those of the bodies' frames last [m]."""
     return np.asarray(model.mechanism.points + solution.displacement)
-
-
-def zeros_like(tree):
-    """The zero tangent of a tree."""
-    return jax.tree.map(jnp.zeros_like, tree)
