@@ -94,7 +94,8 @@ class Direction(NamedTuple):
         slope: Out-of-balance force times the step [J].
         moving: Whether something held still has to move.
         stiffness: Mean stiffness of an unknown [N/m].
-        gap_stiffness: Force per displacement of each active actuator.
+        gap_stiffness: Force per displacement of each actuator whose displacement is
+            imposed.
         n_negative: Negative eigenvalues, see `Bordered`.
         ok: Whether the step exists.
         system: The matrix.
@@ -241,7 +242,9 @@ class EquilibriumProblem:
         d = d.at[: u.size].add(supports.ravel())
         compliance = jnp.abs(jnp.diag(solved.W_aa))
         tiny = jnp.finfo(u.dtype).tiny
-        gap_stiffness = jnp.where(active, 1.0 / jnp.maximum(compliance, tiny), 0.0)
+        # Of slack cables, too: a step that tightens one leaves a gap to close.
+        stiff = 1.0 / jnp.maximum(compliance, tiny)
+        gap_stiffness = jnp.where(self.by_multiplier(), stiff, 0.0)
         return Direction(
             d,
             lambda_a,
@@ -284,10 +287,12 @@ class EquilibriumProblem:
     def relative(self, merit, at: Point, lambda_a, load, stiffness):
         """A merit relative to the largest of external, internal and actuator force."""
         points = jnp.asarray(self.model.mechanism.points)
-        size = jnp.max(jnp.ptp(points, axis=0))
+        size = jnp.maximum(jnp.max(jnp.ptp(points, axis=0)), jnp.max(jnp.abs(at.u)))
         norm = jnp.linalg.norm
         scale = jnp.maximum(norm(load * self.f_ext), norm(at.force))
-        # Without any load, what remains is the rounding of positions.
+        # Without any load, what remains is the rounding of each unknown's displacement,
+        # which a robot that is turned as a whole has, too.
         eps = jnp.finfo(points.dtype).eps
-        rounding = eps / self.rtol * stiffness * size
+        n_dof = self.model.n_dof
+        rounding = eps / self.rtol * stiffness * size * n_dof**0.5
         return merit / jnp.maximum(scale, rounding)

@@ -43,34 +43,33 @@ def arrays(model: Model, configuration: Configuration):
 
 
 @partial(jax.jit, static_argnames="settings")
-def solve(model, lane, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
+def solve(model, lane, guess, settings):
     """Equilibrium of one configuration, and its effectors' coordinates."""
-    solution = solve_equilibrium(model, lane, settings=settings)
-    values = effector_values(
-        model, lane, solution.displacement, solution.multipliers
-    )
+    solution = solve_equilibrium(model, lane, guess=guess, settings=settings)
+    values = effector_values(model, lane, solution.displacement, solution.multipliers)
     return solution, values
 
 
-def solved(model: Model, configuration: Configuration, settings=NewtonSettings()):  # noqa: B008
+def solved(
+    model: Model,
+    configuration: Configuration,
+    settings: NewtonSettings = NewtonSettings(),  # noqa: B008 (it is immutable)
+    guess=None,
+):
     """Converged equilibrium, effectors' coordinates, and the arrays of it."""
     lane = arrays(model, configuration)
-    solution, values = solve(model, lane, settings)
+    guess = jnp.zeros((model.n_points, 3)) if guess is None else guess
+    solution, values = solve(model, lane, guess, settings)
     assert bool(solution.converged), RESULTS[solution.result]
     return solution, np.array(values), lane
 
 
-def values_of(model, lane, where, new):
+def values_of(model, lane, guess, where, new):
     """Effectors' coordinates as a function of one part of (model, lane)."""
     model, lane = eqx.tree_at(where, (model, lane), new)
-    return solve(model, lane, TIGHT)[1]
+    return solve(model, lane, guess, TIGHT)[1]
 
 
 def positions(model: Model, solution) -> np.ndarray:
     """Where all nodes are, those of the bodies' frames last [m]."""
     return np.asarray(model.mechanism.points + solution.displacement)
-
-
-def zeros_like(tree):
-    """The zero tangent of a tree."""
-    return jax.tree.map(jnp.zeros_like, tree)

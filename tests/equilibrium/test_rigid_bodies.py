@@ -49,9 +49,7 @@ PLATE = RigidBody(
     centre_of_mass=PLATE_CENTRE,
 )
 FIN_BODY = RigidBody("fin", "at 3", mounting=FIN, tied_to="plate", mass=FIN_MASS)
-END = RigidBody(
-    "tip", ("at 5", "at 6"), axes=hinge_axes((0.0, 1.0, 1.0)), mounting=TIP
-)
+END = RigidBody("tip", ("at 5", "at 6"), axes=hinge_axes((0.0, 1.0, 1.0)), mounting=TIP)
 LAW = NeoHookean(YOUNG, 0.3)
 MODEL = build_model(MESH, LAW, density=DENSITY, bodies=(ROOT, PLATE, FIN_BODY, END))
 FLAT = eqx.tree_at(  # the same without mountings
@@ -136,7 +134,7 @@ def test_held_body_is_where_it_is_held():
 
 
 def test_hinged_body_only_turns_about_its_mounted_axis():
-    solution, values, _ = solved(MODEL, posed(tip="hinged"))
+    _, values, _ = solved(MODEL, posed(tip="hinged"))
     X = MESH.points[TIP_NODES]
     origin, axis = X.mean(axis=0), TIP.matrix @ hinge_axes((0.0, 1.0, 1.0))[2]
     np.testing.assert_allclose(values[3], origin + TIP.translation, rtol=0, atol=1e-16)
@@ -252,11 +250,13 @@ def test_robot_turned_by_about_half_a_turn_is_free_of_stress(offset):
     """And frames near the measured one, half a turn from rest, see no jump there."""
     angle = np.pi + np.deg2rad(offset)
     axis = HALF_TURN / np.pi
-    pose = Pose((0.1, 0.2, 0.3), angle * axis)
-    configuration = posed(
-        gravity=NO_GRAVITY, measured=Pose(rotation_vector=HALF_TURN), root=pose
-    )
-    solution, values, _ = solved(WEIGHTLESS, configuration, TIGHT)
+    half_turn = Pose(rotation_vector=HALF_TURN)
+    guess = None
+    for share in (1 / 3, 2 / 3, 1.0):
+        pose = Pose((0.1, 0.2, 0.3), share * angle * axis)
+        configuration = posed(gravity=NO_GRAVITY, measured=half_turn, root=pose)
+        solution, values, _ = solved(WEIGHTLESS, configuration, TIGHT, guess)
+        guess = solution.displacement
     X = MODEL.mechanism.points
     origin = X[ROOT_NODES].mean(axis=0)
     there = moved_by(pose.matrix, origin, pose.translation, X)
@@ -273,7 +273,9 @@ def on_an_arc(angle):
     """Pose of the tip's frame on an arc with a tangent turned by an angle about -y."""
     s = 5.5 / 6 * LENGTH
     radius, up = s / angle, SIDE / 2
-    end = np.array([radius * np.sin(angle), SIDE / 2, up + radius * (1 - np.cos(angle))])
+    end = np.array(
+        [radius * np.sin(angle), SIDE / 2, up + radius * (1 - np.cos(angle))]
+    )
     return Pose(end - [s, SIDE / 2, up], (0.0, -angle, 0.0))
 
 
@@ -319,7 +321,8 @@ def _inputs(both):
 
 @jax.jit
 def frames(both, inputs):
-    return values_of(*both, _inputs, inputs)
+    rest = jnp.zeros((both[0].n_points, 3))
+    return values_of(*both, rest, _inputs, inputs)
 
 
 @pytest.fixture(scope="module", params=["free", "hinged", "held"])
@@ -349,6 +352,8 @@ def direction(inputs, name):
 @pytest.mark.parametrize("name", Inputs._fields)
 def test_derivatives_meet_differences_at_second_order(start, name):
     both, inputs = start
+    if name == "pose_translation" and int(both[1].bodies.kind[3]) == 0:
+        pytest.skip("linear: the robot is held at the root alone, and moves as one")
     tangent = direction(inputs, name)
     jvp = derivative(both, inputs, tangent)
     assert jnp.max(jnp.abs(jvp)) > 1e-4
@@ -369,8 +374,6 @@ def test_forward_equals_reverse(start):
     reverse = pull_back(inputs, cotangent)
     products = [float(jnp.vdot(a, b)) for a, b in zip(reverse, tangent, strict=True)]
     # Both solve with the same factor; rounding times its condition remains.
-    np.testing.assert_allclose(
-        sum(products), jnp.vdot(cotangent, forward), rtol=1e-9
-    )
+    np.testing.assert_allclose(sum(products), jnp.vdot(cotangent, forward), rtol=1e-9)
     # A forgotten input would show as a zero here.
     assert all(abs(part) > 0 for part in products)
