@@ -10,7 +10,7 @@ by elimination of dx, through the compliance W_aa = H_a K^-1 H_a^T of the same f
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -152,7 +152,8 @@ class System(NamedTuple):
                 for new, old in zip((out.x, out.lambda_a), whole, strict=True)
             )
             out = out._replace(x=x, lambda_a=lambda_a)
-            return out, Bordered(True, True, False, False, False)
+            none: Any = jax.tree.map(lambda _: False, out)
+            return out, none._replace(x=True, lambda_a=True)
 
         return solve(model.solver, self, force, gap)
 

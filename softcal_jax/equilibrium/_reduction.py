@@ -59,7 +59,7 @@ class Reduction(eqx.Module):
 
 def build_reduction(
     full: Sparsity,
-    cliques: Sequence[Int[HostArray, "n m"]],
+    cliques: Sequence[Int[HostArray, "_ _"]],
     rigid: Int[HostArray, " n_rigid"],
     owner: Int[HostArray, " n_rigid"],
     n_bodies: int,

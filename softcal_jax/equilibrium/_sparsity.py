@@ -77,7 +77,7 @@ def _upward(symmetric: bool, row, col):
 
 
 def build_sparsity(
-    cliques: Sequence[Int[HostArray, "n m"]], n_nodes: int, *, symmetric: bool = True
+    cliques: Sequence[Int[HostArray, "_ _"]], n_nodes: int, *, symmetric: bool = True
 ) -> Sparsity:
     """Pattern of a matrix that couples the nodes of each clique, tets before all.
 
