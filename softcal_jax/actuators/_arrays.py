@@ -168,7 +168,7 @@ def curvature_entries(
     )
 
 
-def clique_nodes(arrays: ActuatorArrays) -> tuple[Int[HostArray, "n_cliques m"], ...]:
+def clique_nodes(arrays: ActuatorArrays) -> tuple[Int[HostArray, "_ _"], ...]:
     """Nodes of the cliques that have entries in the tangent, group by group.
 
     On the host, before `jit`. A node that stands twice in a clique is padding whose

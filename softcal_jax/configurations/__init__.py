@@ -3,6 +3,7 @@
 from softcal_jax.configurations._actuation import (
     ImposedDisplacement,
     ImposedForce,
+    actuation_arrays,
 )
 from softcal_jax.configurations._arrays import (
     ActuationArrays,
@@ -75,6 +76,7 @@ __all__ = [
     "SurfaceForce",
     "SurfaceTraction",
     "TrackerWarning",
+    "actuation_arrays",
     "average_poses",
     "build_mechanism",
     "configuration_arrays",

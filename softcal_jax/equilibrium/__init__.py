@@ -25,8 +25,10 @@ from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._problem import external_force
 from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
+    ImplicitResponse,
     check_converged,
     factor_solve,
+    implicit_response,
     residual,
     solve_equilibrium,
     solved_forces,
@@ -36,6 +38,7 @@ __all__ = [
     "RESULTS",
     "Continuation",
     "EquilibriumSolution",
+    "ImplicitResponse",
     "LinearSolution",
     "Model",
     "NewtonSettings",
@@ -52,6 +55,7 @@ __all__ = [
     "factor_solve",
     "field_forces",
     "gravity_load",
+    "implicit_response",
     "internal_force",
     "lane_by_lane",
     "marker_positions",

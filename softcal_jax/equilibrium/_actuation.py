@@ -9,8 +9,10 @@ imposed, lambda_a is solved for: the bordered system
 by elimination of dx, through the compliance W_aa = H_a K^-1 H_a^T of the same factors.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
@@ -20,6 +22,7 @@ from softcal_jax.actuators import (
     curvature_entries,
 )
 from softcal_jax.configurations import ActuationArrays
+from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._sparsity import element_entries
 
@@ -124,38 +127,77 @@ class System(NamedTuple):
             gap: How far each active displacement has to go.
             transpose: Solve with K^T.
         """
-        n_rhs, n_a = gap.shape
-        solver = model.solver
-        if n_a == 0:
-            solved = solver.factor_solve(self.values, force, transpose=transpose)
-            none = jnp.zeros((0, 0))
-            return Bordered(solved.x, gap, none, solved.n_negative, solved.ok)
-        solved = solver.factor_solve(
-            self.values, jnp.concatenate([force, self.H_a]), transpose=transpose
-        )
-        x, by_a = solved.x[:n_rhs], solved.x[n_rhs:]
-        product = lambda A, B: jnp.sum(A[:, None] * B[None], axis=-1)
-        W_aa = product(self.H_a, by_a)
-        S = jnp.where(self.active[:, None] & self.active[None], W_aa, 0.0)
-        rest = jnp.where(self.active[None], gap - product(x, self.H_a), 0.0)
-        unit = jnp.diag(jnp.where(self.active, 0.0, 1.0))
-        lambda_a = jnp.linalg.solve(S + unit, rest.T).T
-        x = x + jnp.sum(lambda_a[:, :, None] * by_a[None], axis=1)
-        # In(bordered) = In(K) + In(-S); one negative one for each multiplier is its
-        # own, the others are those of K on the steps that leave delta_a alone.
-        positive = jnp.linalg.eigvalsh(0.5 * (S + S.T) - unit) > 0.0
-        count = lambda flags: jnp.sum(flags, dtype=solved.n_negative.dtype)
-        constrained = solved.n_negative + count(positive) - count(self.active)
-        n_negative = jnp.where(solved.n_negative < 0, -1, constrained)
-        ok = solved.ok & jnp.all(jnp.isfinite(lambda_a))
-        keep = lambda value: jnp.where(ok, value, 0.0)
-        return Bordered(
-            keep(x),
-            keep(lambda_a),
-            W_aa,
-            n_negative,
-            ok,
-        )
+        solve = jax.custom_batching.custom_vmap(partial(_solve, transpose=transpose))
+
+        @solve.def_vmap
+        def _rule(axis_size, in_batched, solver, system, force, gap):
+            _, of_system, *of_rhs = in_batched
+            whole = [
+                a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
+                for a, batched in zip((force, gap), of_rhs, strict=True)
+            ]
+            if any(of_system):
+                lanes = [
+                    a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
+                    for a, batched in zip(system, of_system, strict=True)
+                ]
+                each = lambda lane: solve(solver, System(*lane[0]), *lane[1])
+                out = jax.lax.map(each, (tuple(lanes), tuple(whole)))
+                return out, jax.tree.map(lambda _: True, out)
+            # One matrix: the actuators' own columns are solved for once.
+            flat = [a.reshape(-1, a.shape[-1]) for a in whole]
+            out = solve(solver, system, *flat)
+            x, lambda_a = (
+                new.reshape(old.shape)
+                for new, old in zip((out.x, out.lambda_a), whole, strict=True)
+            )
+            out = out._replace(x=x, lambda_a=lambda_a)
+            none: Any = jax.tree.map(lambda _: False, out)
+            return out, none._replace(x=True, lambda_a=True)
+
+        return solve(model.solver, self, force, gap)
+
+
+def _solve(
+    solver: AbstractLinearSolver,
+    system: System,
+    force: Float[Array, "n_rhs n_dof"],
+    gap: Float[Array, "n_rhs n_a"],
+    *,
+    transpose: bool,
+) -> Bordered:
+    """`System.solve`, by elimination of the unknowns."""
+    n_rhs, n_a = gap.shape
+    if n_a == 0:
+        solved = solver.factor_solve(system.values, force, transpose=transpose)
+        none = jnp.zeros((0, 0))
+        return Bordered(solved.x, gap, none, solved.n_negative, solved.ok)
+    solved = solver.factor_solve(
+        system.values, jnp.concatenate([force, system.H_a]), transpose=transpose
+    )
+    x, by_a = solved.x[:n_rhs], solved.x[n_rhs:]
+    product = lambda A, B: jnp.sum(A[:, None] * B[None], axis=-1)
+    W_aa = product(system.H_a, by_a)
+    S = jnp.where(system.active[:, None] & system.active[None], W_aa, 0.0)
+    rest = jnp.where(system.active[None], gap - product(x, system.H_a), 0.0)
+    unit = jnp.diag(jnp.where(system.active, 0.0, 1.0))
+    lambda_a = jnp.linalg.solve(S + unit, rest.T).T
+    x = x + jnp.sum(lambda_a[:, :, None] * by_a[None], axis=1)
+    # In(bordered) = In(K) + In(-S); one negative one for each multiplier is its
+    # own, the others are those of K on the steps that leave delta_a alone.
+    positive = jnp.linalg.eigvalsh(0.5 * (S + S.T) - unit) > 0.0
+    count = lambda flags: jnp.sum(flags, dtype=solved.n_negative.dtype)
+    constrained = solved.n_negative + count(positive) - count(system.active)
+    n_negative = jnp.where(solved.n_negative < 0, -1, constrained)
+    ok = solved.ok & jnp.all(jnp.isfinite(lambda_a))
+    keep = lambda value: jnp.where(ok, value, 0.0)
+    return Bordered(
+        keep(x),
+        keep(lambda_a),
+        W_aa,
+        n_negative,
+        ok,
+    )
 
 
 def estimated_forces(

@@ -1,7 +1,7 @@
 """Static equilibrium of a configuration, differentiable and batched."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -227,13 +227,54 @@ def _equilibrium(model, configuration, u0, *, settings):
 
 @_equilibrium.def_jvp
 def _equilibrium_jvp(primals, tangents, *, settings):
-    """Implicit derivative of the bordered system; Eqs. (7) to (9).
-
-    K du - H_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held.
-    """
+    """Derivative of an equilibrium by the theorem of implicit functions."""
     model, configuration, u0 = primals
     t_model, t_configuration, _ = tangents
     solution = _equilibrium(model, configuration, u0, settings=settings)
+    d = implicit_response(model, configuration, solution, t_model, t_configuration)
+    none = jax.tree.map(lambda _: None, solution)
+    return solution, eqx.tree_at(
+        lambda s: (s.displacement, s.multipliers),
+        none,
+        (d.displacement, d.multipliers),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
+class ImplicitResponse(NamedTuple):
+    """How an equilibrium follows its inputs; nan where there is none.
+
+    Attributes:
+        displacement: Derivative of `EquilibriumSolution.displacement` [m].
+        multipliers: Derivative of `EquilibriumSolution.multipliers`.
+    """
+
+    displacement: Float[Array, "n_points 3"]
+    multipliers: Float[Array, " n_a"]
+
+
+def implicit_response(
+    model: Model,
+    configuration: ConfigurationArrays,
+    solution: EquilibriumSolution,
+    t_model: Any,
+    t_configuration: Any,
+) -> ImplicitResponse:
+    """Implicit derivative at an equilibrium that is already known; Eqs. (7) to (9).
+
+    K du - H_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held. Under
+    `vmap` over the tangents alone, one factorization serves all of them.
+
+    Args:
+        model: The model.
+        configuration: One configuration.
+        solution: Its equilibrium.
+        t_model: Tangent of the model: its tree, None where a leaf does not change.
+        t_configuration: Tangent of the configuration, likewise.
+
+    Returns:
+        Derivative of displacement and multipliers along the tangents.
+    """
     u, lambda_a = solution.displacement, solution.multipliers
     inputs, t_inputs = (model, configuration), (t_model, t_configuration)
     held = lambda model, configuration: _held_at(model, configuration, u)
@@ -288,13 +329,7 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     # Where there is no equilibrium there is no derivative of it.
     du = jnp.where(solution.converged, du, jnp.nan)
     d_lambda = jnp.where(solution.converged, d[n_dof:], jnp.nan) if n_a else lambda_a
-    none = jax.tree.map(lambda _: None, solution)
-    return solution, eqx.tree_at(
-        lambda s: (s.displacement, s.multipliers),
-        none,
-        (du, d_lambda),
-        is_leaf=lambda leaf: leaf is None,
-    )
+    return ImplicitResponse(du, d_lambda)
 
 
 def solve_equilibrium(

@@ -1,0 +1,46 @@
+"""Inverse control: the actuation for goals of the effectors (paper Eqs. 4 to 6).
+
+A calibrated model runs unchanged. The search is pure and compiled once: all goals, and
+all models of the same shapes, share its program.
+"""
+
+from softcal_jax.control._compliance import (
+    ActuatorCompliance,
+    ActuatorState,
+    actuator_compliance,
+    actuator_state,
+    with_inputs,
+)
+from softcal_jax.control._goals import Goal, with_goals
+from softcal_jax.control._limits import Limits
+from softcal_jax.control._outcomes import OUTCOMES
+from softcal_jax.control._result import (
+    GoalFit,
+    InverseResult,
+    StepRecord,
+    TrajectoryResult,
+)
+from softcal_jax.control._solve import follow_trajectory, solve_inverse
+from softcal_jax.control._step import ControlSettings
+from softcal_jax.control._workspace import Workspace, sample_workspace
+
+__all__ = [
+    "OUTCOMES",
+    "ActuatorCompliance",
+    "ActuatorState",
+    "ControlSettings",
+    "Goal",
+    "GoalFit",
+    "InverseResult",
+    "Limits",
+    "StepRecord",
+    "TrajectoryResult",
+    "Workspace",
+    "actuator_compliance",
+    "actuator_state",
+    "follow_trajectory",
+    "sample_workspace",
+    "solve_inverse",
+    "with_goals",
+    "with_inputs",
+]

@@ -1,0 +1,147 @@
+"""How effectors and actuators follow what is asked of the actuators (Eqs. 4, 5)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.actuators import actuator_displacements
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    actuator_forces,
+    effector_values,
+    implicit_response,
+)
+
+
+class ActuatorState(eqx.Module):
+    """What a robot does at an equilibrium.
+
+    Attributes:
+        effectors: Effector coordinates e, in the rows of `effector_values`.
+        forces: lambda_a of all actuators, imposed or not, in their units.
+        displacements: delta_a of all actuators, imposed or not, in their units.
+    """
+
+    effectors: Float[Array, "n_rows 3"]
+    forces: Float[Array, " n_a"]
+    displacements: Float[Array, " n_a"]
+
+
+class ActuatorCompliance(eqx.Module):
+    """Derivatives of an equilibrium by the inputs: what each actuator has imposed.
+
+    An input is a force lambda_a or a displacement delta_a; the columns of all matrices
+    are inputs, in their units. Everything is nan where there is no equilibrium.
+
+    Attributes:
+        state: Effectors, forces and displacements at the equilibrium.
+        W_ea: Change of each effector coordinate per input, rows in the order effector,
+            axis.
+        by_force: Change of the forces; rows of the identity where they are imposed.
+        by_displacement: Change of the displacements, likewise.
+        W_aa: H_a K^-1 H_a^T, displacements per forces if all actuators were driven by
+            force; symmetric, and positive definite where that state is stable. Zero for
+            slack cables, and for pressures on open surfaces.
+        slack: Cables whose imposed displacement leaves them slack: they do not act.
+        displacement: Change of the displacement of all nodes, by rows [m].
+    """
+
+    state: ActuatorState
+    W_ea: Float[Array, "n_e n_a"]
+    by_force: Float[Array, "n_a n_a"]
+    by_displacement: Float[Array, "n_a n_a"]
+    W_aa: Float[Array, "n_a n_a"]
+    slack: Bool[Array, " n_a"]
+    displacement: Float[Array, "n_a n_points 3"]
+
+
+def actuator_state(
+    model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
+) -> ActuatorState:
+    """Effectors and actuators at an equilibrium.
+
+    Args:
+        model: The model.
+        configuration: One configuration.
+        solution: Its equilibrium.
+    """
+    return _state(model, configuration, solution.displacement, solution.multipliers)
+
+
+def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a):
+    x = jnp.asarray(model.mechanism.points) + u
+    return ActuatorState(
+        effector_values(model, configuration, u, lambda_a),
+        actuator_forces(model, configuration, u, lambda_a),
+        actuator_displacements(model.mechanism.actuators, x),
+    )
+
+
+def with_inputs(
+    configuration: ConfigurationArrays, value: Float[Array, " n_a"]
+) -> ConfigurationArrays:
+    """The configuration with other inputs, in the units of the actuators."""
+    return eqx.tree_at(lambda c: c.actuation.value, configuration, value)
+
+
+def actuator_compliance(
+    model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
+) -> ActuatorCompliance:
+    """W_ea and W_aa at an equilibrium, by one factorization; paper Eqs. (4) and (5).
+
+    Each input is taken as it is imposed: the column of W_ea is de/dlambda_a where the
+    force is imposed, and de/ddelta_a, others held, where the displacement is.
+
+    Args:
+        model: The model.
+        configuration: One configuration, with its effectors.
+        solution: Its equilibrium.
+
+    Returns:
+        The derivatives.
+    """
+    value = jnp.asarray(configuration.actuation.value)
+    u, lambda_a = solution.displacement, solution.multipliers
+    no_model = jax.tree.map(lambda _: None, model)
+    no_change = jax.tree.map(lambda _: None, configuration)
+
+    def along(unit):
+        t_configuration = eqx.tree_at(
+            lambda c: c.actuation.value, no_change, unit, is_leaf=lambda x: x is None
+        )
+        du, d_lambda = implicit_response(
+            model, configuration, solution, no_model, t_configuration
+        )
+        state = lambda value, u, lambda_a: _state(
+            model, with_inputs(configuration, value), u, lambda_a
+        )
+        _, d_state = jax.jvp(state, (value, u, lambda_a), (unit, du, d_lambda))
+        return d_state, du
+
+    changed, du = jax.vmap(along, out_axes=(-1, 0))(jnp.eye(value.size))
+    state = _state(model, configuration, u, lambda_a)
+    W_ea = changed.effectors.reshape(-1, value.size)
+    actuators = model.mechanism.actuators
+    by_displacement = jnp.asarray(configuration.actuation.by_displacement)
+    stands_still = jnp.diag(changed.displacements) == 0.0
+    slack = by_displacement & jnp.asarray(actuators.unilateral) & stands_still
+    acts = ~slack & jnp.asarray(actuators.has_displacement)
+    W_aa = _force_compliance(changed.forces, changed.displacements, acts)
+    return ActuatorCompliance(
+        state, W_ea, changed.forces, changed.displacements, W_aa, slack, du
+    )
+
+
+def _force_compliance(by_force, by_displacement, acts):
+    """W_aa from the changes along the inputs: delta = W_aa lambda along each of them.
+
+    Solved for, so that motors, whose bodies are held and no unknowns, have theirs too.
+    """
+    both = acts[:, None] & acts[None]
+    by_force = jnp.where(both, by_force, jnp.eye(acts.size, dtype=by_force.dtype))
+    by_displacement = jnp.where(both, by_displacement, 0.0)
+    W = jnp.linalg.solve(by_force.T, by_displacement.T).T
+    return 0.5 * (W + W.T)

@@ -1,0 +1,128 @@
+"""Whether a step of inverse control helped: limits first, then level by level."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float
+
+KKT_TOLERANCE = 1e-6
+"""Largest optimality residual with which a vanishing QP step is believed [-]."""
+
+ROUNDING = 1e-6
+"""Violation of a limit, in sizes of the robot, that is none [-]."""
+
+FLAT = 1e-2
+"""Cosine between error and step below which a refused step means a minimum [-]."""
+
+
+class Parts(NamedTuple):
+    """What a step shall lower: violated limits, then the cost of each level [-].
+
+    Attributes:
+        now: Before the step.
+        expected: After it, by the linear model.
+        tried: After it.
+    """
+
+    now: Float[Array, " n_parts"]
+    expected: Float[Array, " n_parts"]
+    tried: Float[Array, " n_parts"]
+
+    def above(self, tol: float) -> "Parts":
+        """Without what is good enough: it must not stand in the way of the rest."""
+        floor = jnp.full_like(self.now, 0.5 * tol**2).at[0].set(ROUNDING).at[-1].set(0)
+        return Parts(*(jnp.maximum(part, floor) for part in self))
+
+
+class Decision(NamedTuple):
+    """What becomes of a step.
+
+    Attributes:
+        accepted: Whether it is kept.
+        step_bound: Bound on the next step [-].
+        penalty: Weights of the parts [-].
+        vanished: Whether no step is left that helps.
+        stalled: Whether steps were refused until none was left, short of a minimum.
+    """
+
+    accepted: Bool[Array, ""]
+    step_bound: Float[Array, ""]
+    penalty: Float[Array, " n_parts"]
+    vanished: Bool[Array, ""]
+    stalled: Bool[Array, ""]
+
+
+class Trial(NamedTuple):
+    """A step that was tried.
+
+    Attributes:
+        parts: What it did.
+        size: Its largest entry [-].
+        kkt_residual: Optimality residual of its QPs [-].
+        cosine: Between the change of the errors and their fall, by level [-].
+        converged: Whether it ended at an equilibrium.
+    """
+
+    parts: Parts
+    size: Float[Array, ""]
+    kkt_residual: Float[Array, ""]
+    cosine: Float[Array, ""]
+    converged: Bool[Array, ""]
+
+
+def decide(
+    trial: Trial,
+    step_bound: Float[Array, ""],
+    penalty: Float[Array, " n_parts"],
+    *,
+    tol: float,
+    step_tol: float,
+    max_step_bound: float,
+) -> Decision:
+    """Keep a step that lowers the weighted sum of the parts, and adapt the bound.
+
+    An exact penalty function: the weight of a part is raised until the step that the
+    QPs of all levels found is expected to lower the sum (Nocedal and Wright, Numerical
+    Optimization, 2006, Eq. 18.36), so that an earlier part outweighs the later ones.
+
+    Args:
+        trial: The step.
+        step_bound: Bound that it kept [-].
+        penalty: Weights before it [-].
+        tol: Error in units of std that is good enough [-].
+        step_tol: Step that is none [-].
+        max_step_bound: Largest bound [-].
+
+    Returns:
+        The decision.
+    """
+    parts = trial.parts.above(tol)
+    penalty = _raised(penalty, parts.now - parts.expected)
+    expected = jnp.sum(penalty * (parts.now - parts.expected))
+    drop = jnp.sum(penalty * (parts.now - parts.tried))
+    at_bound = trial.size >= 0.99 * step_bound
+    kept_limits = trial.parts.now[0] <= 10.0 * ROUNDING
+    vanished = trial.converged & (trial.size <= step_tol) & ~at_bound & kept_limits
+    vanished = vanished & (trial.kkt_residual <= KKT_TOLERANCE)
+    # Rounding of the equilibria hides the fall of the last steps.
+    lowered = (drop >= 1e-4 * expected) & (expected > 0.0)
+    accepted = trial.converged & (lowered | vanished)
+    good = (drop > 0.75 * expected) & at_bound
+    grown = jnp.where(good, jnp.minimum(2.0 * step_bound, max_step_bound), step_bound)
+    bound = jnp.where(accepted, grown, 0.25 * trial.size)
+    collapsed = ~accepted & (bound < step_tol)
+    flat = trial.converged & (trial.cosine <= FLAT) & kept_limits
+    return Decision(
+        accepted, bound, penalty, vanished | (collapsed & flat), collapsed & ~flat
+    )
+
+
+def _raised(penalty: Float[Array, " n_parts"], drops: Float[Array, " n_parts"]):
+    """Weights with which all drops together are a fall."""
+    for part in range(penalty.shape[0] - 2, -1, -1):
+        later = jnp.sum(penalty[part + 1 :] * drops[part + 1 :])
+        falls = drops[part] > jnp.finfo(drops.dtype).tiny
+        needed = jnp.where(falls, -2.0 * later / jnp.where(falls, drops[part], 1.0), 0)
+        penalty = penalty.at[part].max(needed)
+    return penalty

@@ -1,0 +1,149 @@
+"""Goals of effectors: their measured values, or others given by name."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._names import unknown_name
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.bodies import Pose
+from softcal_jax.configurations import (
+    AbstractEffector,
+    ActuatorDisplacement,
+    ActuatorForce,
+    BodyAngle,
+    BodyFrame,
+    Configuration,
+    Mechanism,
+    effector_rows,
+    row_numbers,
+)
+from softcal_jax.mesh import TetMesh
+
+Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
+"""Of a `BodyFrame` a pose from rest, of a point or a reaction three numbers, of a
+length, volume, angle or force one number; in SI units and radians."""
+
+SINGLE = (ActuatorDisplacement, ActuatorForce, BodyAngle)
+"""Effectors of one coordinate."""
+
+
+def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
+    """A configuration whose effectors have goals as their measured values.
+
+    Args:
+        configuration: Its effectors keep measured values that are not replaced.
+        goals: Goals by the names of effectors and markers.
+
+    Raises:
+        ValueError: If a name is unknown, a goal has the wrong number of coordinates, or
+            some markers of a configuration have none.
+    """
+    markers = configuration.markers
+    marker_names = () if markers is None else markers.names
+    names = [effector.name for effector in configuration.effectors]
+    for name in goals:
+        if name not in (*names, *marker_names):
+            what = f"effector of configuration {configuration.name!r}"
+            raise unknown_name(what, name, [*names, *marker_names])
+    effectors = tuple(
+        _aimed(effector, goals[effector.name]) if effector.name in goals else effector
+        for effector in configuration.effectors
+    )
+    measured = configuration.measured
+    of_markers = [name for name in marker_names if name in goals]
+    if of_markers:
+        if measured is None and len(of_markers) < len(marker_names):
+            missing = [name for name in marker_names if name not in goals]
+            raise ValueError(
+                f"marker {missing[0]!r} of configuration {configuration.name!r} has no "
+                "goal, but others have: give one to each, or leave it out."
+            )
+        measured = np.zeros((len(marker_names), 3)) if measured is None else measured
+        measured = measured.copy()
+        for name in of_markers:
+            what = f"marker {name!r}"
+            measured[marker_names.index(name)] = _numbers(what, goals[name], 3)
+    return replace(configuration, effectors=effectors, measured=measured)
+
+
+def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
+    what = f"effector {effector.name!r}"
+    if isinstance(effector, BodyFrame):
+        if not isinstance(goal, Pose):
+            count = np.size(np.asarray(goal, dtype=object))
+            raise ValueError(
+                f"the goal of {what} has {count} numbers, expected a Pose: its frame "
+                "has 6 coordinates."
+            )
+        return replace(effector, measured=goal)
+    if isinstance(effector, SINGLE):
+        value = float(_numbers(what, goal, 1)[0])
+        return replace(effector, measured=value)
+    return replace(effector, measured=_numbers(what, goal, 3))  # type: ignore[call-arg]
+
+
+def _numbers(what: str, goal: Goal, count: int) -> Float[HostArray, " n"]:
+    """A goal as so many numbers."""
+    if isinstance(goal, Pose):
+        raise ValueError(
+            f"the goal of {what} is a Pose of 6 coordinates, expected {count} "
+            f"number{'s' * (count > 1)}."
+        )
+    numbers = np.atleast_1d(np.asarray(goal, float))
+    if numbers.shape != (count,):
+        raise ValueError(
+            f"the goal of {what} has {numbers.size} numbers, expected {count}."
+        )
+    return numbers
+
+
+def goal_levels(
+    mesh: TetMesh,
+    configuration: Configuration,
+    mechanism: Mechanism,
+    priorities: Mapping[str, int],
+) -> Float[HostArray, "n_levels n_rows 3"]:
+    """Weights of all effector coordinates, level by level, the first to be met first.
+
+    Args:
+        mesh: The mesh.
+        configuration: Its measured values are the goals.
+        mechanism: Rigid bodies and actuators of the model.
+        priorities: Level of each effector, 1 first; those not named have 1.
+
+    Returns:
+        1 / standard deviation on the level of a coordinate; 0 on others, and without a
+        goal.
+
+    Raises:
+        ValueError: If no effector has a goal, or a priority is below 1 or of an unknown
+            effector.
+    """
+    rows = effector_rows(mesh, configuration, mechanism)
+    names = [row.name for row in rows]
+    for name, level in priorities.items():
+        if name not in names:
+            raise unknown_name("effector with a priority", name, names)
+        if level < 1:
+            raise ValueError(
+                f"the priority of effector {name!r} must be 1 (first) or more, got "
+                f"{level}."
+            )
+    level_of = np.array([priorities.get(name, 1) for name in names], int)
+    inverse_std = np.array([row.inverse_std for _, row in rows]).reshape(-1, 3)
+    aimed = inverse_std.any(axis=1)
+    if not aimed.any():
+        listed = ", ".join(map(repr, dict.fromkeys(names))) or "none"
+        raise ValueError(
+            f"no effector of configuration {configuration.name!r} has a goal: give "
+            f"measured values, or `goals` by name. Effectors: {listed}."
+        )
+    levels = np.unique(level_of[aimed])
+    numbers = row_numbers([rows])[0]
+    weights = np.zeros((levels.size, len(rows), 3))
+    on_level = level_of[None] == levels[:, None]
+    weights[:, numbers] = inverse_std[None] * on_level[:, :, None]
+    return weights

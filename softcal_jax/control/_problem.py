@@ -1,0 +1,151 @@
+"""Inverse control as arrays: what is wanted, what is allowed, and how far off it is."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.control._compliance import ActuatorCompliance, ActuatorState
+from softcal_jax.control._limits import LimitArrays
+from softcal_jax.control._qp import InputRows
+from softcal_jax.equilibrium import Model
+
+
+class ControlProblem(eqx.Module):
+    """One command; a pytree, so that one program serves all goals and all models.
+
+    Attributes:
+        model: The model.
+        configuration: The configuration; its measured values are the goals.
+        limits: Limits of the actuators.
+        start: Inputs that limits on steps count from.
+        levels: 1 / standard deviation of each effector coordinate, level by level.
+        epsilon: Weight of the energy term, see `ControlSettings` [-].
+    """
+
+    model: Model
+    configuration: ConfigurationArrays
+    limits: LimitArrays
+    start: Float[Array, " n_a"]
+    levels: Float[Array, "n_levels n_rows 3"]
+    epsilon: Float[Array, ""]
+
+    @property
+    def size(self) -> Float[Array, ""]:
+        """Size of the robot [m]."""
+        return jnp.max(jnp.ptp(jnp.asarray(self.model.mechanism.points), axis=0))
+
+    def box(self) -> tuple[Float[Array, " n_a"], Float[Array, " n_a"]]:
+        """Lowest and highest inputs, limits on their steps included."""
+        limits = self.limits
+        return (
+            jnp.maximum(jnp.asarray(limits.lower), self.start - limits.step),
+            jnp.minimum(jnp.asarray(limits.upper), self.start + limits.step),
+        )
+
+    def following(self, of_force, of_displacement):
+        """Of each actuator, the quantity that is not imposed."""
+        imposed = jnp.asarray(self.configuration.actuation.by_displacement)
+        imposed = imposed.reshape(-1, *[1] * (of_force.ndim - 1))
+        return jnp.where(imposed, of_force, of_displacement)
+
+    def residuals(self, state: ActuatorState) -> Float[Array, "n_levels n_e"]:
+        """Errors of the effectors in units of std, 0 on other levels [-]."""
+        goal = jnp.asarray(self.configuration.effectors.measured)
+        off = self.levels * (state.effectors - goal)[None]
+        return off.reshape(self.levels.shape[0], -1)
+
+
+class Linear(NamedTuple):
+    """The problem linearised at an equilibrium, its inputs scaled.
+
+    Attributes:
+        scale: What an input changes by for y = 1, when it moves some node by the size
+            of the robot; unlike units become comparable.
+        W: Compliance of each level and the energy, in units of std.
+        error: What it is added to.
+        energy: Rows by which forces enter the last level.
+        rows: Limits.
+        length: Scale of what follows the inputs, per row of `rows`.
+    """
+
+    scale: Float[Array, " n_a"]
+    W: Float[Array, "n_levels n_all n_a"]
+    error: Float[Array, "n_levels n_all"]
+    energy: Float[Array, "n_a n_a"]
+    rows: InputRows
+    length: Float[Array, " n_a"]
+
+
+def linearise(
+    problem: ControlProblem,
+    value: Float[Array, " n_a"],
+    compliance: ActuatorCompliance,
+) -> Linear:
+    """The terms of the QP: Eq. (6) with the energy of all forces, level by level.
+
+    The energy term is epsilon lambda_a^T W_aa lambda_a, with lambda_a after the step.
+
+    Args:
+        problem: The command.
+        value: The inputs.
+        compliance: Derivatives there.
+    """
+    moved = jnp.max(jnp.abs(compliance.displacement), axis=(1, 2))
+    scale = jnp.where(moved > 0.0, problem.size / jnp.where(moved > 0.0, moved, 1.0), 1)
+    weights = problem.levels.reshape(problem.levels.shape[0], -1)
+    W = weights[:, :, None] * (compliance.W_ea * scale[None])[None]
+    by_force = compliance.by_force * scale[None]
+    lower, upper = problem.box()
+    energy = _energy_rows(problem, compliance.W_aa, W[-1], by_force, upper > lower)
+    of_energy = jnp.zeros((W.shape[0], *energy.shape)).at[-1].set(energy @ by_force)
+    W = jnp.concatenate([W, of_energy], axis=1)
+    follow = problem.following(by_force, compliance.by_displacement * scale[None])
+    length = jnp.linalg.norm(follow, axis=1)
+    length = jnp.where(length > 0.0, length, 1.0)
+    b = follow_room(problem, compliance.state, length)
+    limited = jnp.isfinite(b)
+    A = jnp.concatenate([-follow, follow]) / jnp.concatenate([length, length])[:, None]
+    rows = InputRows(
+        (lower - value) / scale,
+        (upper - value) / scale,
+        jnp.where(limited[:, None], A, 0.0),
+        jnp.where(limited, b, 1.0),
+    )
+    error = level_errors(problem, compliance.state, energy)
+    return Linear(scale, W, error, energy, rows, length)
+
+
+def level_errors(
+    problem: ControlProblem, state: ActuatorState, energy: Float[Array, "n_a n_a"]
+) -> Float[Array, "n_levels n_all"]:
+    """Errors of the levels, the energy on the last one, in units of std [-]."""
+    off = problem.residuals(state)
+    forces = jnp.zeros((off.shape[0], energy.shape[0]))
+    forces = forces.at[-1].set(energy @ state.forces)
+    return jnp.concatenate([off, forces], axis=1)
+
+
+def follow_room(
+    problem: ControlProblem, state: ActuatorState, length: Float[Array, " n_a"]
+) -> Float[Array, " 2*n_a"]:
+    """Room of what follows the inputs to its lower, then its upper limits [-]."""
+    q = problem.following(state.forces, state.displacements)
+    limits = problem.limits
+    down = (q - jnp.asarray(limits.follow_lower)) / length
+    return jnp.concatenate([down, (jnp.asarray(limits.follow_upper) - q) / length])
+
+
+def _energy_rows(problem, W_aa, W, by_force, moves: Bool[Array, " n_a"]):
+    """Rows E with E^T E = epsilon W_aa, epsilon in units of what W sees per energy."""
+    size = jnp.sqrt(jnp.abs(jnp.diag(W_aa)))
+    size = jnp.where(size > 0.0, size, 1.0)
+    # Unlike units must not decide what is small.
+    values, vectors = jnp.linalg.eigh(W_aa / (size[:, None] * size[None]))
+    root = jnp.sqrt(jnp.maximum(values, 0.0))[:, None] * vectors.T * size[None]
+    energy = jnp.where(moves, jnp.sum((root @ by_force) ** 2, axis=0), 0.0)
+    seen = jnp.where(moves, jnp.sum(W**2, axis=0), 0.0)
+    ratio = jnp.sum(seen) / jnp.maximum(jnp.sum(energy), jnp.finfo(W.dtype).tiny)
+    return jnp.sqrt(problem.epsilon * ratio) * root

@@ -1,0 +1,136 @@
+"""What inverse control hands back."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations import Configuration, ImposedDisplacement, ImposedForce
+from softcal_jax.control._outcomes import OUTCOMES
+from softcal_jax.equilibrium import EquilibriumSolution
+
+
+class GoalFit(eqx.Module):
+    """One effector with a goal, and how far it is from there.
+
+    Attributes:
+        name: Its name.
+        unit: Unit of its coordinates; a frame has a fit in [m] and one in [rad].
+        priority: Its priority, 1 first.
+        reached: Its coordinates; of a turn the rotation vector from the goal.
+        residual: Reached minus goal, 0 for coordinates without a goal.
+        in_std: The same in units of the standard deviation [-].
+    """
+
+    name: str
+    unit: str
+    priority: int
+    reached: Float[HostArray, "3"]
+    residual: Float[HostArray, "3"]
+    in_std: Float[HostArray, "3"]
+
+
+class StepRecord(eqx.Module):
+    """One step of the search.
+
+    Attributes:
+        size: Largest change of an input, in what it moves any node by, sizes of the
+            robot [-].
+        cost: Half the squared errors after it, energy included [-].
+        violation: Violated limits of what follows the inputs [-].
+        kkt_residual: Optimality residual of its QPs [-].
+        newton_steps: Newton iterations of the equilibrium that it was tried on.
+        accepted: Whether it was kept.
+    """
+
+    size: float
+    cost: float
+    violation: float
+    kkt_residual: float
+    newton_steps: int
+    accepted: bool
+
+
+class InverseResult(eqx.Module):
+    """Actuation that brings the effectors to their goals, or as near as it can.
+
+    Attributes:
+        outcome: How the search ended; `message` says it in words.
+        configuration: The configuration with the actuation found.
+        solution: Its equilibrium.
+        goals: How far each effector with a goal is from it.
+        forces: lambda_a of every actuator, by name, in its unit.
+        displacements: delta_a likewise; of an actuator without one 0.
+        active_limits: Limits that hold the robot back, in words.
+        steps: The search, step by step.
+    """
+
+    outcome: OUTCOMES
+    configuration: Configuration
+    solution: EquilibriumSolution
+    goals: tuple[GoalFit, ...]
+    forces: dict[str, float]
+    displacements: dict[str, float]
+    active_limits: tuple[str, ...]
+    steps: tuple[StepRecord, ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether all goals are met."""
+        return bool(self.outcome == OUTCOMES.met)
+
+    @property
+    def message(self) -> str:
+        """The outcome in words, with the worst goal and the limits that bind."""
+        text = f"configuration {self.configuration.name!r}: {OUTCOMES[self.outcome]}"
+        if self.goals:
+            worst = max(self.goals, key=lambda fit: np.max(np.abs(fit.in_std)))
+            text += (
+                f"; farthest is {worst.name!r}, by "
+                f"{np.linalg.norm(worst.residual):.3g} {worst.unit}"
+            )
+        if self.active_limits:
+            text += f"; {', '.join(self.active_limits)}"
+        return text + "."
+
+    @property
+    def inputs(self) -> Float[HostArray, " n_inputs"]:
+        """What is imposed, in the order of the actuation, in the actuators' units."""
+        return np.array([a.value for a in self.configuration.actuation.values()])
+
+
+class TrajectoryResult(eqx.Module):
+    """Commands along a trajectory.
+
+    Attributes:
+        points: The command of each goal, each from where the one before ended.
+    """
+
+    points: tuple[InverseResult, ...]
+
+    @property
+    def inputs(self) -> Float[HostArray, "n_goals n_inputs"]:
+        """What is imposed at each goal, in the order of the actuation."""
+        return np.array([point.inputs for point in self.points])
+
+    @property
+    def unmet(self) -> tuple[int, ...]:
+        """Numbers of the goals that are not met."""
+        return tuple(i for i, point in enumerate(self.points) if not point.met)
+
+
+def imposed(
+    configuration: Configuration, names: Sequence[str], value: Float[HostArray, " n_a"]
+) -> dict[str, ImposedForce | ImposedDisplacement]:
+    """The actuation of a configuration with other values.
+
+    Args:
+        configuration: Names what is imposed.
+        names: Names of all actuators.
+        value: Their inputs.
+    """
+    return {
+        name: type(asked)(float(value[list(names).index(name)]))
+        for name, asked in configuration.actuation.items()
+    }

@@ -1,0 +1,277 @@
+"""One step of inverse control: a QP, tried on the equilibrium, kept if it helps."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax.control._compliance import (
+    ActuatorCompliance,
+    ActuatorState,
+    actuator_compliance,
+    actuator_state,
+    with_inputs,
+)
+from softcal_jax.control._decision import ROUNDING, Parts, Trial, decide
+from softcal_jax.control._problem import (
+    ControlProblem,
+    Linear,
+    follow_room,
+    level_errors,
+    linearise,
+)
+from softcal_jax.control._qp import step_in_levels
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    NewtonSettings,
+    solve_equilibrium,
+)
+
+
+class ControlSettings(eqx.Module):
+    """Settings of inverse control.
+
+    Attributes:
+        tol: Error of every effector coordinate at which a goal is met, in units of its
+            standard deviation [-].
+        step_tol: Step of the inputs at which the search ends: what it moves any node
+            by, in sizes of the robot [-].
+        max_steps: Steps after which it gives up.
+        step_bound: First bound on the step of every input, measured likewise [-].
+        max_step_bound: Largest bound that it may grow to [-].
+        epsilon: Weight of the energy of the actuators, Eq. (6), relative to what the
+            inputs do to the effectors [-]. It settles inputs that the goals leave
+            open, such as co-contraction; goals are missed by about as much. With 0 a
+            goal that is met ends the search.
+        newton: Settings of the equilibria.
+    """
+
+    tol: float = eqx.field(static=True, default=1e-2)
+    step_tol: float = eqx.field(static=True, default=1e-6)
+    max_steps: int = eqx.field(static=True, default=50)
+    step_bound: float = eqx.field(static=True, default=0.1)
+    max_step_bound: float = eqx.field(static=True, default=0.5)
+    epsilon: float = eqx.field(static=True, default=0.0)
+    newton: NewtonSettings = eqx.field(static=True, default_factory=NewtonSettings)
+
+    def __check_init__(self):
+        for name in ("tol", "step_tol", "step_bound", "max_step_bound"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+        if self.max_steps < 1:
+            raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
+        if not self.epsilon >= 0.0:
+            raise ValueError(f"epsilon must not be negative, got {self.epsilon}.")
+
+
+class ControlState(eqx.Module):
+    """State of the search; a pytree.
+
+    Attributes:
+        value: Inputs of all actuators, in their units.
+        solution: Equilibrium there.
+        compliance: Derivatives there.
+        step_bound: Bound on the next step [-].
+        penalty: Weights of limits and levels in what a step must lower [-].
+        cost: Half the squared errors of all levels, energy included [-].
+        violation: Sum of violated limits of what follows the inputs [-].
+        error: Largest error of an effector coordinate, in units of std [-].
+        last_step: Largest entry of the last step, kept or not [-].
+        kkt_residual: Optimality residual of its QPs [-].
+        newton_steps: Newton iterations of the last trial.
+        accepted: Whether it was kept.
+        step: Steps so far.
+        met: Whether all goals are met within the limits.
+        vanished: Whether no step is left that lowers the error.
+        stalled: Whether steps were refused until none was left, short of a minimum.
+    """
+
+    value: Float[Array, " n_a"]
+    solution: EquilibriumSolution
+    compliance: ActuatorCompliance
+    step_bound: Float[Array, ""]
+    penalty: Float[Array, " n_parts"]
+    cost: Float[Array, ""]
+    violation: Float[Array, ""]
+    error: Float[Array, ""]
+    last_step: Float[Array, ""]
+    kkt_residual: Float[Array, ""]
+    newton_steps: Int[Array, ""]
+    accepted: Bool[Array, ""]
+    step: Int[Array, ""]
+    met: Bool[Array, ""]
+    vanished: Bool[Array, ""]
+    stalled: Bool[Array, ""]
+
+
+def _respond(problem: ControlProblem, value, solution: EquilibriumSolution):
+    """Inputs with slack cables wound up, which changes no state, and derivatives.
+
+    A slack cable has no derivative at all; one that is just taut can pull.
+    """
+    configuration = with_inputs(problem.configuration, value)
+    delta_a = actuator_state(problem.model, configuration, solution).displacements
+    cable = jnp.asarray(problem.model.mechanism.actuators.unilateral)
+    cable = cable & jnp.asarray(configuration.actuation.by_displacement)
+    lower, upper = problem.box()
+    wound = jnp.where(cable, jnp.maximum(value, jnp.minimum(delta_a, upper)), value)
+    value = jnp.where(upper > lower, wound, value)
+    configuration = with_inputs(problem.configuration, value)
+    return value, actuator_compliance(problem.model, configuration, solution)
+
+
+def start_control(
+    problem: ControlProblem,
+    guess: Float[Array, "n_points 3"],
+    settings: ControlSettings,
+) -> ControlState:
+    """The state before the first step; traceable.
+
+    Args:
+        problem: The command.
+        guess: Displacement close to the equilibrium at the start; zero for rest [m].
+        settings: Settings.
+    """
+    solution = solve_equilibrium(
+        problem.model,
+        with_inputs(problem.configuration, problem.start),
+        guess=guess,
+        settings=settings.newton,
+    )
+    value, compliance = _respond(problem, problem.start, solution)
+    zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
+    no = jnp.zeros((), bool)
+    state = ControlState(
+        value,
+        solution,
+        compliance,
+        zero + settings.step_bound,
+        jnp.ones(problem.levels.shape[0] + 1),
+        zero,
+        zero,
+        zero,
+        zero + jnp.inf,
+        zero,
+        solution.steps,
+        ~no,
+        none,
+        no,
+        no,
+        no,
+    )
+    return _judged(problem, settings, state)
+
+
+def _judged(problem: ControlProblem, settings: ControlSettings, state: ControlState):
+    """The state with its errors and whether they are small."""
+    linear = linearise(problem, state.value, state.compliance)
+    parts = _parts(problem, linear, state.compliance.state)
+    error = jnp.max(jnp.abs(problem.residuals(state.compliance.state)))
+    met = (error <= settings.tol) & (parts[0] <= ROUNDING)
+    return eqx.tree_at(
+        lambda s: (s.cost, s.violation, s.error, s.met),
+        state,
+        (jnp.sum(parts[1:]), parts[0], error, met),
+    )
+
+
+def _parts(problem: ControlProblem, linear: Linear, state: ActuatorState):
+    """Violated limits, then the cost of each level [-]."""
+    room = follow_room(problem, state, linear.length)
+    violation = jnp.sum(jnp.maximum(-room, 0.0))
+    off = level_errors(problem, state, linear.energy)
+    return jnp.concatenate([violation[None], 0.5 * jnp.sum(off**2, axis=1)])
+
+
+def control_step(
+    problem: ControlProblem, settings: ControlSettings, state: ControlState
+) -> ControlState:
+    """One whole step, traceable: linearise, solve the QPs, try, decide.
+
+    Args:
+        problem: The command.
+        settings: Settings.
+        state: State before the step; its equilibrium has converged.
+
+    Returns:
+        State after it.
+    """
+    now = state.compliance
+    linear = linearise(problem, state.value, now)
+    levels = tuple(zip(linear.W, linear.error, strict=True))
+    qp = step_in_levels(levels, linear.rows, state.step_bound)
+    change = qp.y * linear.scale
+    value = jnp.clip(state.value + change, *problem.box())
+    guess = jnp.tensordot(change, now.displacement, axes=1)
+    guess = state.solution.displacement + guess
+    configuration = with_inputs(problem.configuration, value)
+    solution = solve_equilibrium(
+        problem.model, configuration, guess=guess, settings=settings.newton
+    )
+    tried = actuator_state(problem.model, configuration, solution)
+    trial = Trial(
+        Parts(
+            _parts(problem, linear, now.state),
+            _expected_parts(linear, qp.y),
+            _parts(problem, linear, tried),
+        ),
+        jnp.max(jnp.abs(qp.y)),
+        qp.kkt_residual,
+        _cosine(linear, qp.y, state.penalty),
+        solution.converged,
+    )
+    decision = decide(
+        trial,
+        state.step_bound,
+        state.penalty,
+        tol=settings.tol,
+        step_tol=settings.step_tol,
+        max_step_bound=settings.max_step_bound,
+    )
+    newton_steps = solution.steps
+    value, solution, compliance = jax.lax.cond(
+        decision.accepted,
+        lambda: _moved(problem, value, solution),
+        lambda: (state.value, state.solution, now),
+    )
+    moved = ControlState(
+        value,
+        solution,
+        compliance,
+        decision.step_bound,
+        decision.penalty,
+        state.cost,
+        state.violation,
+        state.error,
+        trial.size,
+        trial.kkt_residual,
+        newton_steps,
+        decision.accepted,
+        state.step + 1,
+        state.met,
+        decision.vanished,
+        decision.stalled,
+    )
+    return _judged(problem, settings, moved)
+
+
+def _expected_parts(linear: Linear, y: Float[Array, " n_a"]):
+    """The parts after a step, by the linear model [-]."""
+    after = linear.W @ y + linear.error
+    room = linear.rows.b - linear.rows.A @ y
+    violation = jnp.sum(jnp.maximum(-room, 0.0))
+    return jnp.concatenate([violation[None], 0.5 * jnp.sum(after**2, axis=1)])
+
+
+def _cosine(linear: Linear, y: Float[Array, " n_a"], penalty):
+    """Of the angle between the errors, weighted, and what the step takes off [-]."""
+    weight = penalty[1:, None]
+    change = linear.W @ y
+    lengths = jnp.sum(weight * change**2) * jnp.sum(weight * linear.error**2)
+    lengths = jnp.maximum(lengths, jnp.finfo(y.dtype).tiny)
+    return -jnp.sum(weight * change * linear.error) / jnp.sqrt(lengths)
+
+
+def _moved(problem: ControlProblem, value, solution: EquilibriumSolution):
+    value, compliance = _respond(problem, value, solution)
+    return value, solution, compliance

@@ -1,0 +1,151 @@
+"""Where the effectors can go: many actuations in one program."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._results import RESULTS
+from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    actuation_arrays,
+    configuration_arrays,
+    effector_rows,
+    row_numbers,
+)
+from softcal_jax.control._compliance import actuator_state, with_inputs
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    solve_equilibrium,
+)
+
+
+class Workspace(eqx.Module):
+    """Effectors over a set of actuations.
+
+    Attributes:
+        inputs: What was imposed, in the units of the actuators.
+        names: Names of the commanded actuators, the columns of `inputs`.
+        effectors: Coordinates of each effector by name: positions [m], rotation vectors
+            [rad], scalars and forces in the first place; a frame has two rows. nan
+            where there is no equilibrium.
+        converged: Where there is one.
+        solution: The equilibria.
+        failures: The actuations without one, and why.
+    """
+
+    inputs: Float[HostArray, "n_samples n_inputs"]
+    names: tuple[str, ...]
+    effectors: dict[str, Float[HostArray, "n_samples n_rows 3"]]
+    converged: Bool[HostArray, " n_samples"]
+    solution: EquilibriumSolution
+    failures: tuple[str, ...]
+
+
+def sample_workspace(
+    model: Model,
+    configuration: Configuration,
+    inputs: Float[ArrayLike, "n_samples n_inputs"],
+    *,
+    settings: NewtonSettings | None = None,
+) -> Workspace:
+    """Effectors for many actuations, one `vmap` in one compiled program.
+
+    Each lane is solved from rest, to its own end.
+
+    Args:
+        model: The model.
+        configuration: Its `actuation` says which actuators are commanded, and by force
+            or by displacement; its effectors are followed.
+        inputs: One actuation per row, in the order of `actuation`, in the units of the
+            actuators.
+        settings: Settings of the equilibria.
+
+    Returns:
+        The samples; those without an equilibrium are nan, and named in `failures`.
+
+    Raises:
+        ValueError: If nothing is commanded, there are no effectors, or the inputs are
+            not one finite number per commanded actuator and sample.
+    """
+    names = tuple(configuration.actuation)
+    inputs = np.asarray(inputs, float)
+    what = f"configuration {configuration.name!r}"
+    if not names:
+        raise ValueError(f"{what} commands no actuator: name some in `actuation`.")
+    if inputs.ndim != 2 or inputs.shape[1] != len(names):
+        raise ValueError(
+            f"inputs need one column for each of {', '.join(names)}, shape (n_samples, "
+            f"{len(names)}), got {inputs.shape}."
+        )
+    arrays = _lanes(model, configuration, inputs)
+    newton = NewtonSettings() if settings is None else settings
+    solution, values = _sample(model, *arrays, newton)
+    converged = np.asarray(solution.converged)
+    rows = effector_rows(model.mesh, configuration, model.mechanism)
+    effectors: dict[str, list] = {}
+    for number, (name, _) in zip(row_numbers([rows])[0], rows, strict=True):
+        effectors.setdefault(name, []).append(np.asarray(values)[:, number])
+    return Workspace(
+        inputs,
+        names,
+        {name: np.stack(of_it, axis=1) for name, of_it in effectors.items()},
+        converged,
+        solution,
+        _failures(names, inputs, solution, converged),
+    )
+
+
+def _lanes(
+    model: Model, configuration: Configuration, inputs: Float[HostArray, "n_samples n"]
+) -> tuple[ConfigurationArrays, Float[Array, "n_samples n_a"]]:
+    """One configuration, and the inputs of all actuators for each sample."""
+    mechanism = model.mechanism
+    lanes = configuration_arrays(model.mesh, [configuration], mechanism)
+    if lanes.effectors.measured.shape[1] == 0:
+        raise ValueError(
+            f"configuration {configuration.name!r} has no effectors and no markers to "
+            "follow."
+        )
+    values = []
+    for i, sample in enumerate(inputs):
+        asked = {
+            name: type(kind)(float(value))
+            for (name, kind), value in zip(
+                configuration.actuation.items(), sample, strict=True
+            )
+        }
+        # Refuses what no actuator can be asked for.
+        what = f"{configuration.name}, sample {i}"
+        values.append(actuation_arrays(mechanism, asked, what).value)
+    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    return one, jnp.asarray(np.array(values))
+
+
+@eqx.filter_jit
+def _sample(model, configuration, values, newton):
+    """Equilibria and effectors of all samples."""
+
+    def one(value):
+        lane = with_inputs(configuration, value)
+        solution = solve_equilibrium(model, lane, settings=newton)
+        effectors = actuator_state(model, lane, solution).effectors
+        return solution, jnp.where(solution.converged, effectors, jnp.nan)
+
+    return jax.vmap(one)(values)
+
+
+def _failures(names, inputs, solution: EquilibriumSolution, converged):
+    texts = []
+    for i in np.flatnonzero(~converged):
+        result = jax.tree.map(lambda leaf, i=i: leaf[i], solution.result)
+        asked = ", ".join(
+            f"{name} = {value:g}" for name, value in zip(names, inputs[i], strict=True)
+        )
+        texts.append(f"sample {i} ({asked}): {RESULTS[result]}")
+    return tuple(texts)

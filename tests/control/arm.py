@@ -1,0 +1,71 @@
+"""A small arm that the tests of this folder share: two cables and a motor.
+
+A beam along x between two rigid ends. The motor turns its base about -y, so that a
+positive angle lifts the tip; the cables run above and below it, from base to tip.
+"""
+
+from functools import cache
+
+import jax
+import numpy as np
+
+from softcal_jax.actuators import Cable, Guide, Motor
+from softcal_jax.bodies import RigidBody, hinge_axes
+from softcal_jax.configurations import (
+    BodyFrame,
+    Centroid,
+    Configuration,
+    ImposedDisplacement,
+    ImposedForce,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import Model, NewtonSettings, build_model
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+
+LENGTH, SIDE = 0.1, 0.02
+TIGHT = NewtonSettings(rtol=1e-12)
+REST = (0.0, 0.0, 0.0)
+
+
+def _cable(name: str, z: float) -> Cable:
+    guides = [
+        Guide((0.0, SIDE / 2, z), "base"),
+        Guide((LENGTH / 2, SIDE / 2, z)),
+        Guide((LENGTH, SIDE / 2, z), "tip"),
+    ]
+    return Cable(name, guides)
+
+
+@cache
+def arm(young: float = 2e5) -> Model:
+    mesh = beam(LENGTH, SIDE, SIDE, (4, 1, 1), order=1)
+    base = RigidBody("base", "x_min", axes=hinge_axes((0.0, -1.0, 0.0)))
+    return build_model(
+        mesh,
+        Corotational(Isotropic(young, 0.3)),
+        density=1000.0,
+        bodies=[base, RigidBody("tip", "x_max", mass=0.0)],
+        actuators=[_cable("top", SIDE), _cable("bottom", 0.0), Motor("motor", "base")],
+    )
+
+
+def pose(gravity=(0.0, 0.0, -2.0), effectors=None, **actuation) -> Configuration:
+    """The arm; numbers of cables are tensions [N], that of the motor an angle [rad]."""
+    kinds = {"top": ImposedForce, "bottom": ImposedForce, "motor": ImposedDisplacement}
+    asked = {
+        name: kinds[name](float(value)) if np.isscalar(value) else value
+        for name, value in actuation.items()
+    }
+    effectors = [Centroid("tip", "x_max")] if effectors is None else effectors
+    return Configuration("arm", gravity=gravity, effectors=effectors, actuation=asked)
+
+
+def arrays(configuration: Configuration):
+    """The configuration as the solver sees it."""
+    mechanism = arm().mechanism
+    lanes = configuration_arrays(arm().mesh, [configuration], mechanism)
+    return jax.tree.map(lambda leaf: leaf[0], lanes)
+
+
+FRAME = BodyFrame("frame", "tip")

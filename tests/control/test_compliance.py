@@ -1,0 +1,180 @@
+"""W_ea and W_aa: differences of solves, duality, and one factorization for all."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arm import FRAME, REST, TIGHT, arm, arrays, pose
+
+from softcal_jax.configurations import (
+    ActuatorDisplacement,
+    ActuatorForce,
+    Centroid,
+    ImposedDisplacement,
+    ImposedForce,
+)
+from softcal_jax.control import actuator_compliance, actuator_state, with_inputs
+from softcal_jax.equilibrium import solve_equilibrium
+
+EFFECTORS = [
+    Centroid("tip", "x_max"),
+    FRAME,
+    ActuatorDisplacement("pull", "top"),
+    ActuatorForce("tension", "bottom"),
+    ActuatorForce("torque", "motor"),
+]
+DRIVES = {
+    "tensions and an angle": {"top": 1.0, "bottom": 0.4, "motor": 0.3},
+    "shortenings and a torque": {
+        "top": ImposedDisplacement(0.004),
+        "bottom": ImposedDisplacement(0.001),
+        "motor": ImposedForce(0.001),
+    },
+    "one of each": {
+        "top": ImposedDisplacement(0.003),
+        "bottom": 0.3,
+        "motor": -0.2,
+    },
+}
+HANGING = (2.0, 0.0, -0.5)
+"""Gravity along the arm: stable with its motor free, too."""
+
+UNITS = jnp.array([0.1, 0.1, 0.1])
+
+
+@eqx.filter_jit
+def solved(model, configuration, value):
+    lane = with_inputs(configuration, value)
+    solution = solve_equilibrium(model, lane, settings=TIGHT)
+    return solution, actuator_state(model, lane, solution)
+
+
+compliance = eqx.filter_jit(actuator_compliance)
+
+
+def found(drive):
+    configuration = arrays(pose(HANGING, effectors=EFFECTORS, **DRIVES[drive]))
+    solution, state = solved(arm(), configuration, configuration.actuation.value)
+    assert solution.converged
+    return configuration, state, compliance(arm(), configuration, solution)
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_responses_meet_differences_at_second_order(drive):
+    """Of effectors, forces and displacements, along each input."""
+    configuration, state, response = found(drive)
+    by_input = [
+        response.W_ea.reshape(*state.effectors.shape, -1),
+        response.by_force,
+        response.by_displacement,
+    ]
+    assert jax.tree.all(jax.tree.map(np.array_equal, response.state, state))
+    value, errors = configuration.actuation.value, []
+    # Inputs differ in size: N, N m, rad and m.
+    units = jnp.where(jnp.abs(value) < 0.01, 0.02 * UNITS, UNITS)
+    for h in (1e-1, 1e-2):
+        worst = []
+        for a in range(3):
+            step = jnp.zeros(3).at[a].set(h * units[a])
+            (_, up), (_, down) = (
+                solved(arm(), configuration, value + sign * step) for sign in (1, -1)
+            )
+            for high, low, exact in zip(
+                jax.tree.leaves(up), jax.tree.leaves(down), by_input, strict=True
+            ):
+                difference = (high - low) / (2.0 * h * units[a])
+                scale = np.max(np.abs(exact[..., a]))
+                worst.append(np.max(np.abs(difference - exact[..., a])) / scale)
+        errors.append(max(worst))
+    # A tenfold smaller step leaves a hundredth of the error.
+    np.testing.assert_allclose(errors[0] / errors[1], 100.0, rtol=0.05)
+
+
+def test_W_aa_is_symmetric_positive_definite():
+    """Solved for as W by_force = by_displacement, which knows of no symmetry."""
+    _, _, response = found("tensions and an angle")
+    W = np.asarray(response.W_aa)
+    raw = np.linalg.solve(response.by_force.T, response.by_displacement.T).T
+    np.testing.assert_allclose(raw, raw.T, rtol=0, atol=1e-9 * np.abs(raw).max())
+    size = np.sqrt(np.diag(W))
+    assert np.linalg.eigvalsh(W / np.outer(size, size)).min() > 0.01
+
+
+def driven(configuration, state, by_displacement):
+    """The same state, other quantities imposed."""
+    flags = jnp.array(by_displacement)
+    lane = eqx.tree_at(lambda c: c.actuation.by_displacement, configuration, flags)
+    value = jnp.where(flags, state.displacements, state.forces)
+    solution, same = solved(arm(), lane, value)
+    assert solution.converged
+    np.testing.assert_allclose(same.effectors, state.effectors, rtol=1e-6, atol=1e-9)
+    return compliance(arm(), with_inputs(lane, value), solution)
+
+
+def test_W_aa_is_the_same_however_it_is_driven():
+    """The state of two tensions and an angle, driven by all other pairs, too."""
+    configuration, state, response = found("tensions and an angle")
+    for by_displacement in ([True, True, True], [True, False, False]):
+        other = driven(configuration, state, by_displacement)
+        np.testing.assert_allclose(other.W_aa, response.W_aa, rtol=1e-6)
+    held = driven(configuration, state, [True, True, True])
+    np.testing.assert_allclose(
+        held.by_force @ response.W_aa, np.eye(3), rtol=0, atol=1e-6
+    )
+
+
+def test_slack_cable_does_not_act():
+    """Its length follows the others, its input does nothing."""
+    configuration = arrays(
+        pose(REST, top=1.0, bottom=ImposedDisplacement(-0.02), effectors=EFFECTORS)
+    )
+    solution, _ = solved(arm(), configuration, configuration.actuation.value)
+    response = compliance(arm(), configuration, solution)
+    np.testing.assert_array_equal(response.slack, [False, True, False])
+    np.testing.assert_array_equal(response.W_ea[:, 1], 0.0)
+    np.testing.assert_array_equal(response.W_aa[1], 0.0)
+    assert response.by_displacement[1, 0] != 0.0
+    assert response.state.forces[1] == 0.0
+
+
+def right_hand_sides(jaxpr, inside=()):
+    """Sizes of all factorizations in a program, and the loops around them."""
+    for equation in jaxpr.eqns:
+        name = equation.primitive.name
+        if "pardiso" in name or "factor" in name or "ffi" in name:
+            yield name, [v.aval.shape for v in equation.invars], inside
+        for value in equation.params.values():
+            for part in value if isinstance(value, tuple | list) else (value,):
+                inner = getattr(part, "jaxpr", part)
+                if hasattr(inner, "eqns"):
+                    yield from right_hand_sides(inner, (*inside, name))
+
+
+def test_one_factorization_for_all_inputs():
+    """Three inputs and the three columns of the actuators: six right-hand sides."""
+    if arm().solver.name.startswith("KLU"):
+        pytest.skip("counts the calls of PARDISO")
+    configuration = arrays(pose(effectors=EFFECTORS, **DRIVES["one of each"]))
+    solution, _ = solved(arm(), configuration, configuration.actuation.value)
+    dynamic, static = eqx.partition((arm(), configuration, solution), eqx.is_array)
+    program = lambda dynamic: actuator_compliance(*eqx.combine(dynamic, static))
+    calls = list(right_hand_sides(jax.make_jaxpr(program)(dynamic).jaxpr))
+    n_dof = arm().n_dof
+    sizes = [
+        shape[0]
+        for name, shapes, inside in calls
+        for shape in shapes
+        if len(shape) == 2 and shape[1] == n_dof and "scan" not in inside
+    ]
+    assert sizes == [6], calls
+
+
+def test_no_equilibrium_no_derivative():
+    configuration = arrays(pose(top=1.0, effectors=EFFECTORS))
+    solution, _ = solved(arm(), configuration, configuration.actuation.value)
+    lost = eqx.tree_at(
+        lambda s: s.displacement, solution, jnp.full_like(solution.displacement, np.nan)
+    )
+    response = compliance(arm(), configuration, lost)
+    assert np.all(np.isnan(response.W_ea[:9]))
