@@ -10,9 +10,10 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.fields._axes import AxisChart
 from softcal_jax.fields._order import axis_columns, order_terms
 from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._spread import ControlPointParameters
 
-Entry = Parameter | ControlPointParameters
+Entry = Parameter | ControlPointParameters | SetupParameter
 
 
 def _as_pairs(order: Iterable[Sequence[str]]) -> tuple[tuple[str, str], ...]:
@@ -224,6 +225,6 @@ def as_space(
     """A parameter space of one parameter or several."""
     if isinstance(parameters, ParameterSpace):
         return parameters
-    if isinstance(parameters, Parameter | ControlPointParameters):
+    if isinstance(parameters, Parameter | ControlPointParameters | SetupParameter):
         return ParameterSpace((parameters,))
     return ParameterSpace(tuple(parameters))

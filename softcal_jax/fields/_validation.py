@@ -10,6 +10,7 @@ import numpy as np
 from softcal_jax._typing import HostArray
 from softcal_jax.fields._model_fields import find_field
 from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._space import Entry, ParameterSpace
 from softcal_jax.fields._spread import ControlPointParameters
 from softcal_jax.materials import is_point_values
@@ -30,6 +31,9 @@ def check_parameters(model: Any, space: ParameterSpace) -> None:
     """
     owners: dict[str, HostArray] = {}
     for number, entry in enumerate(space.entries):
+        if isinstance(entry, SetupParameter):
+            entry.check(model)
+            continue
         if isinstance(entry, ControlPointParameters):
             _check_control_points(model, entry)
         else:
@@ -63,10 +67,12 @@ def check_parameters(model: Any, space: ParameterSpace) -> None:
 def _label(entry: Entry) -> str:
     if isinstance(entry, Parameter):
         return entry.name
+    if isinstance(entry, SetupParameter):
+        return entry.parameter.name
     return f"{entry.field} of {', '.join(entry.control_points.names)}"
 
 
-def _tets(model: Any, entry: Entry) -> HostArray:
+def _tets(model: Any, entry: Parameter | ControlPointParameters) -> HostArray:
     if entry.region is None:
         return np.arange(model.mesh.n_tets)
     return np.asarray(model.mesh.tets_of(entry.region))

@@ -1,13 +1,19 @@
 """W_ep of Eq. (9) and W_pp of Sec. V-C, at one equilibrium."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import Model, factor_solve
+from softcal_jax.equilibrium import Model, factor_solve, residual, solved_forces
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.sensitivity import effector_compliance, parameter_forces
+from softcal_jax.sensitivity import (
+    effector_compliance,
+    parameter_forces,
+    setup_columns,
+    setup_displacements,
+)
 
 
 class EnergyCompliance(eqx.Module):
@@ -51,8 +57,18 @@ def energy_compliance(
     """
     forces = parameter_forces(model, configuration, u, space, z)
     solved = factor_solve(model, configuration, u, forces)
-    W_ep = effector_compliance(model, configuration, u, solved.x, space, z)
-    W = jnp.sum(forces[:, None] * solved.x[None], axis=(2, 3))
+    x, setup = solved.x, setup_columns(space)
+    W = jnp.sum(forces[:, None] * x[None], axis=(2, 3))
+    if setup:  # u'_i . K u'_j, with what is held moving too
+        at = jnp.asarray(setup)
+        moved = setup_displacements(model, configuration, u, space, z)
+        x = x.at[at].set(moved)
+        lambda_a = solved_forces(model, configuration, u)
+        force = lambda u: residual(model, configuration, u, lambda_a)
+        stiff = jax.vmap(lambda du: jax.jvp(force, (u,), (du,))[1])(moved)
+        by_setup = jnp.sum(x[:, None] * stiff[None], axis=(2, 3))
+        W = W.at[:, at].set(by_setup).at[at].set(by_setup.T)
+    W_ep = effector_compliance(model, configuration, u, x, space, z)
     ok = solved.ok & jnp.all(jnp.isfinite(W)) & jnp.all(jnp.isfinite(W_ep))
     # Symmetric but for the rounding of the factorization.
     return EnergyCompliance(W_ep, 0.5 * (W + W.T), ok)

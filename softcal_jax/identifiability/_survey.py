@@ -22,8 +22,7 @@ from softcal_jax.equilibrium import (
     check_converged,
 )
 from softcal_jax.fields import (
-    ControlPointParameters,
-    Parameter,
+    Entry,
     ParameterSpace,
     as_space,
     check_parameters,
@@ -33,7 +32,6 @@ from softcal_jax.identifiability._compliances import (
     energy_compliance,
 )
 
-Entry = Parameter | ControlPointParameters
 Parameters = ParameterSpace | Entry | Sequence[Entry]
 AnyVector = Array | HostArray
 

@@ -20,16 +20,14 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
-    ControlPointParameters,
     ControlPoints,
-    Parameter,
+    Entry,
     ParameterSpace,
     as_space,
 )
 from softcal_jax.identifiability import Identifiability, identifiability
 from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, LayoutScore
 
-Entry = Parameter | ControlPointParameters
 MakeParameters = Callable[[ControlPoints], ParameterSpace | Entry | Sequence[Entry]]
 
 

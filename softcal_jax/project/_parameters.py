@@ -10,6 +10,7 @@ from softcal_jax.export import readable_unit
 from softcal_jax.fields import (
     ControlPointParameters,
     ControlPoints,
+    Entry,
     Parameter,
     ParameterSpace,
 )
@@ -22,8 +23,6 @@ from softcal_jax.project._schema_parameters import (
     ParameterTable,
     PerPoint,
 )
-
-Entry = Parameter | ControlPointParameters
 
 
 def build_space(path: Path, table: ProjectTable) -> ParameterSpace | None:

@@ -12,6 +12,7 @@ from softcal_jax.sensitivity._derivative_check import (
     check_parameter_derivatives,
 )
 from softcal_jax.sensitivity._response import Response, equilibrium_response
+from softcal_jax.sensitivity._setup import setup_columns, setup_displacements
 
 __all__ = [
     "Compliance",
@@ -23,4 +24,6 @@ __all__ = [
     "equilibrium_response",
     "parameter_compliance",
     "parameter_forces",
+    "setup_columns",
+    "setup_displacements",
 ]

@@ -24,8 +24,9 @@ from softcal_jax.equilibrium import (
     residual,
     solved_forces,
 )
-from softcal_jax.fields import ParameterSpace, find_field
+from softcal_jax.fields import ParameterSpace, SetupParameter, find_field
 from softcal_jax.materials import is_point_values
+from softcal_jax.sensitivity._setup import setup_columns, setup_displacements
 
 Derivative = Literal["autodiff", "finite-difference"]
 
@@ -44,6 +45,8 @@ def parameter_forces(
     step: float | Float[Array, ""] = FINITE_DIFFERENCE_STEP,
 ) -> Float[Array, "n_p n_points 3"]:
     """H_p^T by rows: the force that a unit step of each parameter puts on the nodes.
+
+    Parameters of the setup move what is held, see `setup_displacements`: no force here.
 
     H_p^T = -(d R / d p) S at fixed displacement; autodiff, or the paper's finite
     differences of the internal force (Sec. III; central here, so that the error is of
@@ -86,7 +89,8 @@ def _by_fields(
 
     A dozen control points of one field then cost one pass over the tets.
     """
-    names = list(dict.fromkeys(entry.field for entry in space.entries))
+    of_material = [e for e in space.entries if not isinstance(e, SetupParameter)]
+    names = list(dict.fromkeys(entry.field for entry in of_material))
     wheres = {name: find_field(model, name) for name in names}
     fields = lambda z: {
         name: _one_per_tet(model, where(space.apply(model, z)))
@@ -223,6 +227,7 @@ def parameter_compliance(
     """
     effectors = configuration.effectors
     n_e = effectors.measured.size
+    setup = setup_columns(space)
     forces = parameter_forces(model, configuration, u, space, z, derivative=derivative)
     if method == "adjoint" and effectors.has_forces:
         raise ValueError(
@@ -232,9 +237,17 @@ def parameter_compliance(
     few = z.shape[0] <= n_e or effectors.has_forces
     if method == "direct" or (method == "auto" and few):
         solved = factor_solve(model, configuration, u, forces)
-        W = effector_compliance(model, configuration, u, solved.x, space, z)
-        return Compliance(W, solved.x, solved.ok)
+        x = solved.x
+        if setup:
+            moved = setup_displacements(model, configuration, u, space, z)
+            x = x.at[jnp.asarray(setup)].set(moved)
+        W = effector_compliance(model, configuration, u, x, space, z)
+        return Compliance(W, x, solved.ok)
     rows = effector_rows(model, effectors, u)
     solved = factor_solve(model, configuration, u, rows, transpose=True)
     W = jnp.sum(solved.x[:, None] * forces[None], axis=(2, 3))
+    if setup:
+        moved = setup_displacements(model, configuration, u, space, z)
+        by_setup = jnp.sum(rows[:, None] * moved[None], axis=(2, 3))
+        W = W.at[:, jnp.asarray(setup)].set(by_setup)
     return Compliance(jnp.asarray(W), None, solved.ok)

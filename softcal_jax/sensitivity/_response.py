@@ -19,6 +19,7 @@ from softcal_jax.sensitivity._compliance import (
     effector_rows,
     parameter_forces,
 )
+from softcal_jax.sensitivity._setup import setup_columns, setup_displacements
 
 FEW_PARAMETERS = 12
 """Up to here the direct side is taken even where the adjoint one needs fewer solves.
@@ -76,6 +77,7 @@ def equilibrium_response(
     @lane_by_lane
     def lane(model, configuration, guess, space, z):
         effectors = configuration.effectors
+        setup = setup_columns(space)
         n_e, n_p = effectors.measured.size, z.shape[0]
         if n_p <= max(n_e, FEW_PARAMETERS) or effectors.has_forces:
             forces = lambda u: parameter_forces(model, configuration, u, space, z)
@@ -85,6 +87,9 @@ def equilibrium_response(
             ok = done.ok & done.equilibrium.converged
             x = jnp.where(ok, done.x, 0.0)
             u = done.equilibrium.displacement
+            if setup:
+                moved = setup_displacements(model, configuration, u, space, z)
+                x = x.at[jnp.asarray(setup)].set(jnp.where(ok, moved, 0.0))
             W = effector_compliance(model, configuration, u, x, space, z)
             W = jnp.where(ok, W, 0.0)
             return Response(done.equilibrium, W, x, ok)
@@ -102,6 +107,10 @@ def equilibrium_response(
         H_p = parameter_forces(model, configuration, u, space, z)
         ok = done.ok & done.equilibrium.converged
         W = jnp.sum(done.x[:, None] * H_p[None], axis=(2, 3))
+        if setup:
+            moved = setup_displacements(model, configuration, u, space, z)
+            by_setup = jnp.sum(rows(u)[:, None] * moved[None], axis=(2, 3))
+            W = W.at[:, jnp.asarray(setup)].set(by_setup)
         return Response(done.equilibrium, jnp.where(ok, W, 0.0), None, ok)
 
     return lane(model, configuration, guess, space, z)
