@@ -148,8 +148,9 @@ def test_parameter_compliance_of_all_kinds_of_effectors(cable):
     """W_ep meets the implicit derivative, and that meets differences."""
     lane, z = arrays(MODEL, watched(cable)), SPACE.start()
     W, slopes, _ = both_ways(lane, z)
-    # The same linear systems, in another order of sums.
-    scale = np.abs(W).max(axis=1, keepdims=True) + 1e-12
+    # The same linear systems, in another order of sums; what is imposed has rows of
+    # zeros, where only rounding is left.
+    scale = np.abs(W).max(axis=1, keepdims=True) + 1e-9
     np.testing.assert_allclose(W / scale, slopes / scale, rtol=0, atol=1e-9)
     rows = np.abs(np.asarray(W)).reshape(-1, 3, 3).max(axis=(1, 2))
     imposed = [6, *([5] if isinstance(cable, ImposedDisplacement) else [8])]
