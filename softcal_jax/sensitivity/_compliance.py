@@ -100,8 +100,12 @@ def _by_fields(
     applied = space.apply(model, z)
     total = jnp.zeros((z.shape[0], *u.shape))
     if "density" in wheres:
+        # Linear in the density alone: what rigid bodies weigh beside is no part of it.
+        bare = eqx.tree_at(
+            lambda m: m.mechanism.bodies.mass, applied, replace_fn=jnp.zeros_like
+        )
         weight = lambda slope: gravity_load(
-            eqx.tree_at(wheres["density"], applied, slope[:, 0]),
+            eqx.tree_at(wheres["density"], bare, slope[:, 0]),
             jnp.asarray(configuration.gravity),
         )
         total = total + jax.vmap(weight)(slopes["density"])

@@ -9,7 +9,12 @@ from softcal_jax.configurations import (
     Support,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import NewtonSettings, build_model, solve_equilibrium
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    build_model,
+    marker_positions,
+    solve_equilibrium,
+)
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
@@ -52,11 +57,10 @@ def body():
 @jax.jit
 def solved(z, model, lanes):
     changed = SPACE.apply(model, z)
-    X = jnp.asarray(model.mesh.points)
 
     def lane(c):
         solution = solve_equilibrium(changed, c, settings=TIGHT)
-        return solution.displacement, c.effectors.positions(X + solution.displacement)
+        return solution.displacement, marker_positions(changed, c, solution)
 
     return jax.vmap(lane)(lanes)
 

@@ -1,0 +1,148 @@
+"""What a user may get wrong about bodies and actuators, and what is answered."""
+
+import numpy as np
+import pytest
+
+from softcal_jax.actuators import Cable, Guide, Motor, SurfacePressure
+from softcal_jax.bodies import BodyState, Pose, RigidBody, body_arrays, hinge_axes
+from softcal_jax.configurations import (
+    Configuration,
+    ImposedDisplacement,
+    ImposedForce,
+    build_mechanism,
+    configuration_arrays,
+)
+from softcal_jax.mesh import beam
+
+MESH = beam(0.1, 0.02, 0.02, (4, 1, 1))
+ROOT, TIP = RigidBody("root", "x_min"), RigidBody("tip", "x_max")
+MIDDLE = np.flatnonzero(np.isclose(MESH.points[:, 0], 0.05))
+FLAP = RigidBody("flap", MIDDLE, tied_to="tip")
+MECHANISM = build_mechanism(
+    MESH,
+    (ROOT, TIP, FLAP),
+    (
+        Cable("cable", (Guide((0.0, 0.0, 0.1), "ground"), (0.08, 0.01, 0.01))),
+        Motor("motor", "root"),
+        SurfacePressure("pressure", "z_max"),
+    ),
+)
+
+
+def refused(message, *, supports=(), **asked):
+    configuration = Configuration("one", supports, **asked)
+    with pytest.raises(ValueError, match=message):
+        configuration_arrays(MESH, [configuration], MECHANISM)
+
+
+def test_good_input():
+    configuration = Configuration(
+        "one", actuation={"cable": ImposedForce(1.0)}, bodies={"tip": "held"}
+    )
+    arrays = configuration_arrays(MESH, [configuration], MECHANISM)
+    # Of the motor nothing is asked: it stands at zero.
+    np.testing.assert_array_equal(arrays.actuation.by_displacement, [[0, 1, 0]])
+    np.testing.assert_array_equal(arrays.actuation.value, [[1.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("actuation", "message"),
+    [
+        ({"cabel": ImposedForce(1.0)}, "actuator of configuration 'one'.*'cabel'"),
+        ({"cable": ImposedForce(-1.0)}, "force -1 N: it only pulls"),
+        ({"cable": ImposedForce(np.nan)}, r"'cable' needs a finite number \[N\], got"),
+        ({"cable": ImposedDisplacement(np.inf)}, r"finite number \[m\], got inf"),
+        ({"motor": ImposedDisplacement(45.0)}, "turns by 45 rad.*np.deg2rad"),
+        (
+            {"pressure": ImposedDisplacement(1.0)},
+            r"'pressure' has no displacement.*give ImposedForce\(...\) \[Pa\]",
+        ),
+    ],
+)
+def test_bad_actuation(actuation, message):
+    refused(message, actuation=actuation)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "message"),
+    [
+        ({"tipp": "held"}, "rigid body of configuration 'one'.*'tipp'"),
+        ({"flap": "held"}, "'flap' is tied to 'tip', and moves with it"),
+        ({"root": Pose()}, "'root' is turned by motor 'motor'"),
+    ],
+)
+def test_bad_states_of_bodies(bodies, message):
+    refused(message, bodies=bodies)
+
+
+def test_support_on_a_body():
+    refused("hold 4 nodes of rigid bodies, such as node .* of 'tip'", supports="x_max")
+
+
+def test_bad_poses():
+    with pytest.raises(ValueError, match=r"turns by 90 rad.*radians, not degrees"):
+        Pose(rotation_vector=(0.0, 0.0, 90.0))
+    with pytest.raises(ValueError, match="mirrors space"):
+        Pose.from_matrix(np.diag([1.0, 1.0, -1.0]), np.zeros(3))
+    with pytest.raises(ValueError, match="orthogonal 3 x 3 matrix"):
+        Pose.from_matrix(2.0 * np.eye(3), np.zeros(3))
+    with pytest.raises(ValueError, match="'free', 'hinged', 'held', got 'fixed'"):
+        BodyState("fixed")
+
+
+def test_bad_bodies(unchecked):
+    with pytest.raises(ValueError, match="mass of rigid body 'a' must be finite"):
+        RigidBody("a", "x_min", mass=-1.0)
+    with pytest.raises(ValueError, match=r"origin of rigid body 'a' .*\[m\]"):
+        RigidBody("a", "x_min", origin=(0.0, np.nan, 0.0))
+    with pytest.raises(ValueError, match=r"right-handed.*`hinge_axes`"):
+        RigidBody("a", "x_min", axes=np.diag([1.0, 1.0, -1.0]))
+    with pytest.raises(ValueError, match="'a' is tied to itself"):
+        RigidBody("a", "x_min", tied_to="a")
+    with pytest.raises(ValueError, match=r"axis of a hinge .* not all zero"):
+        hinge_axes((0.0, 0.0, 0.0))
+
+
+def test_axes_of_a_hinge():
+    for axis in ([0.0, 0.0, 2.0], [1.0, -2.0, 0.5], [-1.0, 0.0, 0.0]):
+        axes = hinge_axes(axis)
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
+        np.testing.assert_allclose(axes[2], axis / np.linalg.norm(axis), atol=1e-15)
+        np.testing.assert_allclose(np.linalg.det(axes), 1.0, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "message"),
+    [
+        ((ROOT, ROOT), "'root' is named more than once"),
+        ((ROOT, RigidBody("b", "y_min")), "'root' and 'b' share 2 nodes"),
+        ((RigidBody("b", "nowhere"),), "unknown group 'nowhere'"),
+        ((RigidBody("b", np.array([0, 1])),), "'b' holds 2 nodes on a line"),
+        ((RigidBody("b", "x_min", tied_to="tip"),), "'tip', which is not a body"),
+        (
+            (
+                ROOT,
+                RigidBody("b", "x_max", tied_to="root"),
+                RigidBody("c", MIDDLE, tied_to="b"),
+            ),
+            "'c' is tied to 'b', which is tied to 'root' itself",
+        ),
+    ],
+)
+def test_bodies_that_do_not_fit(bodies, message):
+    with pytest.raises(ValueError, match=message):
+        body_arrays(MESH, bodies)
+
+
+@pytest.mark.parametrize(
+    ("motors", "message"),
+    [
+        (("root", "root"), "motors 'm0' and 'm1' both turn 'root'"),
+        (("flap",), "turns 'flap', which is tied to 'tip': let it turn 'tip'"),
+        (("hip",), "unknown rigid body 'hip'. Did you mean 'tip'"),
+    ],
+)
+def test_bad_motors(motors, message):
+    actuators = [Motor(f"m{k}", body) for k, body in enumerate(motors)]
+    with pytest.raises(ValueError, match=message):
+        build_mechanism(MESH, (ROOT, TIP, FLAP), actuators)

@@ -1,0 +1,218 @@
+"""Effectors of every kind, and how they follow the parameters."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanisms import LENGTH, SIDE, TIGHT, arrays, positions, solved, strip
+from scipy.spatial.transform import Rotation
+
+from softcal_jax.actuators import Cable, Guide, Motor
+from softcal_jax.bodies import Pose, RigidBody, hinge_axes
+from softcal_jax.configurations import (
+    ActuatorDisplacement,
+    ActuatorForce,
+    BodyAngle,
+    BodyFrame,
+    Centroid,
+    Configuration,
+    ImposedDisplacement,
+    ImposedForce,
+    Markers,
+    SupportReaction,
+)
+from softcal_jax.equilibrium import build_model, effector_values, solve_equilibrium
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.materials import NeoHookean
+from softcal_jax.mesh import TetMesh
+from softcal_jax.sensitivity import parameter_compliance
+
+MIDDLE = SIDE / 2
+MESH = strip(6)
+MODEL = build_model(
+    MESH,
+    NeoHookean(3e5, 0.3),
+    density=1000.0,
+    bodies=(
+        RigidBody("plate", "at 3", mass=0.01),
+        RigidBody("tip", "at 6", axes=hinge_axes((0.0, 1.0, 0.0))),
+    ),
+    actuators=(
+        Cable("cable", (Guide((0.0, 0.0, 0.05), "ground"), (0.1, 0.0, SIDE))),
+        Motor("motor", "tip"),
+    ),
+)
+POINT = np.array([LENGTH / 2, MIDDLE, 0.03])  # on the plate, beside the mesh
+REFERENCE = Pose((0.0, 1e-3, -2e-3), (0.05, -0.1, 0.2))
+AXIS = np.array([0.0, 3.0, 1.0])
+MARKERS = Markers(("end", "post"), [[0.11, 0.0, SIDE], [0.03, MIDDLE, 0.025]])
+EFFECTORS = (
+    BodyFrame("frame", "plate", REFERENCE, POINT),
+    Centroid("middle", "at 2"),
+    ActuatorDisplacement("delta cable", "cable"),
+    ActuatorDisplacement("delta motor", "motor"),
+    BodyAngle("angle", "tip", "plate", AXIS),
+    ActuatorForce("lambda cable", "cable"),
+    ActuatorForce("lambda motor", "motor"),
+    SupportReaction("clamp", "x_min"),
+)
+# Points: two markers, frame, centroid; a turn; three scalars; two forces; a reaction.
+TURN, SCALARS, LAMBDA, REACTION = 4, slice(5, 8), slice(8, 10), 10
+SPACE = ParameterSpace(
+    (
+        Parameter("E", "E", 3e5, 1e4, 1e6),
+        Parameter("nu", "nu", 0.3, 0.0, 0.45, scale="linear", S=1.0),
+        Parameter("rho", "density", 1e3, 1e2, 1e4),
+    )
+)
+
+
+def watched(cable, effectors=EFFECTORS):
+    return Configuration(
+        "watched",
+        "x_min",
+        (1.0, 2.0, -9.0),
+        markers=MARKERS,
+        effectors=effectors,
+        actuation={"cable": cable, "motor": ImposedDisplacement(0.1)},
+    )
+
+
+BY_FORCE, BY_DISPLACEMENT = ImposedForce(0.2), ImposedDisplacement(2e-3)
+
+
+def test_values_of_all_kinds():
+    """Each from the positions of the nodes alone, by SciPy's rotations."""
+    solution, values, _ = solved(MODEL, watched(BY_DISPLACEMENT), TIGHT)
+    x, X = positions(MODEL, solution), MODEL.mechanism.points
+    plate, tip = MESH.nodes("at 3"), MESH.nodes("at 6")
+
+    def turn(nodes):
+        now, rest = (p[nodes] - p[nodes].mean(axis=0) for p in (x, X))
+        return Rotation.align_vectors(now, rest)[0]
+
+    R, R_tip = turn(plate), turn(tip)
+    within = lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-8)
+    there = R.apply(POINT - X[plate].mean(axis=0)) + x[plate].mean(axis=0)
+    within(values[2], there)
+    within(values[3], x[MESH.nodes("at 2")].mean(axis=0))
+    reference = Rotation.from_rotvec(REFERENCE.rotation_vector)
+    within(values[TURN], (R * reference.inv()).as_rotvec())
+    within(values[SCALARS, 0][:2], [2e-3, 0.1])
+    relative = R.inv() * R_tip
+    axis = AXIS / np.linalg.norm(AXIS)
+    # Twist about the axis of the swing-twist decomposition is not what an encoder of
+    # this axis shows unless the turn is about it; a direction across the axis is.
+    across = np.eye(3)[0] - axis * axis[0]
+    across /= np.linalg.norm(across)
+    seen = relative.apply(across)
+    angle = np.arctan2(seen @ np.cross(axis, across), seen @ across)
+    within(values[7, 0], angle)
+    np.testing.assert_allclose(values[8, 0], solution.multipliers[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("cable", [BY_FORCE, BY_DISPLACEMENT])
+def test_reactions_balance_all_loads(cable):
+    """Clamp and hinge together carry weight and the pull of the cable."""
+    effectors = (*EFFECTORS, SupportReaction("tip", "at 6"))
+    solution, values, _ = solved(MODEL, watched(cable, effectors), TIGHT)
+    weight = (1000.0 * LENGTH * SIDE**2 + 0.01) * np.array([1.0, 2.0, -9.0])
+    x = positions(MODEL, solution)
+    X = MESH.points
+    pair = np.isclose(X[:, 0], 0.1) & (X[:, 1] == 0.0) & np.isclose(X[:, 2], SIDE)
+    along = np.array([0.0, 0.0, 0.05]) - x[: MESH.n_nodes][pair][0]
+    pull = values[8, 0] * along / np.linalg.norm(along)
+    total = values[REACTION] + values[REACTION + 1]
+    np.testing.assert_allclose(total, -weight - pull, rtol=0, atol=1e-9)
+
+
+@jax.jit
+def both_ways(lane, z):
+    """W_ep, and the derivative of the solved effectors along each parameter."""
+
+    def values(z):
+        model = SPACE.apply(MODEL, z)
+        solution = solve_equilibrium(model, lane, settings=TIGHT)
+        return effector_values(model, lane, solution.displacement).ravel()
+
+    model = SPACE.apply(MODEL, z)
+    solution = solve_equilibrium(model, lane, settings=TIGHT)
+    W = parameter_compliance(model, lane, solution.displacement, SPACE, z)
+    slopes = [jax.jvp(values, (z,), (dz,))[1] for dz in jnp.eye(z.shape[0])]
+    return W.W_ep, jnp.stack(slopes, axis=1), values(z)
+
+
+@pytest.mark.parametrize("cable", [BY_FORCE, BY_DISPLACEMENT])
+def test_parameter_compliance_of_all_kinds_of_effectors(cable):
+    """W_ep meets the implicit derivative, and that meets differences."""
+    lane, z = arrays(MODEL, watched(cable)), SPACE.start()
+    W, slopes, _ = both_ways(lane, z)
+    # The same linear systems, in another order of sums; what is imposed has rows of
+    # zeros, where only rounding is left.
+    scale = np.abs(W).max(axis=1, keepdims=True) + 1e-9
+    np.testing.assert_allclose(W / scale, slopes / scale, rtol=0, atol=1e-9)
+    rows = np.abs(np.asarray(W)).reshape(-1, 3, 3).max(axis=(1, 2))
+    imposed = [6, *([5] if isinstance(cable, ImposedDisplacement) else [8])]
+    assert np.all(rows[imposed] < 1e-10)  # what is imposed follows no parameter
+    assert np.all(np.delete(rows, imposed) > 1e-6)
+    error = []
+    for h in (0.04, 0.02):
+        columns = []
+        for dz in h * jnp.eye(3):
+            ahead, behind = both_ways(lane, z + dz)[2], both_ways(lane, z - dz)[2]
+            columns.append((ahead - behind) / (2 * h))
+        error.append(np.abs(np.stack(columns, axis=1) - slopes).max(axis=0))
+    # Half the step leaves a quarter of the error, up to terms of fourth order.
+    np.testing.assert_allclose(error[0] / error[1], 4.0, rtol=0.03)
+
+
+def test_adjoint_side_without_forces():
+    effectors = EFFECTORS[:5]
+    lane, z = arrays(MODEL, watched(BY_DISPLACEMENT, effectors)), SPACE.start()
+    solution, _, _ = solved(MODEL, watched(BY_DISPLACEMENT, effectors), TIGHT)
+    of = eqx.filter_jit(parameter_compliance)
+    direct, adjoint = (
+        of(MODEL, lane, solution.displacement, SPACE, z, method=method).W_ep
+        for method in ("direct", "adjoint")
+    )
+    scale = np.abs(direct).max()
+    np.testing.assert_allclose(direct, adjoint, rtol=0, atol=1e-10 * scale)
+    lane = arrays(MODEL, watched(BY_DISPLACEMENT))
+    with pytest.raises(ValueError, match='method "adjoint" cannot tell how forces'):
+        parameter_compliance(
+            MODEL, lane, solution.displacement, SPACE, z, method="adjoint"
+        )
+
+
+def bad(message, *effectors, mesh: TetMesh = MESH):
+    configuration = Configuration("bad", "x_min", effectors=effectors)
+    model = eqx.tree_at(lambda m: m.mesh, MODEL, mesh)
+    with pytest.raises(ValueError, match=message):
+        arrays(model, configuration)
+
+
+def test_bad_effectors(unchecked):
+    bad(r"rigid body .*'plat'.* Did you mean 'plate'", BodyFrame("f", "plat"))
+    bad("actuator .*'cabel'", ActuatorForce("f", "cabel"))
+    bad("effector 'c' .* has the name of another", *[Centroid("c", "at 2")] * 2)
+    bad(
+        r"std of effector 'c' must be positive and finite \[m\], got 0",
+        Centroid("c", "at 2", std=0.0),
+    )
+    bad(
+        r"'d' has the value nan, expected a finite number \[m\]",
+        ActuatorDisplacement("d", "cable", float("nan")),
+    )
+    bad(
+        "axis of effector 'a' must be three finite numbers, not all zero",
+        BodyAngle("a", "tip", "plate", (0.0, 0.0, 0.0)),
+    )
+    bad(
+        r"'c' is at \[nan +0. +0.\], expected three finite",
+        Centroid("c", "at 2", np.array([np.nan, 0.0, 0.0])),
+    )
+    bad(
+        "'r' measured .*expected three finite",
+        SupportReaction("r", "x_min", np.array([np.inf, 0.0, 0.0])),
+    )
