@@ -58,7 +58,7 @@ class Model(eqx.Module):
     destination: Int[Array, "n_blocks n_entries block"]
     node_volumes: Float[Array, "n_tets n_en"]
     pattern: Sparsity
-    curvature_at: tuple[Int[HostArray, "n_entries n_cliques"], ...]
+    curvature_at: tuple[Int[HostArray, "_ _"], ...]
     reduction: Reduction | None
     solver: AbstractLinearSolver
     formulation: Formulation = eqx.field(static=True)
