@@ -16,7 +16,7 @@ FLAT = 1e-6
 """A tet is flat below this part of the volume of the regular tet of its rms edge."""
 
 
-def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, "_"]] = ()) -> None:
+def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) -> None:
     """Checks that every tet has a positive volume and that the tets form one body.
 
     A quadratic tet must have det dX/dxi > 0 at its ten nodes and at the quadrature

@@ -1,5 +1,7 @@
 """Inverse control of the arm: goals, limits, energy, priorities."""
 
+from itertools import pairwise
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -38,10 +40,15 @@ def reached(configuration, values):
 
 
 def check(result):
-    """What holds of every search: its QPs were solved, and its cost fell."""
+    """What holds of every search: its QPs were solved, and its cost fell.
+
+    It may rise where a step overshot a limit, and the next one goes back.
+    """
     assert max(step.kkt_residual for step in result.steps) < 1e-9
-    kept = [step.cost for step in result.steps if step.accepted]
-    assert kept == sorted(kept, reverse=True)
+    kept = [step for step in result.steps if step.accepted]
+    for before, after in pairwise(kept):
+        assert after.cost <= before.cost or after.violation < before.violation
+    assert kept[-1].violation <= 1e-6
     assert bool(result.solution.converged)
 
 
@@ -103,7 +110,7 @@ def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
     off = distance(reached(start, inputs)[0])
     found = distance(result.goals[0].reached)
     np.testing.assert_allclose(found, np.linalg.norm(result.goals[0].residual))
-    assert 5e-3 < found <= off.min() + 1e-12
+    assert 1e-3 < found <= off.min() + 1e-12
     # And the grid is fine enough to see the same minimum.
     assert off.min() < found + 2e-3
     for name, limit in limits.items():
@@ -116,7 +123,7 @@ def test_cables_never_push():
     result = solve_inverse(arm(), start, goals={"bend": -0.3})
     check(result)
     assert result.outcome == OUTCOMES.nearest
-    assert result.inputs[0] == 0.0
+    assert 0.0 <= result.inputs[0] < 1e-12
     assert result.active_limits == ("force of cable 'top' at its lower limit",)
     # By its length: it is let out until it is just taut, and no further.
     start = robot(top=ImposedDisplacement(0.002))
@@ -166,7 +173,7 @@ def test_epsilon_ends_co_contraction():
     )
     check(frugal)
     assert frugal.met
-    assert frugal.inputs[1] == 0.0
+    assert 0.0 <= frugal.inputs[1] < 1e-9
     np.testing.assert_allclose(frugal.goals[0].reached[0], 0.25, atol=1e-4)
 
 
