@@ -24,6 +24,7 @@ from softcal_jax.equilibrium._problem import (
     mask_supports,
     product,
 )
+from softcal_jax.equilibrium._sparsity import Sparsity
 from softcal_jax.equilibrium._unknowns import Unknowns
 
 
@@ -114,15 +115,23 @@ class Linearisation(NamedTuple):
     Attributes:
         unknowns: The unknowns at full load.
         system: The matrix.
+        full: Tangent over all nodes, the actuators' forces included.
+        pattern: Its pattern.
     """
 
     unknowns: Unknowns
     system: actuation.System
+    full: Float[Array, " nnz"]
+    pattern: Sparsity
 
     def free(self, u, forces):
         """Forces on the free unknowns, 0 on the others [N]."""
         gathered = self.unknowns.gather(u, forces)
         return jnp.where(self.unknowns.fixed(), 0.0, gathered)
+
+    def stiffness(self, du):
+        """Change of the forces on all nodes in a small displacement [N]."""
+        return product(self.pattern, self.full, du.ravel()).reshape(du.shape)
 
 
 def linearise(
@@ -143,7 +152,7 @@ def linearise(
     masked, _ = mask_supports(model.solver.sparsity, reduced, unknowns.fixed())
     H_a = problem.rows_on_unknowns(u, one, rows)
     system = actuation.System(masked, H_a, problem.taut(at, one))
-    return Linearisation(unknowns, system)
+    return Linearisation(unknowns, system, full, model.pattern)
 
 
 def factor_solve(
@@ -240,10 +249,12 @@ class ImplicitResponse(NamedTuple):
     Attributes:
         displacement: Derivative of `EquilibriumSolution.displacement` [m].
         multipliers: Derivative of `EquilibriumSolution.multipliers`.
+        residual: Derivative of `residual`: how forces of the ground change [N].
     """
 
     displacement: Float[Array, "n_points 3"]
     multipliers: Float[Array, " n_a"]
+    residual: Float[Array, "n_points 3"]
 
 
 def implicit_response(
@@ -255,8 +266,9 @@ def implicit_response(
 ) -> ImplicitResponse:
     """Implicit derivative at an equilibrium that is already known; Eqs. (7) to (9).
 
-    K du - H_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held. Under
-    `vmap` over the tangents alone, one factorization serves all of them.
+    K du - H_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held, with
+    dR at a fixed state. Under `vmap` over the tangents alone, one assembly and one
+    factorization serve all of them.
 
     Args:
         model: The model.
@@ -274,13 +286,15 @@ def implicit_response(
     _, du_held = eqx.filter_jvp(held, inputs, t_inputs)
     du_held = jnp.zeros_like(u) if du_held is None else du_held
     _, dR = eqx.filter_jvp(
-        lambda model, configuration, u: residual(model, configuration, u, lambda_a),
-        (*inputs, u),
-        (*t_inputs, du_held),
+        lambda model, configuration: residual(model, configuration, u, lambda_a),
+        inputs,
+        t_inputs,
     )
+    dR = jnp.zeros_like(u) if dR is None else dR
     _, dgap = eqx.filter_jvp(_gap, (*inputs, u), (*t_inputs, du_held))
     dgap = jnp.zeros_like(lambda_a) if dgap is None else dgap
     lin = linearise(model, configuration, u)
+    K_held = lin.stiffness(du_held)
     sparsity, n_dof = model.solver.sparsity, model.n_dof
     values, H_a, active = lin.system
 
@@ -299,7 +313,7 @@ def implicit_response(
 
     d = jax.lax.custom_linear_solve(
         matvec,
-        jnp.concatenate([-lin.free(u, dR), jnp.where(active, -dgap, 0.0)]),
+        jnp.concatenate([-lin.free(u, dR + K_held), jnp.where(active, -dgap, 0.0)]),
         solve,
         transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
@@ -308,7 +322,9 @@ def implicit_response(
     # Where there is no equilibrium there is no derivative of it.
     du = jnp.where(solution.converged, du, jnp.nan)
     d_lambda = jnp.where(solution.converged, d[n_dof:], jnp.nan)
-    return ImplicitResponse(du, d_lambda)
+    by_actuators = d_lambda[:, None, None] * actuation.rows(model, u)
+    d_residual = dR + lin.stiffness(du) - jnp.sum(by_actuators, axis=0)
+    return ImplicitResponse(du, d_lambda, d_residual)
 
 
 def solve_equilibrium(
