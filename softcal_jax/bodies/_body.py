@@ -50,7 +50,7 @@ class RigidBody(eqx.Module):
     """
 
     name: str
-    where: tuple[str | Int[HostArray, " n"], ...] = eqx.field(converter=_as_groups)
+    where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
     origin: Float[HostArray, "3"] | None = eqx.field(converter=_as_point, default=None)
     axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_as_point, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)

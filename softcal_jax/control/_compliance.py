@@ -13,6 +13,7 @@ from softcal_jax.equilibrium import (
     actuator_forces,
     effector_values,
     implicit_response,
+    residual,
 )
 
 
@@ -68,14 +69,16 @@ def actuator_state(
         configuration: One configuration.
         solution: Its equilibrium.
     """
-    return _state(model, configuration, solution.displacement, solution.multipliers)
+    u, lambda_a = solution.displacement, solution.multipliers
+    unbalanced = residual(model, configuration, u, lambda_a)
+    return _state(model, configuration, u, lambda_a, unbalanced)
 
 
-def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a):
+def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a, unbalanced):
     x = jnp.asarray(model.mechanism.points) + u
     return ActuatorState(
-        effector_values(model, configuration, u, lambda_a),
-        actuator_forces(model, configuration, u, lambda_a),
+        effector_values(model, configuration, u, lambda_a, unbalanced),
+        actuator_forces(model, configuration, u, lambda_a, unbalanced),
         actuator_displacements(model.mechanism.actuators, x),
     )
 
@@ -105,6 +108,7 @@ def actuator_compliance(
     """
     value = jnp.asarray(configuration.actuation.value)
     u, lambda_a = solution.displacement, solution.multipliers
+    unbalanced = residual(model, configuration, u, lambda_a)
     no_model = jax.tree.map(lambda _: None, model)
     no_change = jax.tree.map(lambda _: None, configuration)
 
@@ -112,17 +116,15 @@ def actuator_compliance(
         t_configuration = eqx.tree_at(
             lambda c: c.actuation.value, no_change, unit, is_leaf=lambda x: x is None
         )
-        du, d_lambda = implicit_response(
-            model, configuration, solution, no_model, t_configuration
+        d = implicit_response(model, configuration, solution, no_model, t_configuration)
+        state = lambda value, *solved: _state(
+            model, with_inputs(configuration, value), *solved
         )
-        state = lambda value, u, lambda_a: _state(
-            model, with_inputs(configuration, value), u, lambda_a
-        )
-        _, d_state = jax.jvp(state, (value, u, lambda_a), (unit, du, d_lambda))
-        return d_state, du
+        _, d_state = jax.jvp(state, (value, u, lambda_a, unbalanced), (unit, *d))
+        return d_state, d.displacement
 
     changed, du = jax.vmap(along, out_axes=(-1, 0))(jnp.eye(value.size))
-    state = _state(model, configuration, u, lambda_a)
+    state = _state(model, configuration, u, lambda_a, unbalanced)
     W_ea = changed.effectors.reshape(-1, value.size)
     actuators = model.mechanism.actuators
     by_displacement = jnp.asarray(configuration.actuation.by_displacement)

@@ -40,7 +40,7 @@ class LevelsStep(NamedTuple):
 
 
 def step_in_levels(
-    levels: tuple[tuple[Float[Array, "n_e n_a"], Float[Array, " n_e"]], ...],
+    levels: tuple[tuple[Float[Array, "_ n_a"], Float[Array, " _"]], ...],
     rows: InputRows,
     radius: Float[Array, ""],
 ) -> LevelsStep:

@@ -1,5 +1,7 @@
 """Where the effectors can go: many actuations in one program."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -50,7 +52,7 @@ class Workspace(eqx.Module):
 def sample_workspace(
     model: Model,
     configuration: Configuration,
-    inputs: Float[ArrayLike, "n_samples n_inputs"],
+    inputs: Float[ArrayLike, "..."] | Sequence,
     *,
     settings: NewtonSettings | None = None,
 ) -> Workspace:

@@ -21,6 +21,7 @@ def effector_values(
     configuration: ConfigurationArrays,
     u: Float[Array, "n_points 3"],
     multipliers: Float[Array, " n_a"] | None = None,
+    unbalanced: Float[Array, "n_points 3"] | None = None,
 ) -> Float[Array, "n_rows 3"]:
     """Coordinates of all effectors: positions [m], turns [rad], scalars, forces [N].
 
@@ -30,6 +31,7 @@ def effector_values(
         u: Equilibrium displacement [m].
         multipliers: Forces of actuators whose displacement is imposed; found from the
             balance by default.
+        unbalanced: What `residual` gives, where it is known already [N].
 
     Returns:
         Rows in the order of `EffectorArrays`.
@@ -37,7 +39,7 @@ def effector_values(
     kinematic = effector_positions(model, configuration.effectors, u)
     if not configuration.effectors.has_forces:
         return kinematic
-    forces = effector_forces(model, configuration, u, multipliers)
+    forces = effector_forces(model, configuration, u, multipliers, unbalanced)
     return jnp.concatenate([kinematic, forces])
 
 
@@ -123,6 +125,7 @@ def actuator_forces(
     configuration: ConfigurationArrays,
     u: Float[Array, "n_points 3"],
     multipliers: Float[Array, " n_a"] | None = None,
+    unbalanced: Float[Array, "n_points 3"] | None = None,
 ) -> Float[Array, " n_a"]:
     """Forces lambda_a of all actuators, imposed or solved for, in their units.
 
@@ -134,16 +137,18 @@ def actuator_forces(
         u: Equilibrium displacement [m].
         multipliers: Forces of actuators whose displacement is imposed; found from the
             balance by default.
+        unbalanced: What `residual` gives, where it is known already [N].
     """
     forces = actuation.imposed_forces(configuration.actuation)
-    r = residual(model, configuration, u, multipliers)
+    if unbalanced is None:
+        unbalanced = residual(model, configuration, u, multipliers)
     if multipliers is None:
         multipliers = solved_forces(model, configuration, u)
     forces = jnp.where(
         actuation.by_multiplier(model, configuration.actuation), multipliers, forces
     )
     unknowns = Unknowns(model, configuration, jnp.ones((), u.dtype))
-    gathered = unknowns.gather(u, r)
+    gathered = unknowns.gather(u, unbalanced)
     for a, body in enumerate(model.mechanism.actuators.motor_body):
         if body >= 0:
             # The last entry of the wrench, per metre at the end of the frame's axis.
@@ -158,6 +163,7 @@ def effector_forces(
     configuration: ConfigurationArrays,
     u: Float[Array, "n_points 3"],
     multipliers: Float[Array, " n_a"] | None = None,
+    unbalanced: Float[Array, "n_points 3"] | None = None,
 ) -> Float[Array, "n_rows_of_forces 3"]:
     """Rows that need the balance of forces: those of actuators, and reactions [N].
 
@@ -167,15 +173,18 @@ def effector_forces(
         u: Equilibrium displacement [m].
         multipliers: Forces of actuators whose displacement is imposed; found from the
             balance by default.
+        unbalanced: What `residual` gives, where it is known already [N].
     """
     effectors = configuration.effectors
     rows = []
+    if unbalanced is None:
+        unbalanced = residual(model, configuration, u, multipliers)
     if effectors.force_actuator.shape[0] > 0:
-        forces = actuator_forces(model, configuration, u, multipliers)
+        forces = actuator_forces(model, configuration, u, multipliers, unbalanced)
         value = forces[effectors.force_actuator]
         none = jnp.zeros_like(value)
         rows.append(jnp.stack([value, none, none], axis=1))
-    r = residual(model, configuration, u, multipliers)
     weights = jnp.asarray(effectors.reaction_weights)
-    rows.append(jnp.sum(weights[:, :, None] * r[effectors.reaction_nodes], axis=1))
+    held = unbalanced[effectors.reaction_nodes]
+    rows.append(jnp.sum(weights[:, :, None] * held, axis=1))
     return jnp.concatenate(rows)

@@ -247,10 +247,12 @@ class ImplicitResponse(NamedTuple):
     Attributes:
         displacement: Derivative of `EquilibriumSolution.displacement` [m].
         multipliers: Derivative of `EquilibriumSolution.multipliers`.
+        residual: Derivative of `residual`: how forces of the ground change [N].
     """
 
     displacement: Float[Array, "n_points 3"]
     multipliers: Float[Array, " n_a"]
+    residual: Float[Array, "n_points 3"]
 
 
 def implicit_response(
@@ -262,8 +264,9 @@ def implicit_response(
 ) -> ImplicitResponse:
     """Implicit derivative at an equilibrium that is already known; Eqs. (7) to (9).
 
-    K du - H_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held. Under
-    `vmap` over the tangents alone, one factorization serves all of them.
+    K du - H_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held, with
+    dR at a fixed state. Under `vmap` over the tangents alone, one assembly and one
+    factorization serve all of them.
 
     Args:
         model: The model.

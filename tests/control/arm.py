@@ -7,7 +7,6 @@ positive angle lifts the tip; the cables run above and below it, from base to ti
 from functools import cache
 
 import jax
-import numpy as np
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import RigidBody, hinge_axes
@@ -54,7 +53,7 @@ def pose(gravity=(0.0, 0.0, -2.0), effectors=None, **actuation) -> Configuration
     """The arm; numbers of cables are tensions [N], that of the motor an angle [rad]."""
     kinds = {"top": ImposedForce, "bottom": ImposedForce, "motor": ImposedDisplacement}
     asked = {
-        name: kinds[name](float(value)) if np.isscalar(value) else value
+        name: kinds[name](value) if isinstance(value, int | float) else value
         for name, value in actuation.items()
     }
     effectors = [Centroid("tip", "x_max")] if effectors is None else effectors

@@ -145,6 +145,8 @@ def right_hand_sides(jaxpr, inside=()):
         if "pardiso" in name or "factor" in name or "ffi" in name:
             yield name, [v.aval.shape for v in equation.invars], inside
         for value in equation.params.values():
+            if name == "custom_linear_solve":
+                value = value.solve  # the others serve its transpose
             for part in value if isinstance(value, tuple | list) else (value,):
                 inner = getattr(part, "jaxpr", part)
                 if hasattr(inner, "eqns"):

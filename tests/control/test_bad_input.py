@@ -1,0 +1,122 @@
+"""What a user gets wrong is refused before anything is solved, in words."""
+
+import numpy as np
+import pytest
+from arm import FRAME, arm, pose
+
+from softcal_jax.bodies import Pose
+from softcal_jax.configurations import (
+    BodyAngle,
+    Centroid,
+    ImposedDisplacement,
+    Markers,
+)
+from softcal_jax.control import ControlSettings, Limits, solve_inverse, with_goals
+
+EFFECTORS = [
+    FRAME,
+    Centroid("tip", "x_max"),
+    BodyAngle("bend", "tip", "base", (0, -1, 0)),
+]
+START = pose(effectors=EFFECTORS, top=1.0, motor=0.1)
+GOAL = {"tip": (0.1, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("goals", "message"),
+    [
+        ({"tip": (0.1, 0.0)}, "the goal of effector 'tip' has 2 numbers, expected 3"),
+        ({"bend": (0.1, 0.2)}, "the goal of effector 'bend' has 2 numbers, expected 1"),
+        ({"tip": Pose()}, "'tip' is a Pose of 6 coordinates, expected 3 numbers"),
+        ({"bend": Pose()}, "'bend' is a Pose of 6 coordinates, expected 1 number"),
+        (
+            {"frame": np.zeros(3)},
+            "'frame' has 3 numbers, expected a Pose: its frame has 6 coordinates",
+        ),
+        ({"tpi": (0.1, 0.0, 0.0)}, "unknown effector .* 'tpi'. Did you mean 'tip'"),
+        ({"tip": (0.1, np.nan, 0.0)}, "'tip' .* expected three finite numbers"),
+        ({}, "no effector .* has a goal.* Effectors: 'frame', 'tip', 'bend'"),
+    ],
+)
+def test_goals(goals, message):
+    with pytest.raises(ValueError, match=message):
+        solve_inverse(arm(), START, goals=goals)
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        (
+            {"top": Limits(force=(5.0, 2.0))},
+            "limits of the force of cable 'top' clash: lower 5 N, upper 2 N",
+        ),
+        (
+            {"top": Limits(force=(-3.0, -1.0))},
+            "force of cable 'top' clash: .* and it only pulls",
+        ),
+        (
+            {"motor": Limits(displacement=(0.2, 0.5))},
+            "motor 'motor' starts outside its limits: its displacement is 0.1 rad",
+        ),
+        (
+            {"top": Limits(displacement=(0.01, 0.0))},
+            "displacement of cable 'top' clash: lower 0.01 m, upper 0 m",
+        ),
+        ({"top": Limits(step=-1.0)}, "cable 'top': step must not be negative, got -1"),
+        ({"bottom": Limits()}, "'bottom' has limits, but .* asks nothing of it"),
+        ({"topp": Limits()}, "unknown actuator with limits 'topp'. Did you mean 'top'"),
+    ],
+)
+def test_limits_that_clash_are_named(limits, message):
+    with pytest.raises(ValueError, match=message):
+        solve_inverse(arm(), START, goals=GOAL, limits=limits)
+
+
+def test_priorities_and_actuation():
+    with pytest.raises(ValueError, match=r"'tip' must be 1 .first. or more, got 0"):
+        solve_inverse(arm(), START, goals=GOAL, priorities={"tip": 0})
+    with pytest.raises(ValueError, match="unknown effector with a priority 'tipp'"):
+        solve_inverse(arm(), START, goals=GOAL, priorities={"tipp": 1})
+    with pytest.raises(ValueError, match=r"commands no actuator.*'top', 'bottom'"):
+        solve_inverse(arm(), pose(effectors=EFFECTORS), goals=GOAL)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"tol": 0.0}, "tol must be positive"),
+        ({"step_bound": -1.0}, "step_bound must be positive"),
+        ({"max_steps": 0}, "max_steps must be at least 1"),
+        ({"epsilon": -1.0}, "epsilon must not be negative"),
+    ],
+)
+def test_settings(setting, message):
+    with pytest.raises(ValueError, match=message):
+        ControlSettings(**setting)
+
+
+def test_goals_of_every_kind():
+    """Each lands in the measured value of its effector; markers keep the others'."""
+    markers = Markers(["a", "b"], [(0.05, 0.01, 0.0), (0.05, 0.01, 0.02)])
+    start = pose(effectors=EFFECTORS, motor=ImposedDisplacement(0.0))
+    start = type(start)(**{**vars(start), "markers": markers})
+    aimed = with_goals(
+        start,
+        {
+            "frame": Pose((0.01, 0, 0)),
+            "tip": [0.1, 0, 0],
+            "bend": 0.2,
+            "a": (1.0, 2.0, 3.0),
+            "b": (4.0, 5.0, 6.0),
+        },
+    )
+    measured = [getattr(effector, "measured", None) for effector in aimed.effectors]
+    assert isinstance(measured[0], Pose)
+    np.testing.assert_array_equal(measured[0].translation, [0.01, 0, 0])
+    np.testing.assert_array_equal(measured[1], [0.1, 0, 0])
+    assert measured[2] == 0.2
+    again = with_goals(aimed, {"b": (7.0, 8.0, 9.0)})
+    np.testing.assert_array_equal(again.measured, [[1, 2, 3], [7, 8, 9]])
+    np.testing.assert_array_equal(aimed.measured, [[1, 2, 3], [4, 5, 6]])
+    with pytest.raises(ValueError, match=r"marker 'b' .* has no goal, but others have"):
+        with_goals(start, {"a": (1.0, 2.0, 3.0)})

@@ -1,0 +1,260 @@
+"""Inverse control of the arm: goals, limits, energy, priorities."""
+
+from itertools import pairwise
+
+import equinox as eqx
+import numpy as np
+import pytest
+from arm import REST, arm, arrays, pose
+
+from softcal_jax.configurations import (
+    BodyAngle,
+    Centroid,
+    ImposedDisplacement,
+)
+from softcal_jax.control import (
+    OUTCOMES,
+    ControlSettings,
+    Limits,
+    actuator_compliance,
+    follow_trajectory,
+    sample_workspace,
+    solve_inverse,
+)
+from softcal_jax.control import _qp as qp_module
+
+FINE = ControlSettings(tol=1e-6)
+# A bend upwards is positive.
+EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
+
+
+def robot(gravity=REST, **actuation):
+    return pose(gravity, EFFECTORS, **actuation)
+
+
+def reached(configuration, values):
+    """Effectors at other inputs, by simulation alone."""
+    workspace = sample_workspace(arm(), configuration, np.atleast_2d(values))
+    assert workspace.failures == ()
+    return workspace.effectors["tip"][:, 0], workspace.effectors["bend"][:, 0, 0]
+
+
+def check(result):
+    """What holds of every search: its QPs were solved, and its cost fell.
+
+    It may rise where a step overshot a limit, and the next one goes back.
+    """
+    assert max(step.kkt_residual for step in result.steps) < 1e-9
+    kept = [step for step in result.steps if step.accepted]
+    for before, after in pairwise(kept):
+        assert after.cost <= before.cost or after.violation < before.violation
+    assert kept[-1].violation <= 1e-6
+    assert bool(result.solution.converged)
+
+
+def test_reachable_goal_is_met_and_its_actuation_found():
+    """Made by simulation with another actuation; in z and x it is the only one."""
+    (goal,), _ = reached(robot(top=0.0, motor=0.0), [[1.5, 0.4]])
+    result = solve_inverse(
+        arm(), robot(top=0.0, motor=0.0), goals={"tip": goal}, settings=FINE
+    )
+    check(result)
+    assert result.outcome == OUTCOMES.met
+    assert result.met
+    np.testing.assert_allclose(result.inputs, [1.5, 0.4], rtol=1e-5)
+    np.testing.assert_allclose(result.forces["top"], result.inputs[0])
+    np.testing.assert_allclose(result.goals[0].reached, goal, rtol=0, atol=1e-9)
+    assert result.active_limits == ()
+    assert len(result.steps) <= 8
+    # The configuration found is one that a user can simulate again.
+    (again,), _ = reached(result.configuration, result.inputs)
+    np.testing.assert_allclose(again, goal, rtol=0, atol=1e-9)
+
+
+def test_imposed_shortening_is_found():
+    """The same by displacement: two lengths for a bend with little co-contraction."""
+    start = robot(top=ImposedDisplacement(0.0), bottom=ImposedDisplacement(0.0))
+    (goal,), _ = reached(robot(top=0.0, bottom=0.0), [[1.5, 0.5]])
+    result = solve_inverse(arm(), start, goals={"tip": goal}, settings=FINE)
+    check(result)
+    assert result.met
+    # Forces and lengths of cables are dual: the tensions come back.
+    np.testing.assert_allclose(
+        [result.forces["top"], result.forces["bottom"]], [1.5, 0.5], rtol=1e-4
+    )
+    np.testing.assert_allclose(result.displacements["top"], result.inputs[0])
+
+
+@pytest.mark.parametrize(
+    ("goal", "limits"),
+    [
+        ((0.11, 0.01, 0.04), {}),  # farther than the arm is long
+        ((0.08, 0.01, 0.06), {"top": Limits(force=(0.0, 1.0))}),
+        ((0.09, 0.01, -0.03), {"motor": Limits(displacement=(-0.1, 0.5))}),
+    ],
+)
+def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
+    """No point of a grid over all actuations is nearer."""
+    start = robot(top=0.0, motor=0.0)
+    result = solve_inverse(arm(), start, goals={"tip": goal}, limits=limits)
+    check(result)
+    assert result.outcome == OUTCOMES.nearest
+    assert "nearest reachable point" in result.message
+    assert "'tip'" in result.message
+    force = limits.get("top", Limits()).force
+    angle = limits.get("motor", Limits()).displacement
+    top = np.linspace(0.0, min(force[1], 3.0), 13)
+    motor = np.linspace(max(angle[0], -0.7), min(angle[1], 0.7), 15)
+    inputs = np.stack(np.meshgrid(top, motor), axis=-1).reshape(-1, 2)
+    distance = lambda tip: np.linalg.norm(tip - np.array(goal), axis=-1)
+    off = distance(reached(start, inputs)[0])
+    found = distance(result.goals[0].reached)
+    np.testing.assert_allclose(found, np.linalg.norm(result.goals[0].residual))
+    assert 1e-3 < found <= off.min() + 1e-12
+    # And the grid is fine enough to see the same minimum.
+    assert off.min() < found + 2e-3
+    for name, limit in limits.items():
+        assert any(repr(name) in text for text in result.active_limits), limit
+
+
+def test_cables_never_push():
+    """To bend down with the upper cable alone: it goes slack, and says so."""
+    start = robot(top=1.0)
+    result = solve_inverse(arm(), start, goals={"bend": -0.3})
+    check(result)
+    assert result.outcome == OUTCOMES.nearest
+    assert 0.0 <= result.inputs[0] < 1e-12
+    assert result.active_limits == ("force of cable 'top' at its lower limit",)
+    # By its length: it is let out until it is just taut, and no further.
+    start = robot(top=ImposedDisplacement(0.002))
+    result = solve_inverse(arm(), start, goals={"bend": -0.3})
+    check(result)
+    assert result.outcome == OUTCOMES.nearest
+    assert abs(result.forces["top"]) < 1e-5
+    np.testing.assert_allclose(result.inputs[0], 0.0, atol=1e-7)
+    assert result.active_limits == ("force of cable 'top' at its lower limit",)
+
+
+def test_slack_cable_is_wound_up_first():
+    """A cable let out by 5 mm has no effect that a derivative could see."""
+    start = robot(bottom=ImposedDisplacement(-0.005))
+    result = solve_inverse(arm(), start, goals={"bend": -0.2}, settings=FINE)
+    assert result.met
+    assert result.inputs[0] > 0.0
+
+
+def test_limits_of_what_follows_hold():
+    """The shortening of a cable driven by force, and the force of the other way."""
+    limit = Limits(displacement=(-0.001, 0.002))
+    result = solve_inverse(
+        arm(), robot(top=0.0), goals={"bend": 0.6}, limits={"top": limit}
+    )
+    check(result)
+    assert result.outcome == OUTCOMES.nearest
+    np.testing.assert_allclose(result.displacements["top"], 0.002, atol=1e-7)
+    assert result.active_limits == ("displacement of cable 'top' at its upper limit",)
+    start = robot(top=ImposedDisplacement(0.0))
+    limit = Limits(force=(0.0, 1.2))
+    result = solve_inverse(arm(), start, goals={"bend": 0.6}, limits={"top": limit})
+    check(result)
+    np.testing.assert_allclose(result.forces["top"], 1.2, rtol=1e-4)
+    assert result.active_limits == ("force of cable 'top' at its upper limit",)
+
+
+def test_epsilon_ends_co_contraction():
+    """Two opposite cables, one angle: without it both stay tense, with it one does."""
+    start = robot(top=2.0, bottom=2.0)
+    goals = {"bend": 0.25}
+    tense = solve_inverse(arm(), start, goals=goals)
+    assert tense.met
+    assert tense.inputs[1] > 0.5
+    frugal = solve_inverse(
+        arm(), start, goals=goals, settings=ControlSettings(epsilon=1e-4)
+    )
+    check(frugal)
+    assert frugal.met
+    assert 0.0 <= frugal.inputs[1] < 1e-9
+    np.testing.assert_allclose(frugal.goals[0].reached[0], 0.25, atol=1e-4)
+
+
+def test_priorities_are_strict():
+    """The first level is met; the second is as near as that leaves it."""
+    goals = {"bend": 0.3, "tip": (0.09, 0.01, -0.01)}
+    start = robot(top=0.5, bottom=0.5, motor=0.0)
+    limits = {"top": Limits(force=(0, 4)), "bottom": Limits(force=(0, 4))}
+    run = lambda **priorities: solve_inverse(
+        arm(),
+        start,
+        goals=goals,
+        limits=limits,
+        priorities=priorities,
+        settings=ControlSettings(tol=1e-3),
+    )
+    first, second = run(bend=1, tip=2), run(bend=2, tip=1)
+    off = lambda result: {fit.name: np.abs(fit.in_std).max() for fit in result.goals}
+    assert off(first)["bend"] < 1e-3 < off(second)["bend"]
+    assert off(second)["tip"] < off(first)["tip"]
+    assert [fit.priority for fit in first.goals] == [2, 1]
+    # Along the inputs that leave the bend alone, the tip can come no nearer.
+    response = eqx.filter_jit(actuator_compliance)(
+        arm(), arrays(first.configuration), first.solution
+    )
+    W_tip, W_bend = np.asarray(response.W_ea[:3]), np.asarray(response.W_ea[3])
+    moves = np.array([force not in (0.0, 4.0) for force in first.inputs])
+    blind = np.linalg.svd((W_bend * moves)[None])[2][1:]
+    blind = blind[np.abs(blind[:, ~moves]).sum(axis=1) < 1e-9] * 1.0
+    residual = np.asarray(first.goals[0].residual)
+    assert len(blind) > 0
+    for direction in blind:
+        change = W_tip @ direction
+        cosine = change @ residual / np.linalg.norm(change) / np.linalg.norm(residual)
+        assert abs(cosine) < 1e-2
+
+
+def test_trajectory_starts_where_it_was():
+    """Neighbouring goals take few iterations, and inputs keep their steps."""
+    start = robot(top=0.0, motor=0.0)
+    inputs = np.stack([np.linspace(0.5, 1.5, 5), np.linspace(0.1, 0.3, 5)], axis=1)
+    tips, _ = reached(start, inputs)
+    goals = [{"tip": tip} for tip in tips]
+    path = follow_trajectory(arm(), start, goals)
+    assert path.unmet == ()
+    np.testing.assert_allclose(path.inputs, inputs, rtol=0, atol=5e-3)
+    assert max(len(point.steps) for point in path.points[1:]) <= 3
+    # A motor that is too slow falls behind, and says so.
+    slow = {"motor": Limits(step=0.02)}
+    path = follow_trajectory(arm(), start, goals, limits=slow)
+    np.testing.assert_allclose(np.diff(path.inputs[:, 1]), 0.02, rtol=1e-6)
+    assert path.unmet == (0, 1, 2, 3, 4)
+    (text,) = path.points[0].active_limits
+    assert text == "step of the displacement of motor 'motor' at its longest limit"
+
+
+def test_one_program_for_all_goals_and_models(monkeypatch):
+    """A traced QP is a compilation; other goals, materials and limits need none."""
+    solve_inverse(arm(), robot(top=0.0), goals={"bend": 0.1})
+    traced = []
+    plain = qp_module.bounded_step
+    monkeypatch.setattr(
+        qp_module, "bounded_step", lambda *a, **k: traced.append(1) or plain(*a, **k)
+    )
+    stiff = arm(4e5)
+    result = solve_inverse(
+        eqx.tree_at(lambda m: m.law, arm(), stiff.law),
+        robot(top=0.2, motor=0.1),
+        goals={"tip": (0.09, 0.01, 0.03)},
+        limits={"top": Limits(force=(0.0, 9.0))},
+        settings=ControlSettings(epsilon=1e-6, max_steps=40),
+    )
+    assert len(result.steps) > 0
+    assert traced == []
+
+
+def test_search_that_does_not_end_says_so():
+    settings = ControlSettings(max_steps=1)
+    with pytest.raises(RuntimeError, match="did not end within max_steps"):
+        solve_inverse(arm(), robot(top=0.0), goals={"bend": 0.6}, settings=settings)
+    result = solve_inverse(
+        arm(), robot(top=0.0), goals={"bend": 0.6}, settings=settings, throw=False
+    )
+    assert result.outcome == OUTCOMES.max_steps

@@ -1,0 +1,73 @@
+"""The workspace: a batch gives what its members give, and names its failures."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from arm import FRAME, arm, arrays, pose
+
+from softcal_jax.configurations import Centroid, ImposedDisplacement
+from softcal_jax.control import sample_workspace, with_inputs
+from softcal_jax.equilibrium import NewtonSettings, effector_values, solve_equilibrium
+
+# A cable pulled short by most of the arm takes more iterations than these.
+SETTINGS = NewtonSettings(max_steps=8)
+START = pose(
+    effectors=[Centroid("tip", "x_max"), FRAME],
+    motor=0.0,
+    top=ImposedDisplacement(0.0),
+)
+INPUTS = [[0.2, 0.004], [0.0, 0.09], [-0.1, 0.001]]
+
+
+@eqx.filter_jit
+def alone(model, configuration, value):
+    lane = with_inputs(configuration, value)
+    solution = solve_equilibrium(model, lane, settings=SETTINGS)
+    u, lambda_a = solution.displacement, solution.multipliers
+    return solution, effector_values(model, lane, u, lambda_a)
+
+
+def test_batch_equals_its_members_and_names_the_one_that_failed():
+    workspace = sample_workspace(arm(), START, INPUTS, settings=SETTINGS)
+    np.testing.assert_array_equal(workspace.converged, [True, False, True])
+    assert workspace.names == ("motor", "top")
+    (text,) = workspace.failures
+    assert text.startswith("sample 1 (motor = 0, top = 0.09): ")
+    assert np.all(np.isnan(workspace.effectors["tip"][1]))
+    assert np.all(np.isnan(workspace.effectors["frame"][1]))
+    assert workspace.effectors["frame"].shape == (3, 2, 3)
+    configuration = arrays(START)
+    for i in (0, 2):
+        motor, top = INPUTS[i]
+        solution, values = alone(
+            arm(), configuration, jax.numpy.array([top, 0.0, motor])
+        )
+        np.testing.assert_array_equal(
+            workspace.solution.displacement[i], solution.displacement
+        )
+        # Points first, then turns.
+        tip = workspace.effectors["tip"][i, 0]
+        frame = workspace.effectors["frame"][i]
+        np.testing.assert_allclose([tip, *frame], values, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        ([0.1, 0.2], r"one column for each of motor, top, .* got \(2,\)"),
+        ([[0.1]], r"shape \(n_samples, 2\), got \(1, 1\)"),
+        ([[0.1, 0.0], [20.0, 0.0]], "'arm, sample 1': motor 'motor' turns by 20 rad"),
+        ([[np.nan, 0.0]], "'arm, sample 0': motor 'motor' needs a finite number"),
+    ],
+)
+def test_bad_inputs(inputs, message):
+    with pytest.raises(ValueError, match=message):
+        sample_workspace(arm(), START, inputs)
+
+
+def test_nothing_to_command_or_follow():
+    with pytest.raises(ValueError, match="'arm' commands no actuator"):
+        sample_workspace(arm(), pose(), [[]])
+    with pytest.raises(ValueError, match="'arm' has no effectors and no markers"):
+        sample_workspace(arm(), pose(effectors=[], motor=0.0), [[0.0]])
