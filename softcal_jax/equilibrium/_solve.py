@@ -332,7 +332,10 @@ def implicit_response(
     # Where there is no equilibrium there is no derivative of it.
     du = jnp.where(solution.converged, du, jnp.nan)
     d_lambda = jnp.where(solution.converged, d[n_dof:], jnp.nan) if n_a else lambda_a
-    return ImplicitResponse(du, d_lambda)
+    _, d_residual = eqx.filter_jvp(
+        residual, (*inputs, u, lambda_a), (*t_inputs, du, d_lambda)
+    )
+    return ImplicitResponse(du, d_lambda, d_residual)
 
 
 def solve_equilibrium(
