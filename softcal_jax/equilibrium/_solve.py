@@ -278,7 +278,7 @@ def implicit_response(
         t_configuration: Tangent of the configuration, likewise.
 
     Returns:
-        Derivative of displacement and multipliers along the tangents.
+        Derivatives along the tangents.
     """
     u, lambda_a = solution.displacement, solution.multipliers
     inputs, t_inputs = (model, configuration), (t_model, t_configuration)
@@ -294,9 +294,31 @@ def implicit_response(
     _, dgap = eqx.filter_jvp(_gap, (*inputs, u), (*t_inputs, du_held))
     dgap = jnp.zeros_like(lambda_a) if dgap is None else dgap
     lin = linearise(model, configuration, u)
-    K_held = lin.stiffness(du_held)
+    force = -lin.free(u, dR + lin.stiffness(du_held))
+    dx, d_lambda = _solve_implicitly(model, lin.system, force, dgap)
+    du = du_held + lin.unknowns.scatter(u, dx)
+    # Where there is no equilibrium there is no derivative of it.
+    du = jnp.where(solution.converged, du, jnp.nan)
+    d_lambda = jnp.where(solution.converged, d_lambda, jnp.nan)
+    by_actuators = d_lambda[:, None, None] * actuation.rows(model, u)
+    d_residual = dR + lin.stiffness(du) - jnp.sum(by_actuators, axis=0)
+    return ImplicitResponse(du, d_lambda, d_residual)
+
+
+def _solve_implicitly(model: Model, system: actuation.System, force, dgap):
+    """Solution of the bordered system, differentiable in its right-hand side.
+
+    Args:
+        model: The model.
+        system: The matrix.
+        force: Right-hand side of the unknowns, 0 on held ones [N].
+        dgap: How far each imposed displacement has to go.
+
+    Returns:
+        Changes of the unknowns and of the multipliers.
+    """
     sparsity, n_dof = model.solver.sparsity, model.n_dof
-    values, H_a, active = lin.system
+    values, H_a, active = system
 
     def matvec(v):
         x, lam = v[:n_dof], jnp.where(active, v[n_dof:], 0.0)
@@ -306,25 +328,19 @@ def implicit_response(
 
     def solve(_, b, transpose=False):
         gap = jnp.where(active, -b[n_dof:], 0.0)[None]
-        solved = lin.system.solve(model, b[None, :n_dof], gap, transpose=transpose)
+        solved = system.solve(model, b[None, :n_dof], gap, transpose=transpose)
         lam = jnp.where(active, solved.lambda_a[0], b[n_dof:])
         # A derivative that does not exist must not pass for zero.
         return jnp.where(solved.ok, jnp.concatenate([solved.x[0], lam]), jnp.nan)
 
     d = jax.lax.custom_linear_solve(
         matvec,
-        jnp.concatenate([-lin.free(u, dR + K_held), jnp.where(active, -dgap, 0.0)]),
+        jnp.concatenate([force, jnp.where(active, -dgap, 0.0)]),
         solve,
         transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
     )
-    du = du_held + lin.unknowns.scatter(u, d[:n_dof])
-    # Where there is no equilibrium there is no derivative of it.
-    du = jnp.where(solution.converged, du, jnp.nan)
-    d_lambda = jnp.where(solution.converged, d[n_dof:], jnp.nan)
-    by_actuators = d_lambda[:, None, None] * actuation.rows(model, u)
-    d_residual = dR + lin.stiffness(du) - jnp.sum(by_actuators, axis=0)
-    return ImplicitResponse(du, d_lambda, d_residual)
+    return d[:n_dof], d[n_dof:]
 
 
 def solve_equilibrium(
