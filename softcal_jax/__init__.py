@@ -2,7 +2,7 @@
 
 The packages follow the method step by step: `mesh`, `elements`, `materials`, `fields`,
 `configurations`, `equilibrium`, `sensitivity`, `calibration`, `identifiability`,
-`layouts`. What a script needs most stands here as well.
+`control`, `layouts`. What a script needs most stands here as well.
 """
 
 from importlib.metadata import version
@@ -10,6 +10,7 @@ from importlib.metadata import version
 from softcal_jax import (
     calibration,
     configurations,
+    control,
     elements,
     equilibrium,
     fields,
@@ -39,6 +40,7 @@ from softcal_jax.configurations import (
     configuration_arrays,
     register,
 )
+from softcal_jax.control import follow_trajectory, sample_workspace, solve_inverse
 from softcal_jax.equilibrium import (
     RESULTS,
     Model,
@@ -112,9 +114,11 @@ __all__ = [
     "compare_layouts",
     "configuration_arrays",
     "configurations",
+    "control",
     "elements",
     "equilibrium",
     "fields",
+    "follow_trajectory",
     "identifiability",
     "identify",
     "layouts",
@@ -126,10 +130,12 @@ __all__ = [
     "rank_configurations",
     "read_mesh",
     "register",
+    "sample_workspace",
     "select_nodes",
     "sensitivity",
     "set_field",
     "solve_equilibrium",
+    "solve_inverse",
     "synthetic_measurements",
     "to_quadratic",
 ]

@@ -139,13 +139,18 @@ def follow_room(
 
 
 def _energy_rows(problem, W_aa, W, by_force, moves: Bool[Array, " n_a"]):
-    """Rows E with E^T E = epsilon W_aa, epsilon in units of what W sees per energy."""
+    """Rows E with E^T E = epsilon W_aa, epsilon in units of what W sees per energy.
+
+    Motors may hold a robot where it would snap if they were let go; there W_aa has
+    negative eigenvalues, and their size is taken.
+    """
     size = jnp.sqrt(jnp.abs(jnp.diag(W_aa)))
     size = jnp.where(size > 0.0, size, 1.0)
     # Unlike units must not decide what is small.
     values, vectors = jnp.linalg.eigh(W_aa / (size[:, None] * size[None]))
-    root = jnp.sqrt(jnp.maximum(values, 0.0))[:, None] * vectors.T * size[None]
+    root = jnp.sqrt(jnp.abs(values))[:, None] * vectors.T * size[None]
     energy = jnp.where(moves, jnp.sum((root @ by_force) ** 2, axis=0), 0.0)
     seen = jnp.where(moves, jnp.sum(W**2, axis=0), 0.0)
-    ratio = jnp.sum(seen) / jnp.maximum(jnp.sum(energy), jnp.finfo(W.dtype).tiny)
+    total = jnp.sum(energy)
+    ratio = jnp.where(total > 0.0, jnp.sum(seen) / jnp.where(total > 0, total, 1.0), 0)
     return jnp.sqrt(problem.epsilon * ratio) * root

@@ -12,7 +12,7 @@ from softcal_jax.control._compliance import (
     actuator_state,
     with_inputs,
 )
-from softcal_jax.control._decision import ROUNDING, Parts, Trial, decide
+from softcal_jax.control._decision import ROUNDING, Decision, Parts, Trial, decide
 from softcal_jax.control._problem import (
     ControlProblem,
     Linear,
@@ -196,13 +196,12 @@ def control_step(
     Returns:
         State after it.
     """
-    now = state.compliance
-    linear = linearise(problem, state.value, now)
+    linear = linearise(problem, state.value, state.compliance)
     levels = tuple(zip(linear.W, linear.error, strict=True))
     qp = step_in_levels(levels, linear.rows, state.step_bound)
     change = qp.y * linear.scale
     value = jnp.clip(state.value + change, *problem.box())
-    guess = jnp.tensordot(change, now.displacement, axes=1)
+    guess = jnp.tensordot(change, state.compliance.displacement, axes=1)
     guess = state.solution.displacement + guess
     configuration = with_inputs(problem.configuration, value)
     solution = solve_equilibrium(
@@ -211,7 +210,7 @@ def control_step(
     tried = actuator_state(problem.model, configuration, solution)
     trial = Trial(
         Parts(
-            _parts(problem, linear, now.state),
+            _parts(problem, linear, state.compliance.state),
             _expected_parts(linear, qp.y),
             _parts(problem, linear, tried),
         ),
@@ -228,15 +227,32 @@ def control_step(
         step_tol=settings.step_tol,
         max_step_bound=settings.max_step_bound,
     )
-    newton_steps = solution.steps
-    value, solution, compliance = jax.lax.cond(
+    return _after(problem, settings, state, trial, decision, value, solution)
+
+
+def _after(
+    problem: ControlProblem,
+    settings: ControlSettings,
+    state: ControlState,
+    trial: Trial,
+    decision: Decision,
+    value: Float[Array, " n_a"],
+    solution: EquilibriumSolution,
+) -> ControlState:
+    """The state once it is decided: moved, or where it was with a tighter bound."""
+
+    def moved():
+        wound, compliance = _respond(problem, value, solution)
+        return wound, solution, compliance
+
+    reached, equilibrium, compliance = jax.lax.cond(
         decision.accepted,
-        lambda: _moved(problem, value, solution),
-        lambda: (state.value, state.solution, now),
+        moved,
+        lambda: (state.value, state.solution, state.compliance),
     )
-    moved = ControlState(
-        value,
-        solution,
+    new = ControlState(
+        reached,
+        equilibrium,
         compliance,
         decision.step_bound,
         decision.penalty,
@@ -245,14 +261,14 @@ def control_step(
         state.error,
         trial.size,
         trial.kkt_residual,
-        newton_steps,
+        solution.steps,
         decision.accepted,
         state.step + 1,
         state.met,
         decision.vanished,
         decision.stalled,
     )
-    return _judged(problem, settings, moved)
+    return _judged(problem, settings, new)
 
 
 def _expected_parts(linear: Linear, y: Float[Array, " n_a"]):
@@ -270,8 +286,3 @@ def _cosine(linear: Linear, y: Float[Array, " n_a"], penalty):
     lengths = jnp.sum(weight * change**2) * jnp.sum(weight * linear.error**2)
     lengths = jnp.maximum(lengths, jnp.finfo(y.dtype).tiny)
     return -jnp.sum(weight * change * linear.error) / jnp.sqrt(lengths)
-
-
-def _moved(problem: ControlProblem, value, solution: EquilibriumSolution):
-    value, compliance = _respond(problem, value, solution)
-    return value, solution, compliance

@@ -24,6 +24,7 @@ from softcal_jax.equilibrium._problem import (
     mask_supports,
     product,
 )
+from softcal_jax.equilibrium._sparsity import Sparsity
 from softcal_jax.equilibrium._unknowns import Unknowns
 
 
@@ -114,15 +115,23 @@ class Linearisation(NamedTuple):
     Attributes:
         unknowns: The unknowns at full load.
         system: The matrix.
+        full: Tangent over all nodes, the actuators' forces included.
+        pattern: Its pattern.
     """
 
     unknowns: Unknowns
     system: actuation.System
+    full: Float[Array, " nnz"]
+    pattern: Sparsity
 
     def free(self, u, forces):
         """Forces on the free unknowns, 0 on the others [N]."""
         gathered = self.unknowns.gather(u, forces)
         return jnp.where(self.unknowns.fixed(), 0.0, gathered)
+
+    def stiffness(self, du):
+        """Change of the forces on all nodes in a small displacement [N]."""
+        return product(self.pattern, self.full, du.ravel()).reshape(du.shape)
 
 
 def linearise(
@@ -143,7 +152,7 @@ def linearise(
     masked, _ = mask_supports(model.solver.sparsity, reduced, unknowns.fixed())
     H_a = problem.rows_on_unknowns(u, one, rows)
     system = actuation.System(masked, H_a, problem.taut(at, one))
-    return Linearisation(unknowns, system)
+    return Linearisation(unknowns, system, full, model.pattern)
 
 
 def factor_solve(
@@ -207,11 +216,10 @@ def _held_at(model, configuration, u):
     return Unknowns(model, configuration, jnp.ones((), u.dtype)).held_at(u)
 
 
-def _free_residual(model, configuration, u, lambda_a):
-    """Out-of-balance forces on the free unknowns [N]."""
+def _on_unknowns(model, configuration, u, forces):
+    """Forces on the unknowns at full load [N]."""
     unknowns = Unknowns(model, configuration, jnp.ones((), u.dtype))
-    gathered = unknowns.gather(u, residual(model, configuration, u, lambda_a))
-    return jnp.where(unknowns.fixed(), 0.0, gathered)
+    return unknowns.gather(u, forces)
 
 
 def _gap(model, configuration, u):
@@ -276,28 +284,55 @@ def implicit_response(
         t_configuration: Tangent of the configuration, likewise.
 
     Returns:
-        Derivative of displacement and multipliers along the tangents.
+        Derivatives along the tangents.
     """
     u, lambda_a = solution.displacement, solution.multipliers
     inputs, t_inputs = (model, configuration), (t_model, t_configuration)
     held = lambda model, configuration: _held_at(model, configuration, u)
     _, du_held = eqx.filter_jvp(held, inputs, t_inputs)
     du_held = jnp.zeros_like(u) if du_held is None else du_held
-    # Forces on the unknowns, not on the nodes: the arm of a force changes, too, where
-    # the mounting of a tied body does.
-    on_unknowns = lambda model, configuration, u: _free_residual(
-        model, configuration, u, lambda_a
+    _, dR = eqx.filter_jvp(
+        lambda model, configuration: residual(model, configuration, u, lambda_a),
+        inputs,
+        t_inputs,
     )
-    _, dR = eqx.filter_jvp(on_unknowns, (*inputs, u), (*t_inputs, du_held))
+    dR = jnp.zeros_like(u) if dR is None else dR
+    _, dgap = eqx.filter_jvp(_gap, (*inputs, u), (*t_inputs, du_held))
+    dgap = jnp.zeros_like(lambda_a) if dgap is None else dgap
     lin = linearise(model, configuration, u)
+    # The arm of a force changes, too, where the mounting of a tied body does.
+    r = residual(model, configuration, u, lambda_a)
+    dr = dR + lin.stiffness(du_held)
+    _, dr = eqx.filter_jvp(_on_unknowns, (*inputs, u, r), (*t_inputs, du_held, dr))
+    force = jnp.where(lin.unknowns.fixed(), 0.0, -dr)
+    dx, d_lambda = _solve_implicitly(model, lin.system, force, dgap)
+    du = du_held + lin.unknowns.scatter(u, dx)
+    # Where there is no equilibrium there is no derivative of it.
+    du = jnp.where(solution.converged, du, jnp.nan)
+    if d_lambda.size > 0:
+        d_lambda = jnp.where(solution.converged, d_lambda, jnp.nan)
+    by_actuators = d_lambda[:, None, None] * actuation.rows(model, u)
+    d_residual = dR + lin.stiffness(du) - jnp.sum(by_actuators, axis=0)
+    return ImplicitResponse(du, d_lambda, d_residual)
+
+
+def _solve_implicitly(model: Model, system: actuation.System, force, dgap):
+    """Solution of the bordered system, differentiable in its right-hand side.
+
+    Args:
+        model: The model.
+        system: The matrix.
+        force: Right-hand side of the unknowns, 0 on held ones [N].
+        dgap: How far each imposed displacement has to go.
+
+    Returns:
+        Changes of the unknowns and of the multipliers.
+    """
     sparsity, n_dof = model.solver.sparsity, model.n_dof
-    values, H_a, active = lin.system
+    values, H_a, active = system
+    # An array without entries would make JAX 0.10.2 lose the solver's call.
     n_a = active.shape[0]
-    b = -dR
-    if n_a > 0:  # an array without entries makes JAX 0.10.2 lose the solver's call
-        _, dgap = eqx.filter_jvp(_gap, (*inputs, u), (*t_inputs, du_held))
-        dgap = jnp.zeros_like(lambda_a) if dgap is None else dgap
-        b = jnp.concatenate([b, jnp.where(active, -dgap, 0.0)])
+    join = lambda x, lam: jnp.concatenate([x, lam]) if n_a > 0 else x
 
     def matvec(v):
         x = v[:n_dof]
@@ -310,32 +345,21 @@ def implicit_response(
         return jnp.concatenate([force, gap])
 
     def solve(_, b, transpose=False):
-        gap = jnp.zeros((1, n_a))
-        if n_a > 0:
-            gap = jnp.where(active, -b[n_dof:], 0.0)[None]
-        solved = lin.system.solve(model, b[None, :n_dof], gap, transpose=transpose)
-        d = solved.x[0]
-        if n_a > 0:
-            lam = jnp.where(active, solved.lambda_a[0], b[n_dof:])
-            d = jnp.concatenate([d, lam])
+        below = b[n_dof:]
+        gap = jnp.where(active, -below, 0.0)[None] if n_a > 0 else jnp.zeros((1, 0))
+        solved = system.solve(model, b[None, :n_dof], gap, transpose=transpose)
+        lam = jnp.where(active, solved.lambda_a[0], below) if n_a > 0 else below
         # A derivative that does not exist must not pass for zero.
-        return jnp.where(solved.ok, d, jnp.nan)
+        return jnp.where(solved.ok, join(solved.x[0], lam), jnp.nan)
 
     d = jax.lax.custom_linear_solve(
         matvec,
-        b,
+        join(force, jnp.where(active, -dgap, 0.0)),
         solve,
         transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
     )
-    du = du_held + lin.unknowns.scatter(u, d[:n_dof])
-    # Where there is no equilibrium there is no derivative of it.
-    du = jnp.where(solution.converged, du, jnp.nan)
-    d_lambda = jnp.where(solution.converged, d[n_dof:], jnp.nan) if n_a else lambda_a
-    _, d_residual = eqx.filter_jvp(
-        residual, (*inputs, u, lambda_a), (*t_inputs, du, d_lambda)
-    )
-    return ImplicitResponse(du, d_lambda, d_residual)
+    return d[:n_dof], d[n_dof:]
 
 
 def solve_equilibrium(

@@ -14,7 +14,14 @@ from softcal_jax.configurations import (
     ImposedDisplacement,
     ImposedForce,
 )
-from softcal_jax.control import actuator_compliance, actuator_state, with_inputs
+from softcal_jax.control import (
+    ControlSettings,
+    actuator_compliance,
+    actuator_state,
+    with_inputs,
+)
+from softcal_jax.control._problem import linearise
+from softcal_jax.control._solve import _prepare
 from softcal_jax.equilibrium import solve_equilibrium
 
 EFFECTORS = [
@@ -180,3 +187,22 @@ def test_no_equilibrium_no_derivative():
     )
     response = compliance(arm(), configuration, lost)
     assert np.all(np.isnan(response.W_ea[:9]))
+
+
+def test_energy_of_a_robot_that_its_motors_hold():
+    """W_aa without a positive eigenvalue: sizes count, and nothing is divided by 0."""
+    _, _, response = found("tensions and an angle")
+    start = pose(HANGING, effectors=EFFECTORS, **DRIVES["tensions and an angle"])
+    settings = ControlSettings(epsilon=1e-3)
+    goals = {"tip": (0.1, 0.01, 0.02)}
+    problem = _prepare(arm(), start, goals, None, None, settings).problem
+    held = eqx.tree_at(lambda r: r.W_aa, response, -response.W_aa)
+    for compliance_found in (response, held):
+        linear = linearise(problem, problem.start, compliance_found)
+        energy = linear.energy.T @ linear.energy
+        share = energy / response.W_aa
+        np.testing.assert_allclose(share, share[0, 0], rtol=1e-6)
+        assert share[0, 0] > 0.0
+    silent = eqx.tree_at(lambda p: p.epsilon, problem, jnp.zeros(()))
+    nothing = eqx.tree_at(lambda r: r.W_aa, response, jnp.zeros((3, 3)))
+    assert np.all(np.isfinite(linearise(silent, problem.start, nothing).W))
