@@ -20,6 +20,7 @@ from softcal_jax.equilibrium._effectors import (
 )
 from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linear_solver import LinearSolution
+from softcal_jax.equilibrium._linearisation import factor_solve, residual, solved_forces
 from softcal_jax.equilibrium._model import Model, build_model
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._problem import external_force
@@ -27,11 +28,8 @@ from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
     ImplicitResponse,
     check_converged,
-    factor_solve,
     implicit_response,
-    residual,
     solve_equilibrium,
-    solved_forces,
 )
 
 __all__ = [

@@ -16,6 +16,7 @@ from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._actuation import System
 from softcal_jax.equilibrium._element import is_mixed
+from softcal_jax.equilibrium._linearisation import factor_solve
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings, newton
 from softcal_jax.equilibrium._problem import (
@@ -24,11 +25,7 @@ from softcal_jax.equilibrium._problem import (
     evaluate,
     external_force,
 )
-from softcal_jax.equilibrium._solve import (
-    EquilibriumSolution,
-    as_solution,
-    factor_solve,
-)
+from softcal_jax.equilibrium._solve import EquilibriumSolution, as_solution
 
 MAX_QUICK_STEPS = 4
 """Full Newton steps after which a guess was not good."""

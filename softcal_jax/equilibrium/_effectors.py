@@ -7,12 +7,9 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
 from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
 from softcal_jax.equilibrium import _actuation as actuation
+from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._solve import (
-    EquilibriumSolution,
-    residual,
-    solved_forces,
-)
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 from softcal_jax.equilibrium._unknowns import Unknowns
 
 

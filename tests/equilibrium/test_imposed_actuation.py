@@ -36,7 +36,7 @@ from softcal_jax.configurations import (
     ImposedForce,
 )
 from softcal_jax.equilibrium import build_model
-from softcal_jax.equilibrium._solve import linearise
+from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.materials import NeoHookean
 
 DENSITY, G = 1000.0, 9.81

@@ -29,8 +29,8 @@ from scipy.spatial.transform import Rotation
 from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.equilibrium import build_model, residual, strain_energy
+from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.equilibrium._problem import product
-from softcal_jax.equilibrium._solve import linearise
 from softcal_jax.equilibrium._unknowns import Unknowns
 from softcal_jax.materials import NeoHookean
 
