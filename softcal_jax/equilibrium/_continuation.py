@@ -24,6 +24,7 @@ from softcal_jax.equilibrium._problem import (
     Point,
     evaluate,
     external_force,
+    product,
 )
 from softcal_jax.equilibrium._solve import EquilibriumSolution, as_solution
 
@@ -32,6 +33,9 @@ MAX_QUICK_STEPS = 4
 
 CONTRACTION = 0.3
 """Factor by which each of them must bring the residual down [-]."""
+
+SAME_MATRIX = 1e-6
+"""Largest relative residual with which a solution is one of the given matrix [-]."""
 
 RightHandSides = Callable[
     [Float[Array, "n_points 3"]], Float[Array, "n_rhs n_points 3"]
@@ -214,7 +218,7 @@ class _Body(NamedTuple):
         done = was_careful | arrived
         x, ok = jax.lax.cond(
             done,
-            lambda u: self.further(direction.system, u),
+            lambda u: self.further(direction.system, u, direction.ok),
             lambda u: (s.x, s.ok),
             solution.displacement,
         )
@@ -229,16 +233,32 @@ class _Body(NamedTuple):
             done,
         )
 
-    def further(self, system: System, u):
-        """The further solutions, once the equilibrium is there.
-
-        The matrix is factorized again: PARDISO keeps its factors in a place that other
-        programs may write to in between.
-        """
+    def further(self, system: System, u, regular):
+        """The further solutions, once the equilibrium is there."""
         unknowns = self.problem.unknowns(jnp.ones((), u.dtype))
         fixed = unknowns.fixed()
         free = lambda f: jnp.where(fixed, 0.0, unknowns.gather(u, f))
-        rhs = jax.vmap(free)(self.right_hand_sides(u))
-        gap = jnp.zeros((rhs.shape[0], system.active.shape[0]))
-        solved = system.solve(self.model, rhs, gap)
-        return jax.vmap(lambda d: unknowns.scatter(u, d))(solved.x), solved.ok
+        b = jax.vmap(free)(self.right_hand_sides(u))
+        ok = regular & jnp.all(jnp.isfinite(b))
+        solve = lambda: self.solve_again(system, b)
+        x = jax.lax.cond(ok, solve, lambda: jnp.zeros_like(b))
+        return jax.vmap(lambda d: unknowns.scatter(u, d))(x), ok
+
+    def solve_again(self, system: System, b: Float[Array, "n_rhs n_dof"]):
+        """Solutions on the factors of the last Newton step.
+
+        PARDISO keeps its factors in a place that other programs may write to in
+        between; a mixture of all right-hand sides tells, in one product. Then the
+        matrix is factorized again. So it is where actuators' displacements are imposed.
+        """
+        solver, values = self.model.solver, system.values
+        n_a = system.active.shape[0]
+        again = lambda: system.solve(self.model, b, jnp.zeros((len(b), n_a))).x
+        if n_a > 0:
+            return again()
+        x = solver.solve_again(values, b)
+        size = jnp.linalg.norm(b, axis=1)
+        mix = jnp.where(size > 0.0, 1.0 / size, 0.0)[:, None]
+        gap = product(solver.sparsity, values, jnp.sum(mix * x, axis=0))
+        gap = jnp.linalg.norm(gap - jnp.sum(mix * b, axis=0))
+        return jax.lax.cond(gap <= SAME_MATRIX, lambda: x, again)

@@ -67,6 +67,20 @@ class AbstractLinearSolver(eqx.Module):
             values = values[self.sparsity.mirror]
         return LinearSolution(*_factor_solve(self, values, rhs))
 
+    @abstractmethod
+    def solve_again(
+        self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
+    ) -> Float[Array, "n_rhs n_dof"]:
+        """Solve on the factors that the last `factor_solve` left, if they are there.
+
+        The solver keeps one set of factors, and another program may have written to it
+        in between: the caller checks the solution.
+
+        Args:
+            values: The matrix that was factorized.
+            rhs: Finite right-hand sides, one per row.
+        """
+
 
 @jax.custom_batching.custom_vmap
 def _factor_solve(solver, values, rhs):
@@ -158,6 +172,19 @@ class Pardiso(AbstractLinearSolver):
             negative_eigenvalues = jnp.full_like(negative_eigenvalues, -1)
         return x, negative_eigenvalues, perturbed_pivots == 0
 
+    def solve_again(self, values, rhs):
+        """Solve on the factors that the last `factor_solve` left."""
+        primitive, kind = _load_pardiso(self.sparsity)
+        return primitive.solve_stateful(
+            self.token,
+            jnp.asarray(self.sparsity.indptr),
+            jnp.asarray(self.sparsity.indices),
+            values,
+            rhs,
+            matrix_type=kind,
+            options=_PARDISO_OPTIONS,
+        )[0]
+
 
 class Klu(AbstractLinearSolver):
     """KLU through klujax, for any matrix; it does not count negative eigenvalues.
@@ -197,6 +224,10 @@ class Klu(AbstractLinearSolver):
 
         x = klujax.solve(self.full_rows, self.full_cols, values[self.source], rhs.T).T
         return x, jnp.full((), -1, jnp.int32), jnp.all(jnp.isfinite(x))
+
+    def solve_again(self, values, rhs):
+        """Factorize anew: klujax keeps no factors."""
+        return self._factor_solve(values, rhs)[0]
 
 
 _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}

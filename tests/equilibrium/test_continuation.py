@@ -21,6 +21,8 @@ from softcal_jax.equilibrium import (
     residual,
 )
 from softcal_jax.equilibrium._continuation import MAX_QUICK_STEPS
+from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
+from softcal_jax.equilibrium._sparsity import Sparsity
 from softcal_jax.materials import (
     Isotropic,
     StVenantKirchhoff,
@@ -176,6 +178,31 @@ def test_a_bad_guess_ends_in_the_careful_solve(name, careful):
     assert_same(done, HANGING, careful, rtol=1e-5)
 
 
+class Forgetful(AbstractLinearSolver):
+    """A solver whose factors are always those of another program."""
+
+    sparsity: Sparsity
+    real: AbstractLinearSolver
+    name: str = eqx.field(static=True, default="forgetful")
+    counts_negative: bool = eqx.field(static=True, default=MODEL.solver.counts_negative)
+
+    def _factor_solve(self, values, rhs):
+        return self.real._factor_solve(values, rhs)
+
+    def solve_again(self, values, rhs):
+        return 2.0 * self.real.solve_again(values, rhs)
+
+
+def test_factors_of_another_program_are_noticed(careful):
+    forgetful = Forgetful(sparsity=MODEL.solver.sparsity, real=MODEL.solver)
+    model = eqx.tree_at(lambda m: m.solver, MODEL, forgetful)
+    guess = careful.displacement[HANGING]
+    done, expected = (continued(m, lane(LANES, HEAVIER), guess) for m in (model, MODEL))
+    assert bool(done.ok)
+    scale = float(jnp.max(jnp.abs(expected.x)))
+    np.testing.assert_allclose(done.x, expected.x, rtol=0, atol=1e-9 * scale)
+
+
 def test_a_support_that_has_moved_since_the_guess(careful):
     """Held nodes go where they are held, and the rest of the body with them."""
     done = continued(MODEL, lane(LANES, MOVED), careful.displacement[HANGING])
@@ -222,7 +249,7 @@ def test_a_load_that_the_body_cannot_carry(careful):
 
 
 def no_law():
-    nan = MODEL.law.elasticity.E * jnp.nan
+    nan = jnp.asarray(jnp.nan)
     return eqx.tree_at(lambda m: m.law.elasticity.E, MODEL, nan), lane(LANES, HANGING)
 
 
