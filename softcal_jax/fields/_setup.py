@@ -1,10 +1,11 @@
 """Errors of the setup as parameters: zeros of motors, places of mountings."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import ArrayLike
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float
@@ -108,7 +109,7 @@ def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupPar
 
 def mounting(
     body: str,
-    nominal: Float[Array, "3"],
+    nominal: Float[ArrayLike, "3"] | Sequence[float],
     *,
     limit: float,
     prior_std: float | None,

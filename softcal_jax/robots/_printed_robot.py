@@ -34,7 +34,7 @@ class PrintingErrors(eqx.Module):
         correlation_length: Over which these vary [m].
         motor_zero: Standard deviation of the zero of each motor [rad].
         mounting: Standard deviation of the place of each motor, per axis [m].
-        position: Standard deviation of the tracker's position, per axis [m].
+        position: Standard deviation of a tracker's reading, per axis [m].
         orientation: Standard deviation of the tracker's rotation, per axis [rad].
     """
 
@@ -124,7 +124,11 @@ def _smooth(
 
 
 def read_poses_of(
-    robot: PrintedRobot, configurations: Sequence[Configuration], *, seed: int
+    robot: PrintedRobot,
+    configurations: Sequence[Configuration],
+    *,
+    seed: int,
+    readings: int = 1,
 ) -> tuple[Configuration, ...]:
     """What the tracker reads on a printed robot.
 
@@ -133,16 +137,22 @@ def read_poses_of(
         configurations: Poses with frames as effectors. They keep the standard
             deviations that they state, which are those of who calibrates.
         seed: Seed of the readings.
+        readings: How many readings of each pose are averaged.
 
     Returns:
         The configurations, measured.
 
     Raises:
+        ValueError: If there is no reading.
         RuntimeError: If a pose has no equilibrium.
     """
-    errors = robot.errors
+    if readings < 1:
+        raise ValueError(f"readings must be at least 1, got {readings}.")
+    errors, share = robot.errors, 1.0 / np.sqrt(readings)
     as_read = [
-        with_stated(c, std=errors.position, std_angle=errors.orientation)
+        with_stated(
+            c, std=share * errors.position, std_angle=share * errors.orientation
+        )
         for c in configurations
     ]
     measured = simulated_measurements(

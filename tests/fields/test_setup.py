@@ -1,0 +1,117 @@
+"""Errors of the setup as parameters: sensitivities, calibration with the material."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.actuators import Motor
+from softcal_jax.bodies import Pose, RigidBody, hinge_axes
+from softcal_jax.calibration import calibrate, simulated_measurements
+from softcal_jax.configurations import (
+    ActuatorForce,
+    BodyFrame,
+    Configuration,
+    ImposedDisplacement,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    build_model,
+    effector_values,
+    solve_equilibrium,
+)
+from softcal_jax.fields import (
+    Parameter,
+    ParameterSpace,
+    SetupParameter,
+    check_parameters,
+    motor_zero,
+    mounting,
+)
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+from softcal_jax.sensitivity import parameter_compliance
+
+MOUNTED = (0.0, 0.001, 0.0)
+BODIES = [
+    RigidBody("base", "x_min", axes=hinge_axes((0, 1, 0)), mounting=Pose(MOUNTED)),
+    RigidBody("tip", "x_max", mass=0.01),
+]
+MODEL = build_model(
+    beam(0.1, 0.02, 0.02, (3, 1, 1), order=1),
+    Corotational(Isotropic(5e5, 0.3)),
+    density=1000.0,
+    bodies=BODIES,
+    actuators=[Motor("m", "base")],
+)
+SPACE = ParameterSpace(
+    (
+        Parameter("E", "E", 5e5, 1e5, 2e6),
+        motor_zero("m", limit=0.1, prior_std=None),
+        *mounting("base", MOUNTED, limit=2e-3, prior_std=None),
+    )
+)
+
+
+def pose(name, angle, effectors=None):
+    sensors = effectors or (BodyFrame("sensor", "tip", std=1e-4, std_angle=1e-3),)
+    turned = {"m": ImposedDisplacement(angle)}
+    return Configuration(name, actuation=turned, effectors=sensors)
+
+
+@pytest.mark.parametrize("method", ["direct", "adjoint"])
+def test_compliances_against_differences(method):
+    """Error of second order: a third of the step leaves a ninth of it."""
+    sensors = [BodyFrame("sensor", "tip", Pose())]
+    if method == "direct":
+        sensors.append(ActuatorForce("torque", "m", 0.0))
+    lanes = configuration_arrays(
+        MODEL.mesh, [pose("a", 0.3, tuple(sensors))], MODEL.mechanism
+    )
+    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    tight = NewtonSettings(rtol=1e-12)
+
+    @jax.jit
+    def values(z):
+        model = SPACE.apply(MODEL, z)
+        found = solve_equilibrium(model, one, settings=tight)
+        return effector_values(model, one, found.displacement), found.displacement
+
+    z = SPACE.start()
+    u = values(z)[1]
+    applied = SPACE.apply(MODEL, z)
+    W = parameter_compliance(applied, one, u, SPACE, z, method=method).W_ep
+    errors = []
+    for h in (0.3, 0.1):
+        columns = [
+            (values(z + h * d)[0] - values(z - h * d)[0]).ravel() / (2.0 * h)
+            for d in jnp.eye(len(z))
+        ]
+        errors.append(float(jnp.max(jnp.abs(jnp.stack(columns, axis=1) - W))))
+    assert 8.0 < errors[0] / errors[1] < 10.0
+
+
+def test_material_and_setup_are_told_apart():
+    """A motor that stands 0.02 rad off, with the modulus unknown as well."""
+    z = SPACE.start().at[1].set(0.2)  # a fifth of the limit
+    robot = SPACE.apply(MODEL, z)
+    data = simulated_measurements(robot, [pose("a", 0.0), pose("b", 0.8)])
+    start = ParameterSpace((Parameter("E", "E", 4e5, 1e5, 2e6), *SPACE.entries[1:]))
+    found = calibrate(MODEL, start, data, noise="stated")
+    np.testing.assert_allclose(found.value("zero of m"), 0.02, rtol=1e-4)
+    np.testing.assert_allclose(found.value("E"), 5e5, rtol=1e-4)
+    # Without the zero among the parameters, the modulus takes the blame.
+    only = calibrate(MODEL, start.entries[0], data, noise="stated")
+    assert abs(only.value("E") / 5e5 - 1.0) > 0.02
+
+
+def test_bad_input():
+    with pytest.raises(ValueError, match=r"motor of parameter 'zero of M'.*'M'"):
+        check_parameters(
+            MODEL, ParameterSpace((motor_zero("M", limit=0.1, prior_std=None),))
+        )
+    with pytest.raises(ValueError, match=r'needs scale="linear"'):
+        SetupParameter("motor_zero", "m", Parameter("zero", "", 1.0, 0.5, 2.0))
+    with pytest.raises(ValueError, match=r'kind must be "motor_zero" or "mounting"'):
+        SetupParameter("zero", "m", SPACE.parameters[1])

@@ -1,0 +1,95 @@
+"""The parallel robot, assembled: its rod, its symmetry, and printed ones."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from softcal_jax.configurations import configuration_arrays
+from softcal_jax.equilibrium import effector_values, solve_equilibrium
+from softcal_jax.robots import (
+    PrintingErrors,
+    parallel_robot,
+    pose,
+    printed_robot,
+    read_poses_of,
+)
+
+ROBOT = parallel_robot(size=0.02)
+
+
+@pytest.fixture(scope="module")
+def working_point():
+    """Equilibrium without weight, with all motors at 45 degrees."""
+    c = pose(ROBOT.geometry, "work", [45.0] * 6, std=1e-3, std_angle=1e-2)
+    c = eqx.tree_at(lambda c: c.gravity, c, (0.0, 0.0, 0.0))
+    model = ROBOT.model
+    arrays = configuration_arrays(model.mesh, [c], model.mechanism)
+    one = jax.tree.map(lambda leaf: leaf[0], arrays)
+    solution = eqx.filter_jit(solve_equilibrium)(model, one)
+    assert bool(solution.converged)
+    return one, solution
+
+
+def test_the_rod_holds_both_centres(working_point):
+    """They are a rod's length apart, as the geometry has it, exactly."""
+    _, solution = working_point
+    mesh = ROBOT.model.mesh
+    x = mesh.points + np.asarray(solution.displacement)[: mesh.n_nodes]
+    lower, upper = (
+        x[mesh.nodes(f"{s}/centre")].mean(axis=0) for s in ("lower", "upper")
+    )
+    length = 2.0 * ROBOT.geometry.rod_half_length
+    np.testing.assert_allclose(np.linalg.norm(upper - lower), length, rtol=1e-12)
+
+
+def test_the_symmetric_robot_stays_in_the_middle(working_point):
+    """A third of a turn about y maps robot and field to themselves.
+
+    So without weight the rod moves only along y and turns only about it.
+    """
+    one, solution = working_point
+    position, turn = np.asarray(
+        effector_values(ROBOT.model, one, solution.displacement)
+    )
+    # The residual is 1e-8 of forces of newtons on a stiffness of 100 N/m.
+    np.testing.assert_allclose(position[[0, 2]], 0.0, atol=1e-8)
+    np.testing.assert_allclose(turn[[0, 2]], 0.0, atol=1e-6)
+
+
+def test_arms_are_where_the_motors_have_them(working_point):
+    _, solution = working_point
+    mesh = ROBOT.model.mesh
+    u = np.asarray(solution.displacement)[: mesh.n_nodes]
+    for arm in ROBOT.geometry.arms():
+        nodes = mesh.nodes(arm.end)
+        wanted = arm.pose(np.deg2rad(45.0))
+        x = wanted.matrix @ (mesh.points[nodes] - arm.origin).T
+        x = x.T + arm.origin + wanted.translation
+        np.testing.assert_allclose(mesh.points[nodes] + u[nodes], x, atol=1e-12)
+
+
+def test_the_prior_and_the_parameters():
+    assert len(ROBOT.space.names) == 36
+    assert ROBOT.space.has_prior
+    assert not parallel_robot(size=0.02, prior=None).space.has_prior
+    assert len(ROBOT.configurations) == len(ROBOT.validation) == 7
+
+
+def test_printed_robots_differ_and_are_read_with_noise():
+    small = {"size": 0.02}
+    one, other = (printed_robot(seed=seed, **small) for seed in (0, 1))
+    zero = np.asarray(one.model.mechanism.motor_zero)
+    assert np.all(zero != np.asarray(other.model.mechanism.motor_zero))
+    assert 0.1 < np.rad2deg(np.std(zero)) < 1.5  # of 0.5 degrees, six draws
+    exact = PrintingErrors(position=1e-12, orientation=1e-12)
+    quiet = printed_robot(seed=0, errors=exact, **small)
+    poses = ROBOT.configurations[:1]
+    (read,) = read_poses_of(one, poses, seed=0)
+    (clean,) = read_poses_of(quiet, poses, seed=0)
+    off = (
+        read.effectors[0].measured.translation - clean.effectors[0].measured.translation
+    )
+    # Three draws of 0.3 mm.
+    assert 0.05e-3 < np.linalg.norm(off) < 1.2e-3
+    assert read.effectors[0].std == poses[0].effectors[0].std
