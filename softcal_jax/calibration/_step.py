@@ -25,14 +25,6 @@ FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
 
 
-SETTLED = 1e-7
-"""Fall of the cost, relative to it, that is left when the loop may end [-].
-
-The parameters are then within a small share of their standard errors of the optimum;
-where large errors remain, steps only shrink by a factor from there on.
-"""
-
-
 MEMORY = 5
 """Steps over which the cost must have fallen, not at each of them.
 
@@ -47,8 +39,7 @@ class CalibrationSettings(eqx.Module):
     """Settings of the outer loop.
 
     Attributes:
-        tol: Largest entry of lambda_p at which the loop stops; with `adapt` it also
-            stops where the cost would fall by less than `SETTLED` of itself [-].
+        tol: Largest entry of lambda_p at which the loop stops [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
@@ -210,8 +201,7 @@ def decide(
     limit = jnp.minimum(bound, problem.space.max_step())
     at_bound = jnp.any(jnp.abs(lambda_p) >= 0.99 * limit)
     # A step is small because nothing is left to gain, not because it was held short.
-    settled = settings.adapt & (predicted <= SETTLED * now.cost)
-    vanished = tried.ok & ((size <= settings.tol) | settled) & ~at_bound
+    vanished = tried.ok & (size <= settings.tol) & ~at_bound
     vanished = vanished & (proposal.qp.kkt_residual <= KKT_TOLERANCE)
     # Until then equilibria are left a little early.
     accurate = jnp.all(tried.equilibrium.residual <= problem.newton.rtol)

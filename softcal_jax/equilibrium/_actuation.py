@@ -145,7 +145,7 @@ class System(NamedTuple):
                 out = jax.lax.map(each, (tuple(lanes), tuple(whole)))
                 return out, jax.tree.map(lambda _: True, out)
             # One matrix: the actuators' own columns are solved for once.
-            flat = [a.reshape(-1, a.shape[-1]) for a in whole]
+            flat = [a.reshape(a.shape[0] * a.shape[1], a.shape[2]) for a in whole]
             out = solve(solver, system, *flat)
             x, lambda_a = (
                 new.reshape(old.shape)

@@ -26,7 +26,7 @@ from softcal_jax.configurations import (
     SurfaceForce,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import build_model, solve_equilibrium
+from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
 from softcal_jax.fields import Parameter
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import beam
@@ -60,8 +60,7 @@ def posed(name, measured=None, mesh_pull=0.0):
 
 @jax.jit
 def positions(model, lanes):
-    X = jnp.asarray(model.mesh.points)
-    one = lambda c: c.effectors.positions(X + solve_equilibrium(model, c).displacement)
+    one = lambda c: marker_positions(model, c, solve_equilibrium(model, c))
     return jax.vmap(one)(lanes)
 
 

@@ -60,7 +60,9 @@ def pose(name, angle, effectors=None):
     return Configuration(name, actuation=turned, effectors=sensors)
 
 
-@pytest.mark.parametrize("method", ["direct", "adjoint"])
+@pytest.mark.parametrize(
+    "method", ["direct", pytest.param("adjoint", marks=pytest.mark.slow)]
+)
 def test_compliances_against_differences(method):
     """Error of second order: a third of the step leaves a ninth of it."""
     sensors = [BodyFrame("sensor", "tip", Pose())]
@@ -92,6 +94,7 @@ def test_compliances_against_differences(method):
     assert 8.0 < errors[0] / errors[1] < 10.0
 
 
+@pytest.mark.slow
 def test_material_and_setup_are_told_apart():
     """A motor that stands 0.02 rad off, with the modulus unknown as well."""
     z = SPACE.start().at[1].set(0.2)  # a fifth of the limit

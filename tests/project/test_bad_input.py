@@ -141,7 +141,8 @@ CASES = {
     "nothing clamped": (
         ('supports = [{ group = "x_min" }]', "supports = []"),
         "configurations: configuration 'weight' is not held: its supports (0 nodes) "
-        "leave 6 of the 6 rigid motions free. Clamp a surface, or add supports.",
+        "leave 6 of the 6 rigid motions free. Clamp a surface, add supports, "
+        "or hold a rigid body.",
     ),
     "held too little": (
         ('group = "x_min"', 'group = "x_min", axes = "z"'),
