@@ -23,6 +23,9 @@ from softcal_jax.control import (
 )
 from softcal_jax.control import _qp as qp_module
 
+# Minutes, nearly all of it compilation; the rest of the folder runs every time.
+pytestmark = pytest.mark.slow
+
 FINE = ControlSettings(tol=1e-6)
 # A bend upwards is positive.
 EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
