@@ -299,7 +299,7 @@ def stop_at_the_first_solve(monkeypatch):
     def interrupt(*args):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_calibrate, "_evaluate", interrupt)
+    monkeypatch.setattr(_calibrate.Evaluator, "__call__", interrupt)
 
 
 def test_interrupted(tmp_path, out, capsys, monkeypatch):

@@ -12,6 +12,7 @@ import numpy as np
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checkpoint import Journal, resumed_state
 from softcal_jax.calibration._clock import Clock
+from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._notes import (
     fit_notes,
     mesh_notes,
@@ -24,7 +25,6 @@ from softcal_jax.calibration._notes import (
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
-    evaluate,
     first_guess,
     simulate,
 )
@@ -48,7 +48,7 @@ from softcal_jax.calibration._step import (
 )
 from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import Configuration, configuration_arrays
-from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
+from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
 from softcal_jax.fields import (
     Entry,
     ParameterSpace,
@@ -56,9 +56,8 @@ from softcal_jax.fields import (
     check_parameters,
 )
 
-# Three programs instead of one per step: `evaluate`, which takes seconds to compile,
-# serves the start and every step.
-_evaluate = eqx.filter_jit(evaluate)
+# Several programs instead of one per step: the evaluation, which takes seconds to
+# compile, serves the start and every step.
 _propose = eqx.filter_jit(propose)
 _decide = eqx.filter_jit(decide)
 _simulate = eqx.filter_jit(simulate)
@@ -165,16 +164,17 @@ def calibrate(
     warn_if_too_few_data(problem)
 
     journal = Journal(problem, settings, checkpoint, progress, search=(starts, seed))
-    with Clock() as clock:
+    with Clock() as clock, Workers(model, len(configurations)) as workers:
+        evaluate = Evaluator(problem, workers)
         start = problem.space.admissible(problem.space.start())
-        before = _evaluate(problem, start, _first_guess(problem, start))
+        before = evaluate(start, _first_guess(problem, start))
         check_converged(before.equilibrium, tuple(c.name for c in configurations))
-        state, search = _begin(problem, settings, start, before, journal, starts, seed)
+        state, search = _begin(evaluate, settings, start, before, journal, starts, seed)
         while not (state.converged or state.stalled) and (
             len(journal.history) <= settings.max_steps
         ):
             proposal = _propose(problem, settings, state)
-            tried = _evaluate(problem, proposal.z, proposal.guess)
+            tried = evaluate(proposal.z, proposal.guess)
             state = _decide(problem, settings, state, proposal, tried)
             journal.note(state)
         after = state.evaluation
@@ -196,7 +196,7 @@ def calibrate(
 
 
 def _begin(
-    problem: CalibrationProblem,
+    evaluate: Evaluator,
     settings: CalibrationSettings,
     start: Float[Array, " n_p"],
     before: Evaluation,
@@ -205,16 +205,16 @@ def _begin(
     seed: int,
 ) -> tuple[CalibrationState, MultiStartResult | None]:
     """Where the loop begins: at a checkpoint, at the best of many starts, or at one."""
-    saved = journal.load()
+    saved, problem = journal.load(), evaluate.problem
     if saved is not None:
         z = jnp.asarray(saved.arrays["z"])
-        there = _evaluate(problem, z, jnp.asarray(saved.arrays["displacement"]))
+        there = evaluate(z, jnp.asarray(saved.arrays["displacement"]))
         return resumed_state(initial_state(settings, z, there), saved), None
     search = None
     if starts > 1:
         search = multi_start(problem, _all_starts(start, problem, starts, seed))
         start = jnp.asarray(search.z[search.best])
-        before = _evaluate(problem, start, _first_guess(problem, start))
+        before = evaluate(start, _first_guess(problem, start))
     state = initial_state(settings, start, before)
     journal.note(state)
     return state, search

@@ -1,5 +1,7 @@
 """A calibration as arrays, and its evaluation at one value of the parameters."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.sensitivity import equilibrium_response
+from softcal_jax.sensitivity import Response, equilibrium_response
 
 LOOSE = 1e-6
 """Relative residual at which equilibria are left while parameters still move [-].
@@ -130,6 +132,63 @@ def effector_errors(
     return jnp.where(seen, e - effectors.measured, 0.0)
 
 
+class Lane(NamedTuple):
+    """What one configuration tells; from a batch, arrays with a leading axis."""
+
+    response: Response
+    effectors: Float[Array, "*n_c n_rows 3"]
+
+
+def evaluate_lane(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    configuration: ConfigurationArrays,
+    guess: Float[Array, "n_points 3"],
+) -> Lane:
+    """Equilibrium, effectors and compliances of one configuration.
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+        configuration: One of its configurations.
+        guess: Displacements to start from [m].
+    """
+    model = problem.space.apply(problem.model, z)
+    response = equilibrium_response(
+        model,
+        configuration,
+        guess,
+        problem.space,
+        z,
+        newton=problem.newton,
+        rtol=LOOSE,
+    )
+    return Lane(response, _effectors(model, configuration, response.equilibrium))
+
+
+def stacked(
+    problem: CalibrationProblem, z: Float[Array, " n_p"], lanes: Lane
+) -> Evaluation:
+    """All lanes together: stacked errors and compliances.
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+        lanes: What every configuration tells.
+    """
+    response, effectors = lanes
+    delta_e = effector_errors(problem, effectors)
+    weight = jnp.asarray(problem.configurations.effectors.inverse_std)
+    error = jnp.ravel(weight * delta_e)
+    W = response.W_ep.reshape(-1, z.shape[0]) * weight.reshape(-1, 1)
+    solution = response.equilibrium
+    ok = jnp.all(solution.converged) & jnp.all(response.ok)
+    ok = ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W))
+    tangents = response.displacement
+    prior = problem.space.from_prior(z)
+    return Evaluation(solution, effectors, delta_e, error, W, prior, tangents, ok)
+
+
 def evaluate(
     problem: CalibrationProblem,
     z: Float[Array, " n_p"],
@@ -145,31 +204,8 @@ def evaluate(
     Returns:
         Everything that one step of the outer loop needs.
     """
-    model = problem.space.apply(problem.model, z)
-
-    def lane(configuration, u0):
-        response = equilibrium_response(
-            model,
-            configuration,
-            u0,
-            problem.space,
-            z,
-            newton=problem.newton,
-            rtol=LOOSE,
-        )
-        return response, _effectors(model, configuration, response.equilibrium)
-
-    response, effectors = jax.vmap(lane)(problem.configurations, guess)
-    delta_e = effector_errors(problem, effectors)
-    weight = jnp.asarray(problem.configurations.effectors.inverse_std)
-    error = jnp.ravel(weight * delta_e)
-    W = response.W_ep.reshape(-1, z.shape[0]) * weight.reshape(-1, 1)
-    solution = response.equilibrium
-    ok = jnp.all(solution.converged) & jnp.all(response.ok)
-    ok = ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W))
-    tangents = response.displacement
-    prior = problem.space.from_prior(z)
-    return Evaluation(solution, effectors, delta_e, error, W, prior, tangents, ok)
+    lane = lambda configuration, u0: evaluate_lane(problem, z, configuration, u0)
+    return stacked(problem, z, jax.vmap(lane)(problem.configurations, guess))
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:

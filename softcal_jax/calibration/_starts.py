@@ -6,9 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.calibration._evaluator import with_solver
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._runs import run_starts
+from softcal_jax.calibration._runs import Run, run_starts
 from softcal_jax.calibration._step import CalibrationSettings
+from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace
 
 SAME_OPTIMUM = 1e-3
@@ -104,7 +106,7 @@ def multi_start(
     settings: CalibrationSettings | None = None,
     mirror: bool = True,
 ) -> MultiStartResult:
-    """Calibrate from many starts in one batch, and list the distinct optima.
+    """Calibrate from many starts, side by side, and list the distinct optima.
 
     Args:
         problem: The calibration, from `build_problem`.
@@ -129,7 +131,7 @@ def multi_start(
             f"starts must have the shape (number, {len(space.names)}), at least one; "
             f"got {starts.shape}."
         )
-    runs = _run_starts(problem, settings or FROM_ANYWHERE, starts, mirror=mirror)
+    runs = _side_by_side(problem, settings or FROM_ANYWHERE, starts, mirror)
     if not np.any(np.isfinite(runs.cost)):
         raise RuntimeError(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
@@ -149,6 +151,20 @@ def multi_start(
         errors=np.asarray(runs.errors),
         optima=_optima(space, z, values, cost, converged),
     )
+
+
+def _side_by_side(problem, settings, starts, mirror: bool) -> Run:
+    """The runs from all starts; each, a batch of one, goes to the next free core."""
+
+    def run(solver, start) -> Run:
+        found = _run_starts(
+            with_solver(problem, solver), settings, start[None], mirror=mirror
+        )
+        return jax.block_until_ready(found)
+
+    with Workers(problem.model, len(starts)) as workers:
+        runs = workers.map(run, starts)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *runs)
 
 
 def _optima(space, z, values, cost, converged) -> tuple[Optimum, ...]:

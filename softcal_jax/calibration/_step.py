@@ -21,6 +21,14 @@ KKT_TOLERANCE = 1e-6
 """Largest optimality residual with which a vanishing QP step is believed [-]."""
 
 
+SMALLEST_FALL = 1e-8
+"""Fall of the cost that is not worth a step, relative to the cost [-].
+
+Where the fit leaves an error, a Gauss-Newton step only goes a share of the way, and the
+last dozen steps would move the parameters by less than 1e-3 of their standard errors.
+"""
+
+
 FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
 
@@ -39,7 +47,8 @@ class CalibrationSettings(eqx.Module):
     """Settings of the outer loop.
 
     Attributes:
-        tol: Largest entry of lambda_p at which the loop stops [-].
+        tol: Largest entry of lambda_p at which the loop stops; it also stops where a
+            step would lower the cost by less than `SMALLEST_FALL` [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
@@ -201,7 +210,8 @@ def decide(
     limit = jnp.minimum(bound, problem.space.max_step())
     at_bound = jnp.any(jnp.abs(lambda_p) >= 0.99 * limit)
     # A step is small because nothing is left to gain, not because it was held short.
-    vanished = tried.ok & (size <= settings.tol) & ~at_bound
+    nothing_to_gain = (size <= settings.tol) | (predicted <= SMALLEST_FALL * now.cost)
+    vanished = tried.ok & nothing_to_gain & ~at_bound
     vanished = vanished & (proposal.qp.kkt_residual <= KKT_TOLERANCE)
     # Until then equilibria are left a little early.
     accurate = jnp.all(tried.equilibrium.residual <= problem.newton.rtol)

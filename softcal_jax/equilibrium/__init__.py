@@ -31,6 +31,7 @@ from softcal_jax.equilibrium._solve import (
     implicit_response,
     solve_equilibrium,
 )
+from softcal_jax.equilibrium._workers import Workers
 
 __all__ = [
     "RESULTS",
@@ -40,6 +41,7 @@ __all__ = [
     "LinearSolution",
     "Model",
     "NewtonSettings",
+    "Workers",
     "actuator_forces",
     "add_weighted",
     "build_model",

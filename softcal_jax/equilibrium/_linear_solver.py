@@ -7,6 +7,7 @@ of every result.
 
 import os
 from abc import abstractmethod
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
@@ -68,6 +69,21 @@ class AbstractLinearSolver(eqx.Module):
         return LinearSolution(*_factor_solve(self, values, rhs))
 
     @abstractmethod
+    def another(self, number: int) -> "AbstractLinearSolver":
+        """A solver of the same pattern that keeps factors of its own.
+
+        Args:
+            number: Which of them, from 1; the same one keeps the same factors.
+        """
+
+    def on_one_core(self) -> AbstractContextManager[None]:
+        """Context in which the solvers made in it take one core each.
+
+        Others must not be used in it, nor these after it.
+        """
+        return nullcontext()
+
+    @abstractmethod
     def solve_again(
         self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
     ) -> Float[Array, "n_rhs n_dof"]:
@@ -114,6 +130,9 @@ def _factor_solve_rule(axis_size, in_batched, solver, values, rhs):
 # factorization. Together a quarter to a third faster than the defaults.
 _PARDISO_OPTIONS = {7: 0, 20: 0, 23: 1}
 
+_MKL_DOMAIN_PARDISO = 4
+"""Number of PARDISO among the parts of oneMKL (mkl_types.h)."""
+
 
 def _load_pardiso(sparsity: Sparsity):
     """Import pardiso-mkl-jax, with OpenMP threads that do not spin.
@@ -144,13 +163,14 @@ class Pardiso(AbstractLinearSolver):
     counts_negative: bool = eqx.field(static=True, default=True)
 
     @classmethod
-    def analyse(cls, sparsity: Sparsity) -> "Pardiso":
+    def analyse(cls, sparsity: Sparsity, number: int = 0) -> "Pardiso":
         """Order and analyse the pattern once, outside jit."""
         primitive, kind = _load_pardiso(sparsity)
         token, _ = primitive.analyze(
             jnp.asarray(sparsity.indptr),
             jnp.asarray(sparsity.indices),
-            jnp.ones(sparsity.nnz),
+            # The package tells analyses apart by what it is given.
+            jnp.full(sparsity.nnz, 1.0 + number),
             matrix_type=kind,
             options=_PARDISO_OPTIONS,
         )
@@ -171,6 +191,26 @@ class Pardiso(AbstractLinearSolver):
         if not self.counts_negative:
             negative_eigenvalues = jnp.full_like(negative_eigenvalues, -1)
         return x, negative_eigenvalues, perturbed_pivots == 0
+
+    def another(self, number):
+        """A solver of the same pattern that keeps factors of its own."""
+        return self.analyse(self.sparsity, number)
+
+    @contextmanager
+    def on_one_core(self):
+        """Context in which the solvers made in it take one core each.
+
+        PARDISO plans for a number of threads when it analyses a pattern, and fails
+        where it finds another one later.
+        """
+        from pardiso_mkl_jax._mkl_loader import libmkl_rt
+
+        before = libmkl_rt.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
+        libmkl_rt.MKL_Domain_Set_Num_Threads(1, _MKL_DOMAIN_PARDISO)
+        try:
+            yield
+        finally:
+            libmkl_rt.MKL_Domain_Set_Num_Threads(before, _MKL_DOMAIN_PARDISO)
 
     def solve_again(self, values, rhs):
         """Solve on the factors that the last `factor_solve` left."""
@@ -224,6 +264,11 @@ class Klu(AbstractLinearSolver):
 
         x = klujax.solve(self.full_rows, self.full_cols, values[self.source], rhs.T).T
         return x, jnp.full((), -1, jnp.int32), jnp.all(jnp.isfinite(x))
+
+    def another(self, number):
+        """This one: it keeps no factors."""
+        del number
+        return self
 
     def solve_again(self, values, rhs):
         """Factorize anew: klujax keeps no factors."""

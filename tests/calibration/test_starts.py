@@ -15,14 +15,16 @@ from softcal_jax.calibration import (
     at_rest,
     build_problem,
     calibrate,
+    evaluate,
     multi_start,
     random_starts,
     synthetic_measurements,
 )
-from softcal_jax.calibration._calibrate import _evaluate
 from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
+
+evaluated = eqx.filter_jit(evaluate)
 
 # Columns: E_t, E_l and theta, at both control points each.
 E_T, E_L, THETA = slice(0, 2), slice(2, 4), slice(4, 6)
@@ -86,7 +88,7 @@ def test_a_run_is_that_of_calibrate(measured, plain):
 def test_errors_go_from_the_start_to_the_end(measured, plain):
     assert plain.errors.shape == (3, FROM_ANYWHERE.max_steps + 1)
     for i, start in enumerate(measured.starts):
-        first = _evaluate(measured.problem, start, at_rest(measured.problem))
+        first = evaluated(measured.problem, start, at_rest(measured.problem))
         steps = plain.steps[i]
         np.testing.assert_allclose(
             plain.errors[i, 0], np.sqrt(2.0 * first.cost), rtol=1e-6

@@ -11,13 +11,16 @@ from softcal_jax.calibration import (
     at_rest,
     build_problem,
     calibrate,
+    evaluate,
     initial_state,
     synthetic_measurements,
 )
-from softcal_jax.calibration._calibrate import _decide, _evaluate, _propose
+from softcal_jax.calibration._calibrate import _decide, _propose
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.calibration._step import MEMORY
 from softcal_jax.robots import anisotropic_beam
+
+evaluated = eqx.filter_jit(evaluate)
 
 CELLS = (2, 1, 1)
 # Columns: E_t, E_l and theta, at both control points each.
@@ -46,7 +49,7 @@ def problem(tensor, measured):
 @pytest.fixture(scope="module")
 def evaluation(problem):
     z = problem.space.start()
-    return _evaluate(problem, z, at_rest(problem))
+    return evaluated(problem, z, at_rest(problem))
 
 
 def random_state(problem, evaluation, seed, settings=None):
@@ -264,11 +267,11 @@ def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
         warn_if_too_few_data(problem)
     settings = CalibrationSettings()
     z = problem.space.start()
-    state = initial_state(settings, z, _evaluate(problem, z, at_rest(problem)))
+    state = initial_state(settings, z, evaluated(problem, z, at_rest(problem)))
     first = float(state.evaluation.cost)
     while not (state.converged or state.stalled) and state.step < 30:
         proposal = _propose(problem, settings, state)
-        now = _evaluate(problem, proposal.z, proposal.guess)
+        now = evaluated(problem, proposal.z, proposal.guess)
         bound = float(state.step_bound)
         state = _decide(problem, settings, state, proposal, now)
         assert np.all(np.isfinite(state.lambda_p))

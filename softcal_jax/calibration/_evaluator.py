@@ -1,0 +1,73 @@
+"""Evaluations and runs of a calibration, side by side on the cores of this machine."""
+
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    Evaluation,
+    Lane,
+    evaluate_lane,
+    stacked,
+)
+from softcal_jax.equilibrium import Workers
+
+T = TypeVar("T")
+
+_evaluate_lane = eqx.filter_jit(evaluate_lane)
+
+
+class Evaluator:
+    """Evaluates a calibration, its configurations side by side.
+
+    One program serves every configuration, and any number of them.
+
+    Attributes:
+        problem: The calibration.
+    """
+
+    def __init__(self, problem: CalibrationProblem, workers: Workers):
+        """Evaluations of one calibration.
+
+        Args:
+            problem: The calibration.
+            workers: Threads, entered as a context.
+        """
+        self.problem, self._workers = problem, workers
+        n_c = problem.configurations.gravity.shape[0]
+        self._configurations = [_lane(problem.configurations, c) for c in range(n_c)]
+
+    def __call__(
+        self, z: Float[Array, " n_p"], guess: Float[Array, "n_c n_points 3"]
+    ) -> Evaluation:
+        """Equilibria, errors and compliances, as `evaluate` gives them.
+
+        Args:
+            z: Scaled parameters [-].
+            guess: Displacements to start from [m].
+        """
+        jobs = [(z, c, u) for c, u in zip(self._configurations, guess, strict=True)]
+        return _stacked(self.problem, z, self._workers.map(self._one, jobs))
+
+    def _one(self, solver, job) -> Lane:
+        z, configuration, guess = job
+        problem = with_solver(self.problem, solver)
+        return jax.block_until_ready(_evaluate_lane(problem, z, configuration, guess))
+
+
+@eqx.filter_jit
+def _stacked(problem, z, lanes: list[Lane]) -> Evaluation:
+    return stacked(problem, z, jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes))
+
+
+def with_solver(problem: CalibrationProblem, solver) -> CalibrationProblem:
+    """The calibration with another sparse solver of its pattern."""
+    return eqx.tree_at(lambda p: p.model.solver, problem, solver)
+
+
+def _lane(batch: T, index: int) -> T:
+    return jax.tree.map(lambda leaf: leaf[index], batch)

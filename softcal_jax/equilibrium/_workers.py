@@ -1,0 +1,96 @@
+"""Compiled programs side by side, one on each core of this machine."""
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
+from typing import TypeVar
+
+import jax
+
+from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
+from softcal_jax.equilibrium._model import Model
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+def usable_cores() -> int:
+    """Cores that this process may use; fewer than the machine has under a scheduler."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class Workers:
+    """Context with threads that run the lanes of a batch side by side.
+
+    Inside one program XLA runs the loops of the lanes one after the other, and the
+    factorization of a small matrix hardly gains from a second core. So each thread
+    takes whole lanes, on one core, with a sparse solver of its own: two threads on the
+    factors of one would overwrite each other's. Which thread takes a lane changes
+    nothing in its result.
+
+    Attributes:
+        n: Number of threads; with one, everything runs in the thread of the caller,
+            and the sparse solver keeps all cores.
+    """
+
+    def __init__(self, model: Model, lanes: int, n: int | None = None):
+        """Threads for a batch.
+
+        Args:
+            model: The body, whose sparse solver they need.
+            lanes: Lanes of the batch; there are no more threads than these.
+            n: Threads; by default as many as there are cores.
+
+        Raises:
+            ValueError: If `n` is less than one.
+        """
+        if n is not None and n < 1:
+            raise ValueError(f"the number of workers must be at least 1, got {n}.")
+        self.n = max(1, min(usable_cores() if n is None else n, lanes))
+        self._solver = model.solver
+        self._free: SimpleQueue[AbstractLinearSolver] = SimpleQueue()
+        self._compiled: set[Callable] = set()
+
+    def __enter__(self) -> "Workers":
+        if self.n > 1:
+            self._pool = ThreadPoolExecutor(self.n)
+            with self._solver.on_one_core():
+                for k in range(1, self.n + 1):
+                    self._free.put(jax.block_until_ready(self._solver.another(k)))
+        return self
+
+    def __exit__(self, *error) -> None:
+        if self.n > 1:
+            self._pool.shutdown(cancel_futures=True)
+
+    def map(
+        self, function: Callable[[AbstractLinearSolver, A], B], lanes: Iterable[A]
+    ) -> list[B]:
+        """Results of a function of (solver, lane), in the order of the lanes.
+
+        Args:
+            function: Runs a compiled program with that solver and waits for its end;
+                an equal object in every call.
+            lanes: What it is called with.
+        """
+        lanes = list(lanes)
+        jax.block_until_ready(lanes)  # nothing else is under way
+        if self.n == 1:
+            return [function(self._solver, lane) for lane in lanes]
+
+        def run(lane: A) -> B:
+            solver = self._free.get()
+            try:
+                return function(solver, lane)
+            finally:
+                self._free.put(solver)
+
+        first: list[B] = []
+        with self._solver.on_one_core():
+            if function not in self._compiled:  # by one of them, not by all at once
+                first = [run(lane) for lane in lanes[:1]]
+                self._compiled.add(function)
+            return [*first, *self._pool.map(run, lanes[len(first) :])]

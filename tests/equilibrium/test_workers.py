@@ -1,0 +1,80 @@
+"""Lanes side by side on several threads, against the same lanes one after the other."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.configurations import Configuration, Support, configuration_arrays
+from softcal_jax.equilibrium import Workers, build_model, solve_equilibrium
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+
+MODULI = np.linspace(2e5, 9e5, 7)
+
+
+@pytest.fixture(scope="module")
+def cantilever():
+    mesh = beam(0.1, 0.02, 0.015, (6, 2, 2), order=2)
+    model = build_model(mesh, Corotational(Isotropic(5e5, 0.3)), density=1000.0)
+    own_weight = Configuration("weight", (Support("x_min"),), gravity=(0, 0, -9.81))
+    lane = configuration_arrays(mesh, [own_weight])
+    return model, jax.tree.map(lambda leaf: leaf[0], lane)
+
+
+@eqx.filter_jit
+def _solve(model, configuration, E):
+    model = eqx.tree_at(lambda m: m.material, model, Corotational(Isotropic(E, 0.3)))
+    return solve_equilibrium(model, configuration)
+
+
+def solve(cantilever):
+    """Equilibrium for one modulus, as a function of the solver and the modulus."""
+    model, configuration = cantilever
+
+    def one(solver, E):
+        model_there = eqx.tree_at(lambda m: m.solver, model, solver)
+        found = _solve(model_there, configuration, E)
+        return jax.block_until_ready(found.displacement), bool(found.converged)
+
+    return one
+
+
+def test_threads_give_what_one_gives_in_the_same_order(cantilever):
+    model, one = cantilever[0], solve(cantilever)
+    moduli = jnp.asarray(MODULI)
+    serial = [one(model.solver, E) for E in moduli]
+    with Workers(model, len(moduli), 3) as workers:
+        assert workers.n == 3
+        for _ in range(3):  # threads meet in another order each time
+            for (u, ok), (expected, _) in zip(
+                workers.map(one, moduli), serial, strict=True
+            ):
+                assert ok
+                np.testing.assert_allclose(u, expected, rtol=0, atol=1e-13)
+    # The solver of the model still plans for all cores.
+    u, ok = one(model.solver, moduli[0])
+    assert ok
+    np.testing.assert_array_equal(u, serial[0][0])
+
+
+def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
+    def fails(solver, lane):
+        if lane == 2:
+            raise ValueError("lane 2")
+        return lane
+
+    with Workers(cantilever[0], 8, 2) as workers:
+        for _ in range(4):
+            with pytest.raises(ValueError, match="lane 2"):
+                workers.map(fails, range(5))
+        assert workers.map(fails, [0, 1, 3]) == [0, 1, 3]
+
+
+def test_there_are_no_more_threads_than_lanes(cantilever):
+    model = cantilever[0]
+    assert Workers(model, 1, 4).n == 1
+    assert Workers(model, 3, 8).n == 3
+    with pytest.raises(ValueError, match="at least 1, got 0"):
+        Workers(model, 3, 0)
