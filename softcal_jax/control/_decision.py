@@ -27,7 +27,7 @@ class Parts(NamedTuple):
     expected: Float[Array, " n_parts"]
     tried: Float[Array, " n_parts"]
 
-    def above(self, tol: float) -> "Parts":
+    def above(self, tol: float | Float[Array, ""]) -> "Parts":
         """Without what is good enough: it must not stand in the way of the rest."""
         floor = jnp.full_like(self.now, 0.5 * tol**2).at[0].set(ROUNDING).at[-1].set(0)
         return Parts(*(jnp.maximum(part, floor) for part in self))
@@ -74,9 +74,9 @@ def decide(
     step_bound: Float[Array, ""],
     penalty: Float[Array, " n_parts"],
     *,
-    tol: float,
-    step_tol: float,
-    max_step_bound: float,
+    tol: float | Float[Array, ""],
+    step_tol: float | Float[Array, ""],
+    max_step_bound: float | Float[Array, ""],
 ) -> Decision:
     """Keep a step that lowers the weighted sum of the parts, and adapt the bound.
 
