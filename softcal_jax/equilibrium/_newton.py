@@ -336,7 +336,8 @@ class NewtonLoop:
         # A guess with inverted tets or infinite energy is worth less than rest.
         usable = guess.finite & (guess.min_det_F > 0.0)
         none = jnp.zeros(self.model.mechanism.n_actuators)
-        at = _select(usable, guess, Point(rest, zero, zero, rest, none, one))
+        delta_a = none - self.model.mechanism.motor_zero
+        at = _select(usable, guess, Point(rest, zero, zero, rest, delta_a, one))
         lambda_a = none
         if self.body.has_multipliers:
             warm = jnp.any(at.u != 0.0)

@@ -154,14 +154,17 @@ def test_torque_of_a_motor_balances_weight_and_force():
 
 
 def test_angle_of_a_motor_has_its_error_of_zero():
-    """A motor at 0.2 rad that stands 0.1 rad off is one at 0.3 rad."""
+    """A motor at 0.2 rad that stands 0.1 rad off is one at 0.3 rad.
+
+    Its encoder does not know, and shows what was asked for.
+    """
     off = eqx.tree_at(
         lambda m: m.mechanism.motor_zero, MODEL, jnp.array([0.0, 0.0, 0.0, 0.1])
     )
     one, values, _ = solved(off, driven(motor=ImposedDisplacement(0.2)), TIGHT)
     other, _, _ = solved(MODEL, driven(motor=ImposedDisplacement(0.3)), TIGHT)
     same_state(one, other)
-    np.testing.assert_allclose(read(values)[0]["motor"], 0.3, rtol=1e-14)
+    np.testing.assert_allclose(read(values)[0]["motor"], 0.2, rtol=1e-14)
 
 
 def test_a_slack_cable_has_no_force():
