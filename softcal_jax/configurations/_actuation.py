@@ -27,7 +27,8 @@ class ImposedDisplacement(eqx.Module):
 
     Attributes:
         value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
-            motor [rad], displacement of a force actuator's point [m].
+            motor as its encoder shows it [rad], displacement of a force actuator's
+            point [m].
     """
 
     value: float
