@@ -86,10 +86,6 @@ class Cable(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "CableSegments":
         """The segments whose length can change.
 
-        Args:
-            rest: What it is attached to.
-            owner: Its number among the actuators.
-
         Raises:
             ValueError: If a guide lies outside the mesh, or its body is unknown.
         """

@@ -31,10 +31,6 @@ class Chamber(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "ChamberFaces":
         """The faces of the wall.
 
-        Args:
-            rest: What it is attached to.
-            owner: Its number among the actuators.
-
         Raises:
             ValueError: If the surface is unknown, open, not on the boundary, or
                 encloses the body and not a cavity.

@@ -43,10 +43,6 @@ class ForceActuator(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
         """The nodes that carry the point.
 
-        Args:
-            rest: What it is attached to.
-            owner: Its number among the actuators.
-
         Raises:
             ValueError: If the point lies outside the mesh.
         """
@@ -76,10 +72,6 @@ class SurfaceForceActuator(AbstractActuator):
 
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
         """The nodes of the surface.
-
-        Args:
-            rest: What it is attached to.
-            owner: Its number among the actuators.
 
         Raises:
             ValueError: If the surface is unknown.

@@ -28,10 +28,6 @@ class Motor(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "MotorFrames":
         """The frame of the body.
 
-        Args:
-            rest: What it is attached to.
-            owner: Its number among the actuators.
-
         Raises:
             ValueError: If no rigid body has the name.
         """

@@ -30,10 +30,6 @@ class SurfacePressure(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "PressureFaces":
         """The faces of the surface.
 
-        Args:
-            rest: What it is attached to.
-            owner: Its number among the actuators.
-
         Raises:
             ValueError: If the surface is unknown or not on the boundary.
         """

@@ -120,7 +120,8 @@ class BodyState(eqx.Module):
 
     Attributes:
         kind: "free", "held" or "hinged" (only turning about its third axis).
-        pose: Where it is held, beyond its mounting.
+        pose: Where it is held, beyond its mounting; of a hinge only the translation,
+            and nothing of a free body.
     """
 
     kind: str

@@ -32,6 +32,7 @@ from softcal_jax.calibration._starts import (
     random_starts,
 )
 from softcal_jax.calibration._step import (
+    KKT_TOLERANCE,
     CalibrationSettings,
     CalibrationState,
     calibration_step,
@@ -48,6 +49,7 @@ from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 
 __all__ = [
     "FROM_ANYWHERE",
+    "KKT_TOLERANCE",
     "LOOSE",
     "CalibrationProblem",
     "CalibrationResult",

@@ -5,11 +5,17 @@ from softcal_jax.configurations._actuation import (
     ImposedForce,
     actuation_arrays,
 )
+from softcal_jax.configurations._actuator_effectors import (
+    ActuatorDisplacement,
+    ActuatorForce,
+    SupportReaction,
+)
 from softcal_jax.configurations._arrays import (
     ActuationArrays,
     ConfigurationArrays,
     EffectorArrays,
 )
+from softcal_jax.configurations._body_effectors import BodyAngle, BodyFrame, Centroid
 from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY,
     Configuration,
@@ -18,16 +24,8 @@ from softcal_jax.configurations._configuration import (
     measured_as,
     measured_at_rest,
 )
+from softcal_jax.configurations._effector import AbstractEffector
 from softcal_jax.configurations._effector_arrays import NamedRow, row_numbers
-from softcal_jax.configurations._effectors import (
-    AbstractEffector,
-    ActuatorDisplacement,
-    ActuatorForce,
-    BodyAngle,
-    BodyFrame,
-    Centroid,
-    SupportReaction,
-)
 from softcal_jax.configurations._loads import (
     AbstractLoad,
     EdgeForce,

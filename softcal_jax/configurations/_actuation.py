@@ -27,7 +27,8 @@ class ImposedDisplacement(eqx.Module):
 
     Attributes:
         value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
-            motor [rad], displacement of a force actuator's point [m].
+            motor as its encoder shows it [rad], displacement of a force actuator's
+            point [m].
     """
 
     value: float
@@ -102,7 +103,8 @@ def body_state_arrays(
         configuration: Name of the configuration, for messages.
 
     Raises:
-        ValueError: If a name is unknown, or a body is tied to another or has a motor.
+        ValueError: If a name is unknown, a body is tied to another or has a motor, or
+            is given a pose that its state leaves no place for.
     """
     bodies = mechanism.bodies
     what = f"configuration {configuration!r}"
@@ -128,7 +130,25 @@ def body_state_arrays(
             state = BodyState("held", given)
         else:
             state = BodyState(given) if isinstance(given, str) else given
+        _check_pose(state, f"{what}: rigid body {name!r}")
         kind[k] = KINDS.index(state.kind)
         translation[k] = state.pose.translation
         rotation[k] = state.pose.rotation_vector
     return BodyStateArrays(kind, translation, rotation)
+
+
+def _check_pose(state: BodyState, what: str) -> None:
+    """Raise where a part of the pose would have no effect."""
+    shift, turn = state.pose.translation, state.pose.rotation_vector
+    if state.kind == "free" and (np.any(shift != 0.0) or np.any(turn != 0.0)):
+        raise ValueError(
+            f"{what} is free, but has a pose: translation {shift.tolist()} m, rotation "
+            f"vector {turn.tolist()} rad. To hold it there, give the Pose itself; "
+            "otherwise leave the pose out."
+        )
+    if state.kind == "hinged" and np.any(turn != 0.0):
+        raise ValueError(
+            f"{what} is hinged, and turns as the balance has it, but its pose has the "
+            f"rotation vector {turn.tolist()} rad. To hold it there, give the Pose "
+            "itself; to turn the hinge, turn the axes or the mounting of the body."
+        )

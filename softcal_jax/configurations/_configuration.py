@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.bodies import KINDS, BodyStateArrays
+from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax.bodies import KINDS
 from softcal_jax.configurations._actuation import (
     Actuation,
     BodyStates,
@@ -19,12 +19,12 @@ from softcal_jax.configurations._actuation import (
 )
 from softcal_jax.configurations._arrays import ConfigurationArrays, EffectorArrays
 from softcal_jax.configurations._carriers import carriers
+from softcal_jax.configurations._effector import AbstractEffector
 from softcal_jax.configurations._effector_arrays import (
     NamedRow,
     marker_rows,
     stack_effectors,
 )
-from softcal_jax.configurations._effectors import AbstractEffector
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
@@ -149,10 +149,14 @@ def _lane(
     _check_apart(mesh, mechanism, fixed, c.name)
     bodies = body_state_arrays(mechanism, c.bodies, c.name)
     actuation = actuation_arrays(mechanism, c.actuation, c.name)
-    _check_held(mesh, mechanism, fixed, bodies, c.name)
     force = np.zeros((mesh.n_nodes, 3))
     for load in c.loads:
         force += load.nodal_forces(mesh)
+    kind = np.asarray(bodies.kind).copy()
+    for name, k in _motors(mechanism):
+        by_angle = actuation.by_displacement[mechanism.actuators.names.index(name)]
+        kind[k] = KINDS.index("held" if by_angle else "hinged")
+    _check_held(mesh, mechanism, fixed, kind, c)
     # Nodes of the bodies' frames come after those of the mesh.
     more = len(mechanism.points) - mesh.n_nodes
     all_nodes = lambda a: np.concatenate([a, np.zeros((more, 3), a.dtype)])
@@ -267,9 +271,21 @@ def measured_at_rest(
 
 
 def _check_held(
-    mesh: TetMesh, mechanism: Mechanism, fixed, states: BodyStateArrays, name: str
+    mesh: TetMesh,
+    mechanism: Mechanism,
+    fixed: Bool[HostArray, "n_nodes 3"],
+    kind: Int[HostArray, " n_b"],
+    c: Configuration,
 ) -> None:
-    """Raise unless the held coordinates block all six rigid motions."""
+    """Raise unless all six rigid motions are blocked, or a hinge is balanced.
+
+    What turns on a hinge needs something that the balance can settle its angle by:
+    weight, a load, or an actuator other than motors.
+    """
+    motors = [n for n, b in _motors(mechanism) if kind[b] == KINDS.index("hinged")]
+    asked = set(c.actuation) - {name for name, _ in _motors(mechanism)}
+    if motors and (np.any(c.gravity) or c.loads or asked):
+        kind = np.where(kind == KINDS.index("hinged"), KINDS.index("held"), kind)
     bodies, centre = mechanism.bodies, mesh.points.mean(axis=0)
     size = np.abs(mesh.points - centre).max()
     motions = lambda x: np.concatenate(
@@ -278,9 +294,6 @@ def _check_held(
             np.cross(np.eye(3)[:, None], ((x - centre) / size)[None]),
         ]
     )
-    kind = np.asarray(states.kind).copy()
-    motors = mechanism.actuators.motor_body
-    kind[[body for body in motors if body >= 0]] = KINDS.index("held")
     rows = [motions(mesh.points)[:, fixed]]
     for k in np.flatnonzero(kind != KINDS.index("free")):
         rows.append(motions(bodies.origin[k][None])[:, 0])
@@ -290,8 +303,21 @@ def _check_held(
     rank = np.linalg.matrix_rank(held @ held.T) if held.size else 0
     if rank < 6:
         nodes = int(fixed.any(axis=1).sum())
+        by_torque = ""
+        if motors:
+            by_torque = (
+                f" Motor {motors[0]!r} is driven by its torque and only a hinge: "
+                "nothing that could balance it is given."
+            )
         raise ValueError(
-            f"configuration {name!r} is not held: its supports ({nodes} nodes) leave "
+            f"configuration {c.name!r} is not held: its supports ({nodes} nodes) leave "
             f"{6 - rank} of the 6 rigid motions free. Clamp a surface, add supports, "
-            "or hold a rigid body."
+            f"or hold a rigid body.{by_torque}"
         )
+
+
+def _motors(mechanism: Mechanism) -> list[tuple[str, int]]:
+    """Names of the motors, and the bodies that they turn."""
+    actuators = mechanism.actuators
+    both = zip(actuators.names, actuators.motor_body, strict=True)
+    return [(name, body) for name, body in both if body >= 0]

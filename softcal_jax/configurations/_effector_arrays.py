@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal_jax._typing import HostArray
 from softcal_jax.configurations._arrays import EffectorArrays
-from softcal_jax.configurations._effectors import EffectorRow, Quantity
+from softcal_jax.configurations._effector import EffectorRow, Quantity
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 """Rows are stacked in this order."""

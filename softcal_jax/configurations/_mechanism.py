@@ -7,7 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.actuators import AbstractActuator, ActuatorArrays, actuator_arrays
+from softcal_jax.actuators import (
+    AbstractActuator,
+    ActuatorArrays,
+    actuator_arrays,
+    actuator_displacements,
+)
 from softcal_jax.bodies import BodyArrays, RigidBody, body_arrays
 from softcal_jax.mesh import TetMesh
 
@@ -34,6 +39,17 @@ class Mechanism(eqx.Module):
     def n_actuators(self) -> int:
         """Number of actuators."""
         return len(self.actuators.names)
+
+    def displacements(self, x: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
+        """Displacements delta_a of the actuators, as they are imposed and measured.
+
+        Of a motor it is what its encoder shows: the angle of its body without its error
+        of zero.
+
+        Args:
+            x: Positions of all nodes [m].
+        """
+        return actuator_displacements(self.actuators, x) - self.motor_zero
 
 
 def build_mechanism(

@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.actuators import actuator_displacements
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
@@ -79,7 +78,7 @@ def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a, unbala
     return ActuatorState(
         effector_values(model, configuration, u, lambda_a, unbalanced),
         actuator_forces(model, configuration, u, lambda_a, unbalanced),
-        actuator_displacements(model.mechanism.actuators, x),
+        model.mechanism.displacements(x),
     )
 
 

@@ -5,14 +5,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
-
-KKT_TOLERANCE = 1e-6
-"""Largest optimality residual with which a vanishing QP step is believed [-]."""
+from softcal_jax.calibration import KKT_TOLERANCE
 
 ROUNDING = 1e-6
 """Violation of a limit, in sizes of the robot, that is none [-]."""
 
-FLAT = 1e-2
+FLAT_COSINE = 1e-2
 """Cosine between error and step below which a refused step means a minimum [-]."""
 
 
@@ -29,7 +27,7 @@ class Parts(NamedTuple):
     expected: Float[Array, " n_parts"]
     tried: Float[Array, " n_parts"]
 
-    def above(self, tol: float) -> "Parts":
+    def above(self, tol: float | Float[Array, ""]) -> "Parts":
         """Without what is good enough: it must not stand in the way of the rest."""
         floor = jnp.full_like(self.now, 0.5 * tol**2).at[0].set(ROUNDING).at[-1].set(0)
         return Parts(*(jnp.maximum(part, floor) for part in self))
@@ -76,9 +74,9 @@ def decide(
     step_bound: Float[Array, ""],
     penalty: Float[Array, " n_parts"],
     *,
-    tol: float,
-    step_tol: float,
-    max_step_bound: float,
+    tol: float | Float[Array, ""],
+    step_tol: float | Float[Array, ""],
+    max_step_bound: float | Float[Array, ""],
 ) -> Decision:
     """Keep a step that lowers the weighted sum of the parts, and adapt the bound.
 
@@ -105,14 +103,15 @@ def decide(
     kept_limits = trial.parts.now[0] <= 10.0 * ROUNDING
     vanished = trial.converged & (trial.size <= step_tol) & ~at_bound & kept_limits
     vanished = vanished & (trial.kkt_residual <= KKT_TOLERANCE)
-    # Rounding of the equilibria hides the fall of the last steps.
+    # A step that vanished ends the search, kept or not: what it is expected to bring
+    # may lie below the residual of the equilibria, which would then decide.
     lowered = (drop >= 1e-4 * expected) & (expected > 0.0)
-    accepted = trial.converged & (lowered | vanished)
+    accepted = trial.converged & lowered
     good = (drop > 0.75 * expected) & at_bound
     grown = jnp.where(good, jnp.minimum(2.0 * step_bound, max_step_bound), step_bound)
     bound = jnp.where(accepted, grown, 0.25 * trial.size)
     collapsed = ~accepted & (bound < step_tol)
-    flat = trial.converged & (trial.cosine <= FLAT) & kept_limits
+    flat = trial.converged & (trial.cosine <= FLAT_COSINE) & kept_limits
     return Decision(
         accepted, bound, penalty, vanished | (collapsed & flat), collapsed & ~flat
     )

@@ -181,8 +181,9 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> _Comm
 def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
     """The search, one compiled step after the other."""
     problem, settings = command.problem, command.settings
-    # What the programs do not use must not compile them again.
+    # Neither other tolerances nor what the programs do not use compile them again.
     of_program = replace(settings, epsilon=0.0, max_steps=1)
+    of_program = jax.tree.map(jnp.asarray, of_program)
     state = _start(problem, guess, of_program)
     if not bool(state.solution.converged):
         return _result(command, state, OUTCOMES.no_equilibrium, ())

@@ -46,11 +46,11 @@ class ControlSettings(eqx.Module):
         newton: Settings of the equilibria.
     """
 
-    tol: float = eqx.field(static=True, default=1e-2)
-    step_tol: float = eqx.field(static=True, default=1e-6)
+    tol: float | Float[Array, ""] = 1e-2
+    step_tol: float | Float[Array, ""] = 1e-6
     max_steps: int = eqx.field(static=True, default=50)
-    step_bound: float = eqx.field(static=True, default=0.1)
-    max_step_bound: float = eqx.field(static=True, default=0.5)
+    step_bound: float | Float[Array, ""] = 0.1
+    max_step_bound: float | Float[Array, ""] = 0.5
     epsilon: float = eqx.field(static=True, default=0.0)
     newton: NewtonSettings = eqx.field(static=True, default_factory=NewtonSettings)
 

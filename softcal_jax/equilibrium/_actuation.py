@@ -16,11 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.actuators import (
-    actuator_displacements,
-    actuator_rows,
-    curvature_entries,
-)
+from softcal_jax.actuators import actuator_rows, curvature_entries
 from softcal_jax.configurations import ActuationArrays
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
@@ -34,7 +30,7 @@ def positions(model: Model, u: Float[Array, "n_points 3"]):
 
 def displacements(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
     """Displacements delta_a of the actuators."""
-    return actuator_displacements(model.mechanism.actuators, positions(model, u))
+    return model.mechanism.displacements(positions(model, u))
 
 
 def rows(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, "n_a n_points 3"]:

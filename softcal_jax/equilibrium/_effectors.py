@@ -127,14 +127,7 @@ def actuator_forces(
     """Forces lambda_a of all actuators, imposed or solved for, in their units.
 
     Of a motor whose angle is imposed: the torque with which it holds its body.
-
-    Args:
-        model: The model.
-        configuration: One configuration.
-        u: Equilibrium displacement [m].
-        multipliers: Forces of actuators whose displacement is imposed; found from the
-            balance by default.
-        unbalanced: What `residual` gives, where it is known already [N].
+    It takes what `effector_values` takes.
     """
     forces = actuation.imposed_forces(configuration.actuation)
     if unbalanced is None:
@@ -164,13 +157,7 @@ def effector_forces(
 ) -> Float[Array, "n_rows_of_forces 3"]:
     """Rows that need the balance of forces: those of actuators, and reactions [N].
 
-    Args:
-        model: The model.
-        configuration: One configuration, with its effectors.
-        u: Equilibrium displacement [m].
-        multipliers: Forces of actuators whose displacement is imposed; found from the
-            balance by default.
-        unbalanced: What `residual` gives, where it is known already [N].
+    It takes what `effector_values` takes.
     """
     effectors = configuration.effectors
     rows = []

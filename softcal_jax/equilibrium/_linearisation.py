@@ -14,7 +14,7 @@ from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._problem import (
     EquilibriumProblem,
-    evaluate,
+    Point,
     external_force,
     mask_supports,
     product,
@@ -41,23 +41,21 @@ def residual(
         lambda_a: Forces of the actuators whose displacement is imposed; found from the
             balance by default, which holds at equilibrium.
     """
-    f_ext = external_force(model, configuration)
-    f = internal_force(model, u) - f_ext
-    if model.mechanism.n_actuators == 0:
-        return f
     at, problem = _at(model, configuration, u)
     one = jnp.ones((), u.dtype)
     if lambda_a is None:
         lambda_a = problem.estimated_forces(at, one)
-    forces = problem.all_forces(lambda_a, one)
-    rows = actuation.rows(model, u)
-    return f - jnp.sum(forces[:, None, None] * rows, axis=0)
+    return problem.unbalanced(at, lambda_a, one)[0]
 
 
 def _at(model: Model, configuration: ConfigurationArrays, u):
+    """A point without its energy, which costs as much as its force and is not asked."""
     f_ext = external_force(model, configuration)
     problem = EquilibriumProblem(model, configuration, f_ext, NewtonSettings().rtol)
-    return evaluate(model, u), problem
+    unknown = jnp.full((), jnp.nan, u.dtype)
+    delta_a = actuation.displacements(model, u)
+    force = internal_force(model, u)
+    return Point(u, unknown, unknown, force, delta_a, unknown), problem
 
 
 def solved_forces(

@@ -205,7 +205,7 @@ class NewtonLoop:
         lower, moving = self.lower(s, direction), direction.moving
 
         def trial(alpha):
-            u = self.body.unknowns(s.load).move(s.at.u, alpha * direction.d)
+            u = self.body.unknowns(s.load).swing(s.at.u, alpha * direction.d)
             at = evaluate(self.model, u)
             lambda_a = direction.lambda_a + alpha * direction.d_lambda
             merit = self.body.merit(at, lambda_a, s.load, direction.gap_stiffness)
@@ -225,8 +225,8 @@ class NewtonLoop:
             alpha, backtracks, _ = carry
             return 0.5 * alpha, backtracks + 1, trial(0.5 * alpha)
 
-        one = jnp.ones((), s.at.u.dtype)
-        return jax.lax.while_loop(keep_trying, halve, (one, 0, trial(one)))[2]
+        start = (direction.reach, 0, trial(direction.reach))
+        return jax.lax.while_loop(keep_trying, halve, start)[2]
 
     def step(self, s: NewtonState) -> NewtonState:
         """One Newton iteration, and what follows from it for the load."""
@@ -336,7 +336,8 @@ class NewtonLoop:
         # A guess with inverted tets or infinite energy is worth less than rest.
         usable = guess.finite & (guess.min_det_F > 0.0)
         none = jnp.zeros(self.model.mechanism.n_actuators)
-        at = _select(usable, guess, Point(rest, zero, zero, rest, none, one))
+        delta_a = none - self.model.mechanism.motor_zero
+        at = _select(usable, guess, Point(rest, zero, zero, rest, delta_a, one))
         lambda_a = none
         if self.body.has_multipliers:
             warm = jnp.any(at.u != 0.0)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._assembly import (
@@ -18,7 +19,10 @@ from softcal_jax.equilibrium._assembly import (
 )
 from softcal_jax.equilibrium._element import is_mixed
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._unknowns import Unknowns
+from softcal_jax.equilibrium._unknowns import Unknowns, body_states
+
+_LARGEST_TURN = 0.5
+"""Turn of a body on a hinge beyond which a Newton step says nothing [rad]."""
 
 _TAUT = 1e-6
 """Slack of a cable, in sizes of the mesh, that may still be rounding of a taut one."""
@@ -93,6 +97,7 @@ class Direction(NamedTuple):
         d_lambda: Their step.
         slope: Out-of-balance force times the step [J].
         moving: Whether something held still has to move.
+        reach: Longest share of the step that is worth trying [-].
         stiffness: Mean stiffness of an unknown [N/m].
         gap_stiffness: Force per displacement of each actuator whose displacement is
             imposed.
@@ -106,6 +111,7 @@ class Direction(NamedTuple):
     d_lambda: Float[Array, " n_a"]
     slope: Float[Array, ""]
     moving: Bool[Array, ""]
+    reach: Float[Array, ""]
     stiffness: Float[Array, ""]
     gap_stiffness: Float[Array, " n_a"]
     n_negative: Array
@@ -239,7 +245,8 @@ class EquilibriumProblem:
         d = solved.x[0]
         slope = jnp.sum(self.on_unknowns(u, load, g) * d)
         supports = jnp.where(jnp.asarray(self.configuration.fixed), held_step, 0.0)
-        d = d.at[: u.size].add(supports.ravel())
+        sign, reach = self._on_hinges(d[u.size :], slope, moving)
+        d = (sign * d).at[: u.size].add(supports.ravel())
         compliance = jnp.abs(jnp.diag(solved.W_aa))
         tiny = jnp.finfo(u.dtype).tiny
         # Of slack cables, too: a step that tightens one leaves a gap to close.
@@ -248,15 +255,36 @@ class EquilibriumProblem:
         return Direction(
             d,
             lambda_a,
-            solved.lambda_a[0],
-            slope,
+            sign * solved.lambda_a[0],
+            sign * slope,
             moving,
+            reach,
             stiffness,
             gap_stiffness,
             solved.n_negative,
             solved.ok,
             system,
         )
+
+    def _on_hinges(self, twists, slope, moving):
+        """Sign of a step, and its reach, where a body turns freely on a hinge.
+
+        Nothing but weight and a torque may hold it: what is stiff against its turn is
+        next to nothing at rest, and of either sign. Newton's step then turns it many
+        times round, or up to where it balances on its head.
+        """
+        one = jnp.ones(())
+        if self.model.reduction is None:
+            return one, one
+        bodies = self.model.mechanism.bodies
+        kind = body_states(self.model, self.configuration).kind
+        hinged = (kind == KINDS.index("hinged")) & ~moving
+        turns = jnp.abs(twists.reshape(-1, 6)[:, 5]) / bodies.length
+        largest = jnp.max(jnp.where(hinged, turns, 0.0))
+        uphill = jnp.any(hinged) & (slope > 0.0) & ~jnp.any(self.by_multiplier())
+        uphill = uphill & self.model.conservative
+        reach = _LARGEST_TURN / jnp.maximum(largest, _LARGEST_TURN)
+        return jnp.where(uphill, -one, one), reach
 
     def taut(self, at: Point, load) -> Bool[Array, " n_a"]:
         """Which imposed displacements act at an equilibrium: all but slack cables'."""

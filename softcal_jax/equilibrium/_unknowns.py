@@ -20,6 +20,7 @@ from softcal_jax.bodies import (
     frames_at,
     mounted_axes,
     place,
+    rotation_matrix,
 )
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._model import Model
@@ -131,6 +132,38 @@ class Unknowns(NamedTuple):
         twists = d[u.size :].reshape(-1, 6)
         frames = place(bodies, states, self.load, self._frames(u), twists)
         return self._with_bodies(u + d[: u.size].reshape(u.shape), frames)
+
+    def swing(
+        self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
+    ) -> Float[Array, "n_points 3"]:
+        """As `move`, but a robot that hangs on one hinge alone turns about it as one.
+
+        The nodes of a body that turns by d go straight on in `move`, which stretches
+        what is stiff by far more than weight and torque do work.
+        """
+        if not self._has_bodies:
+            return self.move(u, d)
+        bodies, points = self.model.mechanism.bodies, self.model.mechanism.points
+        kind = body_states(self.model, self.configuration).kind
+        own = bodies.owner == jnp.arange(bodies.n_bodies, dtype=jnp.int32)
+        hinged = own & (kind == KINDS.index("hinged"))
+        held = jnp.any(own & (kind == KINDS.index("held")))
+        alone = (jnp.sum(hinged) == 1) & ~held & ~jnp.any(self.configuration.fixed)
+        k = jnp.argmax(hinged)
+        axes, origins = mounted_axes(bodies, self.load), self._frames(u).origin
+        twists = d[u.size :].reshape(-1, 6)
+        turn = jnp.where(alone, twists[k, 5] / bodies.length, 0.0) * axes[k, 2]
+        along = lambda v: jnp.sum(axes * v[:, None], axis=2)
+        of_bodies = along(jnp.cross(turn[None], origins - origins[k][None]))
+        angles = bodies.length * along(jnp.broadcast_to(turn[None], origins.shape))
+        turned = jnp.concatenate([of_bodies, angles], axis=1)
+        straight = jnp.cross(turn[None], points + u - origins[k][None])
+        rest = jnp.concatenate([straight.ravel(), turned.ravel()])
+        v = self.move(u, d - rest)
+        arms = points + v
+        centre = arms[self.model.mesh.n_nodes + 4 * k][None]
+        around = centre + (arms - centre) @ rotation_matrix(turn).T - points
+        return jnp.where(alone, around, v)
 
     def imposed(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
         """How far held nodes still have to move to where they are held [m]."""

@@ -1,7 +1,7 @@
 """Errors of the setup as parameters: zeros of motors, places of mountings."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -10,8 +10,6 @@ from jaxtyping import ArrayLike
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float
 from softcal_jax.fields._parameters import Parameter
-
-Kind = Literal["motor_zero", "mounting"]
 
 
 class SetupParameter(eqx.Module):
@@ -29,10 +27,10 @@ class SetupParameter(eqx.Module):
         axis: Coordinate of a mounting, "x", "y" or "z".
     """
 
-    kind: Kind = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
     of: str = eqx.field(static=True)
     parameter: Parameter
-    axis: Literal["x", "y", "z"] = eqx.field(static=True, default="x")
+    axis: str = eqx.field(static=True, default="x")
 
     def __check_init__(self):
         if self.kind not in ("motor_zero", "mounting"):

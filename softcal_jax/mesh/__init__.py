@@ -9,7 +9,7 @@ from softcal_jax.mesh._generators import beam
 from softcal_jax.mesh._location import MaterialPoints, locate
 from softcal_jax.mesh._merge import merge
 from softcal_jax.mesh._meshio import MeshWarning
-from softcal_jax.mesh._nodes import node_indices
+from softcal_jax.mesh._nodes import named_nodes, node_indices
 from softcal_jax.mesh._order import to_linear, to_quadratic
 from softcal_jax.mesh._quality import QualityReport, Spread, quality_report
 from softcal_jax.mesh._reading import read_mesh
@@ -33,6 +33,7 @@ __all__ = [
     "check_mesh",
     "locate",
     "merge",
+    "named_nodes",
     "node_indices",
     "quality_report",
     "read_mesh",

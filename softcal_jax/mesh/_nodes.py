@@ -6,6 +6,27 @@ from softcal_jax._typing import HostArray, Int
 from softcal_jax.mesh._tet_mesh import TetMesh
 
 
+def named_nodes(
+    mesh: TetMesh, where: str | Int[HostArray, " n"], owner: str
+) -> Int[HostArray, " _"]:
+    """`node_indices` of what has a name, which an unknown group is answered with.
+
+    Args:
+        mesh: The mesh.
+        where: Name of a group, or node indices.
+        owner: What acts on the nodes and its name, for messages.
+
+    Raises:
+        ValueError: As `node_indices`.
+    """
+    if not isinstance(where, str):
+        return node_indices(mesh, where, owner)
+    try:
+        return mesh.nodes(where)
+    except ValueError as error:
+        raise ValueError(f"{owner}: {error}") from error
+
+
 def node_indices(
     mesh: TetMesh, where: str | Int[HostArray, " n"], owner: str
 ) -> Int[HostArray, " _"]:

@@ -26,7 +26,12 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import ParameterSpace, SetupParameter, find_field
 from softcal_jax.materials import is_point_values
-from softcal_jax.sensitivity._setup import setup_columns, setup_displacements
+from softcal_jax.sensitivity._setup import (
+    setup_columns,
+    setup_compliance,
+    setup_displacements,
+    setup_readings,
+)
 
 Derivative = Literal["autodiff", "finite-difference"]
 
@@ -160,6 +165,9 @@ def effector_compliance(
         return moved.reshape(displacement.shape[0], -1).T
     where = lambda u: effector_positions(model, effectors, u)
     moved = jax.vmap(lambda du: jax.jvp(where, (u,), (du,))[1])(displacement)
+    if setup := setup_columns(space):
+        read = setup_readings(model, effectors, u, space, z)
+        moved = moved.at[jnp.asarray(setup)].add(read)
     if effectors.has_forces:
         forces = lambda z, u: effector_forces(space.apply(model, z), configuration, u)
         unit = jnp.eye(z.shape[0])
@@ -251,7 +259,6 @@ def parameter_compliance(
     solved = factor_solve(model, configuration, u, rows, transpose=True)
     W = jnp.sum(solved.x[:, None] * forces[None], axis=(2, 3))
     if setup:
-        moved = setup_displacements(model, configuration, u, space, z)
-        by_setup = jnp.sum(rows[:, None] * moved[None], axis=(2, 3))
+        by_setup = setup_compliance(model, configuration, u, space, z, rows)
         W = W.at[:, jnp.asarray(setup)].set(by_setup)
     return Compliance(jnp.asarray(W), None, solved.ok)

@@ -19,7 +19,11 @@ from softcal_jax.sensitivity._compliance import (
     effector_rows,
     parameter_forces,
 )
-from softcal_jax.sensitivity._setup import setup_columns, setup_displacements
+from softcal_jax.sensitivity._setup import (
+    setup_columns,
+    setup_compliance,
+    setup_displacements,
+)
 
 FEW_PARAMETERS = 12
 """Up to here the direct side is taken even where the adjoint one needs fewer solves.
@@ -108,8 +112,7 @@ def equilibrium_response(
         ok = done.ok & done.equilibrium.converged
         W = jnp.sum(done.x[:, None] * H_p[None], axis=(2, 3))
         if setup:
-            moved = setup_displacements(model, configuration, u, space, z)
-            by_setup = jnp.sum(rows(u)[:, None] * moved[None], axis=(2, 3))
+            by_setup = setup_compliance(model, configuration, u, space, z, rows(u))
             W = W.at[:, jnp.asarray(setup)].set(by_setup)
         return Response(done.equilibrium, jnp.where(ok, W, 0.0), None, ok)
 

@@ -18,15 +18,12 @@ MESH = beam(0.1, 0.02, 0.02, (4, 1, 1))
 ROOT, TIP = RigidBody("root", "x_min"), RigidBody("tip", "x_max")
 MIDDLE = np.flatnonzero(np.isclose(MESH.points[:, 0], 0.05))
 FLAP = RigidBody("flap", MIDDLE, tied_to="tip")
-MECHANISM = build_mechanism(
-    MESH,
-    (ROOT, TIP, FLAP),
-    (
-        Cable("cable", (Guide((0.0, 0.0, 0.1), "ground"), (0.08, 0.01, 0.01))),
-        Motor("motor", "root"),
-        SurfacePressure("pressure", "z_max"),
-    ),
+ACTUATORS = (
+    Cable("cable", (Guide((0.0, 0.0, 0.1), "ground"), (0.08, 0.01, 0.01))),
+    Motor("motor", "root"),
+    SurfacePressure("pressure", "z_max"),
 )
+MECHANISM = build_mechanism(MESH, (ROOT, TIP, FLAP), ACTUATORS)
 
 
 def refused(message, *, supports=(), **asked):
@@ -69,10 +66,34 @@ def test_bad_actuation(actuation, message):
         ({"tipp": "held"}, "rigid body of configuration 'one'.*'tipp'"),
         ({"flap": "held"}, "'flap' is tied to 'tip', and moves with it"),
         ({"root": Pose()}, "'root' is turned by motor 'motor'"),
+        (
+            {"tip": BodyState("free", Pose((0.0, 0.1, 0.0)))},
+            r"'tip' is free, but has a pose: translation \[0.0, 0.1, 0.0\] m.* To hold",
+        ),
+        (
+            {"tip": BodyState("hinged", Pose(rotation_vector=(0.5, 0.0, 0.0)))},
+            r"'tip' is hinged, .* rotation vector \[0.5, 0.0, 0.0\] rad\. To hold it",
+        ),
     ],
 )
 def test_bad_states_of_bodies(bodies, message):
     refused(message, bodies=bodies)
+
+
+def test_hinge_of_a_torque_needs_a_balance():
+    """Weight, a load or another actuator; without any it turns and turns."""
+    torque = {"motor": ImposedForce(1e-3)}
+    nothing = (0.0, 0.0, 0.0)
+    message = r"leave 1 of the 6 rigid motions free.*'motor' is driven by its torque"
+    refused(message, actuation=torque, gravity=nothing)
+    pulled = torque | {"cable": ImposedForce(1.0)}
+    for c in (
+        Configuration("weight", actuation=torque),
+        Configuration("cable", actuation=pulled, gravity=nothing),
+        Configuration("clamp", "x_max", actuation=torque, gravity=nothing),
+    ):
+        bare = build_mechanism(MESH, (ROOT,), ACTUATORS)
+        configuration_arrays(MESH, [c], bare)
 
 
 def test_support_on_a_body():
@@ -116,7 +137,7 @@ def test_axes_of_a_hinge():
     [
         ((ROOT, ROOT), "'root' is named more than once"),
         ((ROOT, RigidBody("b", "y_min")), "'root' and 'b' share 2 nodes"),
-        ((RigidBody("b", "nowhere"),), "unknown group 'nowhere'"),
+        ((RigidBody("b", "nowhere"),), "rigid body 'b': unknown group 'nowhere'"),
         ((RigidBody("b", np.array([0, 1])),), "'b' holds 2 nodes on a line"),
         ((RigidBody("b", "x_min", tied_to="tip"),), "'tip', which is not a body"),
         (

@@ -1,10 +1,10 @@
 """Marker files: what is read, and what is refused with which words."""
 
 import re
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from softcal_jax.configurations import read_markers
 
@@ -18,25 +18,6 @@ rest,base,10,11,12
 pulled,tip,,1,2
 pulled,base,11,11,12
 """
-
-
-@pytest.fixture
-def table(tmp_path):
-    path = tmp_path / "markers.csv"
-
-    def write(text):
-        path.write_text(text)
-        return path
-
-    return write
-
-
-@contextmanager
-def refused(*texts):
-    with pytest.raises(ValueError) as caught:  # noqa: PT011
-        yield
-    for text in texts:
-        assert text in str(caught.value)
 
 
 def test_selected_rows_in_metres(table):
@@ -184,4 +165,4 @@ def test_a_marker_that_is_not_there(table):
     markers = read_markers(table(TABLE), select={"phase": "rest"})
     with refused("has no marker 'tp'. Did you mean 'tip'? It has tip, base."):
         markers.positions_of(["tp"])
-    assert re.search(r"markers\.csv \(phase = rest\)$", markers.source)
+    assert re.search(r"table\.csv \(phase = rest\)$", markers.source)

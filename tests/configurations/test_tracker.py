@@ -1,34 +1,15 @@
 """Files of 6-D trackers: what is read, and what is refused with which words."""
 
 import warnings
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from softcal_jax.configurations import TrackerWarning, read_polhemus, read_poses
 
 HEADER = "sensor,x_mm,y_mm,z_mm,azimuth_deg,elevation_deg,roll_deg\n"
 QUATERNIONS = "sensor,x_m,y_m,z_m,qw,qx,qy,qz\n"
-
-
-@pytest.fixture
-def table(tmp_path):
-    path = tmp_path / "poses.csv"
-
-    def write(text):
-        path.write_text(text)
-        return path
-
-    return write
-
-
-@contextmanager
-def refused(*texts):
-    with pytest.raises(ValueError) as caught:  # noqa: PT011
-        yield
-    for text in texts:
-        assert text in str(caught.value)
 
 
 def R(axis, degrees):
@@ -49,7 +30,7 @@ def test_rows_in_metres_with_repeats_and_selection(table):
     poses = read_poses(table(text), select={"run": "1"})
     assert poses.names == ("b", "a", "a")
     assert poses.lines == (2, 5, 7)
-    assert poses.source.endswith("poses.csv (run = 1)")
+    assert poses.source.endswith("table.csv (run = 1)")
     expected = [[0.01, 0.02, -0.03], [0.001, 0.002, 0.003], [0.001, 0.002, 0.004]]
     np.testing.assert_allclose(poses.positions, expected, rtol=1e-15)
     np.testing.assert_allclose(poses.rotations[0], np.eye(3))

@@ -23,9 +23,6 @@ from softcal_jax.control import (
 )
 from softcal_jax.control import _qp as qp_module
 
-# Minutes, nearly all of it compilation; the rest of the folder runs every time.
-pytestmark = pytest.mark.slow
-
 FINE = ControlSettings(tol=1e-6)
 # A bend upwards is positive.
 EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
@@ -50,8 +47,7 @@ def check(result):
     assert max(step.kkt_residual for step in result.steps) < 1e-9
     kept = [step for step in result.steps if step.accepted]
     for before, after in pairwise(kept):
-        # Equilibria have a residual of 1e-8, to which the cost is flat.
-        falls = after.cost <= before.cost * (1.0 + 1e-8)
+        falls = after.cost <= before.cost * (1.0 + 1e-12)  # rounding
         assert falls or after.violation < before.violation
     assert kept[-1].violation <= 1e-6
     assert bool(result.solution.converged)
@@ -182,6 +178,7 @@ def test_epsilon_ends_co_contraction():
     np.testing.assert_allclose(frugal.goals[0].reached[0], 0.25, atol=1e-4)
 
 
+@pytest.mark.slow  # a minute: programs of two levels of their own
 def test_priorities_are_strict():
     """The first level is met; the second is as near as that leaves it."""
     goals = {"bend": 0.3, "tip": (0.09, 0.01, -0.01)}

@@ -114,10 +114,12 @@ def test_values_of_all_kinds():
 
 @pytest.mark.parametrize("cable", [BY_FORCE, BY_DISPLACEMENT])
 def test_reactions_balance_all_loads(cable):
-    """Clamp and hinge together carry weight and the pull of the cable."""
+    """Clamp and hinge together carry all weight and the pull of the cable."""
     effectors = (*EFFECTORS, SupportReaction("tip", "at 6"))
-    solution, values, _ = solved(MODEL, watched(cable, effectors), TIGHT)
-    weight = (1000.0 * LENGTH * SIDE**2 + 0.01) * np.array([1.0, 2.0, -9.0])
+    masses = jnp.array([0.01, 0.03])  # of the plate, and of what is held at the tip
+    heavy = eqx.tree_at(lambda m: m.mechanism.bodies.mass, MODEL, masses)
+    solution, values, _ = solved(heavy, watched(cable, effectors), TIGHT)
+    weight = (1000.0 * LENGTH * SIDE**2 + 0.04) * np.array([1.0, 2.0, -9.0])
     x = positions(MODEL, solution)
     X = MESH.points
     pair = np.isclose(X[:, 0], 0.1) & (X[:, 1] == 0.0) & np.isclose(X[:, 2], SIDE)
@@ -212,6 +214,11 @@ def test_bad_effectors(unchecked):
         r"'c' is at \[nan +0. +0.\], expected three finite",
         Centroid("c", "at 2", np.array([np.nan, 0.0, 0.0])),
     )
+    bad(
+        "'r' names 3 of the 4 nodes of rigid body 'tip'.* name all or none",
+        SupportReaction("r", MESH.nodes("at 6")[1:]),
+    )
+    bad("effector 'r': unknown group 'at 9'", SupportReaction("r", "at 9"))
     bad(
         "'r' measured .*expected three finite",
         SupportReaction("r", "x_min", np.array([np.inf, 0.0, 0.0])),

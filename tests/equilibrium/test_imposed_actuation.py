@@ -134,6 +134,18 @@ def test_torque_that_holds_an_angle_gives_it_back(by_force):
     np.testing.assert_allclose(read(again)[1]["motor"], torque, rtol=1e-14)
 
 
+@pytest.mark.parametrize("angle", [0.6, 1.1, 1.5, 1.9])
+def test_torque_turns_the_arm_from_rest(angle):
+    """Far, and past the edge on which it stands: at rest no torque balances it."""
+    asked = driven(motor=ImposedDisplacement(angle))
+    reference, values, _ = solved(MODEL, asked, TIGHT)
+    torque = ImposedForce(read(values)[1]["motor"])
+    solution, again, _ = solved(MODEL, driven(motor=torque), TIGHT)
+    same_state(solution, reference)
+    np.testing.assert_allclose(read(again)[0]["motor"], angle, rtol=1e-7)
+    assert int(solution.n_negative) == 0
+
+
 def test_torque_of_a_motor_balances_weight_and_force():
     """Moments of all loads about the hinge, on the arm as it has bent."""
     asked = {"motor": ImposedDisplacement(0.3), "push": ImposedForce(0.2)}
@@ -154,14 +166,17 @@ def test_torque_of_a_motor_balances_weight_and_force():
 
 
 def test_angle_of_a_motor_has_its_error_of_zero():
-    """A motor at 0.2 rad that stands 0.1 rad off is one at 0.3 rad."""
+    """A motor at 0.2 rad that stands 0.1 rad off is one at 0.3 rad.
+
+    Its encoder does not know, and shows what was asked for.
+    """
     off = eqx.tree_at(
         lambda m: m.mechanism.motor_zero, MODEL, jnp.array([0.0, 0.0, 0.0, 0.1])
     )
     one, values, _ = solved(off, driven(motor=ImposedDisplacement(0.2)), TIGHT)
     other, _, _ = solved(MODEL, driven(motor=ImposedDisplacement(0.3)), TIGHT)
     same_state(one, other)
-    np.testing.assert_allclose(read(values)[0]["motor"], 0.3, rtol=1e-14)
+    np.testing.assert_allclose(read(values)[0]["motor"], 0.2, rtol=1e-14)
 
 
 def test_a_slack_cable_has_no_force():
@@ -271,12 +286,15 @@ def test_derivatives_meet_differences_at_second_order(start, a):
 
 
 def test_derivative_by_the_error_of_zero_is_that_by_the_angle(start):
+    """But for the encoder of the motor, which shows the angle without it."""
     kind, both, inputs = start
     of_zero = inputs._replace(
         value=jnp.zeros(4), motor_zero=jnp.array([0.0, 0.0, 0.0, 1.0])
     )
     of_angle = Inputs(of_zero.motor_zero, jnp.zeros(4))
     one = derivative(both, inputs, of_zero)
+    np.testing.assert_allclose(one[5, 0], -1.0 * (kind == "torque"), atol=1e-15)
+    one = one.at[5, 0].add(1.0)
     if kind == "torque":  # no angle is imposed
         np.testing.assert_array_equal(one, 0.0)
     else:

@@ -297,24 +297,15 @@ def test_selection_lists_what_is_there(tmp_path):
     )
 
 
+TIP = "weight,loaded,tip,124.627615364"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (
-            "weight,loaded,tip,124.627615364",
-            "weight,loaded,tip,nan",
-            "line 7: the posit",
-        ),
-        (
-            "weight,loaded,tip,124.627615364",
-            "weight,loaded,tip,",
-            "line 7: the position",
-        ),
-        (
-            "weight,loaded,tip,124.627615364",
-            "weight,loaded,tip,1O",
-            "'1O', not a number",
-        ),
+        (TIP, "weight,loaded,tip,nan", "line 7: the posit"),
+        (TIP, "weight,loaded,tip,", "line 7: the position"),
+        (TIP, "weight,loaded,tip,1O", "'1O', not a number"),
         ("weight,loaded,side", "weight,loaded,tip", "'tip' is there twice, in lines 7"),
         ("weight,loaded,side", "weight,loaded,new", "has no marker 'side'."),
         ("run,phase,marker", "run,state,marker", "column 'phase' is missing."),

@@ -1,0 +1,153 @@
+"""Effectors of actuators and supports: lengths, volumes, forces, reactions."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.bodies import BodyArrays
+from softcal_jax.configurations._effector import (
+    AbstractEffector,
+    EffectorRow,
+    inverse_std,
+    number_of,
+    one_value,
+    optional_point,
+    three_values,
+)
+from softcal_jax.configurations._mechanism import Mechanism
+from softcal_jax.mesh import TetMesh, named_nodes
+
+
+class ActuatorDisplacement(AbstractEffector):
+    """Displacement delta_a of an actuator: length of a cable, volume of a chamber.
+
+    Of a motor it is what its encoder shows and what `ImposedDisplacement` asks for: the
+    angle of its body without the motor's error of zero. `BodyFrame` and `BodyAngle`
+    see the angle itself.
+
+    Attributes:
+        name: Its name.
+        actuator: The actuator.
+        measured: Measured displacement from rest, in the unit of the actuator.
+        std: Its standard deviation.
+    """
+
+    name: str
+    actuator: str
+    measured: float | None = None
+    std: float = 1e-3
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Its single coordinate."""
+        del mesh
+        actuators = mechanism.actuators
+        a = number_of(self.actuator, actuators.names, "actuator", self.name)
+        unit = actuators.kinds[a].displacement_unit
+        if unit is None:
+            raise ValueError(
+                f"effector {self.name!r}: {actuators.kinds[a].noun} {self.actuator!r} "
+                "has no displacement; use ActuatorForce."
+            )
+        weight = inverse_std(self.name, "std", self.std, unit)
+        values = one_value(self.measured, weight, self.name, unit)
+        return (EffectorRow("scalar", unit, *values, about=(a, -1)),)
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "ActuatorDisplacement":
+        """With a displacement."""
+        del mechanism
+        return replace(self, measured=float(values[0, 0]))
+
+
+class ActuatorForce(AbstractEffector):
+    """Force lambda_a of an actuator: tension, pressure, reaction torque of a motor.
+
+    Attributes:
+        name: Its name.
+        actuator: The actuator.
+        measured: Measured force, in the unit of the actuator.
+        std: Its standard deviation.
+    """
+
+    name: str
+    actuator: str
+    measured: float | None = None
+    std: float = 1e-2
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Its single coordinate."""
+        del mesh
+        actuators = mechanism.actuators
+        a = number_of(self.actuator, actuators.names, "actuator", self.name)
+        unit = actuators.kinds[a].force_unit
+        weight = inverse_std(self.name, "std", self.std, unit)
+        values = one_value(self.measured, weight, self.name, unit)
+        return (EffectorRow("force", unit, *values, about=(a, 0)),)
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "ActuatorForce":
+        """With a force."""
+        del mechanism
+        return replace(self, measured=float(values[0, 0]))
+
+
+class SupportReaction(AbstractEffector):
+    """Force with which the ground holds a group of nodes: a load cell under a clamp.
+
+    A rigid body among them is held as a whole: its own mass, what pulls at it, and
+    bodies that are tied to it count.
+
+    Attributes:
+        name: Its name.
+        where: The group, or node indices.
+        measured: Measured force of the support on the body [N].
+        std: Standard deviation of each coordinate [N].
+    """
+
+    name: str
+    where: str | Int[HostArray, " n"]
+    measured: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional_point, default=None
+    )
+    std: float = 1e-2
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Its three coordinates."""
+        nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
+        nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
+        weight = inverse_std(self.name, "std", self.std, "N")
+        values = three_values(self.measured, weight, self.name, "N")
+        return (EffectorRow("reaction", "N", *values, nodes, np.ones(nodes.size)),)
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "SupportReaction":
+        """With a force [N]."""
+        del mechanism
+        return replace(self, measured=values[0])
+
+
+def _with_bodies(
+    nodes: Int[HostArray, " n"], mesh: TetMesh, bodies: BodyArrays, name: str
+) -> Int[HostArray, " _"]:
+    """Nodes and, for the bodies among them, all nodes by which the ground holds them.
+
+    Masses and cables act on the nodes of a body's frame.
+    """
+    inside = np.isin(bodies.attached, nodes)
+    counts = [(inside[bodies.body == k], k) for k in range(bodies.n_bodies)]
+    for own, k in counts:
+        if own.any() and not own.all():
+            raise ValueError(
+                f"effector {name!r} names {own.sum()} of the {own.size} nodes of rigid "
+                f"body {bodies.names[k]!r}, which is held as a whole: name all or none."
+            )
+    whole = [k for own, k in counts if own.all()]
+    carried = [k for _, k in counts if k in whole or bodies.owner[k] in whole]
+    frames = [mesh.n_nodes + 4 * k + np.arange(4) for k in carried]
+    attached = bodies.attached[np.isin(bodies.body, carried)]
+    return np.unique(np.concatenate([nodes, attached, *frames])).astype(np.int32)

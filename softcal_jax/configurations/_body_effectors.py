@@ -1,0 +1,173 @@
+"""Effectors that follow from positions: frames, mean positions, angles."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.bodies import Pose
+from softcal_jax.configurations._effector import (
+    AbstractEffector,
+    EffectorRow,
+    inverse_std,
+    number_of,
+    one_value,
+    optional_point,
+    three_values,
+)
+from softcal_jax.configurations._mechanism import Mechanism
+from softcal_jax.mesh import TetMesh, named_nodes
+
+
+def _point(value: Float[ArrayLike, "3"] | Sequence[float]) -> HostArray:
+    return np.asarray(value, float)
+
+
+class BodyFrame(AbstractEffector):
+    """Position and orientation of a rigid body: a 6-D sensor on it.
+
+    Six coordinates: where its point is, and the rotation vector of its orientation
+    relative to the measured one, which has no jump at half a turn.
+
+    Attributes:
+        name: Its name.
+        body: The rigid body.
+        measured: Its measured motion from rest: translation of the point, and rotation.
+        point: The point, on the mesh at rest; by default the origin of the body's
+            frame [m].
+        std: Standard deviation of each coordinate of the position [m].
+        std_angle: Standard deviation of each coordinate of the rotation [rad].
+    """
+
+    name: str
+    body: str
+    measured: Pose | None = None
+    point: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional_point, default=None
+    )
+    std: float = 1e-3
+    std_angle: float = 1e-2
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Its position, then its orientation."""
+        bodies = mechanism.bodies
+        k = number_of(self.body, bodies.names, "rigid body", self.name)
+        point = bodies.origin[k] if self.point is None else self.point
+        weight = inverse_std(self.name, "std", self.std, "m")
+        weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
+        nodes = mesh.n_nodes + 4 * k + np.arange(4)
+        measured, seen, reference = np.full(3, np.nan), 0.0, np.eye(3)
+        if self.measured is not None:
+            measured, seen = point + self.measured.translation, 1.0
+            reference = self.measured.matrix
+        return (
+            EffectorRow(
+                "point",
+                "m",
+                measured,
+                np.full(3, seen * weight),
+                nodes.astype(np.int32),
+                bodies.at(k, point[None])[0],
+            ),
+            EffectorRow(
+                "turn",
+                "rad",
+                np.zeros(3) if seen else np.full(3, np.nan),
+                np.full(3, seen * weight_angle),
+                about=(k, 0),
+                reference=reference,
+            ),
+        )
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "BodyFrame":
+        """With a position [m], and a rotation vector from rest [rad]."""
+        k = mechanism.bodies.names.index(self.body)
+        point = mechanism.bodies.origin[k] if self.point is None else self.point
+        return replace(self, measured=Pose(values[0] - point, values[1]))
+
+
+class Centroid(AbstractEffector):
+    """Mean position of a group of nodes.
+
+    Attributes:
+        name: Its name.
+        where: The group, or node indices.
+        measured: Measured position [m].
+        std: Standard deviation of each coordinate [m].
+    """
+
+    name: str
+    where: str | Int[HostArray, " n"]
+    measured: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional_point, default=None
+    )
+    std: float = 1e-3
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Its position."""
+        del mechanism
+        nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
+        weight = inverse_std(self.name, "std", self.std, "m")
+        values = three_values(self.measured, weight, self.name, "m")
+        equal = np.full(nodes.size, 1.0 / nodes.size)
+        return (EffectorRow("point", "m", *values, nodes.astype(np.int32), equal),)
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "Centroid":
+        """With a position [m]."""
+        del mechanism
+        return replace(self, measured=values[0])
+
+
+class BodyAngle(AbstractEffector):
+    """Angle by which one rigid body has turned against another.
+
+    Attributes:
+        name: Its name.
+        body: The body that turns.
+        other: The body it is measured from.
+        axis: Axis of the angle, fixed on `other`, as it lies at rest [-].
+        measured: Measured angle from rest [rad].
+        std: Its standard deviation [rad].
+    """
+
+    name: str
+    body: str
+    other: str
+    axis: Float[HostArray, "3"] = eqx.field(converter=_point)
+    measured: float | None = None
+    std: float = 1e-2
+    unit: ClassVar[str] = "rad"
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Its single coordinate."""
+        del mesh
+        names = mechanism.bodies.names
+        pair = (
+            number_of(self.body, names, "rigid body", self.name),
+            number_of(self.other, names, "rigid body", self.name),
+        )
+        length = np.linalg.norm(self.axis)
+        if self.axis.shape != (3,) or not (np.isfinite(length) and length > 0.0):
+            raise ValueError(
+                f"axis of effector {self.name!r} must be three finite numbers, not all "
+                f"zero, got {self.axis}."
+            )
+        weight = inverse_std(self.name, "std", self.std, self.unit)
+        values = one_value(self.measured, weight, self.name, self.unit)
+        row = EffectorRow("scalar", "rad", *values, about=pair, axis=self.axis / length)
+        return (row,)
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "BodyAngle":
+        """With an angle [rad]."""
+        del mechanism
+        return replace(self, measured=float(values[0, 0]))

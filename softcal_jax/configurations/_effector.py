@@ -1,0 +1,164 @@
+"""Effectors beside markers: what all of them are to the solver (paper Sec. II).
+
+Each is a sensor where it has a measured value, and what control brings to a goal.
+"""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._names import unknown_name
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.configurations._mechanism import Mechanism
+from softcal_jax.mesh import TetMesh
+
+Quantity = Literal["point", "turn", "scalar", "force", "reaction"]
+"""What a row of three effector coordinates is computed from."""
+
+
+class EffectorRow(NamedTuple):
+    """Up to three coordinates of an effector, as the solver sees them.
+
+    Attributes:
+        quantity: What they are.
+        unit: Their unit.
+        measured: Measured values, or goals; NaN where there is none.
+        inverse_std: 1 / standard deviation; 0 for a coordinate that does not count.
+        nodes: Nodes that carry a point, or hold a reaction.
+        weights: Their weights [-].
+        about: Numbers of the bodies or the actuator that it is about.
+        axis: Axis of an angle, in the frame of the mesh [-].
+        reference: Orientation that turns are counted from, as a matrix [-].
+    """
+
+    quantity: Quantity
+    unit: str
+    measured: Float[HostArray, "3"]
+    inverse_std: Float[HostArray, "3"]
+    nodes: Int[HostArray, " n"] = np.zeros(0, np.int32)
+    weights: Float[HostArray, " n"] = np.zeros(0)
+    about: tuple[int, int] = (0, 0)
+    axis: Float[HostArray, "3"] = np.zeros(3)
+    reference: Float[HostArray, "3 3"] = np.eye(3)
+
+
+class AbstractEffector(eqx.Module):
+    """Something that is measured on the robot, or brought to a goal."""
+
+    name: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Its coordinates.
+
+        Args:
+            mesh: The mesh at rest.
+            mechanism: Rigid bodies and actuators of the model.
+
+        Raises:
+            ValueError: If it does not fit them, or its value is not finite.
+        """
+
+    @abstractmethod
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "AbstractEffector":
+        """The effector with other measured values.
+
+        Args:
+            values: One row for each of `rows`, turns counted from rest.
+            mechanism: Rigid bodies and actuators of the model.
+        """
+
+
+def inverse_std(name: str, what: str, std: float, unit: str) -> float:
+    """1 / standard deviation of an effector.
+
+    Args:
+        name: Its name, for messages.
+        what: Name of the standard deviation, likewise.
+        std: The standard deviation.
+        unit: Its unit.
+
+    Raises:
+        ValueError: If it is not positive and finite.
+    """
+    if not (np.isfinite(std) and std > 0.0):
+        raise ValueError(
+            f"{what} of effector {name!r} must be positive and finite [{unit}], got "
+            f"{std:g}."
+        )
+    return 1.0 / float(std)
+
+
+class Values(NamedTuple):
+    """Measured values of a row, and their weights; NaN and 0 where there is none."""
+
+    measured: Float[HostArray, "3"]
+    inverse_std: Float[HostArray, "3"]
+
+
+def one_value(value: float | None, weight: float, name: str, unit: str) -> Values:
+    """Measured value and weight of a single number, in a row of three.
+
+    Args:
+        value: The value, if there is one.
+        weight: 1 / its standard deviation.
+        name: Name of the effector, for messages.
+        unit: Its unit.
+
+    Raises:
+        ValueError: If the value is not finite.
+    """
+    measured, weights = np.full(3, np.nan), np.zeros(3)
+    if value is not None:
+        if not np.isfinite(value):
+            raise ValueError(
+                f"effector {name!r} has the value {value}, expected a finite number "
+                f"[{unit}]; leave out what was not measured."
+            )
+        measured[0], weights[0] = value, weight
+    return Values(measured, weights)
+
+
+def three_values(
+    value: Float[HostArray, "3"] | None, weight: float, name: str, unit: str
+) -> Values:
+    """Measured values and weights of a vector; see `one_value`."""
+    if value is None:
+        return Values(np.full(3, np.nan), np.zeros(3))
+    if not np.all(np.isfinite(value)):
+        verb = "is at" if unit == "m" else "measured"
+        raise ValueError(
+            f"effector {name!r} {verb} {value}, expected three finite numbers "
+            f"[{unit}]; leave out what was not measured."
+        )
+    return Values(value, np.full(3, weight))
+
+
+def number_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
+    """Number of what an effector is about, out of a list of names.
+
+    Args:
+        wanted: Its name.
+        names: All names.
+        kind: What it is, for messages.
+        owner: Name of the effector.
+
+    Raises:
+        ValueError: If it is not in the list.
+    """
+    if wanted not in names:
+        raise unknown_name(f"{kind} of effector {owner!r}", wanted, names)
+    return list(names).index(wanted)
+
+
+def optional_point(
+    value: Float[ArrayLike, "..."] | Sequence[float] | None,
+) -> HostArray | None:
+    """A point as an array, for converters of fields."""
+    return None if value is None else np.asarray(value, float)
