@@ -4,6 +4,7 @@ from softcal_jax.robots._anisotropic_beam import AnisotropicBeam, anisotropic_be
 from softcal_jax.robots._parallel_robot import (
     CALIBRATION_ANGLES,
     PRIOR,
+    SETUP,
     VALIDATION_ANGLES,
     ParallelRobot,
     parallel_robot,
@@ -22,6 +23,7 @@ from softcal_jax.robots._silicone_beam import silicone_beam_path
 __all__ = [
     "CALIBRATION_ANGLES",
     "PRIOR",
+    "SETUP",
     "VALIDATION_ANGLES",
     "AnisotropicBeam",
     "Arm",

@@ -15,7 +15,13 @@ from softcal_jax.configurations import (
     ImposedDisplacement,
 )
 from softcal_jax.equilibrium import Model, build_model
-from softcal_jax.fields import ControlPointParameters, ParameterSpace
+from softcal_jax.fields import (
+    ControlPointParameters,
+    ParameterSpace,
+    SetupParameter,
+    motor_zero,
+    mounting,
+)
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
 
@@ -24,6 +30,9 @@ EFFECTOR = "rod"
 
 PRIOR = {"E_t": 0.3, "E_l": 0.3, "theta": float(np.deg2rad(20.0))}
 """Standard deviations of what is known of a printed field: 30 % and 20 degrees."""
+
+SETUP = {"motor_zero": float(np.deg2rad(0.5))}
+"""Standard deviations of errors of the setup that are calibrated along [rad]."""
 
 BOUNDS = {"E_t": (200e3, 6e6), "E_l": (50e3, 3e6)}
 """Bounds of the moduli [Pa]."""
@@ -81,6 +90,7 @@ def parallel_robot(
     layers: int = 1,
     order: Literal[1, 2] = 2,
     prior: Mapping[str, float] | None = PRIOR,
+    setup: Mapping[str, float] | None = SETUP,
     std: float = 0.76e-3,
     std_angle: float = float(np.deg2rad(0.15)),
 ) -> ParallelRobot:
@@ -97,6 +107,8 @@ def parallel_robot(
         prior: Standard deviations of what is known of E_t and E_l (relative) and theta
             [rad] before calibration, or None. Without one, directions that the data do
             not see drift.
+        setup: Standard deviations of "motor_zero" [rad] and "mounting" [m] where they
+            are calibrated together with the material, or None.
         std: Standard deviation of the sensor's position [m].
         std_angle: Standard deviation of its orientation [rad].
 
@@ -118,7 +130,7 @@ def parallel_robot(
         pose(geometry, f"{name} {k}", row, std=std, std_angle=std_angle)
         for k, row in enumerate(angles, start=1)
     )
-    space = control_space(geometry, prior)
+    space = control_space(geometry, prior, setup)
     start = space.apply(model, space.start())
     return ParallelRobot(
         start,
@@ -164,13 +176,20 @@ def mechanism(
 
 
 def control_space(
-    geometry: ParallelRobotGeometry, prior: Mapping[str, float] | None
+    geometry: ParallelRobotGeometry,
+    prior: Mapping[str, float] | None,
+    setup: Mapping[str, float] | None = None,
 ) -> ParameterSpace:
     """{E_t, E_l, theta} at the twelve control points, as tensors, with their prior.
 
     Args:
         geometry: Dimensions of the robot, and the start field.
         prior: Standard deviations by field, or None.
+        setup: Standard deviations of errors of the setup, "motor_zero" and "mounting";
+            these follow the material.
+
+    Raises:
+        ValueError: If an error of the setup has another name.
     """
     points, start = geometry.control_points(), geometry.start_field()
     known = prior or {}
@@ -200,7 +219,30 @@ def control_space(
         interpolation="director",
         prior_std=known.get("theta"),
     )
-    return ParameterSpace((*moduli, theta), axes=[("E_l", "E_t", "theta")])
+    errors = _setup_parameters(geometry, setup or {})
+    return ParameterSpace((*moduli, theta, *errors), axes=[("E_l", "E_t", "theta")])
+
+
+def _setup_parameters(
+    geometry: ParallelRobotGeometry, stds: Mapping[str, float]
+) -> list[SetupParameter]:
+    """Errors of all six motors, within six standard deviations."""
+    unknown = set(stds) - {"motor_zero", "mounting"}
+    if unknown:
+        raise ValueError(
+            f'setup knows "motor_zero" and "mounting", got {sorted(unknown)}.'
+        )
+    found: list[SetupParameter] = []
+    if (std := stds.get("motor_zero")) is not None:
+        found += [
+            motor_zero(arm.name, limit=6.0 * std, prior_std=std)
+            for arm in geometry.arms()
+        ]
+    if (std := stds.get("mounting")) is not None:
+        for arm in geometry.arms():
+            place = arm.mounting.translation
+            found += mounting(arm.name, place, limit=6.0 * std, prior_std=std)
+    return found
 
 
 def pose(

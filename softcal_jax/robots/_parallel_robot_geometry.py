@@ -171,23 +171,34 @@ class ParallelRobotGeometry(eqx.Module):
         Raises:
             ValueError: If `tripod` refuses the dimensions.
         """
+        sheet = lambda y: self.sheet(y, size=size, layers=layers, order=order)
         return merge(
-            {
-                sheet: tripod(
-                    self.branch_length,
-                    self.branch_width,
-                    self.thickness,
-                    hole_radius=self.hole_radius,
-                    centre_radius=self.centre_radius,
-                    end_length=self.end_length,
-                    branches=N_BRANCHES,
-                    y=side * self.sheet_height,
-                    size=size,
-                    layers=layers,
-                    order=order,
-                )
-                for sheet, side in SHEETS.items()
-            }
+            {name: sheet(side * self.sheet_height) for name, side in SHEETS.items()}
+        )
+
+    def sheet(
+        self, y: float = 0.0, *, size: float = 0.005, layers: int = 1, order: int = 2
+    ) -> TetMesh:
+        """One flat sheet, with groups like "end 1" and "centre"; see `mesh`.
+
+        Args:
+            y: Height of its mid-surface [m].
+            size: Edge length in its plane [m].
+            layers: Number of layers of tets through the thickness.
+            order: 2 for quadratic tets.
+        """
+        return tripod(
+            self.branch_length,
+            self.branch_width,
+            self.thickness,
+            hole_radius=self.hole_radius,
+            centre_radius=self.centre_radius,
+            end_length=self.end_length,
+            branches=N_BRANCHES,
+            y=y,
+            size=size,
+            layers=layers,
+            order=order,
         )
 
     def control_points(self) -> ControlPoints:

@@ -5,13 +5,12 @@ another law, a finer mesh, moduli and fibres that vary smoothly about what was o
 and errors of motors, mounting and tracker. Never the calibrated model itself.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import simulated_measurements
 from softcal_jax.configurations import AbstractEffector, BodyFrame, Configuration
 from softcal_jax.equilibrium import Model, build_model
@@ -54,11 +53,15 @@ class PrintedRobot(eqx.Module):
         model: The robot: fibre-reinforced, finer, with all its errors.
         first: The same with the corotational law, to find equilibria by.
         errors: How far it is from the one that was ordered.
+        parameters: Its E_t, E_l [Pa] and theta [rad] at the control points of the
+            model that is calibrated, by the names of their parameters, and the zeros
+            of its motors [rad]; what a calibration should find.
     """
 
     model: Model
     first: Model
     errors: PrintingErrors
+    parameters: dict[str, float]
 
 
 def printed_robot(
@@ -86,13 +89,17 @@ def printed_robot(
     geometry, errors = geometry or ParallelRobotGeometry(), errors or PrintingErrors()
     random = np.random.default_rng(seed)
     mesh = geometry.mesh(size=size, layers=layers)
-    places = mesh.points[mesh.tets[:, :4]].mean(axis=1)[:, [0, 2]]
-    vary = lambda: _smooth(random, places, errors.correlation_length)
-    E_t = geometry.E_t * np.exp(errors.moduli * vary())
-    E_l = geometry.E_l * np.exp(errors.moduli * vary())
-    # The ordered spiral, which the control points of the model only interpolate.
-    theta = np.arctan2(places[:, 1], places[:, 0]) + geometry.spiral_angle
-    fibre = Fibre(theta + errors.theta * vary(), plane="xz")
+    vary = [_smooth(random, errors.correlation_length) for _ in range(3)]
+
+    def fields(places):
+        E_t = geometry.E_t * np.exp(errors.moduli * vary[0](places))
+        E_l = geometry.E_l * np.exp(errors.moduli * vary[1](places))
+        # The ordered spiral, which the control points of the model only interpolate.
+        theta = np.arctan2(places[:, 1], places[:, 0]) + geometry.spiral_angle
+        return E_t, E_l, theta + errors.theta * vary[2](places)
+
+    E_t, E_l, theta = fields(mesh.points[mesh.tets[:, :4]].mean(axis=1)[:, [0, 2]])
+    fibre = Fibre(theta, plane="xz")
     shear = np.sqrt(E_t * E_l) / (2.0 * (1.0 + geometry.nu))
     law = FibreReinforced(E_t, E_l, geometry.nu, shear, fibre)
     bodies, motors = mechanism(geometry)
@@ -107,12 +114,18 @@ def printed_robot(
         replace_fn=lambda old: old + (zero if old.ndim == 1 else shift),
     )
     easy = Corotational(ReducedTransverseIsotropic(E_t, E_l, geometry.nu, fibre))
-    return PrintedRobot(build(law), build(easy), errors)
+    points = geometry.control_points()
+    there = fields(np.asarray(points.positions)[:, [0, 2]])
+    parameters = {
+        f"{field} of {name}": float(value)
+        for field, values in zip(("E_t", "E_l", "theta"), there, strict=True)
+        for name, value in zip(points.names, values, strict=True)
+    }
+    zeros = {f"zero of {m.name}": float(z) for m, z in zip(motors, zero, strict=True)}
+    return PrintedRobot(build(law), build(easy), errors, parameters | zeros)
 
 
-def _smooth(
-    random: np.random.Generator, places: Float[HostArray, "n 2"], length: float
-) -> Float[HostArray, " n"]:
+def _smooth(random: np.random.Generator, length: float) -> Callable:
     """A smooth random field of unit variance, by random Fourier features [-].
 
     Its covariance is exp(-d^2 / (2 length^2)) (Rahimi and Recht, NIPS 2007).
@@ -120,7 +133,8 @@ def _smooth(
     n = 200
     waves = random.standard_normal((n, 2)) / length
     phases = random.uniform(0.0, 2.0 * np.pi, n)
-    return np.sqrt(2.0 / n) * np.cos(places @ waves.T + phases).sum(axis=1)
+    at = lambda places: np.cos(places @ waves.T + phases).sum(axis=1)
+    return lambda places: np.sqrt(2.0 / n) * at(places)
 
 
 def read_poses_of(
