@@ -40,9 +40,9 @@ def identifiability(
     """What data with these compliances can tell about the parameters; Sec. V-C.
 
     Predicted covariance (I / prior^2 + W^T W)^-1, with the prior's standard deviation
-    that of a uniform density between the bounds. So a parameter that no data see has
-    the spread of its bounds, not an infinite one. The verdict compares both spreads
-    (`IDENTIFIABLE_BELOW`, `WEAK_BELOW`).
+    that of a uniform density between the bounds, or `prior_std` of the parameter. So a
+    parameter that no data see has the spread of its bounds, not an infinite one. The
+    verdict compares both spreads (`IDENTIFIABLE_BELOW`, `WEAK_BELOW`).
 
     It is local: at E_l = E_t, for example, the angle of the fibre moves nothing.
 
@@ -85,6 +85,7 @@ def identifiability(
         covariance * np.outer(prior, prior),
         numbers,
         int(np.any(W != 0.0, axis=1).sum()) if n_data is None else n_data,
+        "prior" if space.has_prior else "bounds",
     )
 
 

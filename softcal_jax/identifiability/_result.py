@@ -24,9 +24,10 @@ class ParameterOutlook(eqx.Module):
         value: Where it was taken.
         standard_error: Predicted from noise and bounds; never above that of the bounds.
         data_only: Predicted from the noise alone; infinite where the data are blind.
-        prior: Standard deviation of the bounds, their width over the root of 12.
+        prior: Standard deviation of what is known before any data: of the bounds, their
+            width over the root of 12, or the stated one.
         relative: Standard error over value [-]; None for an angle or a value of zero.
-        spread: Standard error over that of the bounds, in scaled units [-].
+        spread: Standard error over `prior`, in scaled units [-].
         verdict: What the spread is called.
         unit: SI unit.
     """
@@ -52,6 +53,8 @@ class Identifiability(eqx.Module):
         covariance: Predicted from noise and bounds, of the scaled parameters [-].
         conditioning: Singular values and condition numbers.
         n_data: Measured coordinates.
+        known: What the spread is compared with: "prior" where one is stated, otherwise
+            "bounds".
     """
 
     verdict: Verdict
@@ -60,6 +63,12 @@ class Identifiability(eqx.Module):
     covariance: Float[HostArray, "n_p n_p"]
     conditioning: Conditioning
     n_data: int
+    known: str
+
+    @property
+    def informed(self) -> int:
+        """Directions along which the data tell more than was known before."""
+        return sum(d.signal > 1.0 for d in self.directions)
 
     @property
     def n_parameters(self) -> int:
@@ -90,17 +99,18 @@ def _report(found: Identifiability) -> str:
         f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
     ]
     head = ("parameter", "value", "standard error", "from data alone", "verdict")
-    lines += table(head, [_row(p) for p in found.parameters])
+    lines += table(head, [_row(p, found.known) for p in found.parameters])
     if any(p.data_only > p.prior for p in found.parameters):
         lines.append(
-            "The standard error takes the bounds for knowledge; the verdict compares "
-            "it with that of the bounds alone."
+            f"The standard error takes the {found.known} for knowledge; the verdict "
+            f"compares it with that of the {found.known} alone."
         )
     blind = found.blind
     if blind:
         lines.append(
             f"The data hardly see {len(blind)} of {n_p} "
-            f"direction{'s' * (n_p != 1)} (standard error over that of the bounds):"
+            f"direction{'s' * (n_p != 1)} (standard error over that of the "
+            f"{found.known}):"
         )
         lines += [
             f"  {d.words} ({100 * d.spread:.0f} %)"
@@ -108,18 +118,21 @@ def _report(found: Identifiability) -> str:
         ]
         if len(blind) > MOST_SHOWN:
             lines.append(f"  and {len(blind) - MOST_SHOWN} more.")
+        lines.append(
+            f"They tell more than the {found.known} along {found.informed} of {n_p}."
+        )
     if found.n_data:
         lines += str(found.conditioning).splitlines()
     return "\n".join(lines + _remedies(found))
 
 
-def _row(p: ParameterOutlook) -> tuple[str, ...]:
+def _row(p: ParameterOutlook, known: str) -> tuple[str, ...]:
     error = quantity(p.standard_error, p.unit, like=p.value)
     if p.relative is not None:
         error += f" ({number(100 * p.relative, 2)} %)"
     alone = quantity(p.data_only, p.unit, like=p.value)
     if p.data_only > p.prior:
-        alone = "wider than bounds" if math.isfinite(p.data_only) else "blind"
+        alone = f"wider than {known}" if math.isfinite(p.data_only) else "blind"
     factor, unit = readable_unit([p.value], p.unit)
     value = f"{number(p.value * factor, 4)} {unit}".rstrip()
     return (p.name, value, error, alone, p.verdict)

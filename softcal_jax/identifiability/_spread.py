@@ -44,8 +44,14 @@ def verdict(spread: float) -> Verdict:
 
 
 def prior_std(space: ParameterSpace) -> Float[HostArray, " n_p"]:
-    """Standard deviation of a uniform density between the bounds, scaled [-]."""
-    return np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
+    """Standard deviation of what is known before any data, scaled [-].
+
+    That of a uniform density between the bounds, or the `prior_std` of a parameter
+    where it is smaller.
+    """
+    bounds = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
+    weights = np.asarray(space.prior_weights())
+    return 1.0 / np.maximum(1.0 / bounds, weights)
 
 
 def posterior(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, "n_p n_p"]:

@@ -141,7 +141,7 @@ def _outlook(found: Identifiability) -> list[Any]:
             _plain(p.verdict, _STYLE[p.verdict]),
         )
     legend = (
-        f"Spread left by the data, over that of the bounds: below "
+        f"Spread left by the data, over that of the {found.known}: below "
         f"{_percent(IDENTIFIABLE_BELOW)} identifiable, above {_percent(WEAK_BELOW)} "
         f"not. {str(found.conditioning).splitlines()[0]}"
     )
@@ -157,11 +157,15 @@ def _blindness(found: Identifiability) -> str:
     several = "s" if found.n_parameters > 1 else ""
     lines = [
         f"The data hardly see {len(blind)} of {found.n_parameters} direction{several}; "
-        "along these the bounds and the start decide, not the data:"
+        f"along these the {found.known} and the start decide, not the data:"
     ]
     lines += [f"  {d.words} ({_percent(d.spread)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:
         lines.append(f"  and {len(blind) - MOST_DIRECTIONS} more.")
+    lines.append(
+        f"They tell more than the {found.known} along {found.informed} of "
+        f"{found.n_parameters}."
+    )
     return "\n".join(lines)
 
 

@@ -1,0 +1,144 @@
+"""What 7, 14 and 21 poses tell about the 36 parameters of the parallel robot.
+
+- Directions along which the data tell more than a prior of 30 % and 20 degrees, with
+  the noise of the paper's Polhemus tracker (0.76 mm, 0.15 degrees) and of a finer one
+  (0.1 mm, 0.05 degrees); and what calibrating the motor zeros along costs.
+- Calibrations of printed robots (`_robot.py`) on seven poses with the prior and without
+  one: errors of the seven other poses, and of the parameters.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from benchmarks._problem import Figure, Options, Outcome, Table
+from benchmarks._robot import (
+    QUANTITIES,
+    SIZE,
+    calibrated,
+    fits_of,
+    measured_robot,
+    model_robot,
+    reductions,
+    values_of,
+)
+from softcal_jax.calibration import CalibrationResult
+from softcal_jax.identifiability import Identifiability, identify
+from softcal_jax.robots import SETUP, PrintedRobot, parallel_robot, pose
+
+TRACKERS = {
+    "polhemus": (0.76e-3, float(np.deg2rad(0.15))),
+    "fine": (0.1e-3, float(np.deg2rad(0.05))),
+}
+"""Standard deviations of position [m] and orientation [rad]."""
+
+POSES = (7, 14, 21)
+"""Numbers of poses; the first seven are those of Table II."""
+
+EXTRA = 30.0 + 30.0 * np.random.default_rng(0).random((14, 6))
+"""Motor angles of the other fourteen: all six at random between 30 and 60 [degrees]."""
+
+ROBOTS = 3
+"""Printed robots that are calibrated with and without the prior."""
+
+WAYS = {"with_prior": {}, "without_prior": {"prior": None}}
+"""How they are calibrated."""
+
+
+def run(options: Options) -> Outcome:
+    """Count directions, then calibrate."""
+    figures: dict[str, Figure] = {}
+    rows = []
+    for tracker, (std, std_angle) in TRACKERS.items():
+        for n in POSES:
+            options.say(f"{tracker}, {n} poses")
+            found = outlook(n, std, std_angle)
+            with_zeros = outlook(n, std, std_angle, setup=SETUP)
+            name = f"{tracker}_c{n}"
+            figures[f"informed_directions_{name}"] = found.informed
+            figures[f"informed_directions_{name}_zeros"] = with_zeros.informed
+            figures[f"cond_{name}"] = _cond(found)
+            figures[f"cond_{name}_zeros"] = _cond(with_zeros)
+            cells = [str(f.informed) for f in (found, with_zeros)]
+            rows.append([tracker, str(n), *cells, _mean_spread(found)])
+            if name == "polhemus_c7":
+                options.say(str(found))
+    titles = ["tracker", "poses", "informed of 36", "of 42, with zeros"]
+    tables = [Table("Directions", [*titles, "spread left [%]"], rows)]
+    more, table = _prior_or_none(options)
+    return Outcome(figures | more, tables=[*tables, table])
+
+
+def outlook(
+    n: int, std: float, std_angle: float, setup: Mapping[str, float] | None = None
+) -> Identifiability:
+    """What n poses tell at the ordered field.
+
+    Args:
+        n: Number of poses.
+        std: Standard deviation of positions [m].
+        std_angle: Standard deviation of orientations [rad].
+        setup: Errors of the setup that are calibrated along.
+    """
+    robot = parallel_robot(size=SIZE, setup=setup, std=std, std_angle=std_angle)
+    extra = tuple(
+        pose(robot.geometry, f"extra {k}", angles, std=std, std_angle=std_angle)
+        for k, angles in enumerate(EXTRA, start=1)
+    )
+    return identify(robot.model, robot.space, (*robot.configurations, *extra)[:n])
+
+
+def _cond(found: Identifiability) -> float:
+    return found.directions[0].signal / max(found.directions[-1].signal, 1e-300)
+
+
+def _mean_spread(found: Identifiability) -> str:
+    return f"{100.0 * np.mean([p.spread for p in found.parameters]):.0f}"
+
+
+def _prior_or_none(options: Options) -> tuple[dict[str, Figure], Table]:
+    """Held-out errors and parameter errors of calibrations with and without prior."""
+    figures: dict[str, Figure] = {}
+    robots = {way: model_robot(**choices) for way, choices in WAYS.items()}
+    results: dict[str, list[CalibrationResult]] = {way: [] for way in WAYS}
+    printed: list[PrintedRobot] = []
+    for seed in range(ROBOTS):
+        measured = measured_robot(robots["with_prior"], seed)
+        printed.append(measured.printed)
+        for way, robot in robots.items():
+            options.say(f"robot {seed + 1} of {ROBOTS}, {way.replace('_', ' ')}")
+            results[way].append(calibrated(robot, measured))
+    rows = []
+    for way, found in results.items():
+        fits = [fits_of(r, "validation") for r in found]
+        for k, (what, unit, _, after) in enumerate(QUANTITIES):
+            every = [after(fit) for robot in fits for fit in robot]
+            figures[f"held_out_{what}_{way}_{unit}"] = float(np.mean(every))
+            share = float(np.median([reductions(f)[k] for f in fits]))
+            figures[f"held_out_reduction_{what}_{way}"] = share
+        errors = np.median(
+            [parameter_errors(r, p) for r, p in zip(found, printed, strict=True)], 0
+        )
+        names = ("moduli_percent", "theta_deg")
+        for name, error in zip(names, errors, strict=True):
+            figures[f"error_{name}_{way}"] = float(error)
+        numbers = [v for name, v in figures.items() if name.endswith(way)]
+        rows.append([way.replace("_", " "), *(f"{v:.1f}" for v in numbers)])
+    columns = ["calibration", "position, held out: reduction [%]"]
+    columns += ["orientation [%]", "error of moduli [%]", "of theta [deg]"]
+    return figures, Table("With a prior and without", columns, rows)
+
+
+def parameter_errors(
+    result: CalibrationResult, printed: PrintedRobot
+) -> tuple[float, float]:
+    """Root-mean-square errors: of the moduli [percent], and of theta [degrees]."""
+    found = values_of(result)
+    moduli, theta = [], []
+    for name, true in printed.parameters.items():
+        if name.startswith(("E_t", "E_l")):
+            moduli.append(np.log(found[name] / true))
+        elif name.startswith("theta"):
+            theta.append(np.mod(found[name] - true + np.pi / 2, np.pi) - np.pi / 2)
+    rms = lambda errors: float(np.sqrt(np.mean(np.square(errors))))
+    return 100.0 * rms(moduli), float(np.rad2deg(rms(theta)))
