@@ -18,6 +18,8 @@ import numpy as np
 from benchmarks._memory import peak_bytes
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import run_process
+from softcal_jax._typing import HostArray
+from softcal_jax.bodies import Pose
 from softcal_jax.calibration import CalibrationResult, calibrate
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.control import solve_inverse
@@ -131,15 +133,16 @@ def _newton_iteration(robot: ParallelRobot):
         )
         seconds.append((time.perf_counter() - begin) / int(there.steps))
     values = effector_values(robot.model, other, there.displacement)
-    goal = {robot.configurations[0].effectors[0].name: _as_pose(values)}
+    (rod,) = robot.configurations[0].effectors
+    goal = {rod.name: _pose_of(rod, np.asarray(values), robot)}
     return statistics.median(seconds), at_work.displacement, goal
 
 
-def _as_pose(values):
-    from softcal_jax.bodies import Pose
-
-    translation, turn = np.asarray(values)
-    return Pose(translation, turn)
+def _pose_of(rod: AbstractEffector, values: HostArray, robot: ParallelRobot) -> Pose:
+    read = rod.measured_as(values, robot.model.mechanism)
+    assert isinstance(read, BodyFrame)
+    assert read.measured is not None
+    return read.measured
 
 
 if __name__ == "__main__":
