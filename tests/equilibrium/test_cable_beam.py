@@ -11,7 +11,7 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanisms import NO_GRAVITY, TIGHT, solved
+from mechanisms import NO_GRAVITY, TIGHT, arrays, solve, solved
 from problems import Plane, cable_beam, central_difference
 
 from softcal_jax.actuators import Cable, Guide, SurfaceForceActuator
@@ -23,8 +23,9 @@ from softcal_jax.configurations import (
     Configuration,
     ImposedDisplacement,
     ImposedForce,
+    SurfaceForce,
 )
-from softcal_jax.equilibrium import Model, build_model, strain_energy
+from softcal_jax.equilibrium import RESULTS, Model, build_model, strain_energy
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -128,6 +129,32 @@ def test_a_slack_cable_carries_what_the_stretched_bar_lacks(stretch):
     np.testing.assert_allclose(values[3, 0], tension, rtol=1e-7, atol=1e-9 * EA)
     np.testing.assert_allclose(values[2, 0], -min(stretch, slack), rtol=1e-8)
     np.testing.assert_allclose(solution.multipliers, values[3:, 0] * [1, 0], rtol=1e-7)
+
+
+LOADS = {
+    "cable": lambda P: {"actuation": {"cable": ImposedForce(P)}},
+    "dead": lambda P: {"loads": SurfaceForce("x_max", (-P, 0.0, 0.0))},
+}
+
+
+@pytest.mark.parametrize(("load", "critical"), [("dead", 0.25), ("cable", 1.0)])
+def test_a_straight_strut_is_stable_up_to_its_buckling_load(load, critical):
+    """P = pi^2 EI / 4 L^2 under a dead load, pi^2 EI / L^2 towards a clamped point.
+
+    Timoshenko and Gere, Theory of Elastic Stability (1961), ch. 2: tan kL = kL (1 -
+    c/L) for a load through a point at a distance c below the top. Newton needs one
+    step, from a state without stress; the state that it reaches is what counts.
+    """
+    model, outcomes = pulled(0.0), []
+    for share in (0.99, 1.01, 1.5):
+        asked = LOADS[load](share * critical * np.pi**2 * EI)
+        lane = arrays(model, Configuration("strut", "x_min", NO_GRAVITY, **asked))
+        solution, _ = solve(model, lane, jnp.zeros((model.n_points, 3)), TIGHT)
+        outcomes.append((solution.result, int(solution.n_negative)))
+    stable, unstable = (RESULTS.converged, 0), (RESULTS.unstable, 2)
+    # Shear lowers the load by P / kGA, 0.5 % at most, and the shortening by P / EA
+    # raises it. A square section bends both ways.
+    assert outcomes == [stable, unstable, unstable]
 
 
 @pytest.mark.parametrize("tension", [1.0, 4.0, 7.0])
