@@ -104,6 +104,94 @@ def shear_beam(kappa: float, slenderness: float, *, kirchhoff: float = 1.0) -> T
     return Tip(-solution.y[3, -1], 1.0 - solution.y[2, -1])
 
 
+class Plane(NamedTuple):
+    """Where the end of a beam of length one is, in the plane in which it bends."""
+
+    x: float
+    z: float
+    angle: float
+
+
+class PulledBeam(NamedTuple):
+    """A beam bent by a cable."""
+
+    tip: Plane
+    shortening: float
+
+
+def cable_beam(tension: float, offset: float, slenderness: float) -> PulledBeam:
+    """A clamped beam whose tip a cable pulls towards the plane of the clamp.
+
+    Reissner's beam as in `shear_beam`, without weight: the force n in it is that of
+    the cable on a guide at `offset` above the tip, of which it knows the direction only
+    when it is solved: two parameters of the boundary value problem.
+    """
+    EA = 12.0 * slenderness**2
+    GA = 5.0 / 6.0 * EA / 2.0
+
+    def guide(y):
+        return y[2:] + offset * np.array([-np.sin(y[0]), np.cos(y[0])])
+
+    def rates(s, y, n):
+        theta, M = y[:2]
+        t = np.array([np.cos(theta), np.sin(theta)])
+        m = np.array([-np.sin(theta), np.cos(theta)])
+        r = (1.0 + n @ t / EA) * t + n @ m / GA * m
+        return np.array([M, -(r[0] * n[1] - r[1] * n[0]), r[0], r[1]])
+
+    def ends(a, b, n):
+        line = np.array([0.0, offset]) - guide(b)
+        arm = guide(b) - b[2:]
+        moment = arm[0] * n[1] - arm[1] * n[0]
+        pull = tension * line / np.linalg.norm(line)
+        return np.array([a[0], b[1] - moment, a[2], a[3], *(pull - n)])
+
+    s = np.linspace(0.0, 1.0, 101)
+    start = np.stack([0.0 * s, tension * offset + 0.0 * s, s, 0.0 * s])
+    solution = solve_bvp(rates, ends, s, start, p=[-tension, 0.0], tol=1e-8)
+    assert solution.success
+    end = solution.y[:, -1]
+    length = float(np.linalg.norm(guide(end) - np.array([0.0, offset])))
+    return PulledBeam(Plane(end[2], end[3], end[0]), 1.0 - length)
+
+
+class Shell(NamedTuple):
+    """Radial displacements of the surfaces of a sphere, inner radius 1 and outer 2."""
+
+    inner: float
+    outer: float
+
+
+def lame_sphere(p: float, E: float, nu: float) -> Shell:
+    """Thick sphere under a small inner pressure: Lame (Timoshenko and Goodier, 1970).
+
+    u = p a^3 / (E (b^3 - a^3)) [(1 - 2 nu) r + (1 + nu) b^3 / 2 r^2].
+    """
+    a, b = 1.0, 2.0
+    factor = p * a**3 / (E * (b**3 - a**3))
+    u = lambda r: factor * ((1 - 2 * nu) * r + (1 + nu) * b**3 / (2 * r**2))
+    return Shell(u(a), u(b))
+
+
+class Balloon(NamedTuple):
+    """A thick incompressible sphere, inner radius 1 and outer 2."""
+
+    pressure: float
+    outer_stretch: float
+
+
+def neo_hookean_sphere(stretch: float) -> Balloon:
+    """Inner pressure, in shear moduli, at a stretch of the inner surface.
+
+    Incompressible neo-Hookean solid (Green and Zerna, Theoretical Elasticity; Ogden,
+    Non-Linear Elastic Deformations, sec. 5.3): p / mu = g(l_b) - g(l_a) with g(l) =
+    2 / l + 1 / 2 l^4, and b^3 (l_b^3 - 1) = a^3 (l_a^3 - 1).
+    """
+    outer = (1.0 + (stretch**3 - 1.0) / 8.0) ** (1 / 3)
+    g = lambda stretch: 2.0 / stretch + 0.5 / stretch**4
+    return Balloon(g(outer) - g(stretch), outer)
+
+
 def irregular_cube(cells: int, order: int, *, seed: int = 0) -> TetMesh:
     """Unit cube whose inner nodes are moved by up to a sixth of a cell."""
     mesh = beam(1.0, 1.0, 1.0, (cells, cells, cells))

@@ -28,6 +28,9 @@ from softcal_jax.equilibrium._problem import (
     external_force,
 )
 
+_NEAR = 1e-3
+"""Residual, in internal forces, of a state whose tangent is that of the next one."""
+
 
 class NewtonSettings(eqx.Module):
     """Settings of the equilibrium solve; static, so each set compiles once.
@@ -251,28 +254,32 @@ class NewtonLoop:
             n_negative=direction.n_negative,
             any_singular=~direction.ok,
         )
-        before = self.remembered(
-            0.0
-            if self._always_potential
-            else self.body.merit(
-                s.at, direction.lambda_a, s.load, direction.gap_stiffness
-            )
+        before = self.body.merit(
+            s.at, direction.lambda_a, s.load, direction.gap_stiffness
         )
+        # Where one step went all the way, as in a strut under an axial force, the
+        # tangent was that of another state: look at that of this one, and stay.
+        near = before <= _NEAR * jnp.linalg.norm(tried.at.force)
+        near = near | (direction.n_negative < 0)
+        stay = (s.residual <= self.settings.rtol) & (s.step_in_load > 1)
+        good, near = good | (stay & direction.ok), near | stay
+        residual = jnp.where(stay, s.residual, residual)
+        tried = _select(stay, tried._replace(at=s.at, lambda_a=s.lambda_a), tried)
         u, du = s.at.u, tried.at.u - s.at.u
         moved = s._replace(
             at=tried.at,
             lambda_a=tried.lambda_a,
-            merit_before=before,
+            merit_before=self.remembered(before),
             residual=residual,
             theta=self.body.dilatation(s.theta, u, du),
         )
-        converged = residual <= self.settings.rtol
-        astray = converged & self.suspicious(s, tried.at.min_det_F)
-        good, converged = good & ~astray, converged & ~astray
+        settled = residual <= self.settings.rtol
+        astray = settled & near & self.suspicious(s, tried.at.min_det_F)
+        good, converged = good & ~astray, settled & near & ~astray
         # A step that is closing in is not cut short of its end.
         closing = residual < 0.1 * before_step
         out_of_steps = s.step_in_load >= self.settings.max_steps_per_load
-        failed = ~good | (~converged & out_of_steps & ~closing)
+        failed = ~good | (~settled & out_of_steps & ~closing)
         s = _select(good, moved, s)
         s = _select(converged, self.next_load(s), s)
         return jax.lax.cond(failed, self.back, lambda s: s, s)
