@@ -21,7 +21,11 @@ from benchmarks._timing import run_process
 from softcal_jax._typing import HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.calibration import CalibrationResult, calibrate
-from softcal_jax.configurations import configuration_arrays
+from softcal_jax.configurations import (
+    AbstractEffector,
+    BodyFrame,
+    configuration_arrays,
+)
 from softcal_jax.control import solve_inverse
 from softcal_jax.equilibrium import effector_values, solve_equilibrium
 from softcal_jax.robots import (

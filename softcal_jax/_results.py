@@ -25,6 +25,6 @@ class RESULTS(eqx.Enumeration):
         "the onset of buckling, or not finite; check the supports and the material"
     )
     inverted = (
-        "equilibrium found, but some tets are inverted (det F <= 0): refine the mesh "
-        "or reduce the load, the result is not physical"
+        "some tets are inverted (det F <= 0), at the full load or in any load step "
+        "further, however small: refine the mesh or reduce the load"
     )

@@ -67,7 +67,8 @@ class NewtonState(NamedTuple):
     """State of the loop; `*_ok` is the last equilibrium on the load path.
 
     `theta` is the volume ratio of each tet in the mixed Newton step; everything else,
-    the stopping rule too, is of the body with theta = J_bar(u). `merit_before` is the
+    the stopping rule too, is of the body with theta = J_bar(u). `turned` tells whether
+    the last trial step turned a tet inside out. `merit_before` is the
     norm of the residual one step ago, for the line search on it; inf at the start of a
     load step, None where the line search is always on the potential.
     """
@@ -87,6 +88,7 @@ class NewtonState(NamedTuple):
     residual: Float[Array, ""]
     n_negative: Int[Array, ""]
     any_singular: Bool[Array, ""]
+    turned: Bool[Array, ""]
     result: RESULTS
     done: Bool[Array, ""]
 
@@ -253,6 +255,7 @@ class NewtonLoop:
             step_in_load=s.step_in_load + 1,
             n_negative=direction.n_negative,
             any_singular=~direction.ok,
+            turned=tried.at.min_det_F <= 0.0,
         )
         before = self.body.merit(
             s.at, direction.lambda_a, s.load, direction.gap_stiffness
@@ -323,6 +326,7 @@ class NewtonLoop:
             s.n_negative > 0, RESULTS.unstable, RESULTS.load_step_too_small
         )
         why = RESULTS.where(s.any_singular, RESULTS.singular, buckled)
+        why = RESULTS.where(s.turned, RESULTS.inverted, why)
         return s._replace(
             at=evaluate(self.model, s.u_ok),
             theta=self.body.dilatation(s.theta, s.u_ok, jnp.zeros_like(s.u_ok)),
@@ -365,6 +369,7 @@ class NewtonLoop:
             residual=jnp.full_like(zero, jnp.inf),
             n_negative=count,
             any_singular=jnp.zeros((), bool),
+            turned=jnp.zeros((), bool),
             result=RESULTS.max_steps,
             done=jnp.zeros((), bool),
         )

@@ -22,6 +22,7 @@ from softcal_jax.configurations import (
     Configuration,
     Support,
     SurfaceForce,
+    SurfaceTraction,
     configuration_arrays,
 )
 from softcal_jax.equilibrium import (
@@ -32,7 +33,7 @@ from softcal_jax.equilibrium import (
     external_force,
     solve_equilibrium,
 )
-from softcal_jax.materials import Isotropic, StVenantKirchhoff
+from softcal_jax.materials import Corotational, Isotropic, StVenantKirchhoff
 from softcal_jax.mesh import beam
 
 PULL = SurfaceForce("x_max", (0.1, 0.2, -0.1))
@@ -166,17 +167,28 @@ def test_too_few_steps_are_reported():
         check_converged(solution, ("hanging",))
 
 
-def test_an_inverted_state_is_reported():
-    """Ends pulled through each other: F = diag(-1, 1, 1) has no stress in this law."""
-    through = Support("x_max", displacement=(-4.0, 0.0, 0.0))
+@pytest.mark.parametrize(
+    ("supports", "loads"),
+    [
+        ((Support("x_max", displacement=(-2.5, 0.0, 0.0)),), ()),
+        ((), (SurfaceTraction("x_max", (-1e6, 0.0, 0.0)),)),
+    ],
+    ids=["pulled through", "crushed"],
+)
+@pytest.mark.parametrize("from_there", [False, True], ids=["rest", "inside out"])
+def test_an_inverted_state_is_reported(supports, loads, from_there):
+    """Neither the way there nor a guess that lies there passes for an equilibrium."""
     turned = Configuration(
-        "turned", (Support("x_min"), through), gravity=(0.0, 0.0, 0.0)
+        "turned", (Support("x_min"), *supports), loads=loads, gravity=(0.0, 0.0, 0.0)
     )
-    model, lanes = block(turned)
-    guess = model.mesh.points * np.array([-2.0, 0.0, 0.0])
-    solution = solve_equilibrium(model, lane(lanes, 0), guess=jnp.asarray(guess))
-    np.testing.assert_allclose(solution.displacement, guess, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(solution.min_det_F, -1.0, rtol=1e-12)
+    mesh = beam(1.0, 1.0, 1.0, (2, 2, 2))
+    model = build_model(mesh, Corotational(Isotropic(1e5, 0.3)), density=DENSITY)
+    there = jnp.asarray(mesh.points * np.array([-2.0, 0.0, 0.0]))
+    solution = solve_equilibrium(
+        model,
+        lane(configuration_arrays(mesh, [turned]), 0),
+        guess=there if from_there else None,
+    )
     assert bool(solution.result == RESULTS.inverted)
     with pytest.raises(RuntimeError, match=r"'turned': .*inverted \(det F <= 0\)"):
         check_converged(solution, ("turned",))
