@@ -13,7 +13,6 @@ LAYERS = [
     {"_names", "_typing", "_results", "_units"},
     {"elements"},
     {"mesh"},
-    {"bodies"},
     {"materials"},
     {"fields"},
     {"bodies"},

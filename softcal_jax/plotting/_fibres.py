@@ -38,7 +38,8 @@ def plot_fibres(
     """Draw angles of the fibre in its print plane, one panel per field.
 
     A line for each tet of the layer in the middle of the body, at its centroid and
-    along (cos theta, sin theta), over the outlines of those tets at rest.
+    along (cos theta, sin theta), over the outlines of those tets at rest. Panels of a
+    long body stand one above the other, others side by side.
 
     Args:
         mesh: The mesh [m].
@@ -79,15 +80,18 @@ def fibre_figure(
     )
     corners = mesh.points[mesh.tets[layer, :4]][:, :, columns]
     extent = np.ptp(mesh.points[:, columns], axis=0)
-    height = (_WIDTH - _SIDE) * extent[1] / extent[0]
-    size = (_WIDTH, len(panels) * (min(height, 8.0) + 0.75) + 0.9)
+    # Long bodies one above the other, others side by side.
+    in_row = len(panels) if extent[1] > 0.5 * extent[0] else 1
+    in_column = 1 if in_row > 1 else len(panels)
+    height = (_WIDTH - _SIDE) / in_row * extent[1] / extent[0]
+    size = (_WIDTH, in_column * (min(height, 8.0) + 0.75) + 0.9)
     figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-    axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    axes = figure.subplots(in_column, in_row, squeeze=False).ravel()
     for panel, (name, theta) in zip(axes, panels.items(), strict=True):
         _draw_layer(panel, corners, theta[layer], colours)
         if control_points is not None:
             _draw_control_points(panel, control_points[:, columns])
-        _finish(panel, name, plane, panel is axes[-1])
+        _finish(panel, name, plane, in_row > 1 or panel is axes[-1])
     bar = figure.colorbar(colours, ax=list(axes), fraction=0.03, pad=0.02)
     bar.set_label("fibre angle theta [degrees]", fontsize=14, color=TEXT)
     bar.ax.tick_params(labelsize=12)

@@ -13,9 +13,13 @@ def one_fit(before, y) -> ConfigurationFit:
     measured[:, 1] = y
     markers = Markers(("left", "right"), AT_REST, axes="xz")
     configuration = Configuration("droop", "x_min", markers=markers, measured=measured)
-    _, solution = make_simulation(small_model(), (True,))
+    model = small_model()
+    _, solution = make_simulation(model, (True,))
     after = jnp.asarray(AT_REST)[None]
-    return configuration_fits([configuration], "validation", before, after, solution)[0]
+    fits = configuration_fits(
+        model, [configuration], "validation", before, after, solution
+    )
+    return fits[0]
 
 
 def test_only_measured_coordinates_count():
