@@ -2,7 +2,7 @@
 
 - Directions along which the data tell more than a prior of 30 % and 20 degrees, with
   the noise of the paper's Polhemus tracker (0.76 mm, 0.15 degrees) and of a finer one
-  (0.1 mm, 0.05 degrees); and what calibrating the motor zeros along costs.
+  (0.1 mm, 0.05 degrees); and what it costs to calibrate the setup along.
 - Calibrations of printed robots (`_robot.py`) on seven poses with the prior and without
   one: errors of the seven other poses, and of the parameters.
 """
@@ -53,17 +53,17 @@ def run(options: Options) -> Outcome:
         for n in POSES:
             options.say(f"{tracker}, {n} poses")
             found = outlook(n, std, std_angle)
-            with_zeros = outlook(n, std, std_angle, setup=SETUP)
+            with_setup = outlook(n, std, std_angle, setup=SETUP)
             name = f"{tracker}_c{n}"
             figures[f"informed_directions_{name}"] = found.informed
-            figures[f"informed_directions_{name}_zeros"] = with_zeros.informed
+            figures[f"informed_directions_{name}_setup"] = with_setup.informed
             figures[f"cond_{name}"] = _cond(found)
-            figures[f"cond_{name}_zeros"] = _cond(with_zeros)
-            cells = [str(f.informed) for f in (found, with_zeros)]
+            figures[f"cond_{name}_setup"] = _cond(with_setup)
+            cells = [str(f.informed) for f in (found, with_setup)]
             rows.append([tracker, str(n), *cells, _mean_spread(found)])
             if name == "polhemus_c7":
                 options.say(str(found))
-    titles = ["tracker", "poses", "informed of 36", "of 42, with zeros"]
+    titles = ["tracker", "poses", "informed of 36", "of 60, with setup"]
     tables = [Table("Directions", [*titles, "spread left [%]"], rows)]
     more, table = _prior_or_none(options)
     return Outcome(figures | more, tables=[*tables, table])

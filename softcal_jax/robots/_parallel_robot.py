@@ -31,8 +31,8 @@ EFFECTOR = "rod"
 PRIOR = {"E_t": 0.3, "E_l": 0.3, "theta": float(np.deg2rad(20.0))}
 """Standard deviations of what is known of a printed field: 30 % and 20 degrees."""
 
-SETUP = {"motor_zero": float(np.deg2rad(0.5))}
-"""Standard deviations of errors of the setup that are calibrated along [rad]."""
+SETUP = {"motor_zero": float(np.deg2rad(0.5)), "mounting": 0.5e-3}
+"""Standard deviations of errors of the setup that are calibrated along [rad, m]."""
 
 BOUNDS = {"E_t": (200e3, 6e6), "E_l": (50e3, 3e6)}
 """Bounds of the moduli [Pa]."""

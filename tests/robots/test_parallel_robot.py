@@ -70,13 +70,13 @@ def test_arms_are_where_the_motors_have_them(working_point):
 
 
 def test_the_prior_and_the_parameters():
-    assert len(ROBOT.space.names) == 36 + 6
+    assert len(ROBOT.space.names) == 36 + 6 + 18
     assert ROBOT.space.has_prior
     material = parallel_robot(size=0.02, prior=None, setup=None).space
     assert len(material.names) == 36
     assert not material.has_prior
-    both = parallel_robot(size=0.02, setup={"motor_zero": 0.01, "mounting": 1e-3})
-    assert len(both.space.names) == 36 + 6 + 18
+    zeros = parallel_robot(size=0.02, setup={"motor_zero": 0.01})
+    assert len(zeros.space.names) == 36 + 6
     with pytest.raises(ValueError, match=r"setup knows .* got \['density'\]"):
         parallel_robot(size=0.02, setup={"density": 100.0})
     assert len(ROBOT.configurations) == len(ROBOT.validation) == 7
