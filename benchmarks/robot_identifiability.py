@@ -7,7 +7,7 @@
   one: errors of the seven other poses, and of the parameters.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -109,24 +109,30 @@ def _prior_or_none(options: Options) -> tuple[dict[str, Figure], Table]:
             options.say(f"robot {seed + 1} of {ROBOTS}, {way.replace('_', ' ')}")
             results[way].append(calibrated(robot, measured))
     rows = []
-    for way, found in results.items():
-        fits = [fits_of(r, "validation") for r in found]
-        for k, (what, unit, _, after) in enumerate(QUANTITIES):
-            every = [after(fit) for robot in fits for fit in robot]
-            figures[f"held_out_{what}_{way}_{unit}"] = float(np.mean(every))
-            share = float(np.median([reductions(f)[k] for f in fits]))
-            figures[f"held_out_reduction_{what}_{way}"] = share
-        errors = np.median(
-            [parameter_errors(r, p) for r, p in zip(found, printed, strict=True)], 0
-        )
-        names = ("moduli_percent", "theta_deg")
-        for name, error in zip(names, errors, strict=True):
-            figures[f"error_{name}_{way}"] = float(error)
-        numbers = [v for name, v in figures.items() if name.endswith(way)]
-        rows.append([way.replace("_", " "), *(f"{v:.1f}" for v in numbers)])
-    columns = ["calibration", "position, held out: reduction [%]"]
+    for way, every in results.items():
+        pairs = zip(every, printed, strict=True)
+        done = [(result, p) for result, p in pairs if result.converged]
+        figures[f"converged_{way}"] = len(done)
+        cells = [way.replace("_", " "), f"{len(done)} of {ROBOTS}"]
+        if done:
+            numbers = _numbers(done)
+            figures |= {f"{name}_{way}": value for name, value in numbers.items()}
+            cells += [f"{value:.1f}" for value in numbers.values()]
+        rows.append(cells + ["-"] * (6 - len(cells)))
+    columns = ["calibration", "converged", "position, held out: reduction [%]"]
     columns += ["orientation [%]", "error of moduli [%]", "of theta [deg]"]
     return figures, Table("With a prior and without", columns, rows)
+
+
+def _numbers(
+    done: Sequence[tuple[CalibrationResult, PrintedRobot]],
+) -> dict[str, float]:
+    """Medians over the calibrations that converged."""
+    reduced = np.median([reductions(fits_of(r, "validation")) for r, _ in done], 0)
+    errors = np.median([parameter_errors(r, p) for r, p in done], 0)
+    names = [f"held_out_reduction_{what}" for what, *_ in QUANTITIES]
+    names += ["error_moduli_percent", "error_theta_deg"]
+    return dict(zip(names, map(float, (*reduced, *errors)), strict=True))
 
 
 def parameter_errors(
