@@ -57,14 +57,17 @@ def run(options: Options) -> Outcome:
             name = f"{tracker}_c{n}"
             figures[f"informed_directions_{name}"] = found.informed
             figures[f"informed_directions_{name}_setup"] = with_setup.informed
-            figures[f"cond_{name}"] = _cond(found)
-            figures[f"cond_{name}_setup"] = _cond(with_setup)
+            left = [spread_left(f) for f in (found, with_setup)]
+            figures[f"spread_left_percent_{name}"] = left[0]
+            figures[f"spread_left_percent_{name}_setup"] = left[1]
             cells = [str(f.informed) for f in (found, with_setup)]
-            rows.append([tracker, str(n), *cells, _mean_spread(found)])
+            cells += [f"{value:.0f}" for value in left]
+            rows.append([tracker, str(n), *cells])
             if name == "polhemus_c7":
                 options.say(str(found))
     titles = ["tracker", "poses", "informed of 36", "of 60, with setup"]
-    tables = [Table("Directions", [*titles, "spread left [%]"], rows)]
+    titles += ["spread left of the 36 [%]", "with setup"]
+    tables = [Table("Directions", titles, rows)]
     more, table = _prior_or_none(options)
     return Outcome(figures | more, tables=[*tables, table])
 
@@ -88,12 +91,10 @@ def outlook(
     return identify(robot.model, robot.space, (*robot.configurations, *extra)[:n])
 
 
-def _cond(found: Identifiability) -> float:
-    return found.directions[0].signal / max(found.directions[-1].signal, 1e-300)
-
-
-def _mean_spread(found: Identifiability) -> str:
-    return f"{100.0 * np.mean([p.spread for p in found.parameters]):.0f}"
+def spread_left(found: Identifiability) -> float:
+    """Mean standard error of the material over that of its prior [percent]."""
+    material = [p for p in found.parameters if p.name.startswith(("E_", "theta"))]
+    return 100.0 * float(np.mean([p.spread for p in material]))
 
 
 def _prior_or_none(options: Options) -> tuple[dict[str, Figure], Table]:
