@@ -155,10 +155,12 @@ def warn_if_locking(model: Model, space: ParameterSpace) -> None:
 
 def warn_if_too_few_data(problem: CalibrationProblem) -> None:
     measured = int(np.sum(problem.configurations.effectors.inverse_std > 0))
-    wanted = len(problem.space.names)
+    # A parameter with a prior has one datum of its own.
+    wanted = int(np.sum(np.asarray(problem.space.prior_weights()) == 0.0))
     if wanted > measured:
+        without = " without a prior" if problem.space.has_prior else ""
         warnings.warn(
-            f"{wanted} parameters but only {measured} measured coordinates: at least "
+            f"{wanted} parameters{without} but only {measured} measured coordinates: at least "
             f"{wanted - measured} more are missing (another marker gives 3, another "
             "configuration as many as it has markers times 3). The fit is not unique.",
             CalibrationWarning,

@@ -1,10 +1,18 @@
 """What is known of a parameter before any data, and what it does to the result."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softcal_jax.calibration import calibrate, simulated_measurements
+from softcal_jax.calibration import (
+    CalibrationWarning,
+    build_problem,
+    calibrate,
+    simulated_measurements,
+)
+from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
@@ -55,6 +63,27 @@ def test_a_parameter_that_only_the_prior_knows_has_its_standard_deviation():
     )
     np.testing.assert_allclose(found.covariance, np.diag([0.2, 1 / 16]), rtol=1e-12)
     assert found.degrees_of_freedom == 1  # the second takes none
+
+
+@pytest.mark.parametrize("known", ["both", "one", "none"])
+def test_a_prior_counts_as_a_datum(known):
+    one_coordinate = replace(POSE, markers=replace(POSE.markers, axes="z"))
+    data = simulated_measurements(MODEL, [one_coordinate])
+    density = Parameter(
+        "density",
+        "density",
+        1e3,
+        500.0,
+        2e3,
+        prior_std=None if known == "none" else 0.1,
+    )
+    E = modulus(0.1 if known == "both" else None)
+    problem = build_problem(MODEL, ParameterSpace((E, density)), data)
+    if known == "none":
+        with pytest.warns(CalibrationWarning, match="2 parameters but only 1 measured"):
+            warn_if_too_few_data(problem)
+    else:
+        warn_if_too_few_data(problem)  # a warning would be an error
 
 
 def test_a_periodic_angle_is_near_its_start_across_the_bound():
