@@ -160,8 +160,8 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
     if wanted > measured:
         without = " without a prior" if problem.space.has_prior else ""
         warnings.warn(
-            f"{wanted} parameters{without} but only {measured} measured coordinates: at least "
-            f"{wanted - measured} more are missing (another marker gives 3, another "
+            f"{wanted} parameters{without} but only {measured} measured coordinates: "
+            f"at least {wanted - measured} more are missing (another marker gives 3, another "
             "configuration as many as it has markers times 3). The fit is not unique.",
             CalibrationWarning,
             stacklevel=3,
