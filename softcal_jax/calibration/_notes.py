@@ -161,8 +161,9 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
         without = " without a prior" if problem.space.has_prior else ""
         warnings.warn(
             f"{wanted} parameters{without} but only {measured} measured coordinates: "
-            f"at least {wanted - measured} more are missing (another marker gives 3, another "
-            "configuration as many as it has markers times 3). The fit is not unique.",
+            f"at least {wanted - measured} more are missing (another marker gives 3, "
+            "another configuration as many as it has markers times 3). The fit is not "
+            "unique.",
             CalibrationWarning,
             stacklevel=3,
         )
