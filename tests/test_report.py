@@ -335,7 +335,7 @@ def test_simulation_table():
     ]
     assert rows[0] == ["lane 0", f"{np.hypot(20, 4):.2f} mm", "4", "converged"]
     assert rows[1][:3] == ["lane 1", "-", "5"]
-    assert rows[1][3].startswith("equilibrium found, but")
+    assert rows[1][3].startswith("some tets are inverted")
 
 
 def test_importing_the_report_loads_no_graphics():

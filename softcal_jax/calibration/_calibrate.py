@@ -207,9 +207,7 @@ def _begin(
     """Where the loop begins: at a checkpoint, at the best of many starts, or at one."""
     saved, problem = journal.load(), evaluate.problem
     if saved is not None:
-        z = jnp.asarray(saved.arrays["z"])
-        there = evaluate(z, jnp.asarray(saved.arrays["displacement"]))
-        return resumed_state(initial_state(settings, z, there), saved), None
+        return resumed_state(initial_state(settings, start, before), saved), None
     search = None
     if starts > 1:
         search = multi_start(problem, _all_starts(start, problem, starts, seed))

@@ -19,18 +19,6 @@ from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import HistoryEntry
 from softcal_jax.calibration._step import CalibrationSettings, CalibrationState
 
-PROGRESS = (
-    "recent_costs",
-    "step_bound",
-    "lambda_p",
-    "kkt_residual",
-    "accepted",
-    "step",
-    "converged",
-    "stalled",
-)
-"""What a state holds beside its parameters and their evaluation."""
-
 
 class Journal:
     """History of a calibration: told to the user, and kept on disk if asked for."""
@@ -96,9 +84,10 @@ def history_entry(
 
 
 class Checkpoint(NamedTuple):
-    """What is needed to go on: everything else follows from the problem."""
+    """What is needed to go on, exactly as if nothing had stopped the calibration."""
 
-    arrays: dict[str, HostArray]
+    path: Path
+    leaves: list[HostArray]
     history: list[HistoryEntry]
 
 
@@ -127,15 +116,11 @@ def save_checkpoint(
     path: Path, mark: str, state: CalibrationState, history: list[HistoryEntry]
 ) -> None:
     """Write a checkpoint; the file is replaced whole or not at all."""
-    arrays = {
-        "z": state.z,
-        "displacement": state.evaluation.equilibrium.displacement,
-        **{name: getattr(state, name) for name in PROGRESS},
-    }
+    leaves = jax.tree.leaves(state)
     entries = json.dumps([vars(entry) for entry in history])
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as file:
-        content = {name: np.asarray(a) for name, a in arrays.items()}
+        content = {f"state_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
         np.savez(file, mark=mark, history=entries, **content)  # type: ignore[arg-type]
     os.replace(partial, path)
 
@@ -154,6 +139,7 @@ def load_checkpoint(path: Path, mark: str) -> Checkpoint | None:
             content = {name: file[name] for name in file.files}
         written = str(content.pop("mark"))
         history = json.loads(str(content.pop("history")))
+        leaves = [content[f"state_{i}"] for i in range(len(content))]
     except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{path} is not a checkpoint of a calibration ({error}); give another "
@@ -168,13 +154,24 @@ def load_checkpoint(path: Path, mark: str) -> Checkpoint | None:
     for entry in history:
         for name in ("lambda_p", "newton_steps"):
             entry[name] = tuple(entry[name])
-    return Checkpoint(content, [HistoryEntry(**entry) for entry in history])
+    return Checkpoint(path, leaves, [HistoryEntry(**entry) for entry in history])
 
 
-def resumed_state(state: CalibrationState, saved: Checkpoint) -> CalibrationState:
-    """A fresh state with the progress of a checkpoint."""
-    return eqx.tree_at(
-        lambda s: tuple(getattr(s, name) for name in PROGRESS),
-        state,
-        tuple(jnp.asarray(saved.arrays[name]) for name in PROGRESS),
-    )
+def resumed_state(like: CalibrationState, saved: Checkpoint) -> CalibrationState:
+    """The state of a checkpoint.
+
+    Args:
+        like: A state of the same calibration.
+        saved: The checkpoint.
+
+    Raises:
+        ValueError: If it was written by a version whose states hold something else.
+    """
+    shapes = [np.shape(leaf) for leaf in jax.tree.leaves(like)]
+    if shapes != [leaf.shape for leaf in saved.leaves]:
+        raise ValueError(
+            f"{saved.path} was written by another version of softcal_jax: remove it to "
+            "start anew, or give another path."
+        )
+    leaves = [jnp.asarray(leaf) for leaf in saved.leaves]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)

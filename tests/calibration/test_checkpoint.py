@@ -83,7 +83,7 @@ def test_stopped_and_resumed_it_ends_where_it_would_have(tmp_path, fit, whole, n
     told = []
     resumed = fit(path, progress=told.append)
     assert resumed.converged
-    np.testing.assert_allclose(resumed.z, whole.z, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(resumed.z, whole.z)
     np.testing.assert_allclose(
         resumed.uncertainty.covariance, whole.uncertainty.covariance, rtol=1e-5
     )
@@ -101,7 +101,7 @@ def test_it_may_be_stopped_again_and_again(tmp_path, fit, whole):
         interrupted(fit, path, n)
     resumed = fit(path)
     assert_same_history(resumed.history, whole.history)
-    np.testing.assert_allclose(resumed.z, whole.z, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(resumed.z, whole.z)
 
 
 def test_a_finished_calibration_is_only_read(tmp_path, fit):
