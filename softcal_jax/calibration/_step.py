@@ -210,8 +210,9 @@ def decide(
     limit = jnp.minimum(bound, problem.space.max_step())
     at_bound = jnp.any(jnp.abs(lambda_p) >= 0.99 * limit)
     # A step is small because nothing is left to gain, not because it was held short.
-    nothing_to_gain = (size <= settings.tol) | (predicted <= SMALLEST_FALL * now.cost)
-    vanished = tried.ok & nothing_to_gain & ~at_bound
+    least = SMALLEST_FALL * now.cost
+    no_gain = (predicted <= least) & (tried.cost <= now.cost + least)
+    vanished = tried.ok & ((size <= settings.tol) | no_gain) & ~at_bound
     vanished = vanished & (proposal.qp.kkt_residual <= KKT_TOLERANCE)
     # Until then equilibria are left a little early.
     accurate = jnp.all(tried.equilibrium.residual <= problem.newton.rtol)

@@ -247,6 +247,33 @@ def test_a_refused_cost_is_not_remembered(problem, evaluation):
     assert not bool(tried(problem, refused, 20.0).accepted)
 
 
+@pytest.mark.parametrize(
+    ("promised", "cost", "ends"),
+    [(1e-9, 10.0, True), (1e-7, 10.0, False), (1e-9, 10.001, False)],
+)
+def test_a_step_that_gains_next_to_nothing_ends_the_search(
+    problem, evaluation, promised, cost, ends
+):
+    """However long it is, if it also costs next to nothing: 1e-8 of the cost."""
+    accurate = eqx.tree_at(
+        lambda e: e.equilibrium.residual, costing(evaluation, 10.0), np.zeros(4)
+    )
+    settings = CalibrationSettings()
+    state = initial_state(settings, problem.space.start(), accurate)
+    proposal = _propose(problem, settings, state)
+    proposal = eqx.tree_at(
+        lambda p: (p.cost, p.qp.lambda_p, p.qp.kkt_residual),
+        proposal,
+        (
+            jnp.asarray(10.0 * (1.0 - promised)),
+            jnp.full_like(state.z, 1e-2),
+            jnp.zeros(()),
+        ),
+    )
+    after = _decide(problem, settings, state, proposal, costing(accurate, cost))
+    assert bool(after.converged) == ends
+
+
 def test_a_failed_equilibrium_is_refused_whatever_its_cost(problem, evaluation):
     state = after_costs(problem, evaluation, [10.0])
     proposal = _propose(problem, CalibrationSettings(), state)

@@ -189,6 +189,9 @@ class Forgetful(AbstractLinearSolver):
     def _factor_solve(self, values, rhs):
         return self.real._factor_solve(values, rhs)
 
+    def another(self, number):
+        raise NotImplementedError
+
     def solve_again(self, values, rhs):
         return 2.0 * self.real.solve_again(values, rhs)
 

@@ -46,6 +46,7 @@ START = Inputs(
     gravity=TWO_LANES.gravity,
     imposed=TWO_LANES.imposed,
 )
+LINEAR_BODY = body(ClassicalCorotational, mesh="linear")
 OBSERVED = np.array([nearest_node(LINEAR, (x, SIDE, SIDE)) for x in (0.075, LENGTH)])
 
 
@@ -53,8 +54,7 @@ OBSERVED = np.array([nearest_node(LINEAR, (x, SIDE, SIDE)) for x in (0.075, LENG
 def positions(inputs: Inputs):
     """Displacements [m] of two points in all configurations."""
     elasticity = lambda law: (law.elasticity.E_t, law.elasticity.fibre.theta)
-    model = body(ClassicalCorotational, mesh="linear")
-    model = eqx.tree_at(lambda m: elasticity(m.law), model, inputs[:2])
+    model = eqx.tree_at(lambda m: elasticity(m.law), LINEAR_BODY, inputs[:2])
     lanes = eqx.tree_at(lambda c: (c.gravity, c.imposed), TWO_LANES, inputs[2:])
     one = lambda c: solve_equilibrium(model, c, settings=TIGHT).displacement
     return jax.vmap(one)(lanes)[:, OBSERVED]

@@ -25,7 +25,7 @@ def cantilever():
 
 @eqx.filter_jit
 def _solve(model, configuration, E):
-    model = eqx.tree_at(lambda m: m.material, model, Corotational(Isotropic(E, 0.3)))
+    model = model.with_law(Corotational(Isotropic(E, 0.3)))
     return solve_equilibrium(model, configuration)
 
 
