@@ -68,9 +68,9 @@ class NewtonState(NamedTuple):
 
     `theta` is the volume ratio of each tet in the mixed Newton step; everything else,
     the stopping rule too, is of the body with theta = J_bar(u). `turned` tells whether
-    the last trial step turned a tet inside out. `merit_before` is the
-    norm of the residual one step ago, for the line search on it; inf at the start of a
-    load step, None where the line search is always on the potential.
+    the last trial step turned a tet inside out. `merit_before` is the norm of the
+    residual one step ago, for the line search on it; inf at the start of a load step,
+    None where the line search is always on the potential.
     """
 
     at: Point
