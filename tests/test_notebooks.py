@@ -6,9 +6,19 @@ from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 
+SLOW = {"03_parallel_robot"}
+"""Notebooks that take minutes."""
+
+NOTEBOOKS = [
+    pytest.param(
+        path, id=path.stem, marks=[pytest.mark.slow] if path.stem in SLOW else []
+    )
+    for path in sorted(FOLDER.glob("*.ipynb"))
+]
+
 
 @pytest.mark.notebook
-@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS)
 def test_notebook_runs(path):
     """Runs every cell in a fresh kernel; the notebooks hold their own assertions."""
     notebook = nbformat.read(path, as_version=4)

@@ -217,6 +217,7 @@ def test_without_a_path_nothing_is_written(tmp_path, fit, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_search_that_was_stopped_is_not_forgotten(tmp_path, fit):
     """From several starts: the checkpoint after the search holds its best end."""
     path = interrupted(fit, tmp_path / "fit.npz", 0, starts=3)

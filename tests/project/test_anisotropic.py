@@ -294,6 +294,7 @@ def test_ranking_needs_candidates(tmp_path):
         project.rank_candidates()
 
 
+@pytest.mark.slow
 def test_known_fields_come_back(tmp_path):
     """A calibration of fields at control points, from poses that the model made."""
     changes = (
