@@ -34,10 +34,12 @@ def run(options: Options) -> Outcome:
     measured = measured_robot(robot, SEED)
     options.say("calibrating")
     result = calibrated(robot, measured)
+    if not result.converged:
+        raise RuntimeError(f"the calibration of robot {SEED} did not converge.")
     options.say("goals")
     goals = reached(robot, measured.printed, ANGLES)
     models = {"uncalibrated": robot.model, "calibrated": result.model}
-    figures: dict[str, Figure] = {"calibration_converged": int(result.converged)}
+    figures: dict[str, Figure] = {}
     samples, rows = {}, []
     for name, model in models.items():
         options.say(f"commands of the {name} model")

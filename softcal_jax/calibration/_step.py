@@ -24,8 +24,8 @@ KKT_TOLERANCE = 1e-6
 SMALLEST_FALL = 1e-8
 """Fall of the cost that is not worth a step, relative to the cost [-].
 
-Where the fit leaves an error, a Gauss-Newton step only goes a share of the way, and the
-last dozen steps would move the parameters by less than 1e-3 of their standard errors.
+Where the fit leaves an error, a Gauss-Newton step only goes a share of the way, and
+many small ones would follow that hardly change the fit.
 """
 
 
@@ -47,8 +47,8 @@ class CalibrationSettings(eqx.Module):
     """Settings of the outer loop.
 
     Attributes:
-        tol: Largest entry of lambda_p at which the loop stops; it also stops where a
-            step would lower the cost by less than `SMALLEST_FALL` [-].
+        tol: Largest entry of lambda_p at which the loop stops; with `adapt` it also
+            stops where a step would lower the cost by less than `SMALLEST_FALL` [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
@@ -212,6 +212,7 @@ def decide(
     # A step is small because nothing is left to gain, not because it was held short.
     least = SMALLEST_FALL * now.cost
     no_gain = (predicted <= least) & (tried.cost <= now.cost + least)
+    no_gain = settings.adapt & no_gain
     vanished = tried.ok & ((size <= settings.tol) | no_gain) & ~at_bound
     vanished = vanished & (proposal.qp.kkt_residual <= KKT_TOLERANCE)
     # Until then equilibria are left a little early.

@@ -198,6 +198,18 @@ def one_array(path):
         np.save(file, np.zeros(6))
 
 
+def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path, fit):
+    path = interrupted(fit, tmp_path / "fit.npz", 1)
+    with np.load(path) as file:
+        content = {name: file[name] for name in file.files}
+    del content[f"state_{len(content) - 3}"]  # the last, beside mark and history
+    np.savez(path, **content)
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match=r"fit\.npz was written by another version"):
+        fit(path)
+    assert path.read_bytes() == before
+
+
 @pytest.mark.parametrize(
     "damage", [text, empty, truncated, flipped, other_arrays, one_array]
 )
