@@ -248,17 +248,22 @@ def test_a_refused_cost_is_not_remembered(problem, evaluation):
 
 
 @pytest.mark.parametrize(
-    ("promised", "cost", "ends"),
-    [(1e-9, 10.0, True), (1e-7, 10.0, False), (1e-9, 10.001, False)],
+    ("promised", "cost", "adapt", "ends"),
+    [
+        (1e-9, 10.0, True, True),
+        (1e-7, 10.0, True, False),
+        (1e-9, 10.001, True, False),
+        (1e-9, 10.0, False, False),  # as in the paper, until lambda_p vanishes
+    ],
 )
 def test_a_step_that_gains_next_to_nothing_ends_the_search(
-    problem, evaluation, promised, cost, ends
+    problem, evaluation, promised, cost, adapt, ends
 ):
     """However long it is, if it also costs next to nothing: 1e-8 of the cost."""
     accurate = eqx.tree_at(
         lambda e: e.equilibrium.residual, costing(evaluation, 10.0), np.zeros(4)
     )
-    settings = CalibrationSettings()
+    settings = CalibrationSettings(adapt=adapt)
     state = initial_state(settings, problem.space.start(), accurate)
     proposal = _propose(problem, settings, state)
     proposal = eqx.tree_at(
