@@ -125,10 +125,25 @@ def _factor_solve_rule(axis_size, in_batched, solver, values, rhs):
     )
 
 
-# Settings of PARDISO, by their index in iparm: no iterative refinement (Newton refines
-# anyway, and the residual is the same to a factor 2), 1x1 pivots, and the two-level
-# factorization. Together a quarter to a third faster than the defaults.
-_PARDISO_OPTIONS = {7: 0, 20: 0, 23: 1}
+_Options = tuple[tuple[int, int], ...]
+"""Settings of PARDISO: pairs of an index in iparm, from 0, and its value."""
+
+# No iterative refinement (Newton refines anyway, and the residual is the same to a
+# factor 2) and 1x1 pivots.
+_COMMON: _Options = ((7, 0), (20, 0))
+
+_NESTED: _Options = (*_COMMON, (1, 2), (23, 1))
+"""Nested dissection (METIS) and the two-level factorization, for bulky bodies."""
+
+_MINIMUM_DEGREE: _Options = (*_COMMON, (1, 0), (23, 0))
+"""Minimum degree, for slender bodies and sheets: half the work in a beam. Only the
+one-level factorization takes this order."""
+
+_WORK: _Options = ((18, -1), (23, 0))
+"""Have the analysis report the work of a factorization, which only one level does."""
+
+_MFLOP = 18
+"""Where it does, in iparm."""
 
 _MKL_DOMAIN_PARDISO = 4
 """Number of PARDISO among the parts of oneMKL (mkl_types.h)."""
@@ -148,6 +163,29 @@ def _load_pardiso(sparsity: Sparsity):
     return primitive, MatrixType.REAL_STRUCTURALLY_SYMMETRIC
 
 
+def _analyse(sparsity: Sparsity, options: _Options, number: int):
+    """Token of an analysis outside jit, and what PARDISO reports of it.
+
+    The package tells analyses apart by what it is given, hence the number.
+    """
+    primitive, kind = _load_pardiso(sparsity)
+    return primitive.analyze(
+        jnp.asarray(sparsity.indptr),
+        jnp.asarray(sparsity.indices),
+        jnp.full(sparsity.nnz, 1.0 + number),
+        matrix_type=kind,
+        options=dict(options),
+    )
+
+
+def _work(sparsity: Sparsity, options: _Options) -> int:
+    """Work of a factorization in this order [million operations]."""
+    primitive, _ = _load_pardiso(sparsity)
+    token, report = _analyse(sparsity, (*options, *_WORK), 0)
+    primitive.release(token)
+    return int(report[_MFLOP])
+
+
 class Pardiso(AbstractLinearSolver):
     """Intel oneMKL PARDISO through pardiso-mkl-jax, for symmetric matrices and others.
 
@@ -155,28 +193,51 @@ class Pardiso(AbstractLinearSolver):
     program at the first non-positive pivot; the indefinite one factors on and counts
     the negative eigenvalues. Others have a symmetric pattern, which spares the scaling
     and matching of the general type: these look at values, and the analysis has none.
+
+    Attributes:
+        token: The analysis.
+        options: Settings of PARDISO.
+        spare: The same matrices in nested dissection, None where that is the order
+            anyway: minimum degree can meet a zero pivot in an indefinite matrix of a
+            regular mesh that is not singular.
     """
 
     sparsity: Sparsity
     token: Any
+    options: _Options = eqx.field(static=True)
+    spare: "Pardiso | None" = None
     name: str = eqx.field(static=True, default="PARDISO (pardiso-mkl-jax)")
     counts_negative: bool = eqx.field(static=True, default=True)
 
     @classmethod
-    def analyse(cls, sparsity: Sparsity, number: int = 0) -> "Pardiso":
-        """Order and analyse the pattern once, outside jit."""
-        primitive, kind = _load_pardiso(sparsity)
-        token, _ = primitive.analyze(
-            jnp.asarray(sparsity.indptr),
-            jnp.asarray(sparsity.indices),
-            # The package tells analyses apart by what it is given.
-            jnp.full(sparsity.nnz, 1.0 + number),
-            matrix_type=kind,
-            options=_PARDISO_OPTIONS,
+    def analyse(cls, sparsity: Sparsity) -> "Pardiso":
+        """Order the pattern in the way that leaves less work, and analyse it once."""
+        nested, degree = (
+            _work(sparsity, order) for order in (_NESTED, _MINIMUM_DEGREE)
         )
-        return cls(sparsity=sparsity, token=token, counts_negative=sparsity.symmetric)
+        return cls._of(sparsity, _MINIMUM_DEGREE if degree <= nested else _NESTED, 0)
+
+    @classmethod
+    def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":
+        token, _ = _analyse(sparsity, options, number)
+        nested = options == _NESTED
+        return cls(
+            sparsity=sparsity,
+            token=token,
+            options=options,
+            spare=None if nested else cls._of(sparsity, _NESTED, number),
+            counts_negative=sparsity.symmetric,
+        )
 
     def _factor_solve(self, values, rhs):
+        found = self._factor_solve_once(values, rhs)
+        spare = self.spare
+        if spare is None:
+            return found
+        again = lambda: spare._factor_solve_once(values, rhs)
+        return jax.lax.cond(found[2], lambda: found, again)
+
+    def _factor_solve_once(self, values, rhs):
         primitive, kind = _load_pardiso(self.sparsity)
         x, iparm, _ = primitive.factor_and_solve_stateful(
             self.token,
@@ -185,7 +246,7 @@ class Pardiso(AbstractLinearSolver):
             values,
             rhs,
             matrix_type=kind,
-            options=_PARDISO_OPTIONS,
+            options=dict(self.options),
         )
         perturbed_pivots, negative_eigenvalues = iparm[13], iparm[22]
         if not self.counts_negative:
@@ -194,7 +255,7 @@ class Pardiso(AbstractLinearSolver):
 
     def another(self, number):
         """A solver of the same pattern that keeps factors of its own."""
-        return self.analyse(self.sparsity, number)
+        return self._of(self.sparsity, self.options, number)
 
     @contextmanager
     def on_one_core(self):
@@ -222,7 +283,7 @@ class Pardiso(AbstractLinearSolver):
             values,
             rhs,
             matrix_type=kind,
-            options=_PARDISO_OPTIONS,
+            options=dict(self.options),
         )[0]
 
 

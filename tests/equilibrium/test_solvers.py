@@ -25,8 +25,20 @@ from bodies import (
 )
 
 from softcal_jax.configurations import configuration_arrays
-from softcal_jax.equilibrium import build_model, factor_solve
-from softcal_jax.materials import Corotational, Isotropic, NeoHookean
+from softcal_jax.equilibrium import build_model, factor_solve, tangent_values
+from softcal_jax.equilibrium._linear_solver import (
+    _MINIMUM_DEGREE,
+    _NESTED,
+    Pardiso,
+    _work,
+)
+from softcal_jax.equilibrium._problem import mask_supports
+from softcal_jax.materials import (
+    Corotational,
+    Isotropic,
+    NeoHookean,
+    StVenantKirchhoff,
+)
 from softcal_jax.mesh import beam
 
 PACKAGES = {"pardiso": "pardiso_mkl_jax", "klu": "klujax"}
@@ -187,3 +199,65 @@ def test_with_law_checks_its_fields():
     np.testing.assert_array_equal(changed.law.E, np.arange(1.0, 7.0))
     with pytest.raises(ValueError, match=r"law\.nu has shape \(7,\)"):
         model.with_law(NeoHookean(1.0, np.full(7, 0.3)))
+
+
+@pytest.mark.parametrize(
+    ("cells", "order"), [((30, 1, 1), "degree"), ((6, 6, 6), "nested")]
+)
+def test_pardiso_takes_the_order_that_leaves_less_work(cells, order):
+    """Minimum degree for a slender beam, nested dissection for a cube."""
+    pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
+    mesh = beam(float(cells[0]), float(cells[1]), float(cells[2]), cells, order=2)
+    law = Corotational(Isotropic(YOUNG, POISSON))
+    solver = build_model(mesh, law, density=DENSITY, solver="pardiso").solver
+    work = {"nested": _work(solver.sparsity, _NESTED)}
+    work["degree"] = _work(solver.sparsity, _MINIMUM_DEGREE)
+    assert min(work, key=work.__getitem__) == order
+    assert (solver.spare is None) == (order == "nested")
+    # The spare of a solver is of the other order, and gives the same.
+    random = np.random.default_rng(0)
+    values = 0.01 * random.normal(size=solver.sparsity.nnz)
+    values[solver.sparsity.diagonal] = 1.0
+    rhs = jnp.asarray(random.normal(size=(2, solver.sparsity.n_dof)))
+    other = Pardiso._of(
+        solver.sparsity, _MINIMUM_DEGREE if order == "nested" else _NESTED, 1
+    )
+    x, other = (s.factor_solve(jnp.asarray(values), rhs) for s in (solver, other))
+    assert bool(x.ok)
+    assert int(x.n_negative) == int(other.n_negative)
+    np.testing.assert_allclose(x.x, other.x, rtol=0, atol=1e-12)
+
+
+def test_a_zero_pivot_of_minimum_degree_is_no_singular_matrix():
+    """A bar beyond its limit point, of cells that are all alike."""
+    pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
+    model = build_model(
+        beam(4.0, 1.0, 1.0, (4, 1, 1)),
+        StVenantKirchhoff(Isotropic(1.0, 0.0)),
+        density=1.0,
+        solver="pardiso",
+    )
+    solver = model.solver
+    assert solver.spare is not None
+    # Pressed to half its length: indefinite, but far from singular.
+    pressed = jnp.asarray(model.mesh.points * np.array([-0.5, 0.0, 0.0]))
+    held = np.ones(solver.sparsity.n_dof, bool)
+    held.reshape(-1, 3)[model.mesh.points[:, 0] > 0.0, 0] = False
+    held.reshape(-1, 3)[model.mesh.points[:, 0] == 4.0] = True
+    K, _ = mask_supports(
+        solver.sparsity, tangent_values(model, pressed), jnp.asarray(held)
+    )
+    dense = stiffness(model, pressed)[np.ix_(~held, ~held)]
+    eigenvalues = np.linalg.eigvalsh(dense)
+    assert np.min(np.abs(eigenvalues)) > 0.01
+    rhs = np.where(held, 0.0, np.random.default_rng(0).normal(size=held.size))
+    x = solver.factor_solve(K, jnp.asarray(rhs)[None])
+    assert bool(x.ok)
+    assert int(x.n_negative) == int(np.sum(eigenvalues < 0.0)) > 0
+    np.testing.assert_allclose(
+        x.x[0][~held], np.linalg.solve(dense, rhs[~held]), rtol=0, atol=1e-10
+    )
+    # Alone, the order of the solver would have called it singular.
+    assert not bool(
+        eqx.tree_at(lambda s: s.spare, solver, None).factor_solve(K, x.x).ok
+    )
