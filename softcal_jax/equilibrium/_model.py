@@ -99,6 +99,11 @@ class Model(eqx.Module):
         check_law(law, self.conservative, self.formulation)
         return eqx.tree_at(lambda m: m.law, self, law)
 
+    def tabulated(self) -> "Model":
+        """The same body, with what does not depend on its shape computed once."""
+        law = jax.lax.optimization_barrier(self.law.tabulated())
+        return eqx.tree_at(lambda m: m.law, self, law)
+
     def law_blocks(self) -> AbstractLaw:
         """The law with per-tet arrays cut into blocks, as `assembly` maps over it."""
         n_blocks, _, block = self.weights.shape

@@ -17,8 +17,8 @@ from softcal_jax.elements import (
     symmetric,
 )
 from softcal_jax.materials._elasticity import AbstractElasticity
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import outer, sum_of, turned_stiffness
+from softcal_jax.materials._law import AbstractLinearLaw
+from softcal_jax.materials._products import outer, sum_of, turned
 
 # hat(e_1), hat(e_2), hat(e_3): minus the permutation symbol.
 _HAT = -np.cross(np.eye(3)[:, None], np.eye(3)[None])
@@ -66,7 +66,7 @@ def _energy(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> Float[Arr
     return 0.5 * jnp.sum(strain * elasticity.stress(strain))
 
 
-class Corotational(AbstractLaw):
+class Corotational(AbstractLinearLaw):
     """Linear law in the stretch of the polar decomposition F = R S.
 
     psi = 1/2 (S - I) : C : (S - I). With sigma = C : (S - I), the exact gradient is
@@ -87,14 +87,28 @@ class Corotational(AbstractLaw):
 
     def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """First Piola-Kirchhoff stress R (sigma - hat(c)) [Pa]."""
+        return self.energy_and_stress(F)[1]
+
+    def energy_and_stress(
+        self, F: Float[Array, "3 3"]
+    ) -> tuple[Float[Array, ""], Float[Array, "3 3"]]:
+        """Both from one polar decomposition."""
         R, S, sigma, M_inverse = _polar(self.elasticity, F)
         c = _times(M_inverse, axial(matmul(sigma, S)))
-        return matmul(R, sigma - skew(c))
+        energy = 0.5 * jnp.sum((S - jnp.eye(3)) * sigma)
+        return energy, matmul(R, sigma - skew(c))
 
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
-        """Tangent R_im R_kn (C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL) [Pa].
+        """Tangent, see `stress_and_tangent` [Pa]."""
+        return self.stress_and_tangent(F)[1]
 
-        It resolves R^T dP = hat(omega) (sigma - hat(c)) + dsigma - hat(dc), with
+    def stress_and_tangent(
+        self, F: Float[Array, "3 3"]
+    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
+        """Both from one polar decomposition.
+
+        The tangent is R_im R_kn (C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL). It resolves
+        R^T dP = hat(omega) (sigma - hat(c)) + dsigma - hat(dc), with
         omega = M^-1 axial(A) and dS = A - hat(omega) S for A = R^T dF, into a part C
         for symmetric A and what a spin adds. With hat_r = hat(e_r), p = sigma - hat(c)
         and Q_r = sym(hat_r S):
@@ -108,18 +122,40 @@ class Corotational(AbstractLaw):
         R, S, sigma, M_inverse = polar
         p = sigma - skew(_times(M_inverse, axial(matmul(sigma, S))))
         hat = jnp.asarray(_HAT)
-        Q = _symmetric(_right(hat, S))
+        p, Q = jax.lax.optimization_barrier((p, _symmetric(_right(hat, S))))
         moment = jax.vmap(self.elasticity.stress)(Q) + _symmetric(_left(p.T, hat))
         N = sum_of(M_inverse[:, s, None, None] * moment[None, s] for s in range(3))
-        N_Q = jnp.sum(N[:, None] * Q[None], axis=(2, 3))
+        N = jax.lax.optimization_barrier(N)
+        N_Q = sum_of(
+            N[:, None, i, j] * Q[None, :, i, j] for i in range(3) for j in range(3)
+        )
         K = matmul(0.5 * (jnp.trace(p) * jnp.eye(3) - p) + N_Q, M_inverse)
+        K = jax.lax.optimization_barrier(K)
         Y = N - 0.5 * sum_of(K[:, s, None, None] * hat[None, s] for s in range(3))
-        H, Y = jax.lax.optimization_barrier((_left(R, hat), _left(R, Y)))
-        geometric = sum_of(outer(H[r], Y[r]) + outer(Y[r], H[r]) for r in range(3))
-        return turned_stiffness(self.elasticity, R) - geometric
+        tangent = turned(_less_spins(self.elasticity.tensor(), Y), R)
+        return matmul(R, p), tangent
 
 
-class ClassicalCorotational(AbstractLaw):
+def _less_spins(
+    C: Float[Array, "3 3 3 3"], Y: Float[Array, "3 3 3"]
+) -> Float[Array, "3 3 3 3"]:
+    """C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL: each hat has two entries only."""
+
+    def spin(m, J, n, L):
+        if m == J:
+            return 0.0
+        r = 3 - m - J
+        return _HAT[r, m, J] * Y[r, n, L]
+
+    return jnp.stack(
+        [
+            C[m, J, n, L] - spin(m, J, n, L) - spin(n, L, m, J)
+            for m, J, n, L in np.ndindex(3, 3, 3, 3)
+        ]
+    ).reshape(3, 3, 3, 3)
+
+
+class ClassicalCorotational(AbstractLinearLaw):
     """The corotational force of the classical codes, P = R sigma, for parity only.
 
     It drops the term hat(c) of `Corotational`. For an isotropic C nothing changes. For
@@ -157,4 +193,4 @@ class ClassicalCorotational(AbstractLaw):
         Z = _left(R, _right(omega, sigma) + dsigma)
         H, Z = jax.lax.optimization_barrier((_left(R, hat), Z))
         spin = sum_of(outer(Z[s], H[s]) for s in range(3))
-        return turned_stiffness(self.elasticity, R) + 0.5 * spin
+        return turned(self.elasticity.tensor(), R) + 0.5 * spin

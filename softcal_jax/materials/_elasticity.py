@@ -1,9 +1,12 @@
 """Linear elasticity tensors, shared by the laws that are linear in a strain measure."""
 
 from abc import abstractmethod
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float
@@ -12,6 +15,20 @@ from softcal_jax.materials._checks import (
     check_modulus,
     check_poisson_ratio,
 )
+from softcal_jax.materials._point_values import PointValues, is_point_values
+
+_UNIT = np.eye(9).reshape(3, 3, 3, 3)
+_SYMMETRIC_UNIT = 0.5 * (_UNIT + _UNIT.transpose(1, 0, 2, 3))
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+"""Voigt's order of the entries of a symmetric tensor."""
+
+_VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
+"""Place of an entry in it."""
+
+_UPPER = np.zeros((6, 6), int)
+_UPPER[np.triu_indices(6)] = _UPPER.T[np.triu_indices(6)] = np.arange(21)
+"""Place of an entry of the 6x6 matrix in its upper triangle, row by row."""
 
 
 class AbstractElasticity(eqx.Module):
@@ -20,6 +37,64 @@ class AbstractElasticity(eqx.Module):
     @abstractmethod
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress C : strain for a symmetric strain [Pa]."""
+
+    def tensor(self) -> Float[Array, "3 3 3 3"]:
+        """The tensor C_MJNL [Pa]."""
+        return jax.vmap(jax.vmap(self.stress))(jnp.asarray(_SYMMETRIC_UNIT))
+
+    def tabulated(self) -> "AbstractElasticity":
+        """The same tensor, by its entries where these take long to compute.
+
+        Fields may be those of a whole body: one value, one per tet, or `PointValues`.
+        """
+        return self
+
+
+class Tabulated(AbstractElasticity):
+    """A stiffness tensor by its entries.
+
+    Attributes:
+        entries: Upper triangle of Voigt's 6x6 matrix by rows, in the order 11, 22, 33,
+            23, 13, 12 [Pa].
+    """
+
+    entries: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, elasticity: AbstractElasticity) -> "Tabulated":
+        """Entries of an elasticity whose constants are scalars at each point."""
+        leaves, tree = jax.tree.flatten(elasticity, is_leaf=is_point_values)
+        per_point = any(map(is_point_values, leaves))
+
+        def plain(leaf):
+            if is_point_values(leaf):
+                return leaf.values
+            # In front of the points of each tet.
+            return leaf[..., None] if per_point and leaf.ndim > 0 else leaf
+
+        def entries(*constants):
+            C = jax.tree.unflatten(tree, constants).tensor()
+            return tuple(
+                C[*_PAIRS[a], *_PAIRS[b]] for a in range(6) for b in range(a, 6)
+            )
+
+        fields = jnp.broadcast_arrays(*map(plain, leaves))
+        shape = fields[0].shape
+        table = jax.vmap(entries)(*(field.ravel() for field in fields))
+        shaped = (entry.reshape(shape) for entry in table)
+        return cls(tuple(PointValues(e) if per_point else e for e in shaped))
+
+    def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Stress C : strain for a symmetric strain [Pa]."""
+        e = [strain[i, j] * (1.0 if i == j else 2.0) for i, j in _PAIRS]
+        C = self.entries
+        s = [sum(C[_UPPER[a, b]] * e[b] for b in range(6)) for a in range(6)]
+        return jnp.stack([jnp.stack([s[a] for a in row]) for row in _VOIGT])
+
+    def tensor(self) -> Float[Array, "3 3 3 3"]:
+        """The tensor C_MJNL [Pa]."""
+        places = _UPPER[_VOIGT[:, :, None, None], _VOIGT[None, None]].ravel()
+        return jnp.stack([self.entries[p] for p in places]).reshape(3, 3, 3, 3)
 
 
 def lame(

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import matmul
 from softcal_jax.materials._elasticity import AbstractElasticity
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import paired, turned_stiffness
+from softcal_jax.materials._law import AbstractLinearLaw
+from softcal_jax.materials._products import paired, turned
 
 
-class StVenantKirchhoff(AbstractLaw):
+class StVenantKirchhoff(AbstractLinearLaw):
     """Linear law in the Green strain E = (F^T F - I) / 2: psi = 1/2 E : C : E.
 
     Softens under compression: a bar is unstable below the stretch 1/sqrt(3). Good for
@@ -33,7 +33,7 @@ class StVenantKirchhoff(AbstractLaw):
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
         """Tangent delta_ik T_JL + F_iM C_MJNL F_kN with T = C : E [Pa]."""
         T = self.elasticity.stress(self._green_strain(F))
-        return turned_stiffness(self.elasticity, F) + paired(jnp.eye(3), T)
+        return turned(self.elasticity.tensor(), F) + paired(jnp.eye(3), T)
 
     @staticmethod
     def _green_strain(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

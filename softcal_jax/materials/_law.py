@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.materials._elasticity import AbstractElasticity
 
 
 class AbstractLaw(eqx.Module):
@@ -52,3 +53,39 @@ class AbstractLaw(eqx.Module):
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
         """Tangent A_iJkL = d P_iJ / d F_kL [Pa]."""
         return jax.jacfwd(self.stress)(F)
+
+    def energy_and_stress(
+        self, F: Float[Array, "3 3"]
+    ) -> tuple[Float[Array, ""], Float[Array, "3 3"]]:
+        """Energy [J/m3] and stress [Pa]; a law overrides it where they share work."""
+        return self.energy_density(F), self.stress(F)
+
+    def stress_and_tangent(
+        self, F: Float[Array, "3 3"]
+    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
+        """Stress and tangent [Pa]; a law overrides it where they share work."""
+        return self.stress(F), self.tangent(F)
+
+    def tabulated(self) -> "AbstractLaw":
+        """The same law, with what does not depend on F computed once.
+
+        For an equilibrium, which asks for stress and tangent many times. Fields may be
+        those of a whole body: one value, one per tet, or `PointValues`.
+        """
+        return self
+
+
+class AbstractLinearLaw(AbstractLaw):
+    """A law that is linear in a strain measure.
+
+    Attributes:
+        elasticity: The tensor C, in the axes of the rest shape.
+    """
+
+    elasticity: eqx.AbstractVar[AbstractElasticity]
+
+    def tabulated(self) -> "AbstractLaw":
+        """The same law, with the tensor C by its entries."""
+        return eqx.tree_at(
+            lambda law: law.elasticity, self, self.elasticity.tabulated()
+        )

@@ -8,11 +8,8 @@ from functools import reduce
 from operator import add
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._elasticity import AbstractElasticity
 
 
 def sum_of(terms: Iterable[Array]) -> Array:
@@ -35,15 +32,9 @@ def paired(X: Float[Array, "3 3"], Y: Float[Array, "3 3"]) -> Float[Array, "3 3 
     return X[:, None, :, None] * Y[None, :, None, :]
 
 
-_UNIT = np.eye(9).reshape(3, 3, 3, 3)
-_SYMMETRIC_UNIT = 0.5 * (_UNIT + _UNIT.transpose(1, 0, 2, 3))
-
-
-def turned_stiffness(
-    elasticity: AbstractElasticity, G: Float[Array, "3 3"]
-) -> Float[Array, "3 3 3 3"]:
-    """Stiffness with its first slot of each pair turned, G_iM C_MJNL G_kN [Pa]."""
-    C = jax.vmap(jax.vmap(elasticity.stress))(jnp.asarray(_SYMMETRIC_UNIT))
+def turned(C: Float[Array, "3 3 3 3"], G: Float[Array, "3 3"]) -> Array:
+    """Tensor with the first slot of each pair turned, G_iM C_MJNL G_kN."""
+    C = jax.lax.optimization_barrier(C)  # not again for each k and i
     half = sum_of(C[:, :, None, N, :] * G[None, None, :, N, None] for N in range(3))
-    half = jax.lax.optimization_barrier(half)  # not again for each i
+    half = jax.lax.optimization_barrier(half)
     return sum_of(G[:, M, None, None, None] * half[None, M] for M in range(3))

@@ -13,7 +13,7 @@ from softcal_jax.materials._checks import (
     check_plane_ratio,
     check_poisson_ratio,
 )
-from softcal_jax.materials._elasticity import AbstractElasticity
+from softcal_jax.materials._elasticity import AbstractElasticity, Tabulated
 from softcal_jax.materials._fibre import Fibre
 
 
@@ -136,6 +136,10 @@ class TransverseIsotropic(AbstractElasticity):
         )
         return _stress(strain, self.fibre.direction(), coefficients)
 
+    def tabulated(self) -> Tabulated:
+        """The same tensor by its entries."""
+        return Tabulated.of(self)
+
 
 class ReducedTransverseIsotropic(AbstractElasticity):
     """Transverse isotropy of two moduli and one ratio, stable for every pair of moduli.
@@ -180,3 +184,7 @@ class ReducedTransverseIsotropic(AbstractElasticity):
             along=scale * (1.0 + ratio) * step * step,
         )
         return _stress(strain, self.fibre.direction(), coefficients)
+
+    def tabulated(self) -> Tabulated:
+        """The same tensor by its entries."""
+        return Tabulated.of(self)

@@ -136,3 +136,37 @@ def test_points_of_another_number_of_tets_are_refused():
     short = _replaced(body.law, lambda law: law.E, PointValues(jnp.ones((5, 1))))
     with pytest.raises(ValueError, match=r"law.E.values has shape \(5, 1\).* 6 tets"):
         body.with_law(short)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_tabulated_law_has_its_entries_where_the_constants_are(order):
+    """One for all, one per tet, one per point, and all three in one law."""
+    mesh = cube(order)
+    u, n_qp = bent(mesh), 4 if order == 2 else 1
+    per_tet = np.linspace(0.8, 1.3, N_TETS)
+    per_point = PointValues(jnp.asarray(at_points(0.2, 1.0, n_qp)))
+    for E_t, theta in [
+        (1.0, 0.3),
+        (per_tet, 0.3),
+        (1.0, per_point),
+        (per_tet, per_point),
+    ]:
+        law = eqx.tree_at(
+            lambda law: law.elasticity.fibre.theta,
+            anisotropic(E_t, 0.3),
+            jax.tree.map(jnp.asarray, theta),
+        )
+        model = build_model(mesh, law, density=1.0)
+        table = model.tabulated()
+        shape = jax.tree.leaves(table.law)[0].shape
+        assert shape == np.broadcast_shapes(
+            np.shape(E_t), np.shape(getattr(theta, "values", theta))[:1]
+        ) + ((n_qp,) if isinstance(theta, PointValues) else ())
+        scale = float(jnp.max(jnp.abs(force(model, u))))
+        np.testing.assert_allclose(
+            force(table, u), force(model, u), rtol=0, atol=1e-13 * scale
+        )
+        K = stiffness(model, u)
+        np.testing.assert_allclose(
+            stiffness(table, u), K, rtol=0, atol=1e-13 * np.max(np.abs(K))
+        )

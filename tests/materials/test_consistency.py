@@ -177,3 +177,25 @@ def test_forward_equals_reverse(law):
     np.testing.assert_allclose(
         jnp.vdot(cotangent, jvp), jnp.vdot(vjp(cotangent)[0], dF), rtol=1e-12
     )
+
+
+@each_law
+def test_what_is_computed_together_is_what_is_computed_alone(law):
+    for F in GRADIENTS:
+        psi, P = jax.jit(lambda law, F: law.energy_and_stress(F))(law, F)
+        np.testing.assert_allclose(psi, energy(law, F), rtol=1e-13)
+        np.testing.assert_allclose(P, stress(law, F), rtol=0, atol=1e-14)
+        P, A = jax.jit(lambda law, F: law.stress_and_tangent(F))(law, F)
+        np.testing.assert_allclose(P, stress(law, F), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(A, tangent(law, F), rtol=0, atol=1e-13)
+
+
+@each_law
+def test_a_tabulated_law_is_the_same_law(law):
+    table = law.tabulated()
+    for F in GRADIENTS:
+        np.testing.assert_allclose(energy(table, F), energy(law, F), rtol=1e-12)
+        np.testing.assert_allclose(stress(table, F), stress(law, F), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            tangent(table, F), tangent(law, F), rtol=0, atol=1e-13
+        )
