@@ -31,7 +31,7 @@ from softcal_jax.equilibrium._solve import (
     implicit_response,
     solve_equilibrium,
 )
-from softcal_jax.equilibrium._workers import Workers
+from softcal_jax.equilibrium._workers import Workers, program_key
 
 __all__ = [
     "RESULTS",
@@ -59,6 +59,7 @@ __all__ = [
     "internal_force",
     "lane_by_lane",
     "marker_positions",
+    "program_key",
     "residual",
     "solve_equilibrium",
     "solved_forces",

@@ -12,6 +12,7 @@ from softcal_jax.elements import determinant
 from softcal_jax.equilibrium._element import (
     deformation_gradients,
     element_energy,
+    element_energy_and_force,
     element_force,
     element_stiffness,
     mean_dilatation,
@@ -81,8 +82,7 @@ def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
     """Strain energy, the sum of its absolute parts, internal force, smallest det F."""
 
     def both(u, dN, w, law, active):
-        energy = element_energy(u, dN, w, law, model.formulation)
-        force = element_force(u, dN, w, law, model.formulation)
+        energy, force = element_energy_and_force(u, dN, w, law, model.formulation)
         det = jax.vmap(determinant)(deformation_gradients(u, dN))
         return active * energy, active * force, jnp.min(det)
 
@@ -91,19 +91,32 @@ def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
     return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
 
 
-def tangent_values(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, " nnz"]:
+def tangent_values(
+    model: Model,
+    u: Float[Array, "n_points 3"],
+    before: Float[Array, "n_points 3"] | None = None,
+) -> Float[Array, " nnz"]:
     """Tangent stiffness K = df/du over all nodes, in the order of the pattern [N/m].
 
     The upper triangle of a conservative model, where K is symmetric; all entries of
     any other.
+
+    Args:
+        model: The body.
+        u: Displacement [m].
+        before: Where a step to `u` began, see `element_stiffness`; it has no place in
+            the mixed formulation, which has its own [m].
     """
     p, q = _kept_entries(model)
+    stepped = before is not None
+    both = jnp.concatenate([u, before], axis=1) if stepped else u
 
     def entries(u, dN, w, law, active):
-        K = element_stiffness(u, dN, w, law, model.formulation)
+        u, before = u[:, :3], u[:, 3:] if stepped else None
+        K = element_stiffness(u, dN, w, law, model.formulation, before)
         return active * K.reshape(3 * u.shape[0], -1)[p, q]
 
-    return _add_entries(model, _map_blocks(model, u, entries))
+    return _add_entries(model, _map_blocks(model, both, entries))
 
 
 def mixed_tangent(
@@ -160,22 +173,30 @@ def field_forces(
     """
 
     def per_tet(u, dN, w, law, active):
-        def slope(where):
-            value = where(law)
-            points = is_point_values(value)
-            flat = value.values if points else value[None]
+        values = {name: where(law) for name, where in fields.items()}
+        plain = {
+            name: value.values if is_point_values(value) else value[None]
+            for name, value in values.items()
+        }
 
-            def force(flat):
-                new = PointValues(flat) if points else flat[0]
-                changed = eqx.tree_at(where, law, new)
-                return element_force(u, dN, w, changed, model.formulation)
+        def force(plain):
+            new = law
+            for name, where in fields.items():
+                points = is_point_values(values[name])
+                value = PointValues(plain[name]) if points else plain[name][0]
+                new = eqx.tree_at(where, new, value)
+            return element_force(u, dN, w, new, model.formulation)
 
-            directions = jnp.eye(flat.shape[0])
-            return active * jax.vmap(lambda d: jax.jvp(force, (flat,), (d,))[1])(
-                directions
+        # Once for all fields: what a law computes of F is the same for each of them.
+        _, slope = jax.linearize(force, plain)
+        still = jax.tree.map(jnp.zeros_like, plain)
+        return {
+            name: active
+            * jax.vmap(lambda d: slope(still | {name: d}))(  # noqa: B023
+                jnp.eye(value.shape[0])
             )
-
-        return {name: slope(where) for name, where in fields.items()}
+            for name, value in plain.items()
+        }
 
     return _map_blocks(model, u, per_tet)
 

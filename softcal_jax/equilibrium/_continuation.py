@@ -31,9 +31,6 @@ from softcal_jax.equilibrium._solve import EquilibriumSolution, as_solution
 MAX_QUICK_STEPS = 4
 """Full Newton steps after which a guess was not good."""
 
-CONTRACTION = 0.3
-"""Factor by which each of them must bring the residual down [-]."""
-
 SAME_MATRIX = 1e-6
 """Largest relative residual with which a solution is one of the given matrix [-]."""
 
@@ -57,10 +54,11 @@ class Continuation(NamedTuple):
 
 
 class _Quick(NamedTuple):
-    """State of the full Newton steps."""
+    """State of the full Newton steps; `before` is where the last one began."""
 
     solution: EquilibriumSolution
     at: Point
+    before: Float[Array, "n_points 3"]
     lambda_a: Float[Array, " n_a"]
     x: Float[Array, "n_rhs n_points 3"]
     ok: Bool[Array, ""]
@@ -77,6 +75,7 @@ def continue_equilibrium(
     *,
     settings: NewtonSettings,
     rtol: float,
+    before: Float[Array, "n_points 3"] | None = None,
     transpose: bool = False,
 ) -> Continuation:
     """Equilibrium near a guess, and K^-1 of further right-hand sides.
@@ -95,6 +94,8 @@ def continue_equilibrium(
         right_hand_sides: Nodal forces as a function of the displacement [N].
         settings: Settings of Newton's method, for the careful solve.
         rtol: Relative residual at which the quick steps stop [-].
+        before: Displacement of an equilibrium from which the guess was extrapolated, to
+            first order; it spares a Newton step of a slender body [m].
         transpose: Take K^-T for the right-hand sides, for an adjoint.
 
     Returns:
@@ -115,8 +116,9 @@ def continue_equilibrium(
             transpose=transpose,
         )
         return Continuation(solution, solved.x, solved.ok)
-    body = _Body(model, configuration, right_hand_sides, settings, rtol)
-    state = jax.lax.while_loop(lambda s: ~s.done, body.step, body.start(guess))
+    tabulated = model.tabulated()
+    body = _Body(tabulated, configuration, right_hand_sides, settings, rtol)
+    state = jax.lax.while_loop(lambda s: ~s.done, body.step, body.start(guess, before))
     return Continuation(state.solution, state.x, state.ok)
 
 
@@ -137,7 +139,7 @@ class _Body(NamedTuple):
             self.model, self.configuration, f_ext, self.settings.rtol
         )
 
-    def start(self, guess: Float[Array, "n_points 3"]) -> _Quick:
+    def start(self, guess: Float[Array, "n_points 3"], before) -> _Quick:
         """State before the first step; held nodes go where they are held."""
         one = jnp.ones((), guess.dtype)
         unknowns = self.problem.unknowns(one)
@@ -166,6 +168,7 @@ class _Body(NamedTuple):
         return _Quick(
             solution,
             at,
+            at.u if before is None else before,
             lambda_a,
             jnp.zeros(n_rhs, guess.dtype),
             jnp.zeros((), bool),
@@ -187,7 +190,10 @@ class _Body(NamedTuple):
         was_careful, problem = s.robust, self.problem
         one = jnp.ones((), at.u.dtype)
         strict = jnp.zeros((), bool)
-        direction = problem.direction(at, jnp.zeros_like(one), lambda_a, one, strict)
+        before = jnp.where(was_careful, at.u, s.before)
+        direction = problem.direction(
+            at, jnp.zeros_like(one), lambda_a, one, strict, before
+        )
         # A careful solution is one already.
         step = jnp.where(was_careful, 0.0, 1.0)
         new_u = problem.unknowns(one).move(at.u, step * direction.d)
@@ -199,7 +205,7 @@ class _Body(NamedTuple):
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual)
         arrived = sound & (residual <= self.rtol)
         contracts = sound & (
-            (residual <= CONTRACTION * s.solution.residual) & (s.step < MAX_QUICK_STEPS)
+            (residual <= s.solution.residual) & (s.step < MAX_QUICK_STEPS)
         )
         quick = EquilibriumSolution(
             new_u,
@@ -225,6 +231,7 @@ class _Body(NamedTuple):
         return _Quick(
             solution,
             jax.tree.map(pick, new, at),
+            at.u,
             pick(new_lambda, lambda_a),
             x,
             ok,

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.elements import cofactor, determinant
+from softcal_jax.elements import cofactor, determinant, matmul
 from softcal_jax.materials import AbstractLaw, law_at_points
 
 Formulation = Literal["displacement", "mean-dilatation"]
@@ -54,12 +54,16 @@ def _energy_densities(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
     return _at_points(law, lambda law, F: law.energy_density(F), F)
 
 
+def _energies_and_stresses(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
+    return _at_points(law, lambda law, F: law.energy_and_stress(F), F)
+
+
 def _stresses(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
     return _at_points(law, lambda law, F: law.stress(F), F)
 
 
-def _tangents(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
-    return _at_points(law, lambda law, F: law.tangent(F), F)
+def _stresses_and_tangents(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
+    return _at_points(law, lambda law, F: law.stress_and_tangent(F), F)
 
 
 def mean_dilatation(
@@ -99,18 +103,31 @@ def element_force(
     formulation: Formulation,
 ) -> Float[Array, "n_en 3"]:
     """Internal force of a tet, the gradient of its energy in u [N]."""
+    return element_energy_and_force(u, dN, w, law, formulation)[1]
+
+
+def element_energy_and_force(
+    u: Float[Array, "n_en 3"],
+    dN: Float[Array, "n_qp n_en 3"],
+    w: Float[Array, " n_qp"],
+    law: AbstractLaw,
+    formulation: Formulation,
+) -> tuple[Float[Array, ""], Float[Array, "n_en 3"]]:
+    """Strain energy [J] of a tet, and its gradient in u [N]."""
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         theta = mean_dilatation(u, dN, w)
         J, s, G = _scaled_to(theta, F)
         share = w * J / (theta * jnp.sum(w))
-        P_bar = _each(s) * _stresses(law, _each(s) * F)
+        psi, P_bar = _energies_and_stresses(law, _each(s) * F)
+        P_bar = _each(s) * P_bar
         mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
         pressure = jnp.sum(w * mean_stress)
         P = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
     else:
-        P = _each(w) * _stresses(law, F)
-    return _push(P, dN)
+        psi, P = _energies_and_stresses(law, F)
+        P = _each(w) * P
+    return jnp.sum(w * psi), _push(P, dN)
 
 
 def element_stiffness(
@@ -119,13 +136,51 @@ def element_stiffness(
     w: Float[Array, " n_qp"],
     law: AbstractLaw,
     formulation: Formulation,
+    before: Float[Array, "n_en 3"] | None = None,
 ) -> Float[Array, "n_en 3 n_en 3"]:
-    """Tangent stiffness of a tet, the Hessian of its energy in u [N/m]."""
+    """Tangent stiffness of a tet, the Hessian of its energy in u [N/m].
+
+    Args:
+        u: Nodal displacements [m].
+        dN: Shape gradients at the quadrature points [1/m].
+        w: Quadrature weights, volume included [m3].
+        law: Constitutive law.
+        formulation: Of the volume change.
+        before: Displacements from which a step led to `u`; the stress that bends with
+            the tet is then the one that the step foresaw, see `_foreseen` [m].
+    """
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         return mixed_newton(u, mean_dilatation(u, dN, w), dN, w, law)[0]
-    A = _tangents(law, F)
+    P, A = _stresses_and_tangents(law, F)
+    if before is not None:
+        gap = _second(F, P) - _foreseen(law, deformation_gradients(before, dN), F)
+        A = A - jnp.eye(3)[None, :, None, :, None] * gap[:, None, :, None, :]
     return _pull(w[:, None, None, None, None] * A, dN)
+
+
+def _second(
+    F: Float[Array, "n_qp 3 3"], P: Float[Array, "n_qp 3 3"]
+) -> Float[Array, "n_qp 3 3"]:
+    """Second Piola-Kirchhoff stress F^-1 P [Pa]."""
+    J, G = jax.vmap(determinant)(F), jax.vmap(cofactor)(F)
+    return jax.vmap(matmul)(jnp.swapaxes(G, 1, 2), P) / _each(J)
+
+
+def _foreseen(
+    law: AbstractLaw, before: Float[Array, "n_qp 3 3"], F: Float[Array, "n_qp 3 3"]
+) -> Float[Array, "n_qp 3 3"]:
+    """Second Piola-Kirchhoff stress that a step from `before` foresees at its end [Pa].
+
+    A long step in a slender body turns it only to first order, which stretches it; the
+    stress of that stretch, which the next step takes away, is in the tangent at the
+    end of the step and misleads it. Newton's method on stresses of their own at the
+    quadrature points, condensed out, has the stress there that was foreseen (Magisano,
+    Leonetti and Garcea, Comput. Methods Appl. Mech. Eng. 313, 2017).
+    """
+    second = lambda F: _second(F, _stresses(law, F))
+    stress, change = jax.jvp(second, (before,), (F - before,))
+    return stress + change
 
 
 def _each(a: Float[Array, " n_qp"]) -> Float[Array, "n_qp 1 1"]:
@@ -145,9 +200,10 @@ def _pull(
 ) -> Float[Array, "n_en 3 n_en 3"]:
     """Stiffness of the tangents: both reference slots contracted with gradients.
 
-    Sums are written out and the first contraction is kept from being fused into the
-    second, which would repeat it for every node.
+    Sums are written out, and no tensor is fused into the contraction that follows,
+    which would compute it again for every node.
     """
+    A = jax.lax.optimization_barrier(A)
     half = sum(A[:, None, :, J] * dN[:, :, None, J, None, None] for J in range(3))
     half = jax.lax.optimization_barrier(half)  # point, node, i, k, L
     return jnp.asarray(
@@ -198,8 +254,8 @@ def mixed_newton(
     J, s, G = _scaled_to(theta, F)
     share = w * J / (theta * jnp.sum(w))
     gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
-    P_bar = _each(s) * _stresses(law, _each(s) * F)
-    A = (s**2)[:, None, None, None, None] * _tangents(law, _each(s) * F)
+    P_bar, A = _stresses_and_tangents(law, _each(s) * F)
+    P_bar, A = _each(s) * P_bar, (s**2)[:, None, None, None, None] * A
     A_F = jnp.sum(A * F[:, None, None], axis=(3, 4))
     Q = A_F + P_bar
     mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0

@@ -255,7 +255,8 @@ class NewtonLoop:
             step_in_load=s.step_in_load + 1,
             n_negative=direction.n_negative,
             any_singular=~direction.ok,
-            turned=tried.at.min_det_F <= 0.0,
+            # A singular tangent gives no step; the ones before it tell why.
+            turned=jnp.where(direction.ok, tried.at.min_det_F <= 0.0, s.turned),
         )
         before = self.body.merit(
             s.at, direction.lambda_a, s.load, direction.gap_stiffness
@@ -387,6 +388,7 @@ def newton(
     A guess that does not lead to the solution at full load is dropped, and load
     stepping begins from rest.
     """
+    model = model.tabulated()
     f_ext = external_force(model, configuration)
     body = EquilibriumProblem(model, configuration, f_ext, settings.rtol)
     loop = NewtonLoop(body, settings)

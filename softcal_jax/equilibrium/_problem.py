@@ -207,8 +207,20 @@ class EquilibriumProblem:
         active = self.by_multiplier() & (taut | ~unilateral)
         return jnp.where(active, gap, 0.0), active
 
-    def direction(self, at: Point, theta, lambda_a, load, strict) -> Direction:
-        """Newton step at a share of the load."""
+    def direction(
+        self, at: Point, theta, lambda_a, load, strict, before=None
+    ) -> Direction:
+        """Newton step at a share of the load.
+
+        Args:
+            at: The point.
+            theta: Volume ratios in the mixed formulation.
+            lambda_a: Forces of the actuators.
+            load: Share of the load [-].
+            strict: Whether only steps that lower the potential are taken.
+            before: Displacement where a step to the point began, if its tangent shall
+                have the stress that the step foresaw; see `tangent_values` [m].
+        """
         model, u = self.model, at.u
         unknowns = self.unknowns(load)
         fixed = unknowns.fixed()
@@ -222,7 +234,7 @@ class EquilibriumProblem:
             theta = jnp.where(strict, at_u, theta)
             values, force = mixed_tangent(model, u, theta)
         else:
-            values, force = tangent_values(model, u), at.force
+            values, force = tangent_values(model, u, before), at.force
         g, rows = self.unbalanced(at, lambda_a, load)
         values = actuation.add_curvature(
             model, values, u, self.all_forces(lambda_a, load)

@@ -1,10 +1,10 @@
 """Compiled programs side by side, one on each core of this machine."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 
@@ -13,6 +13,21 @@ from softcal_jax.equilibrium._model import Model
 
 A = TypeVar("A")
 B = TypeVar("B")
+
+_COMPILED: set[Hashable] = set()
+"""Programs that have run in this process."""
+
+
+def program_key(name: str, *arguments: Any) -> Hashable:
+    """What tells one compiled program from another.
+
+    Args:
+        name: Name of the function.
+        arguments: What all its lanes share; arrays count by shape and type alone.
+    """
+    leaves, tree = jax.tree.flatten(arguments)
+    kind = lambda leaf: (leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf
+    return name, tree, tuple(map(kind, leaves))
 
 
 def usable_cores() -> int:
@@ -52,7 +67,6 @@ class Workers:
         self.n = max(1, min(usable_cores() if n is None else n, lanes))
         self._solver = model.solver
         self._free: SimpleQueue[AbstractLinearSolver] = SimpleQueue()
-        self._compiled: set[Callable] = set()
 
     def __enter__(self) -> "Workers":
         if self.n > 1:
@@ -67,14 +81,18 @@ class Workers:
             self._pool.shutdown(cancel_futures=True)
 
     def map(
-        self, function: Callable[[AbstractLinearSolver, A], B], lanes: Iterable[A]
+        self,
+        function: Callable[[AbstractLinearSolver, A], B],
+        lanes: Iterable[A],
+        program: Hashable,
     ) -> list[B]:
         """Results of a function of (solver, lane), in the order of the lanes.
 
         Args:
-            function: Runs a compiled program with that solver and waits for its end;
-                an equal object in every call.
+            function: Runs a compiled program with that solver and waits for its end.
             lanes: What it is called with.
+            program: Key of the program, see `program_key`: the first lane of a new one
+                goes ahead alone, so that one thread compiles it and not all.
         """
         lanes = list(lanes)
         jax.block_until_ready(lanes)  # nothing else is under way
@@ -90,7 +108,7 @@ class Workers:
 
         first: list[B] = []
         with self._solver.on_one_core():
-            if function not in self._compiled:  # by one of them, not by all at once
+            if program not in _COMPILED:
                 first = [run(lane) for lane in lanes[:1]]
-                self._compiled.add(function)
+                _COMPILED.add(program)
             return [*first, *self._pool.map(run, lanes[len(first) :])]

@@ -58,6 +58,7 @@ def equilibrium_response(
     *,
     newton: NewtonSettings,
     rtol: float,
+    before: Float[Array, "n_points 3"] | None = None,
 ) -> Response:
     """Equilibrium near a guess and W_ep = H_e K^-1 H_p^T there, paper Eq. (9).
 
@@ -73,20 +74,28 @@ def equilibrium_response(
         z: Their scaled values [-].
         newton: Settings of Newton's method where the guess is not good.
         rtol: Relative residual at which the quick Newton steps stop [-].
+        before: Displacement of an equilibrium from which the guess was extrapolated, to
+            first order; by default the guess [m].
 
     Returns:
         Equilibrium and compliance, effector coordinates in the order effector, axis.
     """
 
     @lane_by_lane
-    def lane(model, configuration, guess, space, z):
+    def lane(model, configuration, guess, before, space, z):
         effectors = configuration.effectors
         setup = setup_columns(space)
         n_e, n_p = effectors.measured.size, z.shape[0]
         if n_p <= max(n_e, FEW_PARAMETERS) or effectors.has_forces:
             forces = lambda u: parameter_forces(model, configuration, u, space, z)
             done = continue_equilibrium(
-                model, configuration, guess, forces, settings=newton, rtol=rtol
+                model,
+                configuration,
+                guess,
+                forces,
+                settings=newton,
+                rtol=rtol,
+                before=before,
             )
             ok = done.ok & done.equilibrium.converged
             x = jnp.where(ok, done.x, 0.0)
@@ -105,6 +114,7 @@ def equilibrium_response(
             rows,
             settings=newton,
             rtol=rtol,
+            before=before,
             transpose=True,
         )
         u = done.equilibrium.displacement
@@ -116,4 +126,6 @@ def equilibrium_response(
             W = W.at[:, jnp.asarray(setup)].set(by_setup)
         return Response(done.equilibrium, jnp.where(ok, W, 0.0), None, ok)
 
-    return lane(model, configuration, guess, space, z)
+    return lane(
+        model, configuration, guess, guess if before is None else before, space, z
+    )

@@ -49,7 +49,7 @@ def test_threads_give_what_one_gives_in_the_same_order(cantilever):
         assert workers.n == 3
         for _ in range(3):  # threads meet in another order each time
             for (u, ok), (expected, _) in zip(
-                workers.map(one, moduli), serial, strict=True
+                workers.map(one, moduli, "solve"), serial, strict=True
             ):
                 assert ok
                 np.testing.assert_allclose(u, expected, rtol=0, atol=1e-13)
@@ -68,8 +68,8 @@ def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
     with Workers(cantilever[0], 8, 2) as workers:
         for _ in range(4):
             with pytest.raises(ValueError, match="lane 2"):
-                workers.map(fails, range(5))
-        assert workers.map(fails, [0, 1, 3]) == [0, 1, 3]
+                workers.map(fails, range(5), "fails")
+        assert workers.map(fails, [0, 1, 3], "fails") == [0, 1, 3]
 
 
 def test_there_are_no_more_threads_than_lanes(cantilever):
