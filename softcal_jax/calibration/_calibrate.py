@@ -174,7 +174,11 @@ def calibrate(
             len(journal.history) <= settings.max_steps
         ):
             proposal = _propose(problem, settings, state)
-            tried = evaluate(proposal.z, proposal.guess)
+            tried = (
+                state.evaluation
+                if proposal.vanishes
+                else evaluate(proposal.z, proposal.guess, proposal.before)
+            )
             state = _decide(problem, settings, state, proposal, tried)
             journal.note(state)
         after = state.evaluation

@@ -14,7 +14,7 @@ from softcal_jax.calibration._problem import (
     evaluate_lane,
     stacked,
 )
-from softcal_jax.equilibrium import Workers
+from softcal_jax.equilibrium import Workers, program_key
 
 T = TypeVar("T")
 
@@ -38,25 +38,32 @@ class Evaluator:
             workers: Threads, entered as a context.
         """
         self.problem, self._workers = problem, workers
+        self._program = program_key("evaluate_lane", problem)
         n_c = problem.configurations.gravity.shape[0]
         self._configurations = [_lane(problem.configurations, c) for c in range(n_c)]
 
     def __call__(
-        self, z: Float[Array, " n_p"], guess: Float[Array, "n_c n_points 3"]
+        self,
+        z: Float[Array, " n_p"],
+        guess: Float[Array, "n_c n_points 3"],
+        before: Float[Array, "n_c n_points 3"] | None = None,
     ) -> Evaluation:
         """Equilibria, errors and compliances, as `evaluate` gives them.
 
         Args:
             z: Scaled parameters [-].
             guess: Displacements to start from [m].
+            before: Equilibria from which the guess was extrapolated, if it was [m].
         """
-        jobs = [(z, c, u) for c, u in zip(self._configurations, guess, strict=True)]
-        return _stacked(self.problem, z, self._workers.map(self._one, jobs))
+        before = guess if before is None else before
+        lanes = zip(self._configurations, guess, before, strict=True)
+        jobs = [(z, *lane) for lane in lanes]
+        lanes = self._workers.map(self._one, jobs, self._program)
+        return _stacked(self.problem, z, lanes)
 
     def _one(self, solver, job) -> Lane:
-        z, configuration, guess = job
         problem = with_solver(self.problem, solver)
-        return jax.block_until_ready(_evaluate_lane(problem, z, configuration, guess))
+        return jax.block_until_ready(_evaluate_lane(problem, *job))
 
 
 @eqx.filter_jit

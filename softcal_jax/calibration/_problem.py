@@ -21,8 +21,8 @@ from softcal_jax.sensitivity import Response, equilibrium_response
 LOOSE = 1e-6
 """Relative residual at which equilibria are left while parameters still move [-].
 
-The last step of the outer loop is so small that the equilibria after it are far more
-accurate, and it only counts as the last one if they are; see `decide`.
+The last steps of the outer loop are so small that the equilibria after them are far
+more accurate, and it only ends where they are; see `propose`.
 """
 
 
@@ -144,6 +144,7 @@ def evaluate_lane(
     z: Float[Array, " n_p"],
     configuration: ConfigurationArrays,
     guess: Float[Array, "n_points 3"],
+    before: Float[Array, "n_points 3"],
 ) -> Lane:
     """Equilibrium, effectors and compliances of one configuration.
 
@@ -152,6 +153,7 @@ def evaluate_lane(
         z: Scaled parameters [-].
         configuration: One of its configurations.
         guess: Displacements to start from [m].
+        before: Those of the equilibrium from which they were extrapolated [m].
     """
     model = problem.space.apply(problem.model, z)
     response = equilibrium_response(
@@ -162,6 +164,7 @@ def evaluate_lane(
         z,
         newton=problem.newton,
         rtol=LOOSE,
+        before=before,
     )
     return Lane(response, _effectors(model, configuration, response.equilibrium))
 
@@ -193,6 +196,7 @@ def evaluate(
     problem: CalibrationProblem,
     z: Float[Array, " n_p"],
     guess: Float[Array, "n_c n_points 3"],
+    before: Float[Array, "n_c n_points 3"] | None = None,
 ) -> Evaluation:
     """Equilibria, stacked errors Delta_e and compliances W_ep (paper Eqs. 9, 10).
 
@@ -200,12 +204,16 @@ def evaluate(
         problem: The calibration.
         z: Scaled parameters [-].
         guess: Displacements to start from [m].
+        before: Equilibria from which the guess was extrapolated to first order, if it
+            was [m].
 
     Returns:
         Everything that one step of the outer loop needs.
     """
-    lane = lambda configuration, u0: evaluate_lane(problem, z, configuration, u0)
-    return stacked(problem, z, jax.vmap(lane)(problem.configurations, guess))
+    before = guess if before is None else before
+    lane = lambda *args: evaluate_lane(problem, z, *args)
+    lanes = jax.vmap(lane)(problem.configurations, guess, before)
+    return stacked(problem, z, lanes)
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:

@@ -155,7 +155,16 @@ def _minimise(
         begun, state, errors = carry
         proposal = propose(problem, settings, state)
         choose = lambda a, b: jnp.where(begun, a, b)
-        tried = evaluate(problem, choose(proposal.z, z), choose(proposal.guess, rest))
+        tried = jax.lax.cond(
+            begun & proposal.vanishes,
+            lambda: state.evaluation,
+            lambda: evaluate(
+                problem,
+                choose(proposal.z, z),
+                choose(proposal.guess, rest),
+                choose(proposal.before, rest),
+            ),
+        )
         first = initial_state(settings, z, tried)
         decided = decide(problem, settings, state, proposal, tried)
         state = jax.tree.map(choose, decided, first)

@@ -10,15 +10,15 @@ from softcal_jax.calibration._evaluator import with_solver
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._runs import Run, run_starts
 from softcal_jax.calibration._step import CalibrationSettings
-from softcal_jax.equilibrium import Workers
+from softcal_jax.equilibrium import Workers, program_key
 from softcal_jax.fields import ParameterSpace
 
 SAME_OPTIMUM = 1e-3
 """Largest difference of scaled parameters within one optimum [-]."""
 
 
-FROM_ANYWHERE = CalibrationSettings(max_steps=12)
-"""Settings of runs from many starts: one that leads to the optimum is quick."""
+FROM_ANYWHERE = CalibrationSettings(max_steps=12, step_bound=0.5)
+"""Settings of runs from many starts: far from it, and one that leads there is quick."""
 
 
 class Optimum(eqx.Module):
@@ -96,6 +96,10 @@ class MultiStartResult(eqx.Module):
 
 
 _run_starts = eqx.filter_jit(run_starts)
+# One start at a time, so that the programs serve any number of them.
+_to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
+_from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
+_distance = eqx.filter_jit(lambda space, a, b: space.distance(a, b))
 
 
 def multi_start(
@@ -137,12 +141,12 @@ def multi_start(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
             "check loads, units and bounds, or `softcal simulate`."
         )
-    in_si = jax.vmap(space.from_scaled)
-    values, z = np.asarray(in_si(runs.z)), np.asarray(runs.z)
+    in_si = lambda rows: np.stack([_from_scaled(space, row) for row in rows])
+    values, z = in_si(runs.z), np.asarray(runs.z)
     cost, converged = np.asarray(runs.cost), np.asarray(runs.converged)
     return MultiStartResult(
         names=tuple(space.names),
-        starts=np.asarray(in_si(jnp.asarray(starts))),
+        starts=in_si(starts),
         values=values,
         z=z,
         cost=cost,
@@ -163,7 +167,8 @@ def _side_by_side(problem, settings, starts, mirror: bool) -> Run:
         return jax.block_until_ready(found)
 
     with Workers(problem.model, len(starts)) as workers:
-        runs = workers.map(run, starts)
+        key = program_key("run_starts", problem, settings, mirror)
+        runs = workers.map(run, starts, key)
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *runs)
 
 
@@ -175,8 +180,7 @@ def _optima(space, z, values, cost, converged) -> tuple[Optimum, ...]:
             continue
         for first, members in found:
             # Wrapped: an angle just below 90 degrees is close to one above -90.
-            gap = np.asarray(space.distance(jnp.asarray(z[i]), jnp.asarray(z[first])))
-            if np.max(gap) <= SAME_OPTIMUM:
+            if np.max(_distance(space, z[i], z[first])) <= SAME_OPTIMUM:
                 members.append(int(i))
                 break
         else:
@@ -218,7 +222,7 @@ def random_starts(
     for small, large in pairs * len(pairs):  # over and over, for chains a <= b <= c
         p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
         p = np.clip(p, low, high)
-    return jax.vmap(lambda p: space.admissible(space.to_scaled(p)))(jnp.asarray(p))
+    return jnp.stack([_to_scaled(space, row) for row in p])
 
 
 def _ordered_columns(space: ParameterSpace) -> list[tuple[int, int]]:

@@ -47,8 +47,8 @@ class CalibrationSettings(eqx.Module):
     """Settings of the outer loop.
 
     Attributes:
-        tol: Largest entry of lambda_p at which the loop stops; with `adapt` it also
-            stops where a step would lower the cost by less than `SMALLEST_FALL` [-].
+        tol: Largest entry of lambda_p at which the loop stops, without that step; with
+            `adapt` also where it would lower the cost by less than `SMALLEST_FALL` [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
@@ -118,13 +118,18 @@ class Proposal(eqx.Module):
         qp: The step and its check.
         z: Parameters after it [-].
         guess: Displacements after it, to first order [m].
+        before: Those before it [m].
         cost: Cost after it, by the linear model [-].
+        vanishes: Whether the step is too small to be worth a trial: the loop is at its
+            end, and `z` and `guess` are those before the step.
     """
 
     qp: QPStep
     z: Float[Array, " n_p"]
     guess: Float[Array, "n_c n_nodes 3"]
+    before: Float[Array, "n_c n_nodes 3"]
     cost: Float[Array, ""]
+    vanishes: Bool[Array, ""]
 
 
 def initial_state(
@@ -186,10 +191,39 @@ def propose(
         dz, z = J @ qp.lambda_p, chart.from_tensor(tensor + qp.lambda_p)
         z = space.admissible(z)
         linear = W @ qp.lambda_p + error
-    guess = now.equilibrium.displacement
+    cost = 0.5 * jnp.sum(linear**2)
+    guess = before = now.equilibrium.displacement
     if now.tangents is not None:
-        guess = guess + jnp.einsum("p,cpni->cni", dz, now.tangents)
-    return Proposal(qp, z, guess, 0.5 * jnp.sum(linear**2))
+        guess = before + jnp.einsum("p,cpni->cni", dz, now.tangents)
+    vanishes = _small(problem, settings, state, qp, cost) & _accurate(problem, now)
+    stay = lambda new, old: jnp.where(vanishes, old, new)
+    return Proposal(qp, stay(z, state.z), stay(guess, before), before, cost, vanishes)
+
+
+def _small(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    qp: QPStep,
+    cost: Float[Array, ""],
+) -> Bool[Array, ""]:
+    """Whether a step is small because nothing is left to gain, not held short."""
+    size = jnp.max(jnp.abs(qp.lambda_p))
+    fall = state.evaluation.cost - cost
+    no_gain = settings.adapt & (fall <= SMALLEST_FALL * state.evaluation.cost)
+    free = ~_at_bound(problem, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
+    return ((size <= settings.tol) | no_gain) & free
+
+
+def _at_bound(problem: CalibrationProblem, state: CalibrationState, qp: QPStep):
+    limit = jnp.minimum(state.step_bound, problem.space.max_step())
+    return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)
+
+
+def _accurate(problem: CalibrationProblem, evaluation: Evaluation):
+    """Whether equilibria are more than those that are left a little early."""
+    residual = evaluation.equilibrium.residual
+    return evaluation.ok & jnp.all(residual <= problem.newton.rtol)
 
 
 def decide(
@@ -207,17 +241,10 @@ def decide(
     reference = jnp.max(state.recent_costs)
     lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
-    limit = jnp.minimum(bound, problem.space.max_step())
-    at_bound = jnp.any(jnp.abs(lambda_p) >= 0.99 * limit)
-    # A step is small because nothing is left to gain, not because it was held short.
-    least = SMALLEST_FALL * now.cost
-    no_gain = (predicted <= least) & (tried.cost <= now.cost + least)
-    no_gain = settings.adapt & no_gain
-    vanished = tried.ok & ((size <= settings.tol) | no_gain) & ~at_bound
-    vanished = vanished & (proposal.qp.kkt_residual <= KKT_TOLERANCE)
-    # Until then equilibria are left a little early.
-    accurate = jnp.all(tried.equilibrium.residual <= problem.newton.rtol)
-    vanished = vanished & accurate
+    at_bound = _at_bound(problem, state, proposal.qp)
+    no_harm = tried.cost <= now.cost + SMALLEST_FALL * now.cost
+    vanished = _small(problem, settings, state, proposal.qp, proposal.cost)
+    vanished = vanished & _accurate(problem, tried) & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
     if settings.adapt:
         most = jnp.maximum(bound, settings.max_step_bound)
@@ -258,5 +285,9 @@ def calibration_step(
         State after it.
     """
     proposal = propose(problem, settings, state)
-    tried = evaluate(problem, proposal.z, proposal.guess)
+    tried = jax.lax.cond(
+        proposal.vanishes,
+        lambda: state.evaluation,
+        lambda: evaluate(problem, proposal.z, proposal.guess, proposal.before),
+    )
     return decide(problem, settings, state, proposal, tried)

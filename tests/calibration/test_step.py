@@ -279,6 +279,35 @@ def test_a_step_that_gains_next_to_nothing_ends_the_search(
     assert bool(after.converged) == ends
 
 
+def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
+    """At the optimum the loop ends where it is, if the equilibria are accurate."""
+    target = jnp.asarray([tensor.target[name] for name in problem.space.names])
+    z = problem.space.to_scaled(target)
+    there = evaluated(problem, z, at_rest(problem))
+    assert float(jnp.max(there.equilibrium.residual)) <= problem.newton.rtol
+    settings = CalibrationSettings()
+    state = initial_state(settings, z, there)
+    proposal = _propose(problem, settings, state)
+    assert bool(proposal.vanishes)
+    np.testing.assert_array_equal(proposal.z, z)
+    np.testing.assert_array_equal(proposal.guess, there.equilibrium.displacement)
+    after = _decide(problem, settings, state, proposal, there)
+    assert bool(after.converged)
+    assert int(after.step) == 1
+    np.testing.assert_array_equal(after.z, z)
+    # Equilibria that were left early are made accurate first.
+    early = eqx.tree_at(
+        lambda e: e.equilibrium.residual, there, jnp.full(4, 10.0 * problem.newton.rtol)
+    )
+    proposal = _propose(problem, settings, initial_state(settings, z, early))
+    assert not bool(proposal.vanishes)
+    # Nor is one that only the bound on the step holds short.
+    away = evaluated(problem, problem.space.start(), at_rest(problem))
+    state = initial_state(settings, problem.space.start(), away)
+    state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-8))
+    assert not bool(_propose(problem, settings, state).vanishes)
+
+
 def test_a_failed_equilibrium_is_refused_whatever_its_cost(problem, evaluation):
     state = after_costs(problem, evaluation, [10.0])
     proposal = _propose(problem, CalibrationSettings(), state)
