@@ -18,7 +18,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.sensitivity import Response, equilibrium_response
 
-LOOSE = 1e-6
+LOOSE = 1e-7
 """Relative residual at which equilibria are left while parameters still move [-].
 
 The last steps of the outer loop are so small that the equilibria after them are far

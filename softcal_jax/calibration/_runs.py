@@ -56,9 +56,10 @@ def run_starts(
         settings: Settings of the outer loop.
         starts: Scaled parameters to start from [-].
         mirror: Whether a run that ends with an error goes on from its mirror images:
-            all material axes reflected (theta to -theta), then one after the other. A
-            body that is loaded in or across its print plane hardly tells an axis from
-            its reflection, and each has an optimum. The best is kept.
+            all material axes reflected (theta to -theta), then one after the other,
+            and, if it did not converge, from those of its start. A body that is loaded
+            in or across its print plane hardly tells an axis from its reflection, and
+            each has an optimum. The best is kept.
 
     Returns:
         How each of them ended.
@@ -76,11 +77,10 @@ def run_starts(
         )
 
         def try_image(best, image):
+            origin = image.signs * jnp.where(image.of_start, start, best.z)
             best = jax.lax.cond(
                 _wanted(problem, best, image),
-                lambda: _better(
-                    best, _minimise(problem, settings, best.z * image.signs)
-                ),
+                lambda: _better(best, _minimise(problem, settings, origin)),
                 lambda: best,
             )
             return best, None
@@ -91,27 +91,30 @@ def run_starts(
 
 
 class _Image(NamedTuple):
-    """A further run, from the best end so far: reflected, or to finish it."""
+    """A further run: from the best end so far, or from the start; reflected, or not."""
 
     signs: Float[Array, " n_p"]
     reflects: Bool[Array, ""]
-    second: Bool[Array, ""]
+    of_start: Bool[Array, ""]
 
 
 def _images(space: ParameterSpace, mirror: bool) -> _Image:
-    """What is tried: as it is; all axes reflected, then each; and all that again.
+    """What is tried: the start; the end with all axes reflected, then each; and so on.
 
-    The second round is for runs that the step limit ended before they converged.
+    A run that the step limit ended before it converged is tried from the images of its
+    start, too, and then finished.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
     groups = [angles] + [[i] for i in angles] if len(angles) > 1 else [angles]
-    rounds = [[], *groups, [], *groups, []] if mirror and angles else [[]]
+    groups = groups if mirror and angles else []
+    finish = [[], []] if groups else []
+    rounds = [[], *groups, *groups, *finish]
     signs = np.ones((len(rounds), len(space.names)))
     for row, group in zip(signs, rounds, strict=True):
         row[group] = -1.0
     reflects = np.any(signs < 0.0, axis=1)
-    second = np.arange(len(rounds)) > len(groups)
-    return _Image(jnp.asarray(signs), jnp.asarray(reflects), jnp.asarray(second))
+    of_start = reflects & (np.arange(len(rounds)) > len(groups))
+    return _Image(jnp.asarray(signs), jnp.asarray(reflects), jnp.asarray(of_start))
 
 
 def _wanted(problem: CalibrationProblem, best: Run, image: _Image) -> Bool[Array, ""]:
@@ -123,7 +126,7 @@ def _wanted(problem: CalibrationProblem, best: Run, image: _Image) -> Bool[Array
     unfinished = ~best.converged & ~lost
     return jnp.where(
         image.reflects,
-        ~lost & ~nothing_left & (~image.second | unfinished),
+        ~lost & ~nothing_left & (~image.of_start | unfinished),
         unfinished,
     )
 

@@ -285,9 +285,5 @@ def calibration_step(
         State after it.
     """
     proposal = propose(problem, settings, state)
-    tried = jax.lax.cond(
-        proposal.vanishes,
-        lambda: state.evaluation,
-        lambda: evaluate(problem, proposal.z, proposal.guess, proposal.before),
-    )
+    tried = evaluate(problem, proposal.z, proposal.guess, proposal.before)
     return decide(problem, settings, state, proposal, tried)

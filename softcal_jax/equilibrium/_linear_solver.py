@@ -129,21 +129,18 @@ _Options = tuple[tuple[int, int], ...]
 """Settings of PARDISO: pairs of an index in iparm, from 0, and its value."""
 
 # No iterative refinement (Newton refines anyway, and the residual is the same to a
-# factor 2) and 1x1 pivots.
-_COMMON: _Options = ((7, 0), (20, 0))
+# factor 2), 1x1 pivots, and the one-level factorization: only that one takes minimum
+# degree and reports its work, and a process that uses both levels can crash.
+_COMMON: _Options = ((7, 0), (20, 0), (23, 0), (18, -1))
 
-_NESTED: _Options = (*_COMMON, (1, 2), (23, 1))
-"""Nested dissection (METIS) and the two-level factorization, for bulky bodies."""
+_NESTED: _Options = (*_COMMON, (1, 2))
+"""Nested dissection (METIS), for bulky bodies."""
 
-_MINIMUM_DEGREE: _Options = (*_COMMON, (1, 0), (23, 0))
-"""Minimum degree, for slender bodies and sheets: half the work in a beam. Only the
-one-level factorization takes this order."""
-
-_WORK: _Options = ((18, -1), (23, 0))
-"""Have the analysis report the work of a factorization, which only one level does."""
+_MINIMUM_DEGREE: _Options = (*_COMMON, (1, 0))
+"""Minimum degree, for slender bodies and sheets: half the work in a beam."""
 
 _MFLOP = 18
-"""Where it does, in iparm."""
+"""Where the analysis reports the work of a factorization, in iparm."""
 
 _MKL_DOMAIN_PARDISO = 4
 """Number of PARDISO among the parts of oneMKL (mkl_types.h)."""
@@ -180,10 +177,7 @@ def _analyse(sparsity: Sparsity, options: _Options, number: int):
 
 def _work(sparsity: Sparsity, options: _Options) -> int:
     """Work of a factorization in this order [million operations]."""
-    primitive, _ = _load_pardiso(sparsity)
-    token, report = _analyse(sparsity, (*options, *_WORK), 0)
-    primitive.release(token)
-    return int(report[_MFLOP])
+    return int(_analyse(sparsity, options, 0)[1][_MFLOP])
 
 
 class Pardiso(AbstractLinearSolver):
