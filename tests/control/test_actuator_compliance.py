@@ -174,7 +174,11 @@ def test_one_factorization_for_all_inputs():
         shape[0]
         for name, shapes, inside in calls
         for shape in shapes
-        if len(shape) == 2 and shape[1] == n_dof and "scan" not in inside
+        if len(shape) == 2
+        and shape[1] == n_dof
+        and "scan" not in inside
+        # In a cond is the spare order, for a zero pivot of the first.
+        and "cond" not in inside
     ]
     assert sizes == [6], calls
 
