@@ -190,13 +190,12 @@ def field_forces(
         # Once for all fields: what a law computes of F is the same for each of them.
         _, slope = jax.linearize(force, plain)
         still = jax.tree.map(jnp.zeros_like, plain)
-        return {
-            name: active
-            * jax.vmap(lambda d: slope(still | {name: d}))(  # noqa: B023
-                jnp.eye(value.shape[0])
-            )
-            for name, value in plain.items()
-        }
+
+        def along(name):
+            directions = jnp.eye(plain[name].shape[0])
+            return active * jax.vmap(lambda d: slope(still | {name: d}))(directions)
+
+        return {name: along(name) for name in plain}
 
     return _map_blocks(model, u, per_tet)
 

@@ -28,7 +28,7 @@ from softcal_jax.equilibrium._problem import (
 )
 from softcal_jax.equilibrium._solve import EquilibriumSolution, as_solution
 
-MAX_QUICK_STEPS = 4
+MAX_QUICK_STEPS = 5
 """Full Newton steps after which a guess was not good."""
 
 SAME_MATRIX = 1e-6
@@ -205,7 +205,7 @@ class _Body(NamedTuple):
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual)
         arrived = sound & (residual <= self.rtol)
         contracts = sound & (
-            (residual <= s.solution.residual) & (s.step < MAX_QUICK_STEPS)
+            (residual <= s.solution.residual) & (s.step + 1 < MAX_QUICK_STEPS)
         )
         quick = EquilibriumSolution(
             new_u,

@@ -50,10 +50,6 @@ def _at_points(law: AbstractLaw, function, F: Float[Array, "n_qp 3 3"]):
     return jax.vmap(function, in_axes=(axes, 0))(plain, F)
 
 
-def _energy_densities(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
-    return _at_points(law, lambda law, F: law.energy_density(F), F)
-
-
 def _energies_and_stresses(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
     return _at_points(law, lambda law, F: law.energy_and_stress(F), F)
 
@@ -89,10 +85,7 @@ def element_energy(
     formulation: Formulation,
 ) -> Float[Array, ""]:
     """Strain energy of a tet, sum_q w_q psi(F_q) [J]."""
-    F = deformation_gradients(u, dN)
-    if is_mixed(formulation, F.shape[0]):
-        F = _scaled_to(mean_dilatation(u, dN, w), F)[1][:, None, None] * F
-    return jnp.sum(w * _energy_densities(law, F))
+    return element_energy_and_force(u, dN, w, law, formulation)[0]
 
 
 def element_force(

@@ -137,7 +137,7 @@ _NESTED: _Options = (*_COMMON, (1, 2))
 """Nested dissection (METIS), for bulky bodies."""
 
 _MINIMUM_DEGREE: _Options = (*_COMMON, (1, 0))
-"""Minimum degree, for slender bodies and sheets: half the work in a beam."""
+"""Minimum degree, for slender bodies and sheets."""
 
 _MFLOP = 18
 """Where the analysis reports the work of a factorization, in iparm."""

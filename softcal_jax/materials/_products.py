@@ -32,7 +32,9 @@ def paired(X: Float[Array, "3 3"], Y: Float[Array, "3 3"]) -> Float[Array, "3 3 
     return X[:, None, :, None] * Y[None, :, None, :]
 
 
-def turned(C: Float[Array, "3 3 3 3"], G: Float[Array, "3 3"]) -> Array:
+def turned(
+    C: Float[Array, "3 3 3 3"], G: Float[Array, "3 3"]
+) -> Float[Array, "3 3 3 3"]:
     """Tensor with the first slot of each pair turned, G_iM C_MJNL G_kN."""
     C = jax.lax.optimization_barrier(C)  # not again for each k and i
     half = sum_of(C[:, :, None, N, :] * G[None, None, :, N, None] for N in range(3))

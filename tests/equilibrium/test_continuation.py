@@ -249,6 +249,17 @@ def test_a_bad_guess_ends_in_the_careful_solve(name, careful):
     assert_same(done, HANGING, careful, rtol=1e-5)
 
 
+def test_a_guess_that_is_a_little_rough_is_closed_in_quick_steps(careful):
+    """A third of the rough one: each step brings the residual down a little."""
+    u = careful.displacement[HANGING]
+    rough = u + 0.1 * jax.random.normal(jax.random.key(1), u.shape)
+    guess = jnp.where(LANES.fixed[HANGING], 0.0, rough)
+    done = continued(MODEL, lane(LANES, HANGING), guess)
+    assert 1 < int(done.equilibrium.steps) <= MAX_QUICK_STEPS
+    assert TIGHT.rtol < float(done.equilibrium.residual) <= RTOL
+    assert_same(done, HANGING, careful, rtol=1e-5)
+
+
 class Forgetful(AbstractLinearSolver):
     """A solver whose factors are always those of another program."""
 

@@ -1,5 +1,7 @@
 """Lanes side by side on several threads, against the same lanes one after the other."""
 
+from threading import Barrier, BrokenBarrierError
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -70,6 +72,21 @@ def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
             with pytest.raises(ValueError, match="lane 2"):
                 workers.map(fails, range(5), "fails")
         assert workers.map(fails, [0, 1, 3], "fails") == [0, 1, 3]
+
+
+def test_the_first_lane_of_a_new_program_goes_ahead_alone(cantilever):
+    """It compiles for all; afterwards none waits for another, in a new context too."""
+    meeting = Barrier(2, timeout=20.0)
+    meet = lambda solver, lane: meeting.wait() >= 0
+    with Workers(cantilever[0], 8, 2) as workers:
+        # Two that wait for each other would wait for ever if one went ahead.
+        assert workers.map(lambda _, lane: lane, [7], "meeting") == [7]
+        assert workers.map(meet, range(2), "meeting") == [True, True]
+    with Workers(cantilever[0], 8, 2) as workers:
+        assert workers.map(meet, range(2), "meeting") == [True, True]
+        impatient = Barrier(2, timeout=0.2)
+        with pytest.raises(BrokenBarrierError):
+            workers.map(lambda *_: impatient.wait(), range(2), "another")
 
 
 def test_there_are_no_more_threads_than_lanes(cantilever):
