@@ -36,7 +36,6 @@ from benchmarks._timing import interleave, median_ms, ratio
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     FROM_ANYWHERE,
-    LOOSE,
     CalibrationProblem,
     at_rest,
     random_starts,
@@ -234,7 +233,7 @@ def parts_of_a_step(measured: MeasuredBeam) -> tuple[dict[str, list[float]], int
     )
     with_newton = eqx.filter_jit(
         lambda model, pose, u, space, z: equilibrium_response(
-            model, pose, u, space, z, newton=problem.newton, rtol=LOOSE
+            model, pose, u, space, z, newton=problem.newton
         )
     )
     solution = solve(model, pose)

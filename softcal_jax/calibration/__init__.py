@@ -8,7 +8,6 @@ from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._levenberg_marquardt import levenberg_marquardt
 from softcal_jax.calibration._notes import CalibrationWarning, fit_notes
 from softcal_jax.calibration._problem import (
-    LOOSE,
     CalibrationProblem,
     Evaluation,
     at_rest,
@@ -50,7 +49,6 @@ from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 __all__ = [
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
-    "LOOSE",
     "CalibrationProblem",
     "CalibrationResult",
     "CalibrationSettings",

@@ -18,13 +18,6 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.sensitivity import Response, equilibrium_response
 
-LOOSE = 1e-7
-"""Relative residual at which equilibria are left while parameters still move [-].
-
-The last steps of the outer loop are so small that the equilibria after them are far
-more accurate, and it only ends where they are; see `propose`.
-"""
-
 
 class CalibrationProblem(eqx.Module):
     """Model, parameters and a batch of configurations that share them.
@@ -163,7 +156,6 @@ def evaluate_lane(
         problem.space,
         z,
         newton=problem.newton,
-        rtol=LOOSE,
         before=before,
     )
     return Lane(response, _effectors(model, configuration, response.equilibrium))

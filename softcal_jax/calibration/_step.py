@@ -195,7 +195,7 @@ def propose(
     guess = before = now.equilibrium.displacement
     if now.tangents is not None:
         guess = before + jnp.einsum("p,cpni->cni", dz, now.tangents)
-    vanishes = _small(problem, settings, state, qp, cost) & _accurate(problem, now)
+    vanishes = _small(problem, settings, state, qp, cost) & now.ok
     stay = lambda new, old: jnp.where(vanishes, old, new)
     return Proposal(qp, stay(z, state.z), stay(guess, before), before, cost, vanishes)
 
@@ -220,12 +220,6 @@ def _at_bound(problem: CalibrationProblem, state: CalibrationState, qp: QPStep):
     return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)
 
 
-def _accurate(problem: CalibrationProblem, evaluation: Evaluation):
-    """Whether equilibria are more than those that are left a little early."""
-    residual = evaluation.equilibrium.residual
-    return evaluation.ok & jnp.all(residual <= problem.newton.rtol)
-
-
 def decide(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
@@ -244,7 +238,7 @@ def decide(
     at_bound = _at_bound(problem, state, proposal.qp)
     no_harm = tried.cost <= now.cost + SMALLEST_FALL * now.cost
     vanished = _small(problem, settings, state, proposal.qp, proposal.cost)
-    vanished = vanished & _accurate(problem, tried) & ((size <= settings.tol) | no_harm)
+    vanished = vanished & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
     if settings.adapt:
         most = jnp.maximum(bound, settings.max_step_bound)

@@ -20,6 +20,7 @@ from softcal_jax.equilibrium._linearisation import factor_solve
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings, newton
 from softcal_jax.equilibrium._problem import (
+    Direction,
     EquilibriumProblem,
     Point,
     evaluate,
@@ -30,6 +31,12 @@ from softcal_jax.equilibrium._solve import EquilibriumSolution, as_solution
 
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which a guess was not good."""
+
+CHORD = 1e-3
+"""Factor by which a first step on an old factor is trusted to bring the residual down.
+
+Where it does not, a Newton step follows.
+"""
 
 SAME_MATRIX = 1e-6
 """Largest relative residual with which a solution is one of the given matrix [-]."""
@@ -54,12 +61,18 @@ class Continuation(NamedTuple):
 
 
 class _Quick(NamedTuple):
-    """State of the full Newton steps; `before` is where the last one began."""
+    """State of the quick steps.
+
+    `before` is where the last one began, `direction` the last one on a new factor;
+    `chord` tells that the next is on the same.
+    """
 
     solution: EquilibriumSolution
     at: Point
     before: Float[Array, "n_points 3"]
     lambda_a: Float[Array, " n_a"]
+    direction: Direction
+    chord: Bool[Array, ""]
     x: Float[Array, "n_rhs n_points 3"]
     ok: Bool[Array, ""]
     step: Int[Array, ""]
@@ -74,7 +87,6 @@ def continue_equilibrium(
     right_hand_sides: RightHandSides,
     *,
     settings: NewtonSettings,
-    rtol: float,
     before: Float[Array, "n_points 3"] | None = None,
     transpose: bool = False,
 ) -> Continuation:
@@ -82,10 +94,11 @@ def continue_equilibrium(
 
     Full Newton steps are taken as long as each brings the residual down, the body is
     stable and no tet inverted; otherwise `solve_equilibrium` starts again with all its
-    care. The right-hand sides are those of the equilibrium; the tangent is that of the
-    displacement before the last Newton step, and off by no more than that step. (With
-    right-hand sides from there too, a direction of the parameters without any effect
-    would seem to have one, as large as that step.)
+    care. The last digits come from steps on the last factor (chord steps) without a new
+    one. The right-hand sides are those of the equilibrium; the tangent is that
+    of the displacement before the last Newton step, and off by no more than the way
+    from there. (With right-hand sides from there too, a direction of the parameters
+    without any effect would seem to have one, as large as that way.)
 
     Args:
         model: The body.
@@ -93,7 +106,6 @@ def continue_equilibrium(
         guess: Displacement close to the equilibrium [m].
         right_hand_sides: Nodal forces as a function of the displacement [N].
         settings: Settings of Newton's method, for the careful solve.
-        rtol: Relative residual at which the quick steps stop [-].
         before: Displacement of an equilibrium from which the guess was extrapolated, to
             first order; it spares a Newton step of a slender body [m].
         transpose: Take K^-T for the right-hand sides, for an adjoint.
@@ -117,7 +129,7 @@ def continue_equilibrium(
         )
         return Continuation(solution, solved.x, solved.ok)
     tabulated = model.tabulated()
-    body = _Body(tabulated, configuration, right_hand_sides, settings, rtol)
+    body = _Body(tabulated, configuration, right_hand_sides, settings)
     state = jax.lax.while_loop(lambda s: ~s.done, body.step, body.start(guess, before))
     return Continuation(state.solution, state.x, state.ok)
 
@@ -129,7 +141,6 @@ class _Body(NamedTuple):
     configuration: ConfigurationArrays
     right_hand_sides: RightHandSides
     settings: NewtonSettings
-    rtol: float
 
     @property
     def problem(self) -> EquilibriumProblem:
@@ -165,16 +176,21 @@ class _Body(NamedTuple):
             count,
         )
         n_rhs = jax.eval_shape(self.right_hand_sides, at.u).shape
+        no = jnp.zeros((), bool)
+        before = at.u if before is None else before
+        none = jax.eval_shape(self.newton_step, at, lambda_a, before)
         return _Quick(
             solution,
             at,
-            at.u if before is None else before,
+            before,
             lambda_a,
+            jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), none),
+            no,
             jnp.zeros(n_rhs, guess.dtype),
-            jnp.zeros((), bool),
+            no,
             count,
             ~usable,
-            jnp.zeros((), bool),
+            no,
         )
 
     def careful(self, s: _Quick) -> tuple[EquilibriumSolution, Point, Array]:
@@ -182,18 +198,35 @@ class _Body(NamedTuple):
         state = newton(self.model, self.configuration, s.at.u, self.settings)
         return as_solution(state), state.at, state.lambda_a
 
+    def newton_step(self, at: Point, lambda_a, before) -> Direction:
+        """A Newton step on a factor of its own."""
+        one = jnp.ones((), at.u.dtype)
+        strict = jnp.zeros((), bool)
+        return self.problem.direction(
+            at, jnp.zeros_like(one), lambda_a, one, strict, before
+        )
+
+    def chord_step(self, s: _Quick) -> Direction:
+        """A step on the factor of the last Newton step; imposes no displacements."""
+        one = jnp.ones((), s.at.u.dtype)
+        g, _ = self.problem.unbalanced(s.at, s.lambda_a, one)
+        rhs = -self.problem.on_unknowns(s.at.u, one, g)
+        d = self.model.solver.solve_again(s.direction.system.values, rhs[None])[0]
+        return s.direction._replace(d=d, d_lambda=jnp.zeros_like(s.lambda_a))
+
     def step(self, s: _Quick) -> _Quick:
-        """A full Newton step, after a careful solve if one is due."""
+        """A full Newton step, after a careful solve if one is due; or a chord step."""
         solution, at, lambda_a = jax.lax.cond(
             s.robust, self.careful, lambda s: (s.solution, s.at, s.lambda_a), s
         )
-        was_careful, problem = s.robust, self.problem
+        was_careful, problem, rtol = s.robust, self.problem, self.settings.rtol
         one = jnp.ones((), at.u.dtype)
-        strict = jnp.zeros((), bool)
         before = jnp.where(was_careful, at.u, s.before)
-        direction = problem.direction(
-            at, jnp.zeros_like(one), lambda_a, one, strict, before
-        )
+        newton_step = lambda: self.newton_step(at, lambda_a, before)
+        if problem.has_multipliers:
+            direction = newton_step()
+        else:
+            direction = jax.lax.cond(s.chord, lambda: self.chord_step(s), newton_step)
         # A careful solution is one already.
         step = jnp.where(was_careful, 0.0, 1.0)
         new_u = problem.unknowns(one).move(at.u, step * direction.d)
@@ -203,22 +236,27 @@ class _Body(NamedTuple):
         residual = problem.relative(merit, new, new_lambda, one, direction.stiffness)
         stable = direction.ok & (direction.n_negative == 0) & (new.min_det_F > 0.0)
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual)
-        arrived = sound & (residual <= self.rtol)
-        contracts = sound & (
-            (residual <= s.solution.residual) & (s.step + 1 < MAX_QUICK_STEPS)
-        )
+        arrived = sound & (residual <= rtol)
+        falls = residual <= solution.residual
+        n_newton = s.step + (~s.chord).astype(s.step.dtype)
+        contracts = s.chord | (sound & falls & (n_newton < MAX_QUICK_STEPS))
         quick = EquilibriumSolution(
             new_u,
             new_lambda,
             RESULTS.converged,
-            solution.steps + 1,
+            solution.steps + (~s.chord).astype(solution.steps.dtype),
             jnp.ones_like(s.step),
             jnp.ones_like(residual),
             residual,
             new.min_det_F,
             direction.n_negative,
         )
-        taken = ~was_careful & sound
+        taken = ~was_careful & sound & (falls | ~s.chord)
+        # How the residual falls tells how it goes on.
+        next_residual = jnp.where(
+            s.chord, residual * (residual / solution.residual), CHORD * residual
+        )
+        chord = taken & ~arrived & (next_residual <= rtol)
         pick = lambda a, b: jnp.where(taken, a, b)
         solution = jax.tree.map(pick, quick, solution)
         done = was_careful | arrived
@@ -233,9 +271,11 @@ class _Body(NamedTuple):
             jax.tree.map(pick, new, at),
             at.u,
             pick(new_lambda, lambda_a),
+            direction,
+            chord,
             x,
             ok,
-            s.step + 1,
+            n_newton,
             ~was_careful & ~arrived & ~contracts,
             done,
         )

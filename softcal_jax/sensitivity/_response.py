@@ -57,7 +57,6 @@ def equilibrium_response(
     z: Float[Array, " n_p"],
     *,
     newton: NewtonSettings,
-    rtol: float,
     before: Float[Array, "n_points 3"] | None = None,
 ) -> Response:
     """Equilibrium near a guess and W_ep = H_e K^-1 H_p^T there, paper Eq. (9).
@@ -73,7 +72,6 @@ def equilibrium_response(
         space: The parameters.
         z: Their scaled values [-].
         newton: Settings of Newton's method where the guess is not good.
-        rtol: Relative residual at which the quick Newton steps stop [-].
         before: Displacement of an equilibrium from which the guess was extrapolated, to
             first order; by default the guess [m].
 
@@ -94,7 +92,6 @@ def equilibrium_response(
                 guess,
                 forces,
                 settings=newton,
-                rtol=rtol,
                 before=before,
             )
             ok = done.ok & done.equilibrium.converged
@@ -113,7 +110,6 @@ def equilibrium_response(
             guess,
             rows,
             settings=newton,
-            rtol=rtol,
             before=before,
             transpose=True,
         )

@@ -280,11 +280,10 @@ def test_a_step_that_gains_next_to_nothing_ends_the_search(
 
 
 def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
-    """At the optimum the loop ends where it is, if the equilibria are accurate."""
+    """At the optimum the loop ends where it is."""
     target = jnp.asarray([tensor.target[name] for name in problem.space.names])
     z = problem.space.to_scaled(target)
     there = evaluated(problem, z, at_rest(problem))
-    assert float(jnp.max(there.equilibrium.residual)) <= problem.newton.rtol
     settings = CalibrationSettings()
     state = initial_state(settings, z, there)
     proposal = _propose(problem, settings, state)
@@ -295,12 +294,6 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     assert bool(after.converged)
     assert int(after.step) == 1
     np.testing.assert_array_equal(after.z, z)
-    # Equilibria that were left early are made accurate first.
-    early = eqx.tree_at(
-        lambda e: e.equilibrium.residual, there, jnp.full(4, 10.0 * problem.newton.rtol)
-    )
-    proposal = _propose(problem, settings, initial_state(settings, z, early))
-    assert not bool(proposal.vanishes)
     # Nor is one that only the bound on the step holds short.
     away = evaluated(problem, problem.space.start(), at_rest(problem))
     state = initial_state(settings, problem.space.start(), away)
