@@ -12,6 +12,7 @@ import numpy as np
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checkpoint import Journal, resumed_state
 from softcal_jax.calibration._clock import Clock
+from softcal_jax.calibration._descent import descend, from_rest
 from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._notes import (
     fit_notes,
@@ -42,9 +43,7 @@ from softcal_jax.calibration._starts import (
 from softcal_jax.calibration._step import (
     CalibrationSettings,
     CalibrationState,
-    decide,
     initial_state,
-    propose,
 )
 from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import Configuration, configuration_arrays
@@ -56,10 +55,6 @@ from softcal_jax.fields import (
     check_parameters,
 )
 
-# Several programs instead of one per step: the evaluation, which takes seconds to
-# compile, serves the start and every step.
-_propose = eqx.filter_jit(propose)
-_decide = eqx.filter_jit(decide)
 _simulate = eqx.filter_jit(simulate)
 _first_guess = eqx.filter_jit(first_guess)
 
@@ -167,20 +162,10 @@ def calibrate(
     with Clock() as clock, Workers(model, len(configurations)) as workers:
         evaluate = Evaluator(problem, workers)
         start = problem.space.admissible(problem.space.start())
-        before = evaluate(start, _first_guess(problem, start))
+        before = from_rest(evaluate, start)
         check_converged(before.equilibrium, tuple(c.name for c in configurations))
         state, search = _begin(evaluate, settings, start, before, journal, starts, seed)
-        while not (state.converged or state.stalled) and (
-            len(journal.history) <= settings.max_steps
-        ):
-            proposal = _propose(problem, settings, state)
-            tried = (
-                state.evaluation
-                if proposal.vanishes
-                else evaluate(proposal.z, proposal.guess, proposal.before)
-            )
-            state = _decide(problem, settings, state, proposal, tried)
-            journal.note(state)
+        state = descend(evaluate, settings, state, journal.note)
         after = state.evaluation
         fits = configuration_fits(
             model,
@@ -216,7 +201,7 @@ def _begin(
     if starts > 1:
         search = multi_start(problem, _all_starts(start, problem, starts, seed))
         start = jnp.asarray(search.z[search.best])
-        before = evaluate(start, _first_guess(problem, start))
+        before = from_rest(evaluate, start)
     state = initial_state(settings, start, before)
     journal.note(state)
     return state, search

@@ -11,6 +11,7 @@ from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._problem import CalibrationProblem, evaluate, first_guess
 from softcal_jax.calibration._step import (
     CalibrationSettings,
+    CalibrationState,
     decide,
     initial_state,
     propose,
@@ -64,33 +65,36 @@ def run_starts(
     Returns:
         How each of them ended.
     """
-    images = _images(problem.space, mirror)
+    images = images_of(problem.space, mirror)
 
     @lane_by_lane
     def lane(problem, images, start):
-        nothing = Run(
-            start,
-            jnp.full((), jnp.inf, start.dtype),
-            jnp.zeros((), jnp.int32),
-            jnp.zeros((), bool),
-            jnp.full((settings.max_steps + 1,), jnp.nan, start.dtype),
-        )
-
         def try_image(best, image):
-            origin = image.signs * jnp.where(image.of_start, start, best.z)
+            z = origin(best, image, start)
             best = jax.lax.cond(
-                _wanted(problem, best, image),
-                lambda: _better(best, _minimise(problem, settings, origin)),
+                wanted(problem, best, image),
+                lambda: better(best, _minimise(problem, settings, z)),
                 lambda: best,
             )
             return best, None
 
-        return jax.lax.scan(try_image, nothing, images)[0]
+        return jax.lax.scan(try_image, nothing_yet(settings, start), images)[0]
 
     return jax.vmap(lambda start: lane(problem, images, start))(starts)
 
 
-class _Image(NamedTuple):
+def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> Run:
+    """A run before its first step."""
+    return Run(
+        start,
+        jnp.full((), jnp.inf, start.dtype),
+        jnp.zeros((), jnp.int32),
+        jnp.zeros((), bool),
+        jnp.full((settings.max_steps + 1,), jnp.nan, start.dtype),
+    )
+
+
+class Image(NamedTuple):
     """A further run: from the best end so far, or from the start; reflected, or not."""
 
     signs: Float[Array, " n_p"]
@@ -98,7 +102,7 @@ class _Image(NamedTuple):
     of_start: Bool[Array, ""]
 
 
-def _images(space: ParameterSpace, mirror: bool) -> _Image:
+def images_of(space: ParameterSpace, mirror: bool) -> Image:
     """What is tried: the start; the end with all axes reflected, then each; and so on.
 
     A run that the step limit ended before it converged is tried from the images of its
@@ -114,10 +118,16 @@ def _images(space: ParameterSpace, mirror: bool) -> _Image:
         row[group] = -1.0
     reflects = np.any(signs < 0.0, axis=1)
     of_start = reflects & (np.arange(len(rounds)) > len(groups))
-    return _Image(jnp.asarray(signs), jnp.asarray(reflects), jnp.asarray(of_start))
+    return Image(jnp.asarray(signs), jnp.asarray(reflects), jnp.asarray(of_start))
 
 
-def _wanted(problem: CalibrationProblem, best: Run, image: _Image) -> Bool[Array, ""]:
+def origin(best: Run, image: Image, start: Float[Array, " n_p"]):
+    """Where the run of an image begins, as scaled parameters."""
+    return image.signs * jnp.where(image.of_start, start, best.z)
+
+
+def wanted(problem: CalibrationProblem, best: Run, image: Image) -> Bool[Array, ""]:
+    """Whether an image is worth a run."""
     seen = problem.configurations.effectors.inverse_std > 0.0
     measured = jnp.sum(seen, dtype=best.cost.dtype)
     nothing_left = 2.0 * best.cost <= NOTHING_LEFT * measured
@@ -176,6 +186,11 @@ def _minimise(
 
     begin = (jnp.zeros((), bool), initial_state(settings, z, empty), errors)
     _, state, errors = jax.lax.while_loop(going, step, begin)
+    return as_run(state, errors)
+
+
+def as_run(state: CalibrationState, errors: Float[Array, " n_steps"]) -> Run:
+    """A run at its end."""
     return Run(
         state.z,
         state.evaluation.cost,
@@ -185,7 +200,7 @@ def _minimise(
     )
 
 
-def _better(best: Run, new: Run) -> Run:
+def better(best: Run, new: Run) -> Run:
     """The lower of two ends, with the steps of both; the errors of the first run."""
     # A run that is only finished may end where it was, to rounding.
     same = new.converged & ~best.converged & (new.cost <= 1.000001 * best.cost + 1e-9)

@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.calibration._evaluator import with_solver
+from softcal_jax.calibration._descent import run_start
+from softcal_jax.calibration._evaluator import Evaluator, with_solver
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._runs import Run, run_starts
 from softcal_jax.calibration._step import CalibrationSettings
-from softcal_jax.equilibrium import Workers, program_key
+from softcal_jax.equilibrium import Workers, program_key, usable_cores
 from softcal_jax.fields import ParameterSpace
 
 SAME_OPTIMUM = 1e-3
@@ -158,7 +159,17 @@ def multi_start(
 
 
 def _side_by_side(problem, settings, starts, mirror: bool) -> Run:
-    """The runs from all starts; each, a batch of one, goes to the next free core."""
+    """The runs from all starts.
+
+    Each, a batch of one, goes to the next free core; where there are fewer than cores,
+    it is their configurations that do.
+    """
+    n_c = problem.configurations.gravity.shape[0]
+    if len(starts) < min(usable_cores(), n_c):
+        with Workers(problem.model, n_c) as workers:
+            evaluate = Evaluator(problem, workers)
+            ends = [run_start(evaluate, settings, z, mirror=mirror) for z in starts]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *ends)
 
     def run(solver, start) -> Run:
         found = _run_starts(

@@ -18,7 +18,7 @@ from softcal_jax.calibration import (
     initial_state,
     levenberg_marquardt,
 )
-from softcal_jax.calibration._calibrate import _decide, _propose
+from softcal_jax.calibration._descent import _decide, _propose
 from softcal_jax.configurations import (
     Configuration,
     Markers,

@@ -20,7 +20,10 @@ from softcal_jax.calibration import (
     random_starts,
     synthetic_measurements,
 )
+from softcal_jax.calibration._descent import run_start
+from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima
+from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
 
@@ -115,6 +118,18 @@ def test_order_of_the_starts_changes_nothing(measured, mirrored):
     assert again.best in (0, 2)
     assert all(1 not in optimum.starts for optimum in again.optima)
     assert "1 without equilibrium at the start (starts 1)." in str(again)
+
+
+def test_one_start_alone_ends_as_among_others(measured, mirrored):
+    """Its configurations side by side in place of the starts; images included."""
+    with Workers(measured.beam.model, 2, 2) as workers:
+        evaluate = Evaluator(measured.problem, workers)
+        start = measured.starts[2]
+        alone = run_start(evaluate, FROM_ANYWHERE, start, mirror=True)
+    assert bool(alone.converged)
+    assert int(alone.steps) == mirrored.steps[2]
+    np.testing.assert_allclose(alone.z, mirrored.z[2], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(alone.errors, mirrored.errors[2], rtol=1e-5, atol=1e-6)
 
 
 def test_without_any_equilibrium_it_is_an_error(measured):
