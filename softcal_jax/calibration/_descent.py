@@ -31,9 +31,12 @@ from softcal_jax.calibration._step import (
 _first_guess = eqx.filter_jit(first_guess)
 _propose = eqx.filter_jit(propose)
 _decide = eqx.filter_jit(decide)
+_images_of = eqx.filter_jit(images_of)
 _wanted = eqx.filter_jit(wanted)
-_origin = eqx.filter_jit(origin)
 _better = eqx.filter_jit(better)
+_origin = eqx.filter_jit(
+    lambda space, *ends: space.admissible(origin(*ends))  # slow, step by step
+)
 
 
 def from_rest(evaluate: Evaluator, z: Float[Array, " n_p"]):
@@ -91,12 +94,12 @@ def run_start(
         mirror: Whether it goes on from its mirror images.
     """
     problem = evaluate.problem
-    best, images = nothing_yet(settings, start), images_of(problem.space, mirror)
+    best, images = nothing_yet(settings, start), _images_of(problem.space, mirror)
     for row in range(len(images.signs)):
         image = jax.tree.map(lambda leaf, row=row: leaf[row], images)
         if not _wanted(problem, best, image):
             continue
-        z = problem.space.admissible(_origin(best, image, start))
+        z = _origin(problem.space, best, image, start)
         state = initial_state(settings, z, from_rest(evaluate, z))
         errors = jnp.full_like(best.errors, jnp.nan)
         states = [state]

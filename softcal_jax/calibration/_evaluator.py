@@ -41,6 +41,7 @@ class Evaluator:
         self._program = program_key("evaluate_lane", problem)
         n_c = problem.configurations.gravity.shape[0]
         self._configurations = [_lane(problem.configurations, c) for c in range(n_c)]
+        self._on: dict[int, CalibrationProblem] = {}
 
     def __call__(
         self,
@@ -62,7 +63,9 @@ class Evaluator:
         return _stacked(self.problem, z, lanes)
 
     def _one(self, solver, job) -> Lane:
-        problem = with_solver(self.problem, solver)
+        problem = self._on.get(id(solver))  # which the problem keeps alive
+        if problem is None:
+            problem = self._on[id(solver)] = with_solver(self.problem, solver)
         return jax.block_until_ready(_evaluate_lane(problem, *job))
 
 
