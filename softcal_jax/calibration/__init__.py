@@ -20,6 +20,7 @@ from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
     CalibrationResult,
     ConfigurationFit,
+    EffectorFit,
     HistoryEntry,
     ParameterEstimate,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "CalibrationWarning",
     "Clock",
     "ConfigurationFit",
+    "EffectorFit",
     "Evaluation",
     "HistoryEntry",
     "MultiStartResult",

@@ -62,7 +62,7 @@ def _print_outlook(
     ranking: "Ranking | None",
     show: Display,
 ) -> None:
-    unmarked = [c.name for c in project.calibration if c.markers is None]
+    unmarked = [c.name for c in project.calibration if not (c.markers or c.effectors)]
     show.line()
     if unmarked:
         show.line(f"No markers, so nothing to learn, in: {', '.join(unmarked)}.")
