@@ -1,11 +1,12 @@
 """Cables, walls of chambers, motors and frames of rigid bodies as a VTK file."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import meshio
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.equilibrium import Model, RobotState
 
@@ -31,54 +32,27 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     path = Path(path)
     if path.suffix != ".vtu":
         raise ValueError(f"the file name must end in .vtu, got {path.name!r}.")
-    actuators, rest = model.mechanism.actuators, np.asarray(model.mechanism.points)
-    x = rest + state.displacement
-    before = actuator_geometry(actuators, rest)
-    after = actuator_geometry(actuators, x)
-    origins, axes = _origins(model, rest), _axes(model, x)
-    n_b, n_s, n_p = len(origins), len(after.segments), len(after.points)
-    used, faces = np.unique(after.faces, return_inverse=True)
-    faces = faces.reshape(after.faces.shape)
-    points = np.concatenate(
-        [origins, before.points, before.segments.reshape(-1, 3), rest[used]]
-    )
-    moved = np.concatenate(
-        [
-            np.array([b.translation for b in state.bodies]).reshape(-1, 3),
-            after.points - before.points,
-            (after.segments - before.segments).reshape(-1, 3),
-            state.displacement[used],
-        ]
-    )
-    vertices = np.arange(n_b + n_p)[:, None]
-    lines = n_b + n_p + np.arange(2 * n_s).reshape(-1, 2)
-    walls = n_b + n_p + 2 * n_s + faces
-    n_fn = after.faces.shape[-1]
-    triangle = "triangle" if n_fn == 3 else "triangle6"
-    none = np.full(n_b, -1)
-    owners = [
-        np.concatenate([none, after.point_owner]),
-        after.segment_owner,
-        after.face_owner,
-    ]
-    cells = [("vertex", vertices), ("line", lines), (triangle, walls)]
-    there = [i for i, (_, nodes) in enumerate(cells) if len(nodes)]
-    bodies = [np.zeros(len(owner)) for owner in owners]
+    pieces, x = _pieces(model, state), _moved(model, state)
+    axes = _axes(model, x)
+    n_b, n = len(axes), len(pieces.points)
+    vectors = {"arrow": np.concatenate([np.zeros((n_b, 3)), pieces.arrows])}
+    vectors |= {f"axis_{k + 1}": axes[:, k] for k in range(3)}
+    bodies = [np.zeros(len(owner)) for owner in pieces.owners]
     bodies[0][:n_b] = 1 + np.arange(n_b)
+    # What no actuator owns comes first, under the number -1.
     forces = np.array([0.0, *(a.force for a in state.actuators)])
     moves = np.array([0.0, *(a.displacement or 0.0 for a in state.actuators)])
-    each = lambda values: [values[owners[i] + 1] for i in there]
-    rows = lambda *parts: _padded(len(points), *parts)
+    there = [i for i, (_, nodes) in enumerate(pieces.cells) if len(nodes)]
+    each = lambda values: [values[pieces.owners[i] + 1] for i in there]
     meshio.Mesh(
-        points,
-        [cells[i] for i in there],
+        pieces.points,
+        [pieces.cells[i] for i in there],
         point_data={
-            "displacement": moved,
-            "arrow": rows(np.zeros((n_b, 3)), after.arrows),
-            **{f"axis_{k + 1}": rows(axes[:, k]) for k in range(3)},
+            "displacement": pieces.displacement,
+            **{name: _padded(rows, n) for name, rows in vectors.items()},
         },
         cell_data={
-            "actuator": [owners[i] + 1.0 for i in there],
+            "actuator": [pieces.owners[i] + 1.0 for i in there],
             "rigid_body": [bodies[i] for i in there],
             "lambda_a": each(forces),
             "delta_a": each(moves),
@@ -86,10 +60,70 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     ).write(path)
 
 
+class _Pieces(NamedTuple):
+    """Points and cells: vertices, then lines, then faces.
+
+    Attributes:
+        points: Points at rest: origins of bodies, of motors and forces first [m].
+        displacement: How far they have moved [m].
+        arrows: Axes of motors and directions of forces [-].
+        cells: Kind and points of the cells.
+        owners: Actuator of each cell, -1 for none.
+    """
+
+    points: Float[HostArray, "n 3"]
+    displacement: Float[HostArray, "n 3"]
+    arrows: Float[HostArray, "n_arrows 3"]
+    cells: list[tuple[str, Int[HostArray, "_ _"]]]
+    owners: list[Int[HostArray, " _"]]
+
+
+def _pieces(model: Model, state: RobotState) -> _Pieces:
+    actuators, rest = model.mechanism.actuators, np.asarray(model.mechanism.points)
+    before = actuator_geometry(actuators, rest)
+    after = actuator_geometry(actuators, _moved(model, state))
+    origins = _origins(model, rest)
+    n_v, n_s = len(origins) + len(after.points), len(after.segments)
+    used, faces = np.unique(after.faces, return_inverse=True)
+    n_fn = after.faces.shape[-1]
+    points = [origins, before.points, before.segments.reshape(-1, 3), rest[used]]
+    displacement = [
+        _origins(model, state.displacement),
+        after.points - before.points,
+        (after.segments - before.segments).reshape(-1, 3),
+        state.displacement[used],
+    ]
+    cells = [
+        ("vertex", np.arange(n_v)[:, None]),
+        ("line", n_v + np.arange(2 * n_s).reshape(-1, 2)),
+        (
+            "triangle" if n_fn == 3 else "triangle6",
+            n_v + 2 * n_s + faces.reshape(-1, n_fn),
+        ),
+    ]
+    none = np.full(len(origins), -1)
+    return _Pieces(
+        np.concatenate(points),
+        np.concatenate(displacement),
+        after.arrows,
+        cells,
+        [
+            np.concatenate([none, after.point_owner]),
+            after.segment_owner,
+            after.face_owner,
+        ],
+    )
+
+
+def _moved(model: Model, state: RobotState) -> Float[HostArray, "n_points 3"]:
+    """Positions of all nodes [m]."""
+    return np.asarray(model.mechanism.points) + state.displacement
+
+
 def _origins(
     model: Model, x: Float[HostArray, "n_points 3"]
 ) -> Float[HostArray, "n_b 3"]:
-    """Origins of the frames of the rigid bodies [m]."""
+    """The rows of the origins of the rigid bodies' frames [m]."""
     return x[model.mesh.n_nodes :: 4]
 
 
@@ -101,7 +135,6 @@ def _axes(
     return (nodes[:, 1:] - nodes[:, :1]) / model.mechanism.bodies.length
 
 
-def _padded(n: int, *parts: Float[HostArray, "_ 3"]) -> Float[HostArray, "n 3"]:
+def _padded(first: Float[HostArray, "_ 3"], n: int) -> Float[HostArray, "n 3"]:
     """Vectors of the first points, and zero for the rest."""
-    first = np.concatenate(parts)
     return np.concatenate([first, np.zeros((n - len(first), 3))])

@@ -78,15 +78,9 @@ def write_results(
     data = result_dict(result, name=name, timing_s=timing_s)
     problem = _picture_problem()
     with results_folder(directory, force=force) as folder:
-        files = ["convergence.png"]
-        plot_convergence(result, folder / "convergence.png", name=name)
-        if any(entry["markers"] for entry in data["configurations"]):
-            write_markers_csv(folder / "markers.csv", data)
-            files.append("markers.csv")
-        if any(entry["effectors"] for entry in data["configurations"]):
-            write_effectors_csv(folder / "effectors.csv", data)
-            files.append("effectors.csv")
+        files = ["convergence.png", *_write_effectors(folder, data)]
         files += _write_robot(folder, data)
+        plot_convergence(result, folder / "convergence.png", name=name)
         stems = file_stems([fit.name for fit in result.configurations])
         for fit, entry, stem in zip(
             result.configurations, data["configurations"], stems, strict=True
@@ -204,6 +198,17 @@ def write_identifiability(
         path.write_text(f"{name}\n\n{text}\n", encoding="utf-8")
         write_json(folder / "identifiability.json", {**data, "files": [path.name]})
     return Path(directory)
+
+
+def _write_effectors(folder: Path, data: Mapping[str, Any]) -> list[str]:
+    """Markers and other points, then the other effectors, if there are any."""
+    files = []
+    writers = {"markers": write_markers_csv, "effectors": write_effectors_csv}
+    for key, write in writers.items():
+        if any(entry[key] for entry in data["configurations"]):
+            write(folder / f"{key}.csv", data)
+            files.append(f"{key}.csv")
+    return files
 
 
 def _write_robot(folder: Path, data: Mapping[str, Any]) -> list[str]:
