@@ -16,6 +16,9 @@ class Readable(NamedTuple):
 _PREFIXED = {
     "Pa": ((1.0, "Pa"), (1e3, "kPa"), (1e6, "MPa"), (1e9, "GPa")),
     "m": ((1e-3, "mm"), (1.0, "m")),
+    "m3": ((1e-9, "mm3"), (1e-6, "ml"), (1.0, "m3")),
+    "N": ((1e-3, "mN"), (1.0, "N"), (1e3, "kN")),
+    "N m": ((1e-3, "N mm"), (1.0, "N m")),
     "rad": ((math.pi / 180.0, "deg"),),
 }
 

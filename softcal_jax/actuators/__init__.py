@@ -16,12 +16,14 @@ from softcal_jax.actuators._arrays import (
 from softcal_jax.actuators._cable import Cable, Guide
 from softcal_jax.actuators._chamber import Chamber
 from softcal_jax.actuators._forces import ForceActuator, SurfaceForceActuator
+from softcal_jax.actuators._geometry import ActuatorGeometry, actuator_geometry
 from softcal_jax.actuators._motor import Motor
 from softcal_jax.actuators._pressure import SurfacePressure
 
 __all__ = [
     "AbstractActuator",
     "ActuatorArrays",
+    "ActuatorGeometry",
     "Cable",
     "Chamber",
     "ForceActuator",
@@ -32,6 +34,7 @@ __all__ = [
     "SurfacePressure",
     "actuator_arrays",
     "actuator_displacements",
+    "actuator_geometry",
     "actuator_rows",
     "clique_nodes",
     "curvature_entries",

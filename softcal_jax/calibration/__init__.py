@@ -19,6 +19,7 @@ from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
     CalibrationResult,
     ConfigurationFit,
+    EffectorFit,
     HistoryEntry,
     ParameterEstimate,
 )
@@ -56,6 +57,7 @@ __all__ = [
     "CalibrationWarning",
     "Clock",
     "ConfigurationFit",
+    "EffectorFit",
     "Evaluation",
     "HistoryEntry",
     "MultiStartResult",

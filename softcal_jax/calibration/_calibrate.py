@@ -168,7 +168,7 @@ def calibrate(
         state = descend(evaluate, settings, state, journal.note)
         after = state.evaluation
         fits = configuration_fits(
-            model,
+            problem.space.apply(model, state.z),
             configurations,
             "calibration",
             before.effectors,
@@ -231,8 +231,9 @@ def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
         for lane, c in enumerate(validation)
         if lane not in lanes
     ]
+    model = problem.space.apply(problem.model, z)
     fits = configuration_fits(
-        problem.model, validation, "validation", before, after, last, lanes.tolist()
+        model, validation, "validation", before, after, last, lanes.tolist()
     )
     return fits, tuple(notes)
 

@@ -23,7 +23,9 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
+    RobotState,
     effector_positions,
+    robot_states,
 )
 from softcal_jax.fields import ParameterSpace
 
@@ -98,6 +100,7 @@ class EffectorFit(eqx.Module):
         error_before: Simulated minus measured, 0 where not measured.
         error_after: The same after calibration.
         is_turn: Whether it is the orientation of a rigid body.
+        reference: Of a turn, the orientation that it is counted from, as a matrix [-].
     """
 
     name: str
@@ -108,6 +111,7 @@ class EffectorFit(eqx.Module):
     error_before: Float[HostArray, " k"]
     error_after: Float[HostArray, " k"]
     is_turn: bool
+    reference: Float[HostArray, "3 3"] | None = None
 
 
 class ConfigurationFit(eqx.Module):
@@ -133,6 +137,8 @@ class ConfigurationFit(eqx.Module):
         residual: Its relative residual [-].
         min_det_F: Its smallest det F [-].
         others: Effectors that are no points: orientations, lengths, angles, forces.
+        robot: Rigid bodies, actuators and reactions after calibration; None for a body
+            without rigid bodies and actuators.
     """
 
     name: str
@@ -150,6 +156,7 @@ class ConfigurationFit(eqx.Module):
     residual: float
     min_det_F: float
     others: tuple[EffectorFit, ...] = ()
+    robot: RobotState | None = None
 
     @property
     def turn_before(self) -> float:
@@ -303,7 +310,7 @@ def configuration_fits(
     """Measured and simulated effectors of configurations, with both sets of parameters.
 
     Args:
-        model: The body.
+        model: The model with the calibrated parameters.
         configurations: The configurations of a batch.
         role: Fitted, or only predicted.
         before: Simulated effector coordinates with the start parameters.
@@ -319,6 +326,7 @@ def configuration_fits(
     rest = jnp.zeros((model.n_points, 3))
     arrays = configuration_arrays(mesh, configurations, mechanism)
     at_rest = jax.vmap(lambda e: effector_positions(model, e, rest))(arrays.effectors)
+    states = robot_states(model, configurations, solution)
     fits = []
     for lane, (c, numbers) in enumerate(
         zip(configurations, row_numbers(rows), strict=True)
@@ -356,6 +364,7 @@ def configuration_fits(
                 float(solution.residual[lane]),
                 float(solution.min_det_F[lane]),
                 others,
+                states[lane],
             )
         )
     return tuple(fits)
@@ -375,4 +384,5 @@ def _effector_fit(named: NamedRow, before, after) -> EffectorFit:
         cut(np.where(seen, before - row.measured, 0.0)),
         cut(np.where(seen, after - row.measured, 0.0)),
         row.quantity == "turn",
+        row.reference if row.quantity == "turn" else None,
     )

@@ -1,6 +1,7 @@
 """What the commands do; heavy packages are imported when one runs."""
 
 import argparse
+import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +21,11 @@ from softcal_jax.cli._shared import (
 )
 
 if TYPE_CHECKING:
-    from softcal_jax.calibration import CalibrationResult, HistoryEntry
+    from softcal_jax.calibration import (
+        CalibrationResult,
+        ConfigurationFit,
+        HistoryEntry,
+    )
     from softcal_jax.fields import Parameter
     from softcal_jax.project import Project
 
@@ -144,6 +149,13 @@ def _print_registrations(project: "Project", show: Display) -> None:
 
 def _step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
     """Prints a line per step, and says what comes next."""
+    sees_points = any(c.has_points for c in project.calibration)
+
+    def misfit(entry: "HistoryEntry") -> str:
+        # Lengths, angles and forces have no distance: the cost stands for all.
+        if sees_points:
+            return f"rms {1e3 * entry.rms:7.3f} mm"
+        return f"cost {entry.cost:9.3g}"
 
     def progress(entry: "HistoryEntry") -> None:
         size = max(abs(step) for step in entry.lambda_p)
@@ -151,9 +163,7 @@ def _step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], 
         values = _values(project.parameters, entry.values)
         refused = "" if entry.accepted else "   (step refused)"
         what = f"step {entry.step}" if entry.step else "start"
-        show.line(
-            f"{what:<8} rms {1e3 * entry.rms:7.3f} mm   {moved}   {values}{refused}"
-        )
+        show.line(f"{what:<8} {misfit(entry)}   {moved}   {values}{refused}")
         last = entry.step == project.settings.max_steps
         finished = last or (entry.step > 0 and size <= project.settings.tol)
         if finished and project.validation:
@@ -193,13 +203,26 @@ def _rounded(value: float, unit: str) -> str:
 def _print_held_out(result: "CalibrationResult", show: Display) -> None:
     for fit in result.configurations:
         if fit.role == "validation":
-            percent = (
-                f", {100 * fit.rms_after / fit.motion:.1f} % of how far they moved "
-                f"({1e3 * fit.motion:.1f} mm)"
-                if fit.motion > 0.0
-                else ""
-            )
-            show.line(
-                f"Held-out error, {fit.name}: {1e3 * fit.rms_after:.2f} mm rms over "
-                f"{len(fit.marker_names)} markers{percent}."
-            )
+            found = _held_out_errors(fit)
+            if found:
+                show.line(f"Held-out error, {fit.name}: {found}.")
+
+
+def _held_out_errors(fit: "ConfigurationFit") -> str:
+    """Distances of markers and angles of orientations, where there are any."""
+    texts = []
+    if fit.marker_names:
+        n = len(fit.marker_names)
+        percent = (
+            f", {100 * fit.rms_after / fit.motion:.1f} % of how far they moved "
+            f"({1e3 * fit.motion:.1f} mm)"
+            if fit.motion > 0.0
+            else ""
+        )
+        texts.append(
+            f"{1e3 * fit.rms_after:.2f} mm rms over {n} marker{'s' if n > 1 else ''}"
+            f"{percent}"
+        )
+    if math.isfinite(fit.turn_after):
+        texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
+    return "; ".join(texts)

@@ -74,10 +74,11 @@ class Display:
 def warnings_as_lines(show: Display) -> Iterator[None]:
     """Shows the package's own warnings as lines, without file and line of code."""
     from softcal_jax.calibration import CalibrationWarning
+    from softcal_jax.configurations import TrackerWarning
     from softcal_jax.mesh import MeshWarning
     from softcal_jax.report import PictureWarning
 
-    own = (CalibrationWarning, MeshWarning, PictureWarning)
+    own = (CalibrationWarning, MeshWarning, PictureWarning, TrackerWarning)
     with warnings.catch_warnings():
         plain = warnings.showwarning
 

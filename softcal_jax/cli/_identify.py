@@ -62,11 +62,13 @@ def _print_outlook(
     ranking: "Ranking | None",
     show: Display,
 ) -> None:
-    unmarked = [c.name for c in project.calibration if c.markers is None]
+    unmarked = [c.name for c in project.calibration if not (c.markers or c.effectors)]
     show.line()
     if unmarked:
-        show.line(f"No markers, so nothing to learn, in: {', '.join(unmarked)}.")
-    show.line("At the start values, with the stated noise of the markers:")
+        show.line(
+            f"No markers or effectors, so nothing to learn, in: {', '.join(unmarked)}."
+        )
+    show.line("At the start values, with the stated noise of what is measured:")
     for part in (found, ranking):
         if part is not None:
             show.line(str(part))

@@ -113,9 +113,11 @@ def _parser() -> argparse.ArgumentParser:
         help="would the data determine the parameters? before any is measured",
         description="""\
 Solves the configurations of a project file at the start values and says whether their
-markers would determine the parameters: a verdict for each, the directions that the data
-are blind to, and condition numbers. No measured positions are needed; those that are
-there are not looked at. What counts is the `std` and the axes of the markers.
+markers and other effectors would determine the parameters: a verdict for each, the
+directions that the data are blind to, and condition numbers.
+
+No measured positions are needed; those that are there are not looked at. What counts is
+the `std` of markers and effectors, and the axes of the markers.
 
 Candidates, [[candidates]] in the project file with the keys of [[configurations]], are
 ranked by what measuring them as well would add.""",

@@ -18,6 +18,7 @@ from softcal_jax.configurations._actuation import (
     body_state_arrays,
 )
 from softcal_jax.configurations._arrays import ConfigurationArrays, EffectorArrays
+from softcal_jax.configurations._body_effectors import BodyFrame, Centroid
 from softcal_jax.configurations._carriers import carriers
 from softcal_jax.configurations._effector import AbstractEffector
 from softcal_jax.configurations._effector_arrays import (
@@ -87,6 +88,12 @@ class Configuration(eqx.Module):
         """Whether a marker or an effector has a measured value."""
         of_effectors = [getattr(e, "measured", None) for e in self.effectors]
         return any(value is not None for value in (self.measured, *of_effectors))
+
+    @property
+    def has_points(self) -> bool:
+        """Whether a marker or a point of another effector is followed."""
+        of_effectors = any(isinstance(e, BodyFrame | Centroid) for e in self.effectors)
+        return self.markers is not None or of_effectors
 
     def __check_init__(self):
         gravity = np.asarray(self.gravity, float)

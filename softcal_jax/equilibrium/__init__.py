@@ -24,6 +24,13 @@ from softcal_jax.equilibrium._linearisation import factor_solve, residual, solve
 from softcal_jax.equilibrium._model import Model, build_model
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._problem import external_force
+from softcal_jax.equilibrium._robot_state import (
+    ActuatorState,
+    BodyPlace,
+    Reaction,
+    RobotState,
+    robot_states,
+)
 from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
     ImplicitResponse,
@@ -35,12 +42,16 @@ from softcal_jax.equilibrium._workers import Workers, program_key, usable_cores
 
 __all__ = [
     "RESULTS",
+    "ActuatorState",
+    "BodyPlace",
     "Continuation",
     "EquilibriumSolution",
     "ImplicitResponse",
     "LinearSolution",
     "Model",
     "NewtonSettings",
+    "Reaction",
+    "RobotState",
     "Workers",
     "actuator_forces",
     "add_weighted",
@@ -61,6 +72,7 @@ __all__ = [
     "marker_positions",
     "program_key",
     "residual",
+    "robot_states",
     "solve_equilibrium",
     "solved_forces",
     "strain_energy",

@@ -10,10 +10,17 @@ from softcal_jax.export._identifiability import (
 )
 from softcal_jax.export._json import result_dict, simulation_dict
 from softcal_jax.export._names import file_stems
-from softcal_jax.export._tables import write_json, write_markers_csv
-from softcal_jax.export._units import readable_estimate
+from softcal_jax.export._robot import robot_dict
+from softcal_jax.export._tables import (
+    write_effectors_csv,
+    write_json,
+    write_markers_csv,
+    write_robot_csv,
+)
+from softcal_jax.export._units import readable_estimate, readable_values
 from softcal_jax.export._versions import versions
 from softcal_jax.export._vtu import write_vtu
+from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
     "Readable",
@@ -24,12 +31,17 @@ __all__ = [
     "outlook_dict",
     "readable_estimate",
     "readable_unit",
+    "readable_values",
     "result_dict",
     "results_folder",
+    "robot_dict",
     "simulation_dict",
     "starts_dict",
     "versions",
+    "write_effectors_csv",
     "write_json",
     "write_markers_csv",
+    "write_robot_csv",
+    "write_robot_vtu",
     "write_vtu",
 ]

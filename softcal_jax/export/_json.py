@@ -5,17 +5,17 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ConfigurationFit
-from softcal_jax.configurations import Configuration, configuration_arrays
+from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
     RESULTS,
     EquilibriumSolution,
     Model,
-    effector_positions,
+    RobotState,
+    robot_states,
 )
 from softcal_jax.export._identifiability import (
     assessment_dict,
@@ -23,6 +23,7 @@ from softcal_jax.export._identifiability import (
     starts_dict,
 )
 from softcal_jax.export._plain import fields_of, plain
+from softcal_jax.export._robot import robot_dict, simulated_effectors
 from softcal_jax.export._versions import versions
 from softcal_jax.identifiability import assess
 
@@ -39,10 +40,14 @@ def result_dict(
     `standard_error`, `lower`, `upper`, `start`, `at_bound`; SI); `configurations`
     (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
     `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
-    `simulated_before_mm`, `simulated_mm`, `residual_mm`, then `newton_steps`,
-    `residual`, `min_det_F`); `history` (one entry per step, 0 is the start); `solver`;
-    `settings`; `uncertainty` (covariance of the scaled parameters); `assessment` (see
-    `assessment_dict`); `identifiability` (see `identifiability_dict`); `starts` (see
+    `simulated_before_mm`, `simulated_mm`, `residual_mm`, and points of other effectors;
+    `effectors` that are no points with `name`, `unit`, `is_turn`, `measured`,
+    `simulated_before`, `simulated`, `residual`, in SI, turns from the measured
+    orientation; `robot`: rigid bodies, actuators and reactions, see `robot_dict`, null
+    for a body that has none; then `newton_steps`, `residual`, `min_det_F`);
+    `history` (one entry per step, 0 is the start); `solver`; `settings`; `uncertainty`
+    (covariance of the scaled parameters); `assessment` (see `assessment_dict`);
+    `identifiability` (see `identifiability_dict`); `starts` (see
     `starts_dict`; null if there was one); `notes`; `versions`; `timing_s`. A number
     that does not exist is null.
 
@@ -92,9 +97,11 @@ def simulation_dict(
 
     Keys: `format`, `name`, `converged` (all of them); `configurations` (`name`,
     `converged`, `outcome`, `newton_steps`, `load_steps`, `residual`, `min_det_F`,
-    `largest_displacement_mm`, `markers` with `name`, `at_rest_mm`, `simulated_mm`);
-    `solver`; `versions`; `timing_s`. Where there is no equilibrium, positions and
-    displacement are null, and `outcome` says why.
+    `largest_displacement_mm`, `markers` and points of other effectors with `name`,
+    `at_rest_mm`, `simulated_mm`, `effectors` that are no points with `name`, `unit`,
+    `is_turn`, `simulated`, `robot` as `result_dict` has it); `solver`; `versions`;
+    `timing_s`. Where there is no equilibrium, positions and displacement are null, and
+    `outcome` says why.
 
     Args:
         model: The body.
@@ -106,8 +113,16 @@ def simulation_dict(
     Returns:
         Dictionaries, lists, texts, numbers and None; no NaN and no infinity.
     """
+    states = robot_states(model, configurations, solution)
+    effectors = simulated_effectors(model, configurations, solution)
     lanes = [
-        _lane(model, configuration, jax.tree.map(lambda leaf, i=i: leaf[i], solution))
+        _lane(
+            configuration,
+            jax.tree.map(lambda leaf, i=i: leaf[i], solution),
+            np.asarray(solution.displacement[i])[: model.mesh.n_nodes],
+            *effectors[i],
+            states[i],
+        )
         for i, configuration in enumerate(configurations)
     ]
     return plain(
@@ -158,6 +173,7 @@ def _fit(fit: ConfigurationFit) -> dict[str, Any]:
             }
             for effector in fit.others
         ],
+        "robot": robot_dict(fit.robot),
         "newton_steps": fit.newton_steps,
         "residual": fit.residual,
         "min_det_F": fit.min_det_F,
@@ -198,10 +214,14 @@ def _uncertainty(result: CalibrationResult) -> dict[str, Any]:
 
 
 def _lane(
-    model: Model, configuration: Configuration, solution: EquilibriumSolution
+    configuration: Configuration,
+    solution: EquilibriumSolution,
+    u: Float[HostArray, "n_nodes 3"],
+    points: list[dict[str, Any]],
+    others: list[dict[str, Any]],
+    robot: RobotState | None,
 ) -> dict[str, Any]:
     ok = bool(solution.converged)
-    u = np.asarray(solution.displacement)
     return {
         "name": configuration.name,
         "converged": ok,
@@ -213,26 +233,7 @@ def _lane(
         "largest_displacement_mm": (
             1e3 * float(np.linalg.norm(u, axis=1).max()) if ok else None
         ),
-        "markers": _markers(model, configuration, u, ok),
+        "markers": points,
+        "effectors": others,
+        "robot": robot_dict(robot),
     }
-
-
-def _markers(
-    model: Model,
-    configuration: Configuration,
-    u: Float[HostArray, "n_points 3"],
-    ok: bool,
-) -> list[dict[str, Any]]:
-    if configuration.markers is None:
-        return []
-    arrays = configuration_arrays(model.mesh, [configuration], model.mechanism)
-    effectors = jax.tree.map(lambda leaf: leaf[0], arrays.effectors)
-    simulated = np.asarray(effector_positions(model, effectors, jnp.asarray(u)))
-    return [
-        {
-            "name": marker,
-            "at_rest_mm": 1e3 * configuration.markers.positions[i],
-            "simulated_mm": 1e3 * simulated[i] if ok else None,
-        }
-        for i, marker in enumerate(configuration.markers.names)
-    ]

@@ -1,6 +1,7 @@
 """Values with their standard errors, as a person reads them."""
 
 import math
+from collections.abc import Sequence
 
 from softcal_jax._units import readable_unit
 
@@ -35,3 +36,22 @@ def readable_estimate(value: float, standard_error: float, unit: str) -> str:
             text = f"{round(value, decimals):.{places}f} ± "
             text += f"{round(error, decimals):.{places}f}"
     return f"{text} {shown}".rstrip()
+
+
+def readable_values(values: Sequence[float], unit: str, *, digits: int = 4) -> str:
+    """One value or several with one unit, as a person reads them.
+
+    Args:
+        values: Values, in SI.
+        unit: Their SI unit.
+        digits: Significant digits.
+    """
+    factor, shown = readable_unit(values, unit)
+    largest = max(abs(factor * value) for value in values)
+    if largest == 0.0:
+        factor, shown = 1.0, unit  # nothing tells which prefix reads best
+    # Beside 2 N, 1e-13 N is rounding.
+    kept = [v if abs(factor * v) > 1e-6 * largest else 0.0 for v in values]
+    texts = [f"{factor * value:.{digits}g}" for value in kept]
+    listed = texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
+    return f"{listed} {shown}"

@@ -30,7 +30,8 @@ def write_vtu(
 
     Points are those of the rest shape [m]; "Warp By Vector" with `displacement` shows
     the deformed one. Per tet: `strain_energy_density` [J/m3], `density` [kg/m3] and
-    every field of the law under its own name, in SI.
+    every field of the law under its own name, in SI. Per point `rigid_body`, if there
+    are any: their numbers from 1, 0 for what is soft.
 
     Args:
         path: The file, ending in .vtu.
@@ -61,11 +62,17 @@ def write_vtu(
                 f"got shape {values.shape}."
             )
         cells[name] = _columns(values)
+    bodies = model.mechanism.bodies
+    of_bodies = {}
+    if bodies.n_bodies:
+        number = np.zeros(mesh.n_nodes)
+        number[bodies.attached] = bodies.body + 1.0
+        of_bodies["rigid_body"] = number
     kind = "tetra" if mesh.order == 1 else "tetra10"
     meshio.Mesh(
         mesh.points,
         [(kind, mesh.tets)],
-        point_data={"displacement": u},
+        point_data={"displacement": u, **of_bodies},
         cell_data={name: [values] for name, values in cells.items()},
     ).write(path)
 

@@ -4,9 +4,11 @@ from softcal_jax.plotting._configuration import render_body, render_configuratio
 from softcal_jax.plotting._convergence import plot_convergence
 from softcal_jax.plotting._fibres import plot_fibres
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
+from softcal_jax.plotting._robot import SensorFrame
 
 __all__ = [
     "RenderingError",
+    "SensorFrame",
     "plot_convergence",
     "plot_fibres",
     "render_body",

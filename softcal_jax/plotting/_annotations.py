@@ -1,7 +1,7 @@
 """Markers, title, scales and legend around the picture of a body."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,7 +31,8 @@ _RING = {"marker": "o", "ms": 13, "mew": 2.6, "mec": MEASURED, "mfc": "none"}
 _CROSS = {"marker": "+", "ms": 13, "mew": 2.6, "mec": SIMULATED}
 
 
-def _halo(width: float):
+def halo(width: float):
+    """A white rim around lines and text, so that they are seen on any ground."""
     from matplotlib import patheffects
 
     return [patheffects.withStroke(linewidth=width, foreground="white")]
@@ -49,7 +50,7 @@ def draw_markers(
             axes.plot(*np.transpose(pair), color=MEASURED, lw=2.5)
     for points, style in ((measured, _RING), (simulated, _CROSS)):
         if points is not None:
-            axes.plot(*points.T, ls="none", path_effects=_halo(5.0), **style)
+            axes.plot(*points.T, ls="none", path_effects=halo(5.0), **style)
     places = simulated if measured is None else measured
     if places is None or len(names) > _MOST_NAMES:
         return
@@ -62,7 +63,7 @@ def draw_markers(
                 textcoords="offset points",
                 fontsize=15,
                 color=TEXT,
-                path_effects=_halo(4.0),
+                path_effects=halo(4.0),
                 parse_math=False,
             )
 
@@ -169,13 +170,23 @@ def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
 
 
 def draw_legend(
-    figure: "matplotlib.figure.Figure", groups: Sequence[str], height: float
+    figure: "matplotlib.figure.Figure",
+    groups: Sequence[str],
+    height: float,
+    more: Sequence[Any] = (),
 ) -> None:
-    """What the symbols mean; `groups` says which kinds of markers are drawn."""
+    """What the symbols mean.
+
+    Args:
+        figure: The picture.
+        groups: Which kinds of markers are drawn.
+        height: Where the legend's middle is, from the bottom [-].
+        more: Handles of what else is drawn.
+    """
     from matplotlib.lines import Line2D
 
-    none = {"ls": "none", "path_effects": _halo(5.0)}
-    handles = []
+    none = {"ls": "none", "path_effects": halo(5.0)}
+    handles: list[Any] = []
     if "measured" in groups:
         handles.append(Line2D([], [], label="measured", **_RING, **none))
     if "simulated" in groups:
@@ -183,13 +194,16 @@ def draw_legend(
     if len(handles) == 2:
         handles.append(Line2D([], [], color=MEASURED, lw=2.5, label="distance"))
     handles.append(Line2D([], [], color=OUTLINE, lw=2.5, label="at rest"))
+    handles += more
+    # One row where it fits.
+    rows = 1 if len(handles) <= 5 else 2
     figure.legend(
         handles=handles,
         loc="center left",
         bbox_to_anchor=(0.13, height),
-        ncols=len(handles),
+        ncols=-(-len(handles) // rows),
         fontsize=16,
         frameon=False,
-        labelcolor=FAINT if not groups else TEXT,
+        labelcolor=TEXT if groups or more else FAINT,
         columnspacing=1.8,
     )

@@ -12,3 +12,12 @@ SERIES = ("#0b5fa5", "#d95f02", "#1b9e77", "#7570b3", "#a6761d", "#e7298a", "#44
 
 DISPLACEMENT_MAP = "viridis"
 """Perceptually uniform, and neither black nor red, which are the markers'."""
+
+CABLE, WALL, MOTOR, FORCE, RIGID = (
+    "#d95f02",
+    "#0b5fa5",
+    "#7b3294",
+    "#1b7837",
+    "#b4b4b4",
+)
+"""What is drawn beside the soft body."""

@@ -13,8 +13,16 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationFit
-from softcal_jax.equilibrium import Model
+from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _annotations as annotations
+from softcal_jax.plotting._robot import (
+    SensorFrame,
+    draw_robot,
+    draw_sensors,
+    legend_handles,
+    robot_picture,
+    sensor_frames,
+)
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._view import choose_view
 
@@ -59,16 +67,22 @@ def render_configuration(
         simulated=fit.after,
         marker_names=fit.marker_names,
         warning="" if converged else "NOT CONVERGED: do not use these values",
+        robot=fit.robot,
+        sensors=sensor_frames(fit),
     )
 
 
 def _distances(fit: ConfigurationFit) -> str:
+    if not fit.marker_names:
+        return "no markers"
     missing = math.isnan(fit.rms_before)
     before = "no equilibrium" if missing else f"{1e3 * fit.rms_before:.2f} mm"
     after = f"{1e3 * fit.rms_after:.2f} mm"
     text = f"rms distance of the markers: {before} before, {after} after"
     if fit.motion > 0.0:
         text += f" ({100 * fit.rms_after / fit.motion:.1f} % of their motion)"
+    if math.isfinite(fit.turn_after):
+        text += f"; orientations: {math.degrees(fit.turn_after):.2f} deg after"
     return text
 
 
@@ -83,6 +97,8 @@ def render_body(
     simulated: Float[HostArray, "n_markers 3"] | None = None,
     marker_names: Sequence[str] = (),
     warning: str = "",
+    robot: RobotState | None = None,
+    sensors: Sequence[SensorFrame] = (),
 ) -> None:
     """Draw a deformed body, coloured by displacement, over its outline at rest.
 
@@ -96,6 +112,8 @@ def render_body(
         simulated: Simulated marker positions [m].
         marker_names: Names beside the markers.
         warning: Printed large and red.
+        robot: Rigid bodies, drawn grey, and actuators with their forces.
+        sensors: Poses of 6-D sensors.
 
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
@@ -104,7 +122,9 @@ def render_body(
 
     u = np.asarray(displacement, float)
     groups = {"measured": _finite(measured), "simulated": _finite(simulated)}
-    view = choose_view(model.mesh.points, u, np.concatenate([*groups.values()]))
+    picture = robot_picture(model, robot)
+    more = [*groups.values()] + ([] if picture is None else [picture.points])
+    view = choose_view(model.mesh.points, u, np.concatenate(more))
     width = _WIDTH - _SIDE
     scale, height = _fit_body(view.width, view.height, width)
     largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
@@ -125,6 +145,9 @@ def render_body(
     body.imshow(pixels, extent=(-w, w, -h, h), interpolation="none")
     body.set(xlim=(-w, w), ylim=(-h, h))
     body.set_axis_off()
+    if picture is not None:
+        draw_robot(body, view, picture)
+    draw_sensors(body, view, sensors)
     annotations.draw_markers(
         body,
         None if measured is None else view.project(measured),
@@ -138,7 +161,12 @@ def render_body(
     annotations.draw_triad(axes(20, 5, _BOTTOM - 10, _BOTTOM - 10), view)
     annotations.draw_length_scale(axes(_WIDTH - 420, 20, 400, 70), 400 / scale)
     names = [name for name, points in groups.items() if len(points)]
-    annotations.draw_legend(figure, names, 62 / total)
+    drawn = legend_handles(
+        [] if picture is None else picture.kinds,
+        bodies=model.mechanism.bodies.n_bodies > 0,
+        sensors=len(sensors) > 0,
+    )
+    annotations.draw_legend(figure, names, 62 / total, drawn)
     figure.savefig(path, dpi=_DPI, format="png")
 
 

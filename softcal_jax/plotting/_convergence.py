@@ -89,12 +89,18 @@ def _steps(result: CalibrationResult) -> list[int]:
 
 
 def _plot_rms(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
-    rms = [1e3 * entry.rms for entry in result.history]
+    fitted = [fit for fit in result.configurations if fit.role == "calibration"]
+    if any(fit.marker_names for fit in fitted):
+        rms = [1e3 * entry.rms for entry in result.history]
+        label, unit = "rms marker\ndistance [mm]", " mm"
+    else:  # only lengths, angles or forces were measured
+        rms = [entry.cost for entry in result.history]
+        label, unit = "cost [-]", ""
     axes.plot(_steps(result), rms, "o-", color=SERIES[0], lw=2, ms=7)
-    axes.set_ylabel("rms marker\ndistance [mm]")
+    axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0, top=1.12 * max(rms) or 1.0)
     axes.annotate(
-        f"{rms[-1]:.3g} mm",
+        f"{rms[-1]:.3g}{unit}",
         (result.history[-1].step, rms[-1]),
         xytext=(0, 10),
         textcoords="offset points",

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.equilibrium import Model
-from softcal_jax.plotting._colours import DISPLACEMENT_MAP, OUTLINE
+from softcal_jax.plotting._colours import DISPLACEMENT_MAP, OUTLINE, RIGID
 from softcal_jax.plotting._offscreen import offscreen
 from softcal_jax.plotting._surface import Tessellation, tessellate
 from softcal_jax.plotting._view import View
@@ -50,6 +50,8 @@ def body_image(
     tessellation = tessellate(model.mesh)
     rest = _surface(tessellation, model.mesh.points, np.zeros_like(displacement))
     deformed = _surface(tessellation, model.mesh.points, displacement)
+    rigid = _rigid(model, tessellation)
+    soft = _surface(tessellation, model.mesh.points, displacement, chosen=~rigid)
     fine = _SUPERSAMPLING
     with offscreen():
         plotter = pyvista.Plotter(
@@ -63,7 +65,7 @@ def body_image(
             ]
             body = [
                 plotter.add_mesh(
-                    deformed,
+                    soft,
                     scalars="displacement",
                     cmap=DISPLACEMENT_MAP,
                     clim=[0.0, largest_mm or 1.0],
@@ -78,6 +80,11 @@ def body_image(
                     _edges(deformed), color="black", opacity=0.55, line_width=1.2 * fine
                 ),
             ]
+            if rigid.any():
+                part = _surface(
+                    tessellation, model.mesh.points, displacement, chosen=rigid
+                )
+                body.append(plotter.add_mesh(part, color=RIGID, ambient=0.4))
             camera = plotter.camera
             distance = 10.0 * (model.mesh.size + view.width + view.height)
             camera.focal_point = tuple(view.centre)
@@ -121,15 +128,29 @@ def _surface(
     tessellation: Tessellation,
     points: Float[HostArray, "n_nodes 3"],
     displacement: Float[HostArray, "n_nodes 3"],
+    *,
+    chosen: Bool[HostArray, " n_triangles"] | None = None,
 ) -> "pyvista.PolyData":
     import pyvista
 
+    triangles = tessellation.triangles
+    triangles = triangles if chosen is None else triangles[chosen]
+
     moved = tessellation.interpolate(displacement)
     surface = pyvista.PolyData.from_regular_faces(
-        tessellation.interpolate(points) + moved, tessellation.triangles
+        tessellation.interpolate(points) + moved, triangles
     )
     surface.point_data["displacement"] = 1e3 * np.linalg.norm(moved, axis=1)
     return surface
+
+
+def _rigid(model: Model, tessellation: Tessellation) -> Bool[HostArray, " n_triangles"]:
+    """Which triangles lie in one rigid body, so that they are not deformed."""
+    bodies = model.mechanism.bodies
+    body = np.full(model.mesh.n_nodes, -1)
+    body[bodies.attached] = bodies.body
+    own = body[tessellation.faces]
+    return (own[:, 0] >= 0) & np.all(own == own[:, :1], axis=1)
 
 
 def _edges(surface: "pyvista.PolyData") -> "pyvista.PolyData":

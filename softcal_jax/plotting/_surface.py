@@ -19,11 +19,13 @@ class Tessellation(NamedTuple):
         nodes: Nodes of the face that carries each point.
         weights: Their shape functions [-].
         triangles: Points of each triangle, normals outwards.
+        faces: Nodes of the face that each triangle is a part of.
     """
 
     nodes: Int[HostArray, "n_points n_fn"]
     weights: Float[HostArray, "n_points n_fn"]
     triangles: Int[HostArray, "n_triangles 3"]
+    faces: Int[HostArray, "n_triangles n_fn"]
 
     def interpolate(
         self, values: Float[HostArray, "n_nodes 3"]
@@ -60,8 +62,12 @@ def tessellate(mesh: TetMesh) -> Tessellation:
     )
     face, local = np.divmod(first, len(grid))
     points = point.reshape(len(faces), len(grid))
+    cut = points[:, _triangles(grid)]
     return Tessellation(
-        faces[face], weights[local], points[:, _triangles(grid)].reshape(-1, 3)
+        faces[face],
+        weights[local],
+        cut.reshape(-1, 3),
+        np.repeat(faces, cut.shape[1], axis=0),
     )
 
 

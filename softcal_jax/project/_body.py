@@ -17,6 +17,7 @@ from softcal_jax.mesh import (
     select_nodes,
 )
 from softcal_jax.project._laws import build_law
+from softcal_jax.project._mechanism import Parts
 from softcal_jax.project._problems import at
 from softcal_jax.project._schema import ProjectTable
 from softcal_jax.project._schema_material import MaterialTable
@@ -84,8 +85,14 @@ def _with_group(mesh: TetMesh, name: str, table: GroupTable) -> TetMesh:
     return mesh.with_tet_group(name, tets)
 
 
-def build_body(path: Path, table: MaterialTable, mesh: TetMesh) -> Model:
+def build_body(path: Path, table: MaterialTable, mesh: TetMesh, parts: Parts) -> Model:
     """The model with the constants of the file.
+
+    Args:
+        path: The project file, for messages.
+        table: Its material.
+        mesh: The mesh.
+        parts: Rigid bodies and actuators, which fit the mesh.
 
     Raises:
         ProjectError: If a constant is out of range, or a region is no tet group.
@@ -93,7 +100,14 @@ def build_body(path: Path, table: MaterialTable, mesh: TetMesh) -> Model:
     with at(path, "material"):
         law = build_law(table, lambda key: _constant(mesh, table, key))
         density = _constant(mesh, table, "density")
-        return build_model(mesh, law, density=density, formulation=table.formulation)
+        return build_model(
+            mesh,
+            law,
+            density=density,
+            bodies=parts[0],
+            actuators=parts[1],
+            formulation=table.formulation,
+        )
 
 
 def _constant(mesh: TetMesh, table: MaterialTable, key: str) -> Float[HostArray, "..."]:

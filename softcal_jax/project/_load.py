@@ -7,14 +7,17 @@ import jax
 
 from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.configurations import Configuration, configuration_arrays
-from softcal_jax.equilibrium import NewtonSettings
+from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import check_parameters
 from softcal_jax.project._body import build_body, build_mesh
+from softcal_jax.project._effectors import build_effectors
+from softcal_jax.project._mechanism import build_parts
 from softcal_jax.project._parameters import build_space
-from softcal_jax.project._poses import build_pose
+from softcal_jax.project._poses import Pose, Robot, build_pose
 from softcal_jax.project._problems import at
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import read_tables
+from softcal_jax.project._schema import ProjectTable
 
 
 def load_project(path: str | os.PathLike[str]) -> Project:
@@ -43,22 +46,13 @@ def load_project(path: str | os.PathLike[str]) -> Project:
     path = Path(path)
     table = read_tables(path)
     mesh = build_mesh(path, table)
-    model = build_body(path, table.material, mesh)
+    model = build_body(path, table.material, mesh, build_parts(path, table, mesh))
     space = build_space(path, table)
     if space is not None:
         with at(path, "parameters"):
             check_parameters(model, space)
             model = space.apply(model, space.start())
-    pose = lambda own: build_pose(path, own, table.markers, mesh)
-    poses = [pose(c) for c in table.configurations]
-    candidates = [pose(c).configuration for c in table.candidates]
-    known = [pose.configuration for pose in poses]
-    for key, posed in (("configurations", known), ("candidates", candidates)):
-        if posed:
-            with at(path, key):
-                configuration_arrays(mesh, posed)
-    with at(path, "candidates"):
-        _check_new(known, candidates)
+    poses, candidates = _poses(path, table, model)
     of_role = lambda role: tuple(
         pose.configuration
         for pose, c in zip(poses, table.configurations, strict=True)
@@ -90,6 +84,31 @@ def load_project(path: str | os.PathLike[str]) -> Project:
             if pose.registration is not None
         },
     )
+
+
+def _poses(
+    path: Path, table: ProjectTable, model: Model
+) -> tuple[list[Pose], list[Configuration]]:
+    """The configurations, and the candidates."""
+    mesh = model.mesh
+    robot = Robot(
+        table.markers,
+        table.effectors,
+        build_effectors(path, table.effectors, mesh, model.mechanism),
+        mesh,
+        model.mechanism,
+    )
+    pose = lambda own: build_pose(path, own, robot)
+    poses = [pose(c) for c in table.configurations]
+    candidates = [pose(c).configuration for c in table.candidates]
+    known = [pose.configuration for pose in poses]
+    for key, posed in (("configurations", known), ("candidates", candidates)):
+        if posed:
+            with at(path, key):
+                configuration_arrays(mesh, posed, model.mechanism)
+    with at(path, "candidates"):
+        _check_new(known, candidates)
+    return poses, candidates
 
 
 def _check_new(known: list[Configuration], candidates: list[Configuration]) -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from softcal_jax.project._schema_parameters import (
     ParameterTable,
     PerPoint,
 )
+from softcal_jax.project._setup import build_setup
 
 
 def build_space(path: Path, table: ProjectTable) -> ParameterSpace | None:
@@ -48,6 +48,7 @@ def build_space(path: Path, table: ProjectTable) -> ParameterSpace | None:
             else:
                 points = _set_of(own.control_points, sets)
                 entries.append(_at_control_points(own, points, table.material))
+    entries += build_setup(path, table)
     between = table.parameter_space
     if not entries:
         return None
@@ -93,10 +94,6 @@ def _constant(table: ParameterTable, material: MaterialTable) -> float:
     return getattr(material, table.field) if own is None else own
 
 
-def _scale(table: ParameterTable) -> Literal["log", "linear"]:
-    return table.scale or ("linear" if table.field in RATIOS + ANGLES else "log")
-
-
 def _parameter(name: str, table: ParameterTable, material: MaterialTable) -> Parameter:
     start, lower, upper = table.start, table.lower, table.upper
     if start is None:
@@ -111,11 +108,12 @@ def _parameter(name: str, table: ParameterTable, material: MaterialTable) -> Par
         start,
         lower,
         upper,
-        scale=_scale(table),
+        scale=table.chosen_scale,
         S=table.S,
         region=table.region,
         unit=CONSTANTS[table.field].unit,
         max_step=table.max_step,
+        prior_std=table.prior_std,
         # An axis at -90 degrees is the one at 90.
         periodic=table.field in ANGLES and bool(np.isclose(upper - lower, np.pi)),
     )
@@ -141,7 +139,7 @@ def _at_control_points(
         start=start,
         lower=lower,
         upper=upper,
-        scale=_scale(table),
+        scale=table.chosen_scale,
         S=table.S,
         region=table.region,
         unit=CONSTANTS[table.field].unit,
@@ -151,6 +149,7 @@ def _at_control_points(
         fixed=table.fixed,
         tied=table.tied,
         max_step=table.max_step,
+        prior_std=table.prior_std,
     )
 
 

@@ -1,6 +1,6 @@
 """From the tables of a project file to configurations with measured positions."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from softcal_jax.configurations import (
     Configuration,
     EdgeForce,
     Markers,
+    Mechanism,
     PointForce,
     Registration,
     Support,
@@ -21,7 +22,10 @@ from softcal_jax.configurations import (
     register,
 )
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._problems import at, suggestion
+from softcal_jax.project._actuation import build_actuation, build_states
+from softcal_jax.project._effectors import Effectors, with_measured
+from softcal_jax.project._problems import at, known_name, suggestion
+from softcal_jax.project._schema_effectors import EffectorTable
 from softcal_jax.project._schema_poses import (
     CandidateTable,
     ConfigurationTable,
@@ -40,22 +44,79 @@ class Pose(NamedTuple):
     registration: Registration | None
 
 
-def build_pose(
-    path: Path, table: CandidateTable, markers: MarkersTable | None, mesh: TetMesh
-) -> Pose:
+class Robot(NamedTuple):
+    """What all configurations share.
+
+    Attributes:
+        markers: All markers of the project.
+        effector_tables: Its effectors, as the file has them.
+        effectors: The same as objects, not measured.
+        mesh: The mesh, which knows the groups.
+        mechanism: Rigid bodies and actuators.
+    """
+
+    markers: MarkersTable | None
+    effector_tables: Mapping[str, EffectorTable]
+    effectors: Effectors
+    mesh: TetMesh
+    mechanism: Mechanism
+
+
+def build_pose(path: Path, table: CandidateTable, robot: Robot) -> Pose:
     """One posed robot, with its measurement if it has one.
 
     Args:
         path: The project file, for messages and as the base of relative paths.
         table: The configuration or candidate, with [shared] merged in.
-        markers: All markers of the project.
-        mesh: The mesh, which knows the groups.
+        robot: What all configurations share.
 
     Raises:
         ProjectError: If a group, a marker, a file or a value in it is wrong.
     """
     measurable = isinstance(table, ConfigurationTable)
     key = f"{'configurations' if measurable else 'candidates'}.{table.name}"
+    supports, loads = _held_and_loaded(path, key, table, robot.mesh)
+    with at(path, f"{key}.markers"):
+        chosen = _markers(robot.markers, table.markers)
+    effectors = _chosen_effectors(path, key, table, robot)
+    mechanism = robot.mechanism
+    actuation = build_actuation(
+        path, f"{key}.actuation", table.actuation, mechanism, table.name
+    )
+    states = build_states(path, f"{key}.bodies", table.bodies, mechanism)
+    measured = registration = None
+    own = table.measured if isinstance(table, ConfigurationTable) else None
+    if own is not None and own.file is not None:
+        with at(path, f"{key}.measured"):
+            measured, registration = _measured(path.parent, own, robot.markers, chosen)
+    followed = with_measured(
+        path,
+        f"{key}.measured.effectors",
+        effectors,
+        {} if own is None else own.effectors,
+        robot.effector_tables,
+        mechanism,
+    )
+    with at(path, key):
+        return Pose(
+            Configuration(
+                table.name,
+                supports,
+                _gravity(table),
+                loads,
+                chosen,
+                measured,
+                followed,
+                states,
+                actuation,
+            ),
+            registration,
+        )
+
+
+def _held_and_loaded(
+    path: Path, key: str, table: CandidateTable, mesh: TetMesh
+) -> tuple[tuple[Support, ...], tuple[AbstractLoad, ...]]:
     supports, loads = [], []
     for i, support in enumerate(table.supports, start=1):
         with at(path, f"{key}.supports[{i}]"):
@@ -65,26 +126,19 @@ def build_pose(
         with at(path, f"{key}.loads[{i}]"):
             loads.append(_load(load))
             loads[-1].nodal_forces(mesh)  # names a place that is not there
-    with at(path, f"{key}.markers"):
-        chosen = _markers(markers, table.markers)
-    measured = registration = None
-    if isinstance(table, ConfigurationTable) and table.measured is not None:
-        with at(path, f"{key}.measured"):
-            measured, registration = _measured(
-                path.parent, table.measured, markers, chosen
-            )
-    with at(path, key):
-        return Pose(
-            Configuration(
-                table.name,
-                tuple(supports),
-                _gravity(table),
-                tuple(loads),
-                chosen,
-                measured,
-            ),
-            registration,
-        )
+    return tuple(supports), tuple(loads)
+
+
+def _chosen_effectors(
+    path: Path, key: str, table: CandidateTable, robot: Robot
+) -> Effectors:
+    """The effectors of one configuration; all of the project if it names none."""
+    if table.effectors is None:
+        return robot.effectors
+    with at(path, f"{key}.effectors"):
+        for name in table.effectors:
+            known_name("effector", name, robot.effectors, "effectors")
+    return {name: robot.effectors[name] for name in table.effectors}
 
 
 def _gravity(table: CandidateTable) -> tuple[float, float, float]:
@@ -163,7 +217,7 @@ def _measured(
 
     def read(select):
         return read_markers(
-            folder / table.file,
+            folder / str(table.file),
             length_unit=table.length_unit,
             select={**table.recording, **select},
         )

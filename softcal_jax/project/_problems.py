@@ -117,6 +117,32 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     return _names.suggestion(name, known, quote='"')
 
 
+def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
+    """Checks that a table of the file has a name.
+
+    Args:
+        kind: What it is, for messages.
+        name: The name.
+        known: Names that are there.
+        section: Table of the file that has them.
+
+    Raises:
+        ValueError: If it is not among them.
+    """
+    known = list(known)
+    if name in known:
+        return
+    if not known:
+        raise ValueError(
+            f'there is no {kind} "{name}"; the project has none: add a table '
+            f"[{section}.{name}]."
+        )
+    raise ValueError(
+        f'there is no {kind} "{name}".{suggestion(name, known)} '
+        f"Known: {', '.join(known)}."
+    )
+
+
 def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
     """Dotted path; an entry of a list is called by its name, or counted from 1."""
     posed = keys[:1] in (("configurations",), ("candidates",))

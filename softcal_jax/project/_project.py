@@ -8,6 +8,7 @@ from typing import Literal
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -96,9 +97,9 @@ class Project(eqx.Module):
                 "to fit."
             )
         problems += [
-            f"configurations.{c.name}: it has no `measured` positions."
+            f"configurations.{c.name}: it has no `measured` positions or effectors."
             for c in self.configurations
-            if c.measured is None
+            if not c.is_measured
         ]
         if problems:
             raise one_by_one(self.path, problems)
@@ -152,7 +153,7 @@ class Project(eqx.Module):
         """Checks that there is something to judge; nothing need be measured.
 
         Raises:
-            ProjectError: If parameters, poses or markers are missing.
+            ProjectError: If parameters, poses or effectors are missing.
         """
         problems = []
         if self.space is None:
@@ -163,8 +164,10 @@ class Project(eqx.Module):
                 'configurations: none has role = "calibration", and there are no '
                 "candidates."
             )
-        if posed and not any(c.markers for c in posed):
-            problems.append("markers: there are none to measure; add [markers].")
+        if posed and not any(c.markers or c.effectors for c in posed):
+            problems.append(
+                "markers: there are none to measure; add [markers] or [effectors]."
+            )
         if problems:
             raise one_by_one(self.path, problems)
 
@@ -172,7 +175,8 @@ class Project(eqx.Module):
         """What the calibration configurations would tell, measured or not.
 
         Returns:
-            The verdict at the start values, with the stated noise of the markers.
+            The verdict at the start values, with the stated noise of markers and other
+            effectors.
 
         Raises:
             ProjectError: If there are no parameters, poses or markers.
@@ -229,5 +233,15 @@ class Project(eqx.Module):
 
 @eqx.filter_jit
 def _simulate(model, lanes, newton):
-    solve = lambda lane: solve_equilibrium(model, lane, settings=newton)
-    return jax.vmap(solve)(lanes)
+    solve = lambda lane, u: solve_equilibrium(model, lane, guess=u, settings=newton)
+    rest = jnp.zeros((model.n_points, 3))
+    if model.mechanism.bodies.n_bodies == 0:
+        return jax.vmap(solve, (0, None))(lanes, rest)
+
+    # Each from the one before: the poses of a robot with rigid bodies lie near each
+    # other, and far from its parts before they were mounted.
+    def follow(u, lane):
+        found = solve(lane, u)
+        return jnp.where(found.converged, found.displacement, u), found
+
+    return jax.lax.scan(follow, rest, lanes)[1]

@@ -1,8 +1,9 @@
 """Numbers with units, as a project file writes them: "200 kPa", "(0, 0, -1) N"."""
 
 import functools
+import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import pint
@@ -40,6 +41,20 @@ DENSITY = Dimension(
 FORCE = Dimension("a force", "N", "0.51 N", ("N", "mN", "kN", "kgf"))
 ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2", ("m/s^2", "mm/s^2"))
 ANGLE = Dimension("an angle", "rad", "20 deg", ("deg", "rad", "mrad"))
+
+MASS = Dimension("a mass", "kg", "10 g", ("kg", "g", "mg"))
+VOLUME = Dimension("a volume", "m^3", "2 ml", ("ml", "mm^3", "cm^3", "l", "m^3"))
+TORQUE = Dimension("a torque", "N*m", "50 N*mm", ("N*m", "N*mm", "mN*m"))
+
+OF_UNIT = {
+    "m": LENGTH,
+    "m3": VOLUME,
+    "rad": ANGLE,
+    "N": FORCE,
+    "Pa": PRESSURE,
+    "N m": TORQUE,
+}
+"""What is measured in the units of actuators and effectors."""
 
 # To pint an angle is a plain number, so it would take "20 %" for one.
 _ANGLES = ("degree", "radian", "milliradian", "turn")
@@ -122,6 +137,27 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
         raise _wrong(f'"{value}": {error.message()}') from error
 
 
+def parse_either(
+    value: Any, dimensions: Sequence[Dimension], what: str
+) -> tuple[float, Dimension]:
+    """A quantity of one of several dimensions, and which; in SI units.
+
+    Args:
+        value: What the file holds.
+        dimensions: What it may measure.
+        what: What is expected, for messages.
+
+    Raises:
+        PydanticCustomError: If it measures something else.
+    """
+    for dimension in dimensions:
+        try:
+            return parse_scalar(value, dimension), dimension
+        except PydanticCustomError:
+            continue
+    raise _wrong(f"got {_shown(value)}; expected {what}.")
+
+
 def _is_whole(value: Any) -> bool:
     return isinstance(value, float) and value.is_integer()
 
@@ -176,3 +212,26 @@ def scalar(dimension: Dimension) -> Callable[[Any], float]:
 def vector(dimension: Dimension) -> Callable[[Any], tuple[float, float, float]]:
     """Reader of vectors of one dimension."""
     return functools.partial(parse_vector, dimension=dimension)
+
+
+def parse_direction(value: Any) -> tuple[float, float, float]:
+    """A unit vector from "-z" or [0, 0, -1].
+
+    Raises:
+        ValueError: If it has no direction.
+    """
+    if isinstance(value, str):
+        axis = re.fullmatch(r"([+-]?)([xyz])", value.strip())
+        if axis is None:
+            raise ValueError(f'got "{value}"; expected "-z" or [0, 0, -1].')
+        sign = -1.0 if axis[1] == "-" else 1.0
+        x, y, z = (sign * (letter == axis[2]) for letter in "xyz")
+        return x, y, z
+    numbers = value if isinstance(value, list) else []
+    if len(numbers) != 3 or not all(type(v) in (int, float) for v in numbers):
+        raise ValueError(f'got {value}; expected "-z" or [0, 0, -1].')
+    length = math.hypot(*numbers)
+    if not 0.0 < length < math.inf:
+        raise ValueError(f"got {value}; a direction has a finite length above zero.")
+    x, y, z = (v / length for v in numbers)
+    return x, y, z

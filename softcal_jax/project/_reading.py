@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from softcal_jax.project._kinds import kind_problems
 from softcal_jax.project._laws import law_problems
 from softcal_jax.project._problems import (
     ProjectError,
@@ -42,7 +43,7 @@ def read_tables(path: Path) -> ProjectTable:
         table = ProjectTable.model_validate(merged)
     except ValidationError as error:
         problems = describe(error, ProjectTable, raw)
-    problems += _measured_candidates(raw) + law_problems(raw)
+    problems += _measured_candidates(raw) + law_problems(raw) + kind_problems(raw)
     if not (raw.get("configurations") or raw.get("candidates")):
         problems.append(
             "configurations: missing. Expected at least one table [[configurations]]."

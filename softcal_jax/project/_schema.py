@@ -8,7 +8,13 @@ from typing import Any, Literal
 from pydantic import Field, field_validator
 
 from softcal_jax.project._problems import shown
+from softcal_jax.project._schema_effectors import EffectorTable
 from softcal_jax.project._schema_material import MaterialTable
+from softcal_jax.project._schema_mechanism import (
+    ActuatorTable,
+    BodyTable,
+    SetupTable,
+)
 from softcal_jax.project._schema_mesh import GroupTable, MeshTable
 from softcal_jax.project._schema_parameters import (
     ControlPointsTable,
@@ -60,10 +66,14 @@ class ProjectTable(Table):
     mesh: MeshTable = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
     material: MaterialTable = Field(description="a table [material]")
+    bodies: dict[str, BodyTable] = Field(default_factory=dict)
+    actuators: dict[str, ActuatorTable] = Field(default_factory=dict)
     control_points: dict[str, ControlPointsTable] = Field(default_factory=dict)
     parameters: tuple[ParameterTable, ...] = ()
+    setup: tuple[SetupTable, ...] = ()
     parameter_space: ParameterSpaceTable = ParameterSpaceTable()
     markers: MarkersTable | None = None
+    effectors: dict[str, EffectorTable] = Field(default_factory=dict)
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
     settings: SettingsTable = SettingsTable()

@@ -10,7 +10,8 @@ from pydantic import (
     model_validator,
 )
 
-from softcal_jax.project._laws import CONSTANTS
+from softcal_jax.project._laws import ANGLES, CONSTANTS, RATIOS
+from softcal_jax.project._problems import shown
 from softcal_jax.project._quantities import parse_scalar
 from softcal_jax.project._table import (
     Integer,
@@ -71,6 +72,12 @@ class ParameterTable(Table):
     sampling: Literal["centroids", "quadrature"] | None = None
     fixed: dict[str, float] = Field(default_factory=dict)
     tied: dict[str, str] = Field(default_factory=dict)
+    prior_std: float | None = None
+
+    @property
+    def chosen_scale(self) -> Literal["log", "linear"]:
+        """The scale of the file, or that of the field."""
+        return self.scale or _scale_of(self.field)
 
     @field_validator("lower", "upper", "start", "S", "fixed", mode="before")
     @classmethod
@@ -89,6 +96,21 @@ class ParameterTable(Table):
                 name: _at_point(name, entry, field) for name, entry in value.items()
             }
         return _parsed(value, field)
+
+    @field_validator("prior_std", mode="before")
+    @classmethod
+    def _parse_prior(cls, value: Any, info: Any) -> Any:
+        field = info.data.get("field")
+        if field is None:
+            return None  # it was wrong itself
+        if (info.data.get("scale") or _scale_of(field)) == "linear":
+            return _parsed(value, field)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(
+                f"got {shown(value)}; on a log scale it is relative: expected a "
+                "number, like 0.3 for 30 %."
+            )
+        return float(value)
 
     @field_validator("control_points", mode="before")
     @classmethod
@@ -122,6 +144,10 @@ class ParameterTable(Table):
                 'control_points = "ends".'
             )
         return self
+
+
+def _scale_of(field: str) -> Literal["log", "linear"]:
+    return "linear" if field in RATIOS + ANGLES else "log"
 
 
 def _parsed(value: Any, field: str) -> float:

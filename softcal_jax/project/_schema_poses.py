@@ -1,7 +1,5 @@
 """The keys of a project file that make configurations: supports, loads, markers."""
 
-import math
-import re
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -15,20 +13,19 @@ from pydantic import (
 
 from softcal_jax.project._problems import shown
 from softcal_jax.project._quantities import ACCELERATION, scalar
+from softcal_jax.project._schema_effectors import Measured, Selection
+from softcal_jax.project._schema_mechanism import BodyStateTable
 from softcal_jax.project._table import (
     Acceleration,
+    Direction,
     Force,
     Length,
     Position,
     Table,
     Traction,
-    Triple,
     one_of,
     table_or_vector,
 )
-
-Selection = dict[str, str]
-"""Columns of a marker file and the values that its rows must have."""
 
 
 class MarkerEntry(Table):
@@ -90,31 +87,29 @@ class RegistrationTable(Table):
 
 
 class MeasuredTable(Table):
-    """Where the measured positions are, and how they become positions on the mesh."""
+    """Where the measured positions are, and how they become positions on the mesh.
 
-    file: str = Field(description='a CSV file: "markers.csv"')
+    `effectors` holds what was measured beside markers.
+    """
+
+    file: str | None = None
     length_unit: Literal["m", "cm", "mm", "um", "inch"] | None = None
     recording: Selection = Field(default_factory=dict)
     select: Selection = Field(default_factory=dict)
     registration: RegistrationTable | None = None
     displacement_from: Selection | None = None
+    effectors: dict[str, Measured] = Field(default_factory=dict)
 
-
-def _parse_direction(value: Any) -> Any:
-    """A unit vector from "-z" or [0, 0, -1]."""
-    if isinstance(value, str):
-        axis = re.fullmatch(r"([+-]?)([xyz])", value.strip())
-        if axis is None:
-            raise ValueError(f'got "{value}"; expected "-z" or [0, 0, -1].')
-        sign = -1.0 if axis[1] == "-" else 1.0
-        return tuple(sign * (letter == axis[2]) for letter in "xyz")
-    numbers = value if isinstance(value, list) else []
-    if len(numbers) != 3 or not all(type(v) in (int, float) for v in numbers):
-        raise ValueError(f'got {value}; expected "-z" or [0, 0, -1].')
-    length = math.hypot(*numbers)
-    if not 0.0 < length < math.inf:
-        raise ValueError(f"got {value}; a direction has a finite length above zero.")
-    return tuple(v / length for v in numbers)
+    @model_validator(mode="after")
+    def _check(self) -> "MeasuredTable":
+        given = sorted(self.model_fields_set - {"file", "effectors"})
+        if self.file is None and (given or not self.effectors):
+            which = f"{given[0]} is for the file of the markers; " if given else ""
+            raise ValueError(
+                f'{which}expected file = "markers.csv", or `effectors` with what was '
+                "measured beside markers."
+            )
+        return self
 
 
 class GravityTable(Table):
@@ -123,9 +118,7 @@ class GravityTable(Table):
     size: Annotated[float, BeforeValidator(scalar(ACCELERATION))] = Field(
         description='"9.81 m/s^2"'
     )
-    direction: Annotated[Triple, BeforeValidator(_parse_direction)] = Field(
-        description='"-z", or [0, 0, -1]'
-    )
+    direction: Direction = Field(description='"-z", or [0, 0, -1]')
 
 
 class CandidateTable(Table):
@@ -140,6 +133,16 @@ class CandidateTable(Table):
     supports: tuple[SupportTable, ...] = ()
     loads: tuple[LoadTable, ...] = ()
     markers: tuple[str, ...] | None = None
+    effectors: tuple[str, ...] | None = None
+    actuation: dict[str, Any] = Field(default_factory=dict)
+    bodies: dict[
+        str,
+        Annotated[
+            Annotated[BodyStateTable, Tag("(table)")]
+            | Annotated[Literal["held", "hinged", "free"], Tag("(vector)")],
+            Discriminator(table_or_vector),
+        ],
+    ] = Field(default_factory=dict)
 
     @field_validator("supports", mode="before")
     @classmethod

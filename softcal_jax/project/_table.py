@@ -13,7 +13,9 @@ from softcal_jax.project._quantities import (
     DENSITY,
     FORCE,
     LENGTH,
+    MASS,
     PRESSURE,
+    parse_direction,
     scalar,
     vector,
 )
@@ -27,10 +29,19 @@ Length = Annotated[float, BeforeValidator(scalar(LENGTH))]
 Pressure = Annotated[float, BeforeValidator(scalar(PRESSURE))]
 Density = Annotated[float, BeforeValidator(scalar(DENSITY))]
 Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
+Mass = Annotated[float, BeforeValidator(scalar(MASS))]
 Position = Annotated[Triple, BeforeValidator(vector(LENGTH))]
 Acceleration = Annotated[Triple, BeforeValidator(vector(ACCELERATION))]
 Force = Annotated[Triple, BeforeValidator(vector(FORCE))]
 Traction = Annotated[Triple, BeforeValidator(vector(PRESSURE))]
+RotationVector = Annotated[Triple, BeforeValidator(vector(ANGLE))]
+Direction = Annotated[Triple, BeforeValidator(parse_direction)]
+
+Names = Annotated[
+    tuple[str, ...],
+    BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
+]
+"""One name, or a list of them."""
 
 
 class Table(BaseModel):

@@ -1,5 +1,6 @@
 """Results as tables for a terminal, printed by `rich`."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ from softcal_jax.identifiability import (
     Identifiability,
     assess,
 )
+from softcal_jax.report._cells import plain_text, start_table
+from softcal_jax.report._robot_tables import effector_table, robot_tables
 
 if TYPE_CHECKING:
     import rich.console
@@ -55,7 +58,10 @@ def summary_table(result: CalibrationResult) -> "rich.console.Group":
         # What for stands in the tables above and in the notes below.
         text = f"Converged in {steps} steps, but take the values with care."
         head = Text(text, style="bold yellow")
-    parts: list[Any] = [_parameter_table(result, found), _configuration_table(result)]
+    entries = result_dict(result)["configurations"]
+    parts: list[Any] = [_parameter_table(result, found)]
+    parts += _configuration_tables(result, entries)
+    parts += [*effector_table(entries), *robot_tables(entries)]
     parts += [*_outlook(found), head]
     if result.starts is not None:
         parts.append(Text(str(result.starts)))
@@ -63,35 +69,41 @@ def summary_table(result: CalibrationResult) -> "rich.console.Group":
     return Group(*parts)
 
 
-def simulation_table(data: Mapping[str, Any]) -> "rich.table.Table":
-    """A forward simulation as a table for the terminal, to be printed by `rich`.
+def simulation_table(data: Mapping[str, Any]) -> "rich.console.Group":
+    """A forward simulation as tables for the terminal, to be printed by `rich`.
 
     Args:
         data: What `simulation_dict` returns.
 
     Returns:
-        One line per configuration; one without an equilibrium gives the reason.
+        One line per configuration; one without an equilibrium gives the reason. Then
+        effectors that are no points, actuators, rigid bodies and reactions.
     """
-    table = _table(
+    from rich.console import Group
+
+    table = start_table(
         "Simulation", "configuration", ["largest displacement", "Newton steps"]
     )
     table.add_column("outcome")
     for entry in data["configurations"]:
         largest = entry["largest_displacement_mm"]
         table.add_row(
-            _plain(entry["name"]),
-            _plain("-" if largest is None else f"{largest:.2f} mm"),
-            _plain(str(entry["newton_steps"])),
-            _plain(entry["outcome"], "green" if entry["converged"] else "bold red"),
+            plain_text(entry["name"]),
+            plain_text("-" if largest is None else f"{largest:.2f} mm"),
+            plain_text(str(entry["newton_steps"])),
+            plain_text(entry["outcome"], "green" if entry["converged"] else "bold red"),
         )
-    return table
+    entries = data["configurations"]
+    return Group(table, *effector_table(entries), *robot_tables(entries))
 
 
 def _parameter_table(
     result: CalibrationResult, found: Identifiability
 ) -> "rich.table.Table":
     blind = {p.name for p in found.parameters if p.verdict == "not identifiable"}
-    table = _table("Parameters", "parameter", ["value ± std. error", "start", "bounds"])
+    table = start_table(
+        "Parameters", "parameter", ["value ± std. error", "start", "bounds"]
+    )
     for q in result.parameters:
         text = readable_estimate(q.value, q.standard_error, q.unit)
         if q.at_bound:
@@ -101,44 +113,61 @@ def _parameter_table(
         sound = result.converged and not q.at_bound and q.name not in blind
         style = "bold" if sound else "bold red"
         table.add_row(
-            _plain(q.name),
-            _plain(text, style),
-            _plain(f"{q.start * factor:.4g} {unit}".rstrip()),
-            _plain(bounds.rstrip()),
+            plain_text(q.name),
+            plain_text(text, style),
+            plain_text(f"{q.start * factor:.4g} {unit}".rstrip()),
+            plain_text(bounds.rstrip()),
         )
     return table
 
 
-def _configuration_table(result: CalibrationResult) -> "rich.table.Table":
-    table = _table(
+def _configuration_tables(
+    result: CalibrationResult, entries: Sequence[Mapping[str, Any]]
+) -> list["rich.table.Table"]:
+    """How far points are off, and by which angle orientations."""
+    points = start_table(
         "Rms distance of the markers",
         "configuration",
         ["role", "before", "after", "moved", "after/moved"],
     )
-    for entry in result_dict(result)["configurations"]:
+    for entry in entries:
         percent = entry["rms_after_percent_of_motion"]
-        table.add_row(
-            _plain(entry["name"]),
-            _plain(entry["role"]),
-            _plain(_distance(entry["rms_before_mm"])),
-            _plain(_distance(entry["rms_after_mm"]), "bold"),
-            _plain(f"{entry['motion_mm']:.2f} mm"),
-            _plain("-" if percent is None else f"{percent:.1f} %"),
+        moved = entry["motion_mm"]
+        points.add_row(
+            plain_text(entry["name"]),
+            plain_text(entry["role"]),
+            plain_text(_distance(entry["rms_before_mm"])),
+            plain_text(_distance(entry["rms_after_mm"]), "bold"),
+            plain_text(_distance(moved)),
+            plain_text("-" if percent is None else f"{percent:.1f} %"),
         )
-    return table
+    turns = start_table(
+        "Rms angle of the orientations", "configuration", ["role", "before", "after"]
+    )
+    for fit in result.configurations:
+        if math.isfinite(fit.turn_after):
+            turns.add_row(
+                plain_text(fit.name),
+                plain_text(fit.role),
+                plain_text(_angle(fit.turn_before)),
+                plain_text(_angle(fit.turn_after), "bold"),
+            )
+    sees_points = any(fit.marker_names for fit in result.configurations)
+    shown = [points] if sees_points else []
+    return shown + ([turns] if turns.row_count else [])
 
 
 def _outlook(found: Identifiability) -> list[Any]:
     """What the data tell about each parameter, and what they are blind to."""
     from rich.text import Text
 
-    table = _table("What the data tell", "parameter", ["spread left"])
+    table = start_table("What the data tell", "parameter", ["spread left"])
     table.add_column("verdict")
     for p in found.parameters:
         table.add_row(
-            _plain(p.name),
-            _plain(_percent(p.spread)),
-            _plain(p.verdict, _STYLE[p.verdict]),
+            plain_text(p.name),
+            plain_text(_percent(p.spread)),
+            plain_text(p.verdict, _STYLE[p.verdict]),
         )
     legend = (
         f"Spread left by the data, over that of the {found.known}: below "
@@ -173,22 +202,9 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.3g} %"
 
 
+def _angle(radians: float) -> str:
+    return "-" if math.isnan(radians) else f"{math.degrees(radians):.2f} deg"
+
+
 def _distance(millimetres: float | None) -> str:
     return "-" if millimetres is None else f"{millimetres:.2f} mm"
-
-
-def _table(title: str, first: str, columns: Sequence[str]) -> "rich.table.Table":
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column(first)
-    for column in columns:
-        table.add_column(column, justify="left" if column == "role" else "right")
-    return table
-
-
-def _plain(text: str, style: str = "") -> Any:
-    """Text as it stands: a name like "[a]" is no markup."""
-    from rich.text import Text
-
-    return Text(text, style=style)

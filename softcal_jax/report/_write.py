@@ -6,23 +6,33 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import EquilibriumSolution, Model
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    RobotState,
+    robot_states,
+)
 from softcal_jax.export import (
     file_stems,
     outlook_dict,
     result_dict,
     results_folder,
     simulation_dict,
+    write_effectors_csv,
     write_json,
     write_markers_csv,
+    write_robot_csv,
+    write_robot_vtu,
     write_vtu,
 )
 from softcal_jax.identifiability import Identifiability, Ranking
 from softcal_jax.plotting import (
+    SensorFrame,
     plot_convergence,
     render_body,
     render_configuration,
@@ -46,8 +56,10 @@ def write_results(
 
     The folder holds `result.json` (see `result_dict`; its `files` lists the others),
     `markers.csv`, `convergence.png` and, for each configuration, a .vtu for ParaView
-    and a .png. A calibration that did not converge is written too, and says so in all.
-    A configuration without an equilibrium has neither .vtu nor .png.
+    and a .png; of a robot with other effectors, rigid bodies or actuators also
+    `effectors.csv` and `robot.csv`. A calibration that did not converge is written too,
+    and says so in all. A configuration without an equilibrium has neither .vtu nor
+    .png.
 
     Args:
         result: The calibration.
@@ -66,15 +78,16 @@ def write_results(
     data = result_dict(result, name=name, timing_s=timing_s)
     problem = _picture_problem()
     with results_folder(directory, force=force) as folder:
-        files = ["convergence.png", "markers.csv"]
+        files = ["convergence.png", *_write_effectors(folder, data)]
+        files += _write_robot(folder, data)
         plot_convergence(result, folder / "convergence.png", name=name)
-        write_markers_csv(folder / "markers.csv", data)
         stems = file_stems([fit.name for fit in result.configurations])
         for fit, entry, stem in zip(
             result.configurations, data["configurations"], stems, strict=True
         ):
             entry["files"] = [f"{stem}.vtu"]
             write_vtu(folder / f"{stem}.vtu", result.model, fit.displacement)
+            entry["files"] += _write_robot_vtu(folder, stem, result.model, fit.robot)
             if problem is None:
                 entry["files"].append(f"{stem}.png")
                 render_configuration(
@@ -103,7 +116,7 @@ def write_simulation(
 
     The folder holds `simulation.json` (see `simulation_dict`) and, for each
     configuration with an equilibrium, a .vtu and a .png; the others are listed with
-    the reason.
+    the reason. Of a robot with rigid bodies or actuators also `robot.csv`.
 
     Args:
         model: The body.
@@ -125,6 +138,7 @@ def write_simulation(
         model, configurations, solution, name=name, timing_s=timing_s
     )
     problem = _picture_problem()
+    states = robot_states(model, configurations, solution)
     with results_folder(directory, force=force) as folder:
         stems = file_stems([configuration.name for configuration in configurations])
         for lane, (entry, stem) in enumerate(
@@ -136,11 +150,14 @@ def write_simulation(
             u = np.asarray(solution.displacement[lane])[: model.mesh.n_nodes]
             entry["files"].append(f"{stem}.vtu")
             write_vtu(folder / f"{stem}.vtu", model, u)
+            entry["files"] += _write_robot_vtu(folder, stem, model, states[lane])
             if problem is None:
                 entry["files"].append(f"{stem}.png")
-                _render_simulated(model, u, entry, folder / f"{stem}.png")
+                path = folder / f"{stem}.png"
+                _render_simulated(model, u, entry, states[lane], path)
         data["notes"] = [problem] if problem else []
         data["files"] = [f for entry in data["configurations"] for f in entry["files"]]
+        data["files"] += _write_robot(folder, data)
         write_json(folder / "simulation.json", data)
     return Path(directory)
 
@@ -183,6 +200,34 @@ def write_identifiability(
     return Path(directory)
 
 
+def _write_effectors(folder: Path, data: Mapping[str, Any]) -> list[str]:
+    """Markers and other points, then the other effectors, if there are any."""
+    files = []
+    writers = {"markers": write_markers_csv, "effectors": write_effectors_csv}
+    for key, write in writers.items():
+        if any(entry[key] for entry in data["configurations"]):
+            write(folder / f"{key}.csv", data)
+            files.append(f"{key}.csv")
+    return files
+
+
+def _write_robot(folder: Path, data: Mapping[str, Any]) -> list[str]:
+    """What rigid bodies, actuators and the ground do, if there are any."""
+    if all(entry["robot"] is None for entry in data["configurations"]):
+        return []
+    write_robot_csv(folder / "robot.csv", data)
+    return ["robot.csv"]
+
+
+def _write_robot_vtu(
+    folder: Path, stem: str, model: Model, state: RobotState | None
+) -> list[str]:
+    if state is None:
+        return []
+    write_robot_vtu(folder / f"{stem}_robot.vtu", model, state)
+    return [f"{stem}_robot.vtu"]
+
+
 def _picture_problem() -> str | None:
     """Why there will be no pictures; known, and said, before the work is done."""
     problem = rendering_problem()
@@ -195,6 +240,7 @@ def _render_simulated(
     model: Model,
     u: Float[HostArray, "n_nodes 3"],
     entry: Mapping[str, Any],
+    state: RobotState | None,
     path: Path,
 ) -> None:
     markers = [marker["simulated_mm"] for marker in entry["markers"]]
@@ -206,4 +252,19 @@ def _render_simulated(
         subtitle=f"simulated; moves by up to {entry['largest_displacement_mm']:.2f} mm",
         simulated=1e-3 * np.array(markers) if markers else None,
         marker_names=[marker["name"] for marker in entry["markers"]],
+        robot=state,
+        sensors=_sensors(entry),
     )
+
+
+def _sensors(entry: Mapping[str, Any]) -> list[SensorFrame]:
+    """Simulated poses of the 6-D sensors."""
+    points = {m["name"]: 1e-3 * np.array(m["simulated_mm"]) for m in entry["markers"]}
+    return [
+        SensorFrame(
+            points[own["name"]],
+            Rotation.from_rotvec(own["simulated"]).as_matrix(),
+        )
+        for own in entry["effectors"]
+        if own["is_turn"] and own["name"] in points
+    ]

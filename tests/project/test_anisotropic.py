@@ -256,8 +256,8 @@ def test_only_a_calibration_needs_measurements(tmp_path):
         project.calibrate()
     assert str(caught.value) == (
         f"{project.path}: 2 problems.\n"
-        "- configurations.pose 1: it has no `measured` positions.\n"
-        "- configurations.pose 3: it has no `measured` positions."
+        "- configurations.pose 1: it has no `measured` positions or effectors.\n"
+        "- configurations.pose 3: it has no `measured` positions or effectors."
     )
 
 

@@ -384,8 +384,9 @@ def test_nothing_measured(tmp_path):
     project = load_project(path)
     with pytest.raises(ProjectError) as caught:
         project.calibrate()
-    assert "- configurations.weight: it has no `measured` positions." in str(
-        caught.value
+    assert (
+        "- configurations.weight: it has no `measured` positions or effectors."
+        in str(caught.value)
     )
     assert "- configurations.pulled: it has no `measured` pos" in str(caught.value)
 

@@ -1,0 +1,244 @@
+"""What rigid bodies, actuators and supports do at equilibrium, for results."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.bodies import KINDS, frames_at
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    SupportReaction,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import _actuation as actuation
+from softcal_jax.equilibrium._effectors import actuator_forces
+from softcal_jax.equilibrium._linearisation import residual
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._solve import EquilibriumSolution
+
+
+class BodyPlace(eqx.Module):
+    """Where a rigid body is.
+
+    Attributes:
+        name: Its name.
+        state: "free", "hinged", "held", or "tied" to another body.
+        position: Origin of its frame [m].
+        translation: How far the origin has moved from rest [m].
+        rotation_vector: Its rotation from rest [rad].
+    """
+
+    name: str
+    state: str
+    position: Float[HostArray, "3"]
+    translation: Float[HostArray, "3"]
+    rotation_vector: Float[HostArray, "3"]
+
+
+class ActuatorState(eqx.Module):
+    """Force and displacement of an actuator.
+
+    Attributes:
+        name: Its name.
+        kind: What it is, like "cable".
+        imposed: Which of both the configuration imposes; the other one follows.
+        force: lambda_a.
+        force_unit: Its unit.
+        displacement: delta_a; None where there is none.
+        displacement_unit: Its unit.
+    """
+
+    name: str
+    kind: str
+    imposed: Literal["force", "displacement"]
+    force: float
+    force_unit: str
+    displacement: float | None
+    displacement_unit: str | None
+
+
+class Reaction(eqx.Module):
+    """Force with which the ground holds a support or a rigid body.
+
+    Attributes:
+        name: Group of the support, or name of the rigid body.
+        force: Force on the robot [N].
+    """
+
+    name: str
+    force: Float[HostArray, "3"]
+
+
+class RobotState(eqx.Module):
+    """What is beside the soft body at equilibrium.
+
+    Attributes:
+        bodies: The rigid bodies.
+        actuators: The actuators.
+        reactions: Supports of the configuration, then rigid bodies that are held or
+            turn on a hinge.
+        displacement: Of the nodes of the mesh and of the bodies' frames [m].
+    """
+
+    bodies: tuple[BodyPlace, ...]
+    actuators: tuple[ActuatorState, ...]
+    reactions: tuple[Reaction, ...]
+    displacement: Float[HostArray, "n_points 3"]
+
+
+class _Balance(eqx.Module):
+    """What has to be computed from the balance of forces, for one configuration."""
+
+    unbalanced: Float[Array, "n_points 3"]
+    forces: Float[Array, " n_a"]
+    displacements: Float[Array, " n_a"]
+    rotation: Float[Array, "n_b 3 3"]
+
+
+@eqx.filter_jit
+def _balance(model: Model, lane: ConfigurationArrays, u, multipliers) -> _Balance:
+    unbalanced = residual(model, lane, u, multipliers)
+    bodies, n = model.mechanism.bodies, model.mechanism.n_actuators
+    none = jnp.zeros(0)
+    x = actuation.positions(model, u)
+    return _Balance(
+        unbalanced,
+        actuator_forces(model, lane, u, multipliers, unbalanced) if n else none,
+        actuation.displacements(model, u) if n else none,
+        frames_at(bodies, x[model.mesh.n_nodes :]).rotation
+        if bodies.n_bodies
+        else jnp.zeros((0, 3, 3)),
+    )
+
+
+def robot_states(
+    model: Model,
+    configurations: Sequence[Configuration],
+    solution: EquilibriumSolution,
+) -> tuple[RobotState | None, ...]:
+    """Poses of bodies, forces of actuators and reactions at equilibria.
+
+    Args:
+        model: The model that the equilibria are of.
+        configurations: What was solved.
+        solution: Their equilibria, one lane per configuration.
+
+    Returns:
+        One entry per configuration; None where there is no equilibrium, and for a
+        model without rigid bodies and actuators.
+    """
+    if model.mechanism.bodies.n_bodies + model.mechanism.n_actuators == 0:
+        return (None,) * len(configurations)
+    arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
+    states = []
+    for i, configuration in enumerate(configurations):
+        if not bool(solution.converged[i]):
+            states.append(None)
+            continue
+        lane = jax.tree.map(lambda leaf, i=i: leaf[i], arrays)
+        u, multipliers = solution.displacement[i], solution.multipliers[i]
+        found = _balance(model, lane, u, multipliers)
+        states.append(_state(model, configuration, lane, np.asarray(u), found))
+    return tuple(states)
+
+
+def _state(
+    model: Model,
+    configuration: Configuration,
+    lane: ConfigurationArrays,
+    u: Float[HostArray, "n_points 3"],
+    found: _Balance,
+) -> RobotState:
+    unbalanced = np.asarray(found.unbalanced)
+    return RobotState(
+        _bodies(model, lane, u, np.asarray(found.rotation)),
+        _actuators(model, lane, found),
+        tuple(
+            Reaction(name, unbalanced[nodes].sum(axis=0))
+            for name, nodes in _grounds(model, configuration, lane)
+        ),
+        u,
+    )
+
+
+def _kinds(model: Model, lane: ConfigurationArrays) -> list[str]:
+    """What each rigid body does; a motor holds it by its angle, or turns its hinge."""
+    bodies, actuators = model.mechanism.bodies, model.mechanism.actuators
+    kinds = [KINDS[int(kind)] for kind in lane.bodies.kind]
+    for a, k in enumerate(actuators.motor_body):
+        if k >= 0:
+            kinds[k] = "held" if lane.actuation.by_displacement[a] else "hinged"
+    own = enumerate(bodies.owner)
+    return ["tied" if owner != k else kinds[k] for k, owner in own]
+
+
+def _bodies(
+    model: Model, lane: ConfigurationArrays, u, rotation: Float[HostArray, "n_b 3 3"]
+) -> tuple[BodyPlace, ...]:
+    bodies = model.mechanism.bodies
+    places = []
+    for k, kind in enumerate(_kinds(model, lane)):
+        moved = u[model.mesh.n_nodes + 4 * k]
+        places.append(
+            BodyPlace(
+                bodies.names[k],
+                kind,
+                bodies.origin[k] + moved,
+                moved,
+                Rotation.from_matrix(rotation[k]).as_rotvec(),
+            )
+        )
+    return tuple(places)
+
+
+def _actuators(
+    model: Model, lane: ConfigurationArrays, found: _Balance
+) -> tuple[ActuatorState, ...]:
+    actuators = model.mechanism.actuators
+    states = []
+    for a, (name, kind) in enumerate(
+        zip(actuators.names, actuators.kinds, strict=True)
+    ):
+        unit = kind.displacement_unit
+        states.append(
+            ActuatorState(
+                name,
+                kind.noun,
+                "displacement" if lane.actuation.by_displacement[a] else "force",
+                float(found.forces[a]),
+                kind.force_unit,
+                None if unit is None else float(found.displacements[a]),
+                unit,
+            )
+        )
+    return tuple(states)
+
+
+def _grounds(
+    model: Model, configuration: Configuration, lane: ConfigurationArrays
+) -> list[tuple[str, Int[HostArray, " n"]]]:
+    """What holds the robot, and by which nodes."""
+    mesh, mechanism = model.mesh, model.mechanism
+    bodies = mechanism.bodies
+    nodes_of = lambda where: (
+        SupportReaction("reaction", where).rows(mesh, mechanism)[0].nodes
+    )
+    grounds: dict[str, Int[HostArray, " n"]] = {}
+    for i, support in enumerate(configuration.supports, start=1):
+        named = isinstance(support.where, str)
+        name = str(support.where) if named else f"support {i}"
+        grounds[name] = nodes_of(support.where)
+    for k, kind in enumerate(_kinds(model, lane)):
+        if kind in ("held", "hinged"):
+            name = bodies.names[k]
+            attached = bodies.attached[bodies.body == k]
+            key = f"rigid body {name}" if name in grounds else name
+            grounds[key] = nodes_of(attached)
+    return list(grounds.items())

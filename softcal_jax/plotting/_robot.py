@@ -1,0 +1,233 @@
+"""Cables, chambers, motors, forces and 6-D sensors over the picture of a body."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
+from softcal_jax.calibration import ConfigurationFit
+from softcal_jax.equilibrium import ActuatorState, Model, RobotState
+from softcal_jax.export import readable_values
+from softcal_jax.plotting._annotations import halo
+from softcal_jax.plotting._colours import (
+    CABLE,
+    FORCE,
+    MEASURED,
+    MOTOR,
+    RIGID,
+    SIMULATED,
+    TEXT,
+    WALL,
+)
+from softcal_jax.plotting._view import View
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+
+_FRAME, _AXIS, _ARROW = 0.05, 0.08, 0.1
+"""Lengths of sensors' axes, hinges and forces, in widths of the view."""
+
+_UNSEEN_AT_REST = ("force actuator", "surface force actuator", "surface pressure")
+"""Actuators that nothing is left of where they do not push."""
+
+_STYLES: dict[str, dict[str, Any]] = {
+    "cable": {"color": CABLE, "lw": 3.0},
+    "wall under pressure": {"color": WALL, "lw": 9.0, "alpha": 0.5},
+    "motor": {"color": MOTOR, "lw": 2.5, "ls": "-.", "marker": "o"},
+    "force": {"color": FORCE, "lw": 3.0, "marker": ">"},
+}
+"""How the kinds of actuators are drawn, and stand in the legend."""
+
+
+class SensorFrame(NamedTuple):
+    """Where a 6-D sensor is, and which way the axes of its body have turned.
+
+    Attributes:
+        position: Its point [m].
+        rotation: Rotation from rest; its columns are drawn [-].
+        is_measured: Whether it was measured, or is simulated.
+    """
+
+    position: Float[HostArray, "3"]
+    rotation: Float[HostArray, "3 3"]
+    is_measured: bool = False
+
+
+def sensor_frames(fit: ConfigurationFit) -> list[SensorFrame]:
+    """Measured and simulated poses of the 6-D sensors of a calibrated configuration."""
+    frames = []
+    for effector in fit.others:
+        if effector.reference is None or effector.name not in fit.marker_names:
+            continue
+        i = fit.marker_names.index(effector.name)
+        R = effector.reference
+        simulated = Rotation.from_rotvec(effector.after).as_matrix() @ R
+        if fit.seen[i].any():
+            frames.append(SensorFrame(fit.measured[i], R, True))
+        frames.append(SensorFrame(fit.after[i], simulated))
+    return frames
+
+
+class RobotPicture(NamedTuple):
+    """What is drawn beside the soft body.
+
+    Attributes:
+        geometry: Where the actuators are.
+        state: Their forces.
+        x: Positions of all nodes [m].
+    """
+
+    geometry: ActuatorGeometry
+    state: RobotState
+    x: Float[HostArray, "n_points 3"]
+
+    @property
+    def points(self) -> Float[HostArray, "n 3"]:
+        """What must be seen beside the body [m]."""
+        return np.concatenate(
+            [self.geometry.segments.reshape(-1, 3), self.geometry.points]
+        )
+
+    @property
+    def kinds(self) -> list[str]:
+        """Entries of the legend."""
+        actuators = self.state.actuators
+        driven = [actuators[a] for a in self.geometry.point_owner]
+        walls = [actuators[a] for a in np.unique(self.geometry.face_owner)]
+        present = {
+            "cable": len(self.geometry.segments) > 0,
+            "wall under pressure": any(_is_seen(a) for a in walls),
+            "motor": any(a.kind == "motor" for a in driven),
+            "force": any(a.kind != "motor" and _is_seen(a) for a in driven),
+        }
+        return [kind for kind, there in present.items() if there]
+
+
+def robot_picture(model: Model, state: RobotState | None) -> RobotPicture | None:
+    """What is drawn beside the soft body; None if there is nothing."""
+    if state is None:
+        return None
+    x = np.asarray(model.mechanism.points) + state.displacement
+    geometry = actuator_geometry(model.mechanism.actuators, x)
+    return RobotPicture(geometry, state, x)
+
+
+def draw_robot(axes: "matplotlib.axes.Axes", view: View, picture: RobotPicture) -> None:
+    """Draw the actuators, each with its name and force."""
+    geometry, actuators = picture.geometry, picture.state.actuators
+    for a, actuator in enumerate(actuators):
+        if not _is_seen(actuator):
+            continue
+        places = [
+            _draw_wall(axes, view, picture, a),
+            _draw_cable(axes, view, geometry, a, slack=actuator.force == 0.0),
+            _draw_point(axes, view, geometry, a, actuator),
+        ]
+        place = next((p for p in places if p is not None), None)
+        if place is not None:
+            axes.annotate(
+                f"{actuator.name}: {_force(actuator)}",
+                place,
+                xytext=(0, 12),
+                textcoords="offset points",
+                fontsize=15,
+                ha="center",
+                color=TEXT,
+                path_effects=halo(4.0),
+                parse_math=False,
+            )
+
+
+def _is_seen(actuator: ActuatorState) -> bool:
+    return actuator.kind not in _UNSEEN_AT_REST or actuator.force != 0.0
+
+
+def _force(actuator: ActuatorState) -> str:
+    if actuator.kind == "cable" and actuator.force == 0.0:
+        return "slack"
+    if actuator.kind == "motor" and actuator.displacement is not None:
+        angle = readable_values([actuator.displacement], "rad", digits=3)
+        return f"{angle}, {readable_values([actuator.force], 'N m', digits=3)}"
+    return readable_values([actuator.force], actuator.force_unit, digits=3)
+
+
+def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: bool):
+    own = geometry.segments[geometry.segment_owner == a]
+    if not len(own):
+        return None
+    for segment in own:
+        style = {**_STYLES["cable"], "ls": ":" if slack else "-"}
+        ends = view.project(segment)
+        axes.plot(*ends.T, **style, marker="o", ms=6, path_effects=halo(5.0))
+    lengths = np.linalg.norm(own[:, 1] - own[:, 0], axis=1)
+    return view.project(own[np.argmax(lengths)].mean(axis=0)[None])[0]
+
+
+def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
+    from matplotlib.collections import PolyCollection
+
+    faces = picture.geometry.faces[picture.geometry.face_owner == a, :3]
+    if not len(faces):
+        return None
+    corners = picture.x[faces]
+    flat = view.project(corners.reshape(-1, 3)).reshape(-1, 3, 2)
+    style = {"facecolor": WALL, "edgecolor": "white", "lw": 0.4, "alpha": 0.3}
+    axes.add_collection(PolyCollection(list(flat), **style))
+    return view.project(corners.reshape(-1, 3).mean(axis=0)[None])[0]
+
+
+def _draw_point(axes, view: View, geometry: ActuatorGeometry, a: int, actuator):
+    own = np.flatnonzero(geometry.point_owner == a)
+    if not own.size:
+        return None
+    point, arrow = geometry.points[own[0]], geometry.arrows[own[0]]
+    if actuator.kind == "motor":
+        half = _AXIS * view.width * arrow
+        ends = view.project(np.stack([point - half, point + half]))
+        style = {k: v for k, v in _STYLES["motor"].items() if k != "marker"}
+        axes.plot(*ends.T, **style, path_effects=halo(5.0))
+        axes.plot(*view.project(point[None])[0], "o", color=MOTOR, ms=9)
+    else:
+        # The arrow ends where the force acts.
+        tail = point - np.sign(actuator.force or 1.0) * _ARROW * view.width * arrow
+        ends = view.project(np.stack([tail, point]))
+        look = {"arrowstyle": "-|>", "color": FORCE, "lw": 3.0, "mutation_scale": 22}
+        axes.annotate("", ends[1], ends[0], arrowprops={**look, "shrinkB": 0})
+        return ends[0]
+    return view.project(point[None])[0]
+
+
+def draw_sensors(
+    axes: "matplotlib.axes.Axes", view: View, frames: Sequence[SensorFrame]
+) -> None:
+    """Draw the axes of 6-D sensors: three lines from their point."""
+    for frame in frames:
+        if not np.isfinite(frame.position).all():
+            continue
+        for axis in frame.rotation.T:
+            ends = np.stack(
+                [frame.position, frame.position + _FRAME * view.width * axis]
+            )
+            axes.plot(
+                *view.project(ends).T,
+                color=MEASURED if frame.is_measured else SIMULATED,
+                lw=2.2,
+                path_effects=halo(4.0),
+                solid_capstyle="round",
+            )
+
+
+def legend_handles(kinds: Sequence[str], *, bodies: bool, sensors: bool) -> list[Any]:
+    """What the symbols of a robot mean."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = []
+    if sensors:
+        handles.append(Line2D([], [], color=SIMULATED, lw=2.2, label="sensor's axes"))
+    if bodies:
+        handles.append(Patch(color=RIGID, label="rigid body"))
+    return handles + [Line2D([], [], label=k, **_STYLES[k]) for k in kinds]

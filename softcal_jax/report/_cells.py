@@ -1,0 +1,27 @@
+"""Tables and cells of the terminal."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import rich.table
+
+_LEFT = ("role", "actuator", "rigid body", "state", "of", "effector")
+
+
+def start_table(title: str, first: str, columns: Sequence[str]) -> "rich.table.Table":
+    """A table whose columns of numbers are aligned on the right."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold")
+    table.add_column(first)
+    for column in columns:
+        table.add_column(column, justify="left" if column in _LEFT else "right")
+    return table
+
+
+def plain_text(text: str, style: str = "") -> Any:
+    """Text as it stands: a name like "[a]" is no markup."""
+    from rich.text import Text
+
+    return Text(text, style=style)
