@@ -26,7 +26,6 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
     first_guess,
-    simulate,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -60,7 +59,6 @@ from softcal_jax.fields import (
 # compile, serves the start and every step.
 _propose = eqx.filter_jit(propose)
 _decide = eqx.filter_jit(decide)
-_simulate = eqx.filter_jit(simulate)
 _first_guess = eqx.filter_jit(first_guess)
 
 
@@ -167,19 +165,19 @@ def calibrate(
     with Clock() as clock, Workers(model, len(configurations)) as workers:
         evaluate = Evaluator(problem, workers)
         start = problem.space.admissible(problem.space.start())
-        before = evaluate(start, _first_guess(problem, start))
+        before = evaluate(start, _first_guess(evaluate.numbered, start))
         check_converged(before.equilibrium, tuple(c.name for c in configurations))
         state, search = _begin(evaluate, settings, start, before, journal, starts, seed)
         while not (state.converged or state.stalled) and (
             len(journal.history) <= settings.max_steps
         ):
-            proposal = _propose(problem, settings, state)
+            proposal = _propose(evaluate.numbered, settings, state)
             tried = (
                 state.evaluation
                 if proposal.vanishes
                 else evaluate(proposal.z, proposal.guess, proposal.before)
             )
-            state = _decide(problem, settings, state, proposal, tried)
+            state = _decide(evaluate.numbered, settings, state, proposal, tried)
             journal.note(state)
         after = state.evaluation
         fits = configuration_fits(
@@ -192,7 +190,8 @@ def calibrate(
         )
         missing: tuple[str, ...] = ()
         if held_out is not None:
-            predicted, missing = _predict(held_out, validation, state.z)
+            predict = Evaluator(held_out, workers)
+            predicted, missing = _predict(predict, validation, state.z)
             fits += predicted
     notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
     result = _result(problem, noise, settings, state, journal.history, fits, notes)
@@ -216,7 +215,7 @@ def _begin(
     if starts > 1:
         search = multi_start(problem, _all_starts(start, problem, starts, seed))
         start = jnp.asarray(search.z[search.best])
-        before = evaluate(start, _first_guess(problem, start))
+        before = evaluate(start, _first_guess(evaluate.numbered, start))
     state = initial_state(settings, start, before)
     journal.note(state)
     return state, search
@@ -228,18 +227,22 @@ def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):
     return jnp.concatenate([start[None], others])
 
 
-def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
+def _predict(evaluate: Evaluator, validation, z: Float[Array, " n_p"]):
     """The held-out configurations with the start and the calibrated parameters.
+
+    By the program of the fit, which need not be compiled again; its compliances are not
+    looked at.
 
     One that has no equilibrium is left out, with a note: it must neither pass for a
     prediction nor cost the user the fit.
     """
+    problem = evaluate.problem
     start = problem.space.start()
-    first, before = _simulate(problem, start, _first_guess(problem, start))
-    last, after = _simulate(problem, z, _first_guess(problem, z))
+    first, last = (evaluate(p, _first_guess(evaluate.numbered, p)) for p in (start, z))
     # A pose that only the start parameters cannot hold has no "before".
-    before = jnp.where(first.converged[:, None, None], before, jnp.nan)
-    lanes = np.flatnonzero(np.asarray(last.converged))
+    held = first.equilibrium.converged[:, None, None]
+    before = jnp.where(held, first.effectors, jnp.nan)
+    lanes = np.flatnonzero(np.asarray(last.equilibrium.converged))
     notes = [
         f"{c.name} is not predicted: with the calibrated parameters it has no "
         "equilibrium. `softcal simulate` or `solve_equilibrium` tells why."
@@ -247,7 +250,13 @@ def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
         if lane not in lanes
     ]
     fits = configuration_fits(
-        problem.model, validation, "validation", before, after, last, lanes.tolist()
+        problem.model,
+        validation,
+        "validation",
+        before,
+        last.effectors,
+        last.equilibrium,
+        lanes.tolist(),
     )
     return fits, tuple(notes)
 

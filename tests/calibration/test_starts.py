@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     CalibrationProblem,
     MultiStartResult,
@@ -21,7 +22,7 @@ from softcal_jax.calibration import (
     synthetic_measurements,
 )
 from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import ControlPoints, Parameter, ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
 
 evaluated = eqx.filter_jit(evaluate)
@@ -115,6 +116,32 @@ def test_order_of_the_starts_changes_nothing(measured, mirrored):
     assert again.best in (0, 2)
     assert all(1 not in optimum.starts for optimum in again.optima)
     assert "1 without equilibrium at the start (starts 1)." in str(again)
+
+
+def test_other_starts_and_data_are_the_same_program(measured, mirrored):
+    """Any number of starts, any data, any names of the control points."""
+    renamed = with_other_points(measured.beam.space, ["left", "right"])
+    names = dict(zip(measured.beam.space.names, renamed.names, strict=True))
+    target = {names[name]: 0.9 * v for name, v in measured.beam.target.items()}
+    data = synthetic_measurements(
+        measured.beam.model, renamed, measured.beam.configurations, target
+    )
+    problem = build_problem(measured.beam.model, renamed, data)
+    with Compilations() as seen:
+        found = multi_start(problem, 2, seed=3)
+    assert seen.programs == []
+    assert found.names == tuple(renamed.names)
+    assert "E_t of left" in found.optima[0].values
+
+
+def with_other_points(space, names):
+    """The same control points by other names."""
+    points = space.entries[0].control_points
+    other = ControlPoints(points.positions, names=names)
+    entries = [
+        eqx.tree_at(lambda e: e.control_points, entry, other) for entry in space.entries
+    ]
+    return ParameterSpace(entries, order=space.order, axes=space.axes)
 
 
 def test_without_any_equilibrium_it_is_an_error(measured):
