@@ -4,14 +4,21 @@ import ast
 import difflib
 import importlib
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 Figure = float | int | str
 """A number, or a word."""
+
+Better = Literal["higher", "lower", "between", "either"]
+"""Which change of a figure is one for the better; "between": into the goal's range."""
+
+COSTS = {"s", "ms", "us", "bytes", "kb", "mb", "gb"}
+"""Last words of names of times and memory, of which less is better."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,10 @@ class Options:
         return self.output
 
 
+Sense = Literal["at least", "at most", "between"]
+"""Which side of a bound is meant."""
+
+
 class Goal(NamedTuple):
     """What a figure is meant to be.
 
@@ -41,7 +52,7 @@ class Goal(NamedTuple):
         upper: Upper end of a range; it meets the goal.
     """
 
-    sense: Literal["at least", "at most", "between"]
+    sense: Sense
     bound: float
     upper: float = math.inf
 
@@ -57,6 +68,16 @@ class Goal(NamedTuple):
         if self.sense == "between":
             return f"between {self.bound:g} and {self.upper:g}"
         return f"{self.sense} {self.bound:g}"
+
+    @classmethod
+    def read(cls, text: str) -> "Goal":
+        """The goal that `str` wrote, as records hold it."""
+        found = re.fullmatch(r"(at least|at most|between) (\S+?)(?: and (\S+))?", text)
+        if found is None:
+            raise ValueError(f"{text!r} is no goal, like 'at least 3'.")
+        sense, bound, upper = found.groups()
+        senses: dict[str, Sense] = {known: known for known in get_args(Sense)}
+        return cls(senses[sense], float(bound), float(upper or math.inf))
 
 
 class Table(NamedTuple):
@@ -76,12 +97,15 @@ class Outcome:
         samples: The raw repeats behind them, name to values.
         goals: What some of the figures are meant to be.
         tables: The results again, for a person to read.
+        better: Which way is better, where the goal and the name of a figure do not
+            tell: "either" for the time of another program.
     """
 
     figures: Mapping[str, Figure]
     samples: Mapping[str, Sequence[float]] = field(default_factory=dict)
     goals: Mapping[str, Goal] = field(default_factory=dict)
     tables: Sequence[Table] = ()
+    better: Mapping[str, Better] = field(default_factory=dict)
 
     def __post_init__(self):
         for name, value in self.figures.items():
@@ -96,9 +120,49 @@ class Outcome:
                     f"figure {name!r} is {value}; JSON has no such number. Leave it "
                     "out, or use a word."
                 )
-        for name in self.goals:
-            if name not in self.figures:
-                raise ValueError(f"goal {name!r} belongs to no figure.")
+        for what, names in (("goal", self.goals), ("better", self.better)):
+            for name in names:
+                if name not in self.figures:
+                    raise ValueError(f"{what} {name!r} belongs to no figure.")
+
+    def better_of(self, name: str) -> Better:
+        """Which change of a figure is one for the better.
+
+        Args:
+            name: Name of the figure.
+        """
+        return self.better.get(name) or usual_better(name, self.goals.get(name))
+
+
+def usual_better(name: str, goal: Goal | None) -> Better:
+    """Which way is better, where the problem does not say.
+
+    What the goal says; else less of a time or of memory, by the unit in the name. All
+    others may go either way.
+
+    Args:
+        name: Name of the figure.
+        goal: What it is meant to be, if anything.
+    """
+    if goal is not None:
+        return _BY_SENSE[goal.sense]
+    return "lower" if unit_of(name) in COSTS else "either"
+
+
+_BY_SENSE: dict[str, Better] = {
+    "at least": "higher",
+    "at most": "lower",
+    "between": "between",
+}
+
+
+def unit_of(name: str) -> str:
+    """Unit of a figure or sample: the last word of its name, like "ms".
+
+    "s" for names with "seconds" in them, like `seconds_30_starts`.
+    """
+    words = name.split("_")
+    return "s" if "seconds" in words else words[-1]
 
 
 class UnknownProblem(ValueError):

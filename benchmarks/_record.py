@@ -37,13 +37,14 @@ def record(name: str, outcome: Outcome, load_before: float | None) -> dict[str, 
         load_before: Load of the machine before the run, `load_average()`.
 
     Returns:
-        `name`, `hardware`, `versions`, `figures`, `goals` and `samples`.
+        `name`, `hardware`, `versions`, `figures`, `better`, `goals` and `samples`.
     """
     return {
         "name": name,
         "hardware": {**hardware(), "load_before": load_before},
         "versions": versions(),
         "figures": dict(outcome.figures),
+        "better": {figure: outcome.better_of(figure) for figure in outcome.figures},
         "goals": {
             figure: {"goal": str(goal), "met": goal.met(outcome.figures[figure])}
             for figure, goal in outcome.goals.items()

@@ -31,7 +31,7 @@ from benchmarks._paper import (
     parameter_errors,
     recovered,
 )
-from benchmarks._problem import Figure, Goal, Options, Outcome, Table
+from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms, ratio
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
@@ -108,7 +108,10 @@ def run(options: Options) -> Outcome:
     }
     samples |= {f"{name}_s": seconds for name, seconds in parts.items()}
     goals = {name: goal for name, goal in GOALS.items() if name in figures}
-    return Outcome(figures, samples, goals, [_table(rows)])
+    by_hand: dict[str, Better] = {
+        name: "either" for name in figures if name.startswith("seconds_by_hand")
+    }
+    return Outcome(figures, samples, goals, [_table(rows)], by_hand)
 
 
 def one_start(

@@ -28,7 +28,7 @@ from benchmarks._cantilever import (
     tip,
 )
 from benchmarks._felupe import FelupeBeam, Solver, linear_solvers, tuned_solvers
-from benchmarks._problem import Figure, Goal, Options, Outcome, Table
+from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms, ratio, run_process
 from softcal_jax import Model
 from softcal_jax.configurations import ConfigurationArrays
@@ -90,7 +90,12 @@ def run(options: Options) -> Outcome:
     columns += ["tuned FElupe/ours"]
     columns += ["iteration ms", "PARDISO ms", "iteration/PARDISO"]
     table = Table("Static beam, medians", columns, rows)
-    return Outcome(figures, samples, GOALS, [table])
+    peers: dict[str, Better] = {
+        name: "either"
+        for name in figures
+        if name.endswith("_ms") and ("felupe" in name or "pardiso" in name)
+    }
+    return Outcome(figures, samples, GOALS, [table], peers)
 
 
 def _row(n: int, found: dict[str, Figure]) -> list[str]:

@@ -22,6 +22,7 @@ from softcal_jax import (
     mesh,
     sensitivity,
 )
+from softcal_jax._compilation_cache import use_compilation_cache
 from softcal_jax.actuators import (
     Cable,
     Chamber,
@@ -195,4 +196,5 @@ __all__ = [
     "solve_inverse",
     "synthetic_measurements",
     "to_quadratic",
+    "use_compilation_cache",
 ]

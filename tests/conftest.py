@@ -1,5 +1,12 @@
 """Strict numerics for every test: float64, no promotion, checked annotations."""
 
+import os
+
+# Before JAX is imported, and for the processes that tests start: nothing is left in the
+# user's cache. Who names a folder of his own may keep programs there.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    os.environ.setdefault("JAX_ENABLE_COMPILATION_CACHE", "0")
+
 import jax
 import jaxtyping
 import pytest

@@ -34,6 +34,23 @@ def test_version():
     assert done.stdout == f"softcal {version('softcal-jax')}\n"
 
 
+def test_a_command_does_not_wait_for_what_it_may_not_need():
+    """Drawing, and the second optimiser; a second of imports before every command."""
+    asked = "import sys, softcal_jax.cli, softcal_jax.project, softcal_jax.report; "
+    heavy = ["pyvista", "matplotlib", "vtkmodules", "optimistix", "pandas"]
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            asked + f"print(*[m for m in {heavy} if m in sys.modules])",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == []
+
+
 def test_help(capsys):
     with pytest.raises(SystemExit) as caught:
         main(["--help"])

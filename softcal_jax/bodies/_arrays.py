@@ -44,7 +44,7 @@ class BodyArrays(eqx.Module):
     mounting_rotation: Float[Array, "n_b 3"]
     mass: Float[Array, " n_b"]
     mass_weights: Float[HostArray, "n_b 4"]
-    length: float = eqx.field(static=True)
+    length: Float[HostArray, ""]
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -99,7 +99,8 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
         for b, n in zip(bodies, nodes, strict=True)
     ]
     axes = [np.eye(3) if b.axes is None else b.axes for b in bodies]
-    length = float(mesh.size)
+    # An array: a number would be a part of compiled programs, one for each mesh.
+    length = np.asarray(mesh.size, float)
     stacked = lambda rows, *shape: np.array(rows, float).reshape(len(bodies), *shape)
     weights = [
         _affine(o, a, length, mesh.points[n])

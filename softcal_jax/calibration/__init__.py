@@ -14,6 +14,7 @@ from softcal_jax.calibration._problem import (
     evaluate,
     first_guess,
     simulate,
+    without_names,
 )
 from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
@@ -86,4 +87,5 @@ __all__ = [
     "synthetic_measurements",
     "uncertainty",
     "with_measured",
+    "without_names",
 ]

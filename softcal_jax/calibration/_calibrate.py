@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -26,8 +25,6 @@ from softcal_jax.calibration._notes import (
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
-    first_guess,
-    simulate,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -54,9 +51,6 @@ from softcal_jax.fields import (
     as_space,
     check_parameters,
 )
-
-_simulate = eqx.filter_jit(simulate)
-_first_guess = eqx.filter_jit(first_guess)
 
 
 def build_problem(
@@ -177,7 +171,8 @@ def calibrate(
         )
         missing: tuple[str, ...] = ()
         if held_out is not None:
-            predicted, missing = _predict(held_out, validation, state.z)
+            predict = Evaluator(held_out, workers)
+            predicted, missing = _predict(predict, validation, state.z)
             fits += predicted
     notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
     result = _result(problem, noise, settings, state, journal.history, fits, notes)
@@ -213,18 +208,22 @@ def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):
     return jnp.concatenate([start[None], others])
 
 
-def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
+def _predict(evaluate: Evaluator, validation, z: Float[Array, " n_p"]):
     """The held-out configurations with the start and the calibrated parameters.
+
+    By the program of the fit, which need not be compiled again; its compliances are not
+    looked at.
 
     One that has no equilibrium is left out, with a note: it must neither pass for a
     prediction nor cost the user the fit.
     """
+    problem = evaluate.problem
     start = problem.space.start()
-    first, before = _simulate(problem, start, _first_guess(problem, start))
-    last, after = _simulate(problem, z, _first_guess(problem, z))
+    first, last = (from_rest(evaluate, p) for p in (start, z))
     # A pose that only the start parameters cannot hold has no "before".
-    before = jnp.where(first.converged[:, None, None], before, jnp.nan)
-    lanes = np.flatnonzero(np.asarray(last.converged))
+    held = first.equilibrium.converged[:, None, None]
+    before = jnp.where(held, first.effectors, jnp.nan)
+    lanes = np.flatnonzero(np.asarray(last.equilibrium.converged))
     notes = [
         f"{c.name} is not predicted: with the calibrated parameters it has no "
         "equilibrium. `softcal simulate` or `solve_equilibrium` tells why."
@@ -233,7 +232,13 @@ def _predict(problem: CalibrationProblem, validation, z: Float[Array, " n_p"]):
     ]
     model = problem.space.apply(problem.model, z)
     fits = configuration_fits(
-        model, validation, "validation", before, after, last, lanes.tolist()
+        model,
+        validation,
+        "validation",
+        before,
+        last.effectors,
+        last.equilibrium,
+        lanes.tolist(),
     )
     return fits, tuple(notes)
 

@@ -46,7 +46,7 @@ def from_rest(evaluate: Evaluator, z: Float[Array, " n_p"]):
         evaluate: Of the calibration.
         z: Scaled parameters [-].
     """
-    return evaluate(z, _first_guess(evaluate.problem, z))
+    return evaluate(z, _first_guess(evaluate.numbered, z))
 
 
 def descend(
@@ -63,7 +63,7 @@ def descend(
         state: State to begin with, its evaluation included.
         note: Called with the state after each step.
     """
-    problem = evaluate.problem
+    problem = evaluate.numbered
     while not (state.converged or state.stalled or not state.evaluation.ok) and (
         state.step < settings.max_steps
     ):
@@ -93,7 +93,7 @@ def run_start(
         start: Scaled parameters to start from [-].
         mirror: Whether it goes on from its mirror images.
     """
-    problem = evaluate.problem
+    problem = evaluate.numbered
     best, images = nothing_yet(settings, start), _images_of(problem.space, mirror)
     for row in range(len(images.signs)):
         image = jax.tree.map(lambda leaf, row=row: leaf[row], images)

@@ -5,6 +5,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import (
@@ -13,6 +14,7 @@ from softcal_jax.calibration._problem import (
     Lane,
     evaluate_lane,
     stacked,
+    without_names,
 )
 from softcal_jax.equilibrium import Workers, program_key
 
@@ -28,6 +30,7 @@ class Evaluator:
 
     Attributes:
         problem: The calibration.
+        numbered: The same without names, for compiled programs.
     """
 
     def __init__(self, problem: CalibrationProblem, workers: Workers):
@@ -38,9 +41,14 @@ class Evaluator:
             workers: Threads, entered as a context.
         """
         self.problem, self._workers = problem, workers
-        self._program = program_key("evaluate_lane", problem)
+        self.numbered = without_names(problem)
+        # Without the batch, whose size would make it another program.
+        self._shared = eqx.tree_at(lambda p: p.configurations, self.numbered, None)
         n_c = problem.configurations.gravity.shape[0]
         self._configurations = [_lane(problem.configurations, c) for c in range(n_c)]
+        self._program = program_key(
+            "evaluate_lane", self._shared, self._configurations[0]
+        )
         self._on: dict[int, CalibrationProblem] = {}
 
     def __call__(
@@ -60,13 +68,13 @@ class Evaluator:
         lanes = zip(self._configurations, guess, before, strict=True)
         jobs = [(z, *lane) for lane in lanes]
         lanes = self._workers.map(self._one, jobs, self._program)
-        return _stacked(self.problem, z, lanes)
+        return _stacked(self.numbered, z, lanes)
 
     def _one(self, solver, job) -> Lane:
-        problem = self._on.get(id(solver))  # which the problem keeps alive
-        if problem is None:
-            problem = self._on[id(solver)] = with_solver(self.problem, solver)
-        return jax.block_until_ready(_evaluate_lane(problem, *job))
+        shared = self._on.get(id(solver))  # which the problem keeps alive
+        if shared is None:
+            shared = self._on[id(solver)] = with_solver(self._shared, solver)
+        return jax.block_until_ready(_evaluate_lane(shared, *job))
 
 
 @eqx.filter_jit
@@ -80,4 +88,5 @@ def with_solver(problem: CalibrationProblem, solver) -> CalibrationProblem:
 
 
 def _lane(batch: T, index: int) -> T:
-    return jax.tree.map(lambda leaf: leaf[index], batch)
+    # On the host: each shape would be two more programs to compile.
+    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))

@@ -1,7 +1,6 @@
 """A second, independent optimiser on the same stacked errors."""
 
 import jax.numpy as jnp
-import optimistix as optx
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import (
@@ -33,6 +32,8 @@ def levenberg_marquardt(
     Returns:
         Scaled parameters, and whether it converged inside the bounds.
     """
+    import optimistix as optx  # a fifth of the import of the package, and only for this
+
     guess = first_guess(problem, problem.space.start())
     weight = problem.configurations.effectors.inverse_std
 

@@ -15,7 +15,7 @@ from softcal_jax.equilibrium import (
     effector_values,
     solve_equilibrium,
 )
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, unnamed
 from softcal_jax.sensitivity import Response, equilibrium_response
 
 
@@ -33,6 +33,15 @@ class CalibrationProblem(eqx.Module):
     space: ParameterSpace
     configurations: ConfigurationArrays
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
+
+
+def without_names(problem: CalibrationProblem) -> CalibrationProblem:
+    """The same calibration for compiled programs, which names would tell apart.
+
+    Args:
+        problem: The calibration.
+    """
+    return eqx.tree_at(lambda p: p.space, problem, unnamed(problem.space))
 
 
 class Evaluation(eqx.Module):

@@ -325,7 +325,7 @@ def configuration_fits(
     rows = [effector_rows(mesh, c, mechanism) for c in configurations]
     rest = jnp.zeros((model.n_points, 3))
     arrays = configuration_arrays(mesh, configurations, mechanism)
-    at_rest = jax.vmap(lambda e: effector_positions(model, e, rest))(arrays.effectors)
+    at_rest = _effectors_at(model, arrays.effectors, rest)
     states = robot_states(model, configurations, solution)
     fits = []
     for lane, (c, numbers) in enumerate(
@@ -368,6 +368,12 @@ def configuration_fits(
             )
         )
     return tuple(fits)
+
+
+@eqx.filter_jit
+def _effectors_at(model: Model, effectors, u):
+    """Effectors of all configurations at one displacement."""
+    return jax.vmap(lambda e: effector_positions(model, e, u))(effectors)
 
 
 def _effector_fit(named: NamedRow, before, after) -> EffectorFit:

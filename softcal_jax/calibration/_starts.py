@@ -2,17 +2,16 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration._descent import run_start
 from softcal_jax.calibration._evaluator import Evaluator, with_solver
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._runs import Run, run_starts
 from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.equilibrium import Workers, program_key, usable_cores
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, unnamed
 
 SAME_OPTIMUM = 1e-3
 """Largest difference of scaled parameters within one optimum [-]."""
@@ -128,7 +127,7 @@ def multi_start(
         ValueError: If there are no starts, or they do not fit the parameters.
         RuntimeError: If no start has an equilibrium.
     """
-    space = problem.space
+    space, numbered = problem.space, without_names(problem)
     if isinstance(starts, int):
         starts = random_starts(space, starts, seed=seed)
     if starts.ndim != 2 or starts.shape[1] != len(space.names) or not len(starts):
@@ -136,13 +135,16 @@ def multi_start(
             f"starts must have the shape (number, {len(space.names)}), at least one; "
             f"got {starts.shape}."
         )
-    runs = _side_by_side(problem, settings or FROM_ANYWHERE, starts, mirror)
+    runs = _side_by_side(numbered, settings or FROM_ANYWHERE, starts, mirror)
     if not np.any(np.isfinite(runs.cost)):
         raise RuntimeError(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
             "check loads, units and bounds, or `softcal simulate`."
         )
-    in_si = lambda rows: np.stack([_from_scaled(space, row) for row in rows])
+    # Rows on the host: their number, too, would belong to a program.
+    in_si = lambda rows: np.stack(
+        [_from_scaled(numbered.space, row) for row in np.asarray(rows)]
+    )
     values, z = in_si(runs.z), np.asarray(runs.z)
     cost, converged = np.asarray(runs.cost), np.asarray(runs.converged)
     return MultiStartResult(
@@ -169,7 +171,7 @@ def _side_by_side(problem, settings, starts, mirror: bool) -> Run:
         with Workers(problem.model, n_c) as workers:
             evaluate = Evaluator(problem, workers)
             ends = [run_start(evaluate, settings, z, mirror=mirror) for z in starts]
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *ends)
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *ends)
 
     def run(solver, start) -> Run:
         found = _run_starts(
@@ -179,19 +181,20 @@ def _side_by_side(problem, settings, starts, mirror: bool) -> Run:
 
     with Workers(problem.model, len(starts)) as workers:
         key = program_key("run_starts", problem, settings, mirror)
-        runs = workers.map(run, starts, key)
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *runs)
+        runs = workers.map(run, np.asarray(starts), key)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *runs)
 
 
 def _optima(space, z, values, cost, converged) -> tuple[Optimum, ...]:
     """Converged runs put together by where they end, the lowest cost first."""
     found: list[tuple[int, list[int]]] = []
+    numbered = unnamed(space)
     for i in np.argsort(cost):
         if not converged[i]:
             continue
         for first, members in found:
             # Wrapped: an angle just below 90 degrees is close to one above -90.
-            if np.max(_distance(space, z[i], z[first])) <= SAME_OPTIMUM:
+            if np.max(_distance(numbered, z[i], z[first])) <= SAME_OPTIMUM:
                 members.append(int(i))
                 break
         else:
@@ -233,7 +236,8 @@ def random_starts(
     for small, large in pairs * len(pairs):  # over and over, for chains a <= b <= c
         p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
         p = np.clip(p, low, high)
-    return jnp.stack([_to_scaled(space, row) for row in p])
+    numbered = unnamed(space)
+    return jax.device_put(np.stack([_to_scaled(numbered, row) for row in p]))
 
 
 def _ordered_columns(space: ParameterSpace) -> list[tuple[int, int]]:

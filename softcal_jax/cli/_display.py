@@ -73,18 +73,29 @@ class Display:
 @contextmanager
 def warnings_as_lines(show: Display) -> Iterator[None]:
     """Shows the package's own warnings as lines, without file and line of code."""
+    from softcal_jax._compilation_cache import (
+        CompilationCacheWarning,
+        throw_away_damaged,
+    )
     from softcal_jax.calibration import CalibrationWarning
     from softcal_jax.configurations import TrackerWarning
     from softcal_jax.mesh import MeshWarning
     from softcal_jax.report import PictureWarning
 
-    own = (CalibrationWarning, MeshWarning, PictureWarning, TrackerWarning)
+    own = (
+        CalibrationWarning,
+        CompilationCacheWarning,
+        MeshWarning,
+        PictureWarning,
+        TrackerWarning,
+    )
     with warnings.catch_warnings():
         plain = warnings.showwarning
 
         def line(message, category, *where, **more):
-            if issubclass(category, own):
-                show.line(f"warning: {message}")
+            mended = throw_away_damaged(str(message))
+            if issubclass(category, own) or mended:
+                show.line(f"warning: {mended or message}")
             else:
                 plain(message, category, *where, **more)
 

@@ -37,10 +37,12 @@ def load(path: Path, show: Display) -> "Project":
     """Reads a project, and says what its body is."""
     import jax
 
+    from softcal_jax._compilation_cache import use_compilation_cache
     from softcal_jax.project import load_project
 
-    # For this process alone; a library must not switch it for its user.
+    # Both for this process alone; a library must not switch them for its user.
     jax.config.update("jax_enable_x64", True)
+    use_compilation_cache()
     show.lap("import")
     show.now(f"reading {path.name}")
     with bad_input():

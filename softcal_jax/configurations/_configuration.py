@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -143,7 +142,8 @@ def configuration_arrays(
         _lane(mesh, mechanism, c, effectors)
         for c, effectors in zip(configurations, stack_effectors(rows), strict=True)
     ]
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *lanes)
+    # Not jnp.asarray, which compiles a program for every shape.
+    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
 
 
 def _lane(

@@ -6,6 +6,7 @@ from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import SetupParameter, motor_zero, mounting
 from softcal_jax.fields._space import Entry, ParameterSpace, as_space
 from softcal_jax.fields._spread import ControlPointParameters
+from softcal_jax.fields._unnamed import unnamed
 from softcal_jax.fields._validation import check_parameters
 
 __all__ = [
@@ -22,4 +23,5 @@ __all__ = [
     "motor_zero",
     "mounting",
     "set_field",
+    "unnamed",
 ]

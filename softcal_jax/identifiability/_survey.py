@@ -8,7 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import CalibrationProblem, first_guess, simulate
+from softcal_jax.calibration import (
+    CalibrationProblem,
+    first_guess,
+    simulate,
+    without_names,
+)
 from softcal_jax.configurations import (
     Configuration,
     configuration_arrays,
@@ -122,7 +127,7 @@ def survey(
     ]
     arrays = configuration_arrays(mesh, posed, mechanism)
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
-    solution, compliance = _solve(problem, z)
+    solution, compliance = _solve(without_names(problem), z)
     names = tuple(c.name for c in configurations)
     required = len(names) if required is None else required
     if required:

@@ -16,6 +16,7 @@ from softcal_jax.calibration import (
     first_guess,
     random_starts,
     run_starts,
+    without_names,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
@@ -144,8 +145,8 @@ def compare_layouts(
     fewest parameters is preferred (Breiman et al., Classification and Regression Trees,
     1984; Hastie et al., The Elements of Statistical Learning, 2009, sec. 7.10).
 
-    Each layout is a program of its own, whose compilation takes far longer than all its
-    fits on a small mesh.
+    Layouts with as many parameters share one compiled program; another number is
+    another program, whose compilation takes far longer than all fits on a small mesh.
 
     Args:
         model: The body.
@@ -195,7 +196,7 @@ def compare_layouts(
         if starts > 1:
             others = random_starts(problem.space, starts - 1, seed=seed)
             start = jnp.concatenate([start, others])
-        fits = _fit(problem, settings, start, _folds(len(names)))
+        fits = _fit(without_names(problem), settings, start, _folds(len(names)))
         scores.append(_score(name, layouts[name], problem, names, fits))
     return LayoutComparison.ranked(scores)
 

@@ -61,7 +61,7 @@ def test_list_names_problems_without_importing_them(package, capsys):
 def test_list_of_the_house():
     """Every problem of the house says in one line what it measures."""
     known = _problem.discover(_cli.benchmarks)
-    assert {"static_beam", "startup", "locking", "silicone_mesh"} <= set(known)
+    assert {"static_beam", "compile", "locking", "silicone_mesh"} <= set(known)
     paper = {"paper_fig1", "paper_fig3", "paper_fig4", "paper_table1"}
     assert paper | {"noise_coverage", "model_error", "calibration_beam"} <= set(known)
     assert all(known.values()), known
@@ -72,10 +72,11 @@ def test_run_writes_the_record(package, tmp_path, capsys):
     assert call(package, "run", "nothing", "--json", path, "--output", output) == 0
     content = json.loads(path.read_text())
     assert set(content) == {
-        "name", "hardware", "versions", "figures", "goals", "samples",
+        "name", "hardware", "versions", "figures", "better", "goals", "samples",
     }  # fmt: skip
     assert content["name"] == "nothing"
     assert content["figures"] == {"n": 3, "fast_ms": 1.5, "solver": "none"}
+    assert content["better"] == {"n": "higher", "fast_ms": "lower", "solver": "either"}
     assert content["samples"] == {"fast_ms": [1.0, 1.5, 2.0]}
     assert content["goals"]["fast_ms"] == {"goal": "at most 1", "met": False}
     assert content["goals"]["n"]["met"] is True
@@ -224,3 +225,30 @@ def test_ratio_of_medians():
 def test_a_process_that_fails_says_why():
     with pytest.raises(RuntimeError, match="too bad"):
         _timing.run_process([sys.executable, "-c", "raise SystemExit('too bad')"])
+
+
+def test_a_run_draws_its_page(package, tmp_path, capsys):
+    assert call(package, "run", "nothing", "--output", tmp_path) == 0
+    assert (tmp_path / "nothing.png").read_bytes().startswith(b"\x89PNG")
+    assert f"plots: {tmp_path / 'nothing.png'}" in capsys.readouterr().err
+
+
+def test_run_all_goes_on_after_a_failure(package, tmp_path, monkeypatch, capfd):
+    """One folder, one process and one record per problem; `compare` reads them."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fake_benchmarks" / "broken.py").write_text('"""Breaks."""\n\n1 / 0\n')
+    assert call(package, "run", "--all") == 1
+    printed = capfd.readouterr()
+    assert "ZeroDivisionError" in printed.err
+    assert "failed: broken\n" in printed.err
+    results = tmp_path / "benchmark-results"
+    assert [p.name for p in results.glob("*.json")] == ["nothing.json"]
+    assert (results / "nothing" / "nothing.png").exists()
+    assert (results / "nothing" / "picture.txt").exists()
+    assert call(package, "compare", "--records", results) == 0
+
+
+@pytest.mark.parametrize("argv", [["run"], ["run", "nothing", "--all"]])
+def test_run_takes_one_or_all(package, capsys, argv):
+    assert call(package, *argv) == 2
+    assert "name one benchmark, or give --all" in capsys.readouterr().err

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     CalibrationProblem,
     MultiStartResult,
@@ -24,7 +25,7 @@ from softcal_jax.calibration._descent import run_start
 from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima
 from softcal_jax.equilibrium import Workers
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import ControlPoints, Parameter, ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
 
 evaluated = eqx.filter_jit(evaluate)
@@ -130,6 +131,32 @@ def test_one_start_alone_ends_as_among_others(measured, mirrored):
     assert int(alone.steps) == mirrored.steps[2]
     np.testing.assert_allclose(alone.z, mirrored.z[2], rtol=0, atol=1e-8)
     np.testing.assert_allclose(alone.errors, mirrored.errors[2], rtol=1e-5, atol=1e-6)
+
+
+def test_other_starts_and_data_are_the_same_program(measured, mirrored):
+    """Any number of starts, any data, any names of the control points."""
+    renamed = with_other_points(measured.beam.space, ["left", "right"])
+    names = dict(zip(measured.beam.space.names, renamed.names, strict=True))
+    target = {names[name]: 0.9 * v for name, v in measured.beam.target.items()}
+    data = synthetic_measurements(
+        measured.beam.model, renamed, measured.beam.configurations, target
+    )
+    problem = build_problem(measured.beam.model, renamed, data)
+    with Compilations() as seen:
+        found = multi_start(problem, 2, seed=3)
+    assert seen.programs == []
+    assert found.names == tuple(renamed.names)
+    assert "E_t of left" in found.optima[0].values
+
+
+def with_other_points(space, names):
+    """The same control points by other names."""
+    points = space.entries[0].control_points
+    other = ControlPoints(points.positions, names=names)
+    entries = [
+        eqx.tree_at(lambda e: e.control_points, entry, other) for entry in space.entries
+    ]
+    return ParameterSpace(entries, order=space.order, axes=space.axes)
 
 
 def test_without_any_equilibrium_it_is_an_error(measured):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from arm import REST, arm, arrays, pose
 
+from benchmarks._compilations import Compilations
 from softcal_jax.configurations import (
     BodyAngle,
     Centroid,
@@ -241,15 +242,17 @@ def test_one_program_for_all_goals_and_models(monkeypatch):
         qp_module, "bounded_step", lambda *a, **k: traced.append(1) or plain(*a, **k)
     )
     stiff = arm(4e5)
-    result = solve_inverse(
-        eqx.tree_at(lambda m: m.law, arm(), stiff.law),
-        robot(top=0.2, motor=0.1),
-        goals={"tip": (0.09, 0.01, 0.03)},
-        limits={"top": Limits(force=(0.0, 9.0))},
-        settings=ControlSettings(epsilon=1e-6, max_steps=40),
-    )
+    with Compilations() as seen:
+        result = solve_inverse(
+            eqx.tree_at(lambda m: m.law, arm(), stiff.law),
+            robot(top=0.2, motor=0.1),
+            goals={"tip": (0.09, 0.01, 0.03)},
+            limits={"top": Limits(force=(0.0, 9.0))},
+            settings=ControlSettings(epsilon=1e-6, max_steps=40),
+        )
     assert len(result.steps) > 0
     assert traced == []
+    assert not {"jit(start_control)", "jit(control_step)"} & set(seen.programs)
 
 
 def test_search_that_does_not_end_says_so():

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bars import MID, ROOT, STD, TIP, bar, moduli, on_axis, pose
 
+from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     build_problem,
     calibrate,
@@ -80,6 +81,17 @@ def test_two_points_predict_best(comparison):
     assert six.n_blind > 0
     assert six.verdict == "not identifiable"
     assert not any(s.failed for s in comparison.layouts)
+
+
+def test_layouts_with_as_many_points_share_a_program(comparison, data):
+    names = ["near", "far"]
+    moved = on_axis(0.03, 0.08, nearest=1, names=names)
+    with Compilations() as seen:
+        found = compare_layouts(
+            bar(CELLS), {"moved": moved}, data, make_parameters=moduli
+        )
+    assert seen.programs == []
+    assert found.best.name == "moved"
 
 
 def test_words_and_table(comparison):

@@ -1,0 +1,103 @@
+"""Compiled programs kept on the disk, so that the next process need not compile them.
+
+JAX does the keeping: the key of a program holds its text, the versions of JAX and XLA,
+and the instructions of the processor, so one folder serves several machines.
+"""
+
+import glob
+import os
+import re
+import tempfile
+import warnings
+from pathlib import Path
+
+import jax
+import platformdirs
+
+
+class CompilationCacheWarning(UserWarning):
+    """Compiled programs are not kept."""
+
+
+def use_compilation_cache(folder: Path | None = None) -> Path | None:
+    """Keep the programs that this process compiles, and take those that are there.
+
+    For the process as a whole: command lines and workers call it, a library does not.
+    Call it before anything is compiled.
+
+    Args:
+        folder: Where; by default what JAX_COMPILATION_CACHE_DIR says, else a folder in
+            the user's cache.
+
+    Returns:
+        The folder, absolute. None where there is none on this machine:
+        JAX_ENABLE_COMPILATION_CACHE=0 switched the cache off, JAX_COMPILATION_CACHE_DIR
+        is an address like "gs://...", or nothing can be written, of which a
+        `CompilationCacheWarning` tells once.
+    """
+    if not jax.config.values["jax_enable_compilation_cache"]:
+        return None
+    chosen = str(folder or jax.config.values["jax_compilation_cache_dir"] or "")
+    if "://" in chosen:
+        return None  # JAX goes there by itself
+    folder = (Path(chosen) if chosen else _default_folder()).absolute()
+    problem = _problem_of(folder)
+    if problem is not None:
+        # Else JAX would try, and warn, at every single program.
+        jax.config.update("jax_enable_compilation_cache", False)
+        warnings.warn(
+            f"compiled programs are not kept, so that every run compiles them anew: "
+            f"{folder} cannot be written ({problem}). Name another folder in "
+            "JAX_COMPILATION_CACHE_DIR, or set JAX_ENABLE_COMPILATION_CACHE=0.",
+            CompilationCacheWarning,
+            stacklevel=2,
+        )
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        # By default JAX keeps what takes a second. A run has two hundred programs that
+        # take less, and together they take as long as the large ones.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    return folder
+
+
+def throw_away_damaged(message: str) -> str | None:
+    """Remove the entry that JAX has just failed to read, so that it writes a new one.
+
+    A process that was killed while it wrote can leave half an entry. JAX warns and
+    compiles the program, but keeps the entry: it would fail in every run.
+
+    Args:
+        message: A warning.
+
+    Returns:
+        What to tell the user; None if the warning is about something else.
+    """
+    found = re.match(_UNREADABLE, message)
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    if found is None or folder is None:
+        return None
+    program = found[1]
+    for entry in Path(folder).glob(f"{glob.escape(program)}-*-cache"):
+        entry.unlink(missing_ok=True)
+    return (
+        f"the compiled program {program} on the disk was damaged; it is compiled again."
+    )
+
+
+_UNREADABLE = r"Error reading persistent compilation cache entry for '(.+?)':"
+"""How JAX begins its warning, with the name of the program."""
+
+
+def _default_folder() -> Path:
+    return platformdirs.user_cache_path("softcal_jax", appauthor=False) / "jax"
+
+
+def _problem_of(folder: Path) -> str | None:
+    """Why nothing can be written to a folder, which is made; None if it can."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return None
+    except OSError as error:
+        return error.strerror or str(error)

@@ -1,0 +1,221 @@
+"""Compiled programs on the disk: where, when not, and whether they survive a process.
+
+Whether the mesh is in a program, rather than an argument of it, is seen here as well:
+such a program would serve no other mesh, and its entry no other project.
+"""
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import warnings
+
+import jax
+import platformdirs
+import pytest
+from small_project import write_small_project
+
+from softcal_jax._compilation_cache import (
+    CompilationCacheWarning,
+    use_compilation_cache,
+)
+from softcal_jax.cli import main
+from softcal_jax.cli._display import Display, warnings_as_lines
+
+KEYS = (
+    "jax_enable_compilation_cache",
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+
+
+@pytest.fixture
+def config(monkeypatch, tmp_path):
+    """JAX's settings as a user has them who set nothing; afterwards as they were."""
+    before = {key: jax.config.values[key] for key in KEYS}
+    jax.config.update("jax_enable_compilation_cache", True)
+    jax.config.update("jax_compilation_cache_dir", None)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    yield lambda key: jax.config.values[key]
+    for key, value in before.items():
+        jax.config.update(key, value)
+
+
+def test_the_folder_is_in_the_users_cache(config):
+    folder = use_compilation_cache()
+    assert folder == platformdirs.user_cache_path("softcal_jax", False) / "jax"
+    assert folder.is_dir()
+    assert config("jax_compilation_cache_dir") == str(folder)
+    assert config("jax_persistent_cache_min_compile_time_secs") == 0.0
+
+
+def test_the_users_folder_is_kept(config, tmp_path):
+    """What JAX_COMPILATION_CACHE_DIR says; what a caller names comes first."""
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "mine"))
+    assert use_compilation_cache() == tmp_path / "mine"
+    assert use_compilation_cache(tmp_path / "named") == tmp_path / "named"
+
+
+def test_an_address_is_left_to_jax(config, tmp_path):
+    jax.config.update("jax_compilation_cache_dir", "gs://bucket/programs")
+    assert use_compilation_cache() is None
+    assert config("jax_compilation_cache_dir") == "gs://bucket/programs"
+    assert config("jax_enable_compilation_cache")
+
+
+def test_switched_off_it_stays_off(config, tmp_path):
+    jax.config.update("jax_enable_compilation_cache", False)
+    assert use_compilation_cache(tmp_path / "named") is None
+    assert config("jax_compilation_cache_dir") is None
+    assert not (tmp_path / "named").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_said_once(config, tmp_path):
+    (tmp_path / "file").write_text("")
+    folder = tmp_path / "file" / "cache"
+    text = rf"compiled programs are not kept, .* {re.escape(str(folder))} cannot be "
+    with pytest.warns(CompilationCacheWarning, match=text + r"written \(Not a dir"):
+        assert use_compilation_cache(folder) is None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert use_compilation_cache(folder) is None
+
+
+def test_commands_use_it(config, tmp_path, capsys):
+    """Also where they go no further than the project file; a problem is a line."""
+    missing = str(tmp_path / "no.toml")
+    assert main(["identify", missing]) == 2
+    assert config("jax_compilation_cache_dir") == str(
+        tmp_path / "cache" / "softcal_jax" / "jax"
+    )
+    capsys.readouterr()
+    (tmp_path / "file").write_text("")
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "file"))
+    assert main(["identify", missing]) == 2
+    printed = capsys.readouterr().out.replace("\n", "")
+    assert printed.count("warning: compiled programs are not kept") == 1
+    assert "or set JAX_ENABLE_COMPILATION_CACHE=0." in printed
+
+
+CALIBRATE = """
+import json, sys
+from collections import Counter
+from pathlib import Path
+
+import jax
+
+from softcal_jax._compilation_cache import use_compilation_cache
+from softcal_jax.project import load_project
+
+events = Counter()
+jax.monitoring.register_event_listener(lambda event, **_: events.update([event]))
+jax.config.update("jax_enable_x64", True)
+use_compilation_cache(Path(sys.argv[2]))
+result = load_project(sys.argv[1]).calibrate()
+json.dump(
+    {
+        "asked": events["/jax/compilation_cache/compile_requests_use_cache"],
+        "found": events["/jax/compilation_cache/cache_hits"],
+        "E": result.value("E"),
+        "solver": result.model.solver.name,
+        "cost": [entry.cost for entry in result.history],
+        "predicted": result.configurations[1].after.tolist(),
+    },
+    sys.stdout,
+)
+"""
+
+
+def fresh_process(project, cache, **environment):
+    done = subprocess.run(
+        [sys.executable, "-c", CALIBRATE, str(project), str(cache)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "1", **environment},
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout), done.stderr
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """One calibration in three processes: no entries, all of them, one of them torn."""
+    folder = tmp_path_factory.mktemp("cached")
+    # 144 tets: more than any table of an element has entries.
+    project = write_small_project(folder, ("cells = [3, 1, 1]", "cells = [6, 2, 2]"))
+    cache, dump = folder / "cache", folder / "dump"
+    first = fresh_process(project, cache, JAX_DUMP_IR_TO=str(dump))
+    second = fresh_process(project, cache)
+    (torn,) = cache.glob("jit_decide-*-cache")
+    torn.write_bytes(torn.read_bytes()[:1000])
+    third = fresh_process(project, cache)
+    return first, second, third, dump
+
+
+def test_the_second_process_compiles_nothing(runs):
+    """Every program has an entry: none calls the host, whose programs get none."""
+    (first, _), (second, _), *_ = runs
+    assert first["asked"] > 20
+    assert first["found"] < 5
+    assert second["found"] == second["asked"] == first["asked"]
+
+
+def test_programs_from_the_disk_give_the_same(runs):
+    """Bit for bit, the sparse solver of another process included."""
+    (first, _), (second, _), (third, _), _ = runs
+    for name in ("solver", "E", "cost", "predicted"):
+        assert second[name] == first[name]
+        assert third[name] == first[name]
+
+
+def test_a_torn_entry_is_compiled_again(runs):
+    """What a killed process left; JAX says so and goes on."""
+    *_, (third, errors), _ = runs
+    assert third["found"] == third["asked"] - 1
+    assert "Error reading persistent compilation cache entry" in errors
+
+
+def test_commands_throw_a_torn_entry_away(config, tmp_path, capsys):
+    """JAX would keep it, and compile the program again in every run."""
+    use_compilation_cache(tmp_path)
+    torn, other = (tmp_path / f"jit_{n}-0af-cache" for n in ("decide", "decider"))
+    torn.write_bytes(b"x")
+    other.write_bytes(b"y")
+    display = Display(0.0)
+    with warnings_as_lines(display):
+        warnings.simplefilter("always")
+        warnings.warn(
+            "Error reading persistent compilation cache entry for 'jit_decide': error: "
+            "incomplete data",
+            stacklevel=1,
+        )
+    assert not torn.exists()
+    assert other.exists()
+    assert capsys.readouterr().out == (
+        "warning: the compiled program jit_decide on the disk was damaged; it is "
+        "compiled again.\n"
+    )
+
+
+def constants(text):
+    """Sizes of the constants of a program that hold more than one number."""
+    for body, shape in re.findall(r'dense<("[^"]*"|[^>]*)> : tensor<((?:\d+x)+)', text):
+        if body.startswith(("[", '"')):
+            yield math.prod(int(n) for n in shape.split("x")[:-1])
+
+
+def test_the_mesh_is_an_argument_of_every_program(runs):
+    *_, dump = runs
+    programs = {path.name: path.read_text() for path in dump.glob("*.mlir")}
+    assert any("evaluate_lane" in name for name in programs)
+    largest = {name: max(constants(text), default=0) for name, text in programs.items()}
+    assert max(largest.values()) < 144, largest
+
+
+def test_the_walk_sees_constants():
+    """The test above must have something to judge."""
+    table = jax.numpy.arange(500.0) ** 2
+    text = jax.jit(lambda x: x + table).lower(table).as_text()
+    assert list(constants(text)) == [500]
