@@ -10,7 +10,7 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
-    {"_names", "_typing", "_results", "_units"},
+    {"_compilation_cache", "_names", "_typing", "_results", "_units"},
     {"elements"},
     {"mesh"},
     {"materials"},
@@ -27,11 +27,11 @@ LAYERS = [
     {"export"},
     {"plotting"},
     {"project"},
-    {"report"},
+    {"report", "sweeps"},
     {"cli"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-SHARED = {"_names", "_typing", "_results", "_units"}
+SHARED = LAYERS[0]
 
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 

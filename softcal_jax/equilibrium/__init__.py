@@ -31,7 +31,7 @@ from softcal_jax.equilibrium._solve import (
     implicit_response,
     solve_equilibrium,
 )
-from softcal_jax.equilibrium._workers import Workers, program_key
+from softcal_jax.equilibrium._workers import Workers, program_key, usable_cores
 
 __all__ = [
     "RESULTS",
@@ -65,4 +65,5 @@ __all__ = [
     "solved_forces",
     "strain_energy",
     "tangent_values",
+    "usable_cores",
 ]

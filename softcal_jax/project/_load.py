@@ -1,7 +1,9 @@
 """From a project file to a project."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -15,9 +17,12 @@ from softcal_jax.project._poses import build_pose
 from softcal_jax.project._problems import at
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import read_tables
+from softcal_jax.project._schema import ProjectTable
 
 
-def load_project(path: str | os.PathLike[str]) -> Project:
+def load_project(
+    path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None
+) -> Project:
     """Reads a project file, builds all that it describes, and checks it.
 
     Nothing is solved. Paths in the file are relative to the file. The project file
@@ -25,6 +30,9 @@ def load_project(path: str | os.PathLike[str]) -> Project:
 
     Args:
         path: A TOML file.
+        changes: Values that take the place of those in the file, as it would write
+            them, by their key: {"material.E": "200 kPa"}. An entry of a list goes by
+            its name, "parameters.E.lower"; None takes a key out.
 
     Returns:
         The project, ready for `calibrate` or `simulate`.
@@ -41,7 +49,7 @@ def load_project(path: str | os.PathLike[str]) -> Project:
             'jax.config.update("jax_enable_x64", True) at the start of the program.'
         )
     path = Path(path)
-    table = read_tables(path)
+    table = read_tables(path, changes)
     mesh = build_mesh(path, table)
     model = build_body(path, table.material, mesh)
     space = build_space(path, table)
@@ -84,12 +92,21 @@ def load_project(path: str | os.PathLike[str]) -> Project:
         seed=table.settings.seed,
         settings=settings,
         newton=newton,
+        files=_files(path, table),
         registrations={
             pose.configuration.name: pose.registration
             for pose in poses
             if pose.registration is not None
         },
     )
+
+
+def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
+    """The file, and those that it names."""
+    names = [table.mesh.file]
+    names += [c.measured.file for c in table.configurations if c.measured is not None]
+    named = dict.fromkeys(name for name in names if name is not None)
+    return (path, *(path.parent / name for name in named))
 
 
 def _check_new(known: list[Configuration], candidates: list[Configuration]) -> None:

@@ -9,6 +9,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
@@ -42,6 +43,7 @@ class Project(eqx.Module):
     Attributes:
         name: Name of the project.
         path: The file it came from.
+        files: That file, and those that it names: the mesh, measurements.
         model: The body, with the start values of the parameters.
         space: What is calibrated; None for a file without parameters.
         calibration: Configurations that are fitted.
@@ -58,6 +60,7 @@ class Project(eqx.Module):
 
     name: str
     path: Path
+    files: tuple[Path, ...]
     model: Model
     space: ParameterSpace | None
     calibration: tuple[Configuration, ...]
@@ -106,12 +109,14 @@ class Project(eqx.Module):
     def calibrate(
         self,
         *,
+        start: Float[Array, " n_p"] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
     ) -> CalibrationResult:
         """Finds the parameters, then predicts the validation configurations.
 
         Args:
+            start: Scaled parameters to start from, instead of those of the file [-].
             checkpoint: File that the state is kept in, and gone on from.
             progress: Called after the first evaluation and after each step.
 
@@ -136,6 +141,7 @@ class Project(eqx.Module):
             newton=self.newton,
             starts=self.starts,
             seed=self.seed,
+            start=start,
             checkpoint=checkpoint,
             progress=progress,
         )
