@@ -111,7 +111,15 @@ def show_sweep(args: argparse.Namespace, show: Display) -> int:
 
     with bad_input():
         result = read_sweep(args.database)
-        show.line(sweep_table(result, by=args.by, figures=args.figure, every=args.all))
+        show.line(
+            sweep_table(
+                result,
+                by=args.by,
+                figures=args.figure,
+                every=args.all,
+                width=show.console.width,
+            )
+        )
         if args.csv is not None:
             write_sweep_csv(result, args.csv)
             show.line(f"One line per trial in {args.csv}.")

@@ -23,7 +23,7 @@ def plot_trials(
     path: str | Path,
     *,
     title: str,
-    left_out: str = "",
+    left_out: str,
 ) -> None:
     """Draw every figure of some trials against every axis.
 
@@ -31,7 +31,7 @@ def plot_trials(
 
     Args:
         columns: Where each trial stands, by the name of the axis.
-        figures: What it found, by the label of the figure; nan is left out.
+        figures: What it found, by the label of the figure; nan is not drawn.
         path: PNG file.
         title: What stands above.
         left_out: Which trials are not drawn, and why; stands below the title.
@@ -40,8 +40,9 @@ def plot_trials(
         ValueError: If there is nothing to draw.
     """
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
-    if not columns or not figures or not len(next(iter(figures.values()))):
+    if not any(np.isfinite(values).any() for values in figures.values()):
         raise ValueError("there is nothing to draw: no trial has converged yet.")
     n_rows, n_columns = len(figures), len(columns)
     size = (max(8.0, 2.0 + 5.0 * n_columns), 1.2 + 3.0 * n_rows)
@@ -60,6 +61,9 @@ def plot_trials(
         panels[0, 0].set_title(
             left_out, fontsize=13, color=BAD, loc="left", parse_math=False
         )
+    if any(isinstance(where[0], str) for where in columns.values()):
+        bar = Line2D([], [], color=SERIES[1], lw=2.5, label="mean")
+        drawing.legend(handles=[bar], loc="upper right", fontsize=13, frameon=False)
     drawing.get_layout_engine().set(h_pad=0.1, w_pad=0.1)  # pyright: ignore
     drawing.savefig(path, dpi=_DPI, format="png")
 
@@ -72,6 +76,9 @@ def _draw(axes: "matplotlib.axes.Axes", where: Sequence[Any], values: Any) -> No
     if not any(isinstance(value, str) for value in where):
         axes.plot(np.asarray(where, float), values, **dots)
         axes.margins(0.06)
+        own = sorted(set(where))
+        if len(own) <= _MOST_LABELS:
+            axes.set_xticks(own, [f"{value:g}" for value in own])
         return
     groups = list(dict.fromkeys(where))
     for i, group in enumerate(groups):

@@ -69,19 +69,18 @@ class CalibrationTrial:
             start = random_starts(space, 1, seed=seed)[0]
         result = project.calibrate(start=start)
         figures = _figures(result)
-        if self.truth and "layout" not in trial.point:
+        own_points = not self.layouts.get(trial.point.get("layout", ""))
+        if self.truth and own_points:
             truth = truth_in_si(space, self.truth)
             z = space.to_scaled(jnp.asarray([truth[name] for name in space.names]))
             figures["distance to truth [-]"] = float(
                 jnp.max(space.distance(result.z, z))
             )
-        steps = len(result.history) - 1
-        return Outcome(
-            figures,
-            result.converged,
-            f"lambda_p did not vanish in {steps} steps",
-            result.notes,
-        )
+        most = project.settings.max_steps
+        reason = f"lambda_p did not vanish within max_steps = {most}"
+        if len(result.history) - 1 < most:
+            reason = "every step was refused, but the fit is at no optimum"
+        return Outcome(figures, result.converged, reason, result.notes)
 
     def variant(self, point: Mapping[str, Any]) -> Project:
         """The project with the control points and keys of a point.

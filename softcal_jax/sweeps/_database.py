@@ -68,14 +68,13 @@ class SweepDatabase:
         path: The file.
     """
 
-    def __init__(self, path: Path, *, wait_s: float = WAIT_S):
+    def __init__(self, path: Path):
         """A database that is there, or is yet to be made.
 
         Args:
             path: The file.
-            wait_s: How long to wait for another program that has it locked [s].
         """
-        self.path, self._wait = path, wait_s
+        self.path = path
         self._lock_path = path.with_name(path.name + ".lock")
 
     def __enter__(self) -> "SweepDatabase":
@@ -89,7 +88,7 @@ class SweepDatabase:
         try:
             with _told(self.path):
                 self._file = sqlite3.connect(
-                    self.path, timeout=self._wait, isolation_level=None
+                    self.path, timeout=WAIT_S, isolation_level=None
                 )
         except BaseException:
             self._unlock()

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 
 from softcal_jax._names import unknown_name
-from softcal_jax.export import readable_unit
 from softcal_jax.plotting import plot_trials
-from softcal_jax.sweeps._result import SweepResult, figure_name
+from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import TrialRow
-from softcal_jax.sweeps._tables import default_figures
+from softcal_jax.sweeps._tables import default_figures, readable_figure
 from softcal_jax.sweeps._trial import shown
 
 MOST_PANELS = 4
@@ -37,19 +36,21 @@ def plot_sweep(
         ValueError: If there is no such axis or figure, or no trial has converged.
     """
     result.check_figures(figures or ())
-    chosen = default_figures(result, MOST_PANELS) if figures is None else figures
+    first = default_figures(result)[:MOST_PANELS]
+    chosen = first if figures is None else figures
     by = result.default_axes if by is None else by
     for axis in by:
         if axis not in result.axes:
             raise unknown_name("axis", axis, result.axes)
-    rows = result.of_state("converged")
+    rows = result.rows
     columns = {axis: _column([row.point[axis] for row in rows]) for axis in by}
-    lost = len(result.rows) - len(rows)
+    good = len(result.of_state("converged"))
+    lost = len(rows) - good
     plot_trials(
         columns or {"": ["all"] * len(rows)},
         dict(_values(result, rows, figure) for figure in chosen),
         path,
-        title=f"{result.name}: {len(rows)} trials",
+        title=f"{result.name}: {good} trials",
         left_out=f"{lost} more failed or did not converge" if lost else "",
     )
 
@@ -63,9 +64,9 @@ def _column(values: Sequence[Any]) -> list[float] | list[str]:
 
 
 def _values(result: SweepResult, rows: Sequence[TrialRow], figure: str) -> tuple:
-    words, unit = figure_name(figure)
-    factor, readable = readable_unit(result.numbers(figure), unit)
-    label = f"{words} [{readable}]" if unit not in ("", "-") else words
-    found = [row.figures.get(figure) for row in rows]
+    factor, label = readable_figure(result, figure)
+    found = [
+        row.figures.get(figure) if row.state == "converged" else None for row in rows
+    ]
     number = lambda v: factor * v if isinstance(v, int | float) else np.nan
     return label, np.array([number(v) for v in found], float)

@@ -1,13 +1,12 @@
 """How far a sweep is, how fast it goes, and how long it will take."""
 
-import time
 from collections import deque
 from dataclasses import dataclass
 
 from softcal_jax.sweeps._row import TrialRow
 
 WINDOW = 50
-"""Trials over which the rate is taken: the first ones compile, which says little."""
+"""Trials over which the rate is taken."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +19,8 @@ class Progress:
         before: Those that had ended before this run.
         not_converged: Those of the ended that did not converge.
         failed: Those of the ended that failed.
-        rate: Trials per second; None before the first one has ended.
+        rate: Trials per second, once what they need is compiled; None before the first
+            one has ended.
         row: The trial that has just ended; None at the beginning.
     """
 
@@ -67,16 +67,17 @@ class Tally:
         """
         self._total, self._before = total, len(states)
         self._states = list(states)
-        self._times = deque([time.monotonic()], maxlen=WINDOW + 1)
+        self._workers: dict[str, int] = {}
+        self._seconds: deque[float] = deque(maxlen=WINDOW)
 
     def now(self, row: TrialRow | None = None) -> Progress:
         """Progress, with a trial that has just ended."""
-        rate = None
         if row is not None:
             self._states.append(row.state)
-            self._times.append(time.monotonic())
-            span = self._times[-1] - self._times[0]
-            rate = (len(self._times) - 1) / max(span, 1e-9)
+            # The first trial of a worker compiles what the others find compiled.
+            first = row.worker not in self._workers
+            self._workers[row.worker] = len(self._states)
+            self._seconds.append(row.seconds - first * row.compile_seconds)
         count = self._states.count
         return Progress(
             self._total,
@@ -84,9 +85,16 @@ class Tally:
             self._before,
             count("not converged"),
             count("failed"),
-            rate,
+            self._rate(),
             row,
         )
+
+    def _rate(self) -> float | None:
+        """Workers that ended one of the last trials, over the mean time of a trial."""
+        recent = len(self._states) - max(WINDOW, 3 * len(self._workers))
+        busy = sum(number > recent for number in self._workers.values())
+        spent = sum(self._seconds)
+        return busy * len(self._seconds) / spent if spent > 0.0 else None
 
 
 def rate_text(per_second: float) -> str:

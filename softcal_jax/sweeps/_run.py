@@ -83,13 +83,12 @@ def run_sweep(
         if axis not in trials[0].point:
             raise unknown_name("axis", axis, trials[0].point)
     what = getattr(function, "__qualname__", type(function).__qualname__)
-    module = getattr(function, "__module__", type(function).__module__)
     plan = Plan(
         name or what,
         trials,
         tuple(repeats),
         {
-            "function": f"{module}.{what}",
+            "function": what,
             "set of axes": ", ".join(sorted(trials[0].point)),
             "seed": str(seed),
             **(definitions or {}),
