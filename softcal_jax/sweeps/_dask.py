@@ -57,7 +57,7 @@ def dask_rows(
             raise ValueError(
                 f"the function of the sweep cannot be sent to a cluster: {error}."
             ) from error
-        for future in as_completed(list(futures)):
+        for future in as_completed(list(futures), loop=client.loop):
             yield _row(future, futures.pop(future), address)
 
 

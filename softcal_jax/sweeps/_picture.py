@@ -35,9 +35,9 @@ def plot_sweep(
     Raises:
         ValueError: If there is no such axis or figure, or no trial has converged.
     """
-    result.check_figures(figures or ())
-    first = default_figures(result)[:MOST_PANELS]
-    chosen = first if figures is None else figures
+    chosen = default_figures(result)[:MOST_PANELS]
+    if figures is not None:
+        chosen = [result.figure(name) for name in figures]
     by = result.default_axes if by is None else by
     for axis in by:
         if axis not in result.axes:

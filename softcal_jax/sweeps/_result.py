@@ -101,14 +101,23 @@ class SweepResult:
         Raises:
             ValueError: If no row has a figure of that name.
         """
-        self.check_figures([figure])
-        return _numbers(self.rows, figure)
+        return _numbers(self.rows, self.figure(figure))
 
-    def check_figures(self, figures: Sequence[str]) -> None:
-        """Raise ValueError unless rows have figures of these names."""
-        for name in figures:
-            if name not in self.figure_names:
-                raise unknown_name("figure", name, self.figure_names)
+    def figure(self, name: str) -> str:
+        """The whole name of a figure; its unit may be left out.
+
+        Args:
+            name: "fit rms [m]" or "fit rms".
+
+        Raises:
+            ValueError: If no row has a figure of that name.
+        """
+        by_words = {figure_name(figure).words: figure for figure in self.figure_names}
+        if name in self.figure_names:
+            return name
+        if name in by_words:
+            return by_words[name]
+        raise unknown_name("figure", name, self.figure_names)
 
     @property
     def default_axes(self) -> tuple[str, ...]:

@@ -81,7 +81,7 @@ def sweep_table(
     from rich.console import Group as Printed
     from rich.text import Text
 
-    result.check_figures(figures or ())
+    asked = None if figures is None else [result.figure(name) for name in figures]
     groups = result.groups(by)
     parts: list[Any] = [Text(_head(result), style="bold")]
     if not result.rows:
@@ -89,10 +89,10 @@ def sweep_table(
     styles = [_STYLE[row.state] if every else "" for row in result.rows]
     fixed = _trial_columns(result) if every else _group_columns(groups)
     column = _trial_figure if every else _group_figure
-    possible = default_figures(result) if figures is None else figures
+    possible = default_figures(result) if asked is None else asked
     columns = {f: column(result, groups, f) for f in possible}
     room = width - 1 - sum(c.width for c in fixed)
-    if figures is None:
+    if asked is None:
         columns = _fitting(columns, room)
     parts.append(_table([*fixed, *columns.values()], styles, width))
     if not every and any(group.count("converged") > 1 for group in groups):

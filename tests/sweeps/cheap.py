@@ -1,6 +1,7 @@
 """Functions of sweeps that take no time, for worker processes to import.
 
-Run as a program it is a sweep that a test can kill: `python cheap.py DATABASE WORKERS`.
+Run as a program it is a sweep that a test can kill: `python cheap.py DATABASE WHERE`,
+with a number of workers or the address of a scheduler.
 """
 
 import os
@@ -67,11 +68,13 @@ def _SQUARES(values):
 
 
 if __name__ == "__main__":
+    here = sys.argv[2].isdigit()
     run_sweep(
         slowly,
         POINTS,
         Path(sys.argv[1]),
         repeats=["draw"],
-        workers=int(sys.argv[2]),
+        workers=int(sys.argv[2]) if here else None,
+        scheduler=None if here else sys.argv[2],
         progress=lambda now: print(now.ended, flush=True),
     )

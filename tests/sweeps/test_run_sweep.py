@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cheap
 import pytest
+from killable import kill, started, wait_for
 from rows import substance
 
 from softcal_jax.sweeps import _database as database_module
@@ -85,20 +86,6 @@ def test_failed_trials_are_tried_again_only_if_asked(tmp_path):
     assert [row.state for row in again.rows] == ["converged", "converged"]
 
 
-def started(path):
-    """The sweep of `cheap` in a process of its own, once its first rows are there."""
-    driver = subprocess.Popen(
-        [sys.executable, cheap.__file__, str(path), "2"],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert driver.stdout is not None
-    for line in driver.stdout:
-        if int(line) >= 3:
-            break
-    return driver
-
-
 def children(pid):
     """Worker processes of a driver; its resource tracker is none."""
     listed = subprocess.run(
@@ -120,18 +107,14 @@ def is_alive(pid):
 def test_kill_a_worker_and_then_the_driver(undisturbed, tmp_path):
     """kill -9 of either loses nothing but trials under way, row by row."""
     path = tmp_path / "s.sqlite"
-    driver = started(path)
+    driver = started(path, "2")
     workers = children(driver.pid)
     assert len(workers) == 2
     os.kill(workers[0], signal.SIGKILL)
     before = len(read_sweep(path).rows)
-    for line in driver.stdout:
-        if int(line) >= before + 4:
-            break
+    wait_for(driver, before + 4)
     workers = children(driver.pid)
-    driver.kill()
-    driver.wait()
-    driver.stdout.close()
+    kill(driver)
     # Nobody computes on for a driver that is gone.
     end = time.monotonic() + 20.0
     while any(map(is_alive, workers)) and time.monotonic() < end:
@@ -174,7 +157,7 @@ def test_workers_compute_as_this_process_does(tmp_path):
 
 
 def test_one_program_serves_trials_of_one_shape(tmp_path):
-    """What is compiled in a worker stays there, and on the disk for the next one."""
+    """What is compiled in a worker serves its later trials."""
     points = grid({"length": [5, 6], "draw": [1, 2, 3]})
     rows = run_sweep(cheap.compiled, points, tmp_path / "s.sqlite", workers=1).rows
     assert [row.figures["sum"] for row in rows] == [30.0] * 3 + [55.0] * 3
