@@ -19,7 +19,7 @@ from typing import NamedTuple
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax.sweeps import Progress, SweepResult, Trial, load_sweep
 
-TRIALS = 8
+TRIALS = 40
 """Trials of each sweep."""
 
 GOALS = {

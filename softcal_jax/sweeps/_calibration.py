@@ -97,7 +97,7 @@ class CalibrationTrial:
             self._check_files()
             keys = _keys(point)
             if "layout" in point:
-                keys |= self._layout(point["layout"], keys)
+                keys |= self._layout(point)
             _KEPT[name] = load_project(self.project, changes=keys)
         return _KEPT[name]
 
@@ -123,11 +123,13 @@ class CalibrationTrial:
             )
         return _EXACT[name]
 
-    def _layout(self, name: str, keys: Mapping[str, Any]) -> dict[str, Any]:
-        """A layout as changes of the project file."""
-        own = dict(self.layouts[name])
+    def _layout(self, point: Mapping[str, Any]) -> dict[str, Any]:
+        """The layout of a point as changes of the project file."""
+        own = dict(self.layouts[point["layout"]])
+        if not own:
+            return {}
         if "place" in own:
-            mesh = load_project(self.project, changes=keys).model.mesh
+            mesh = self.variant(_keys(point)).model.mesh
             options = {key: own[key] for key in ("power", "nearest") if key in own}
             points = place_control_points(mesh, own.pop("place"), **options)
             own["positions"] = {

@@ -1,5 +1,6 @@
 """How far a sweep is, how fast it goes, and how long it will take."""
 
+import time
 from collections import deque
 from dataclasses import dataclass
 
@@ -69,6 +70,7 @@ class Tally:
         self._states = list(states)
         self._workers: dict[str, int] = {}
         self._seconds: deque[float] = deque(maxlen=WINDOW)
+        self._ends: deque[float] = deque(maxlen=WINDOW)
 
     def now(self, row: TrialRow | None = None) -> Progress:
         """Progress, with a trial that has just ended."""
@@ -78,6 +80,7 @@ class Tally:
             first = row.worker not in self._workers
             self._workers[row.worker] = len(self._states)
             self._seconds.append(row.seconds - first * row.compile_seconds)
+            self._ends.append(time.monotonic())
         count = self._states.count
         return Progress(
             self._total,
@@ -90,11 +93,17 @@ class Tally:
         )
 
     def _rate(self) -> float | None:
-        """Workers that ended one of the last trials, over the mean time of a trial."""
+        """Workers that ended one of the last trials, over the mean time of a trial.
+
+        Or the rows of late per second, where it is not the trials that take the time.
+        """
+        if not self._ends:
+            return None
         recent = len(self._states) - max(WINDOW, 3 * len(self._workers))
         busy = sum(number > recent for number in self._workers.values())
-        spent = sum(self._seconds)
-        return busy * len(self._seconds) / spent if spent > 0.0 else None
+        by_trials = busy * len(self._seconds) / max(sum(self._seconds), 1e-9)
+        span = self._ends[-1] - self._ends[0]
+        return min(by_trials, (len(self._ends) - 1) / span) if span else by_trials
 
 
 def rate_text(per_second: float) -> str:

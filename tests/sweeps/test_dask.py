@@ -65,8 +65,6 @@ def test_no_scheduler_there(tmp_path, monkeypatch):
     from softcal_jax.sweeps import _dask
 
     monkeypatch.setattr(_dask, "CONNECT_S", 1)
-    for address in ("tcp://127.0.0.1:1", "nowhere"):
-        with pytest.raises(OSError, match=f'no Dask scheduler answers at "{address}"'):
-            run_sweep(
-                cheap.measure, cheap.POINTS, tmp_path / "s.sqlite", scheduler=address
-            )
+    address = "tcp://127.0.0.1:1"
+    with pytest.raises(OSError, match=f'no Dask scheduler answers at "{address}"'):
+        run_sweep(cheap.measure, cheap.POINTS, tmp_path / "s.sqlite", scheduler=address)

@@ -4,11 +4,13 @@ import csv
 import dataclasses
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rows import substance
 from small_project import write_small_project
 
+from softcal_jax.calibration import random_starts
 from softcal_jax.cli import main
 from softcal_jax.project import load_project
 from softcal_jax.sweeps import Trial, _calibration, load_sweep, read_sweep
@@ -103,6 +105,16 @@ def check_rows(swept):
         "not converged"
     }
     assert {r.state for p, r in by_point.items() if p[1] == CRUSHED} == {"failed"}
+
+    # The start of a trial is that of a calibration which is told to start there.
+    told = Trial(row(1, 0).point, sweep_seed=7)
+    z = random_starts(project.space, 1, seed=told.seed_of("start"))[0]
+    elsewhere = project.calibrate(start=z)
+    assert elsewhere.parameters[0].start == float(project.space.from_scaled(z)[0])
+    assert elsewhere.history[0].values["E"] == elsewhere.parameters[0].start != 200e3
+    assert len(elsewhere.history) - 1 == other["steps"]
+    with pytest.raises(ValueError, match=r"one scaled value for each of the 1 param"):
+        project.calibrate(start=jnp.zeros(2))
 
 
 def check_show(swept, capsys, tmp_path):

@@ -1,5 +1,7 @@
 """Sweep files: what they say, and what is wrong with them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from anisotropic_project import write_anisotropic_project
@@ -255,3 +257,20 @@ def test_changes_of_a_project(small):
         ProjectError, match=r"material.nu.x: material.nu is no table of"
     ):
         load_project(small / "project.toml", changes={"material.nu.x": 1})
+
+
+def test_the_file_in_the_readme(tmp_path):
+    """What a reader copies is right, on the project that the README points to."""
+    root = Path(__file__).parents[2]
+    project = (root / "tests/project/anisotropic_beam.toml").read_text()
+    coarse = project.replace("cells = [10, 2, 2]", "cells = [4, 1, 1]")
+    (tmp_path / "project.toml").write_text(coarse)
+    text = (root / "README.md").read_text().split("<!-- file: sweep.toml -->")[1]
+    path = tmp_path / "sweep.toml"
+    path.write_text(text.split("```toml\n")[1].split("```")[0])
+    sweep = load_sweep(path)
+    assert len(sweep.points) == 2 * 2 * 2 * 3 * 5
+    # The range that it shows in a comment.
+    shown = path.read_text().replace("# sample", "sample").replace('# "mat', '"mat')
+    path.write_text(shown)
+    assert len(load_sweep(path).points) == 100
