@@ -71,7 +71,7 @@ def _print_result(result: "SweepResult", database: str, show: Display) -> int:
     from softcal_jax.sweeps import sweep_table
 
     show.line()
-    show.line(sweep_table(result))
+    show.line(sweep_table(result, width=show.console.width))
     show.line(f"Rows in {database}; `softcal sweep show {database}` has more.")
     show.line(times_line(show))
     bad = len(result.rows) - len(result.of_state("converged"))

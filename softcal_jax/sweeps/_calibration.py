@@ -27,7 +27,10 @@ from softcal_jax.sweeps._schema import OWN_AXES
 from softcal_jax.sweeps._trial import Trial
 
 KEPT = 8
-"""Variants of a project that a worker keeps, with the programs compiled for them."""
+"""Variants of a project that a worker keeps."""
+
+MOST_MAPS = 40_000
+"""Memory maps at which a worker forgets what it compiled; Linux grants 65 530."""
 
 _KEPT: dict[str, Project] = {}
 _EXACT: dict[str, tuple[Configuration, ...]] = {}
@@ -43,7 +46,8 @@ class CalibrationTrial:
         files: Digest of that file and of each that it names, by path.
         layouts: Keys of [control_points.NAME] of each layout, or `place`.
         replaces: The set of control points of the project that a layout replaces.
-        truth: Parameter values, as the file writes them, that take the place of
+        truth: Parameter values, as the file writes them, of which the trial's own mesh,
+            with the file's own control points, gives what is fitted instead of
             measurements; nothing where the project is measured.
     """
 
@@ -89,11 +93,10 @@ class CalibrationTrial:
         """
         name = self._name(point)
         if name not in _KEPT:
-            if len(_KEPT) == KEPT:
-                # Each compiled program takes memory maps, which Linux counts.
+            if len(_KEPT) >= KEPT:
                 _KEPT.clear()
                 _EXACT.clear()
-                jax.clear_caches()
+            _make_room()
             self._check_files()
             keys = _keys(point)
             if "layout" in point:
@@ -169,6 +172,13 @@ class CalibrationTrial:
 def _keys(point: Mapping[str, Any]) -> dict[str, Any]:
     """Axes of a point that are keys of the project file."""
     return {axis: value for axis, value in point.items() if axis not in OWN_AXES}
+
+
+def _make_room() -> None:
+    """Forget compiled programs where they are too many: each takes memory maps."""
+    maps = Path("/proc/self/maps")  # only Linux counts them
+    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
 
 
 def digest_of(path: Path) -> str:

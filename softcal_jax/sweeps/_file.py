@@ -146,7 +146,10 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
             if table.sample is None
             else sample(ordered, table.sample, seed=table.seed)
         )
-    definitions = {f"content of {Path(f).name}": digest for f, digest in files.items()}
+    definitions = {
+        f"content of {os.path.relpath(file, source.resolve().parent)}": digest
+        for file, digest in files.items()
+    }
     definitions |= {f"layout {k}": json.dumps(v) for k, v in table.layouts.items()}
     definitions["truth"] = json.dumps(table.truth, sort_keys=True)
     name = table.name or path.stem

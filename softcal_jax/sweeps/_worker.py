@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 
 import jax
 
@@ -18,17 +19,29 @@ class WorkerSetup:
 
     Attributes:
         x64: Whether JAX computes in float64.
+        version: Version of this package.
     """
 
     x64: bool
+    version: str
 
     @classmethod
     def of_this_process(cls) -> "WorkerSetup":
         """The setup that makes a worker compute as this process does."""
-        return cls(bool(jax.config.read("jax_enable_x64")))
+        return cls(bool(jax.config.read("jax_enable_x64")), version("softcal-jax"))
 
     def apply(self) -> None:
-        """Set up the process that calls it."""
+        """Set up the process that calls it.
+
+        Raises:
+            RuntimeError: If it has another version of this package.
+        """
+        here = version("softcal-jax")
+        if here != self.version:
+            raise RuntimeError(
+                f"the worker has softcal_jax {here}, the sweep {self.version}: rows "
+                "would not belong together. Install the same version on both."
+            )
         jax.config.update("jax_enable_x64", self.x64)
         use_compilation_cache()
 

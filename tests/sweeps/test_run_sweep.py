@@ -15,6 +15,7 @@ from rows import substance
 
 from softcal_jax.sweeps import _database as database_module
 from softcal_jax.sweeps import grid, read_sweep, run_sweep
+from softcal_jax.sweeps._worker import WorkerSetup
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +155,12 @@ def test_workers_compute_as_this_process_does(tmp_path):
     assert set(found.numbers("cores")) == {1.0}
     assert len(set(found.numbers("process"))) == 1
     assert "OMP_NUM_THREADS" not in os.environ
+
+
+def test_workers_of_another_version_are_refused():
+    setup = WorkerSetup(x64=True, version="0.0.1")
+    with pytest.raises(RuntimeError, match=r"the sweep 0.0.1: rows would not belong"):
+        setup.apply()
 
 
 def test_one_program_serves_trials_of_one_shape(tmp_path):
