@@ -27,7 +27,7 @@ LAYERS = [
     {"export"},
     {"plotting"},
     {"project"},
-    {"report"},
+    {"report", "sweeps"},
     {"cli"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}

@@ -102,6 +102,7 @@ def calibrate(
     newton: NewtonSettings | None = None,
     starts: int = 1,
     seed: int = 0,
+    start: Float[Array, " n_p"] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
 ) -> CalibrationResult:
@@ -124,6 +125,8 @@ def calibrate(
             and random ones in the whole bounds; see `multi_start`. The fit then goes on
             from the best.
         seed: Seed of the random starts.
+        start: Scaled parameters to start from, instead of the start of the parameters,
+            which stays where a prior has its middle [-].
         checkpoint: File in which the state is kept after every step. If it is there,
             the calibration goes on from it, without a search from many starts.
         progress: Called after the first evaluation and after each step.
@@ -152,10 +155,12 @@ def calibrate(
     _check_names(configurations, validation)
     warn_if_too_few_data(problem)
 
-    journal = Journal(problem, settings, checkpoint, progress, search=(starts, seed))
+    given = start
+    mark = (starts, seed) if given is None else (starts, seed, *given.tolist())
+    journal = Journal(problem, settings, checkpoint, progress, search=mark)
     with Clock() as clock, Workers(model, len(configurations)) as workers:
         evaluate = Evaluator(problem, workers)
-        start = problem.space.admissible(problem.space.start())
+        start = _admissible(problem.space, given)
         before = from_rest(evaluate, start)
         check_converged(before.equilibrium, tuple(c.name for c in configurations))
         state, search = _begin(evaluate, settings, start, before, journal, starts, seed)
@@ -172,10 +177,12 @@ def calibrate(
         missing: tuple[str, ...] = ()
         if held_out is not None:
             predict = Evaluator(held_out, workers)
-            predicted, missing = _predict(predict, validation, state.z)
+            predicted, missing = _predict(predict, validation, start, state.z)
             fits += predicted
     notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
-    result = _result(problem, noise, settings, state, journal.history, fits, notes)
+    result = _result(
+        problem, noise, settings, state, journal.history, fits, notes, given
+    )
     return replace(result, starts=search, timing_s=clock.seconds)
 
 
@@ -202,13 +209,32 @@ def _begin(
     return state, search
 
 
+def _admissible(
+    space: ParameterSpace, start: Float[Array, " n_p"] | None
+) -> Float[Array, " n_p"]:
+    """Where the search begins."""
+    if start is None:
+        start = space.start()
+    if start.shape != (len(space.names),):
+        raise ValueError(
+            f"start must have one scaled value for each of the {len(space.names)} "
+            f"parameters, got shape {start.shape}."
+        )
+    return space.admissible(start)
+
+
 def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):
     """The user's start and n - 1 random ones."""
     others = random_starts(problem.space, n - 1, seed=seed)
     return jnp.concatenate([start[None], others])
 
 
-def _predict(evaluate: Evaluator, validation, z: Float[Array, " n_p"]):
+def _predict(
+    evaluate: Evaluator,
+    validation,
+    start: Float[Array, " n_p"],
+    z: Float[Array, " n_p"],
+):
     """The held-out configurations with the start and the calibrated parameters.
 
     By the program of the fit, which need not be compiled again; its compliances are not
@@ -218,7 +244,6 @@ def _predict(evaluate: Evaluator, validation, z: Float[Array, " n_p"]):
     prediction nor cost the user the fit.
     """
     problem = evaluate.problem
-    start = problem.space.start()
     first, last = (from_rest(evaluate, p) for p in (start, z))
     # A pose that only the start parameters cannot hold has no "before".
     held = first.equilibrium.converged[:, None, None]
@@ -243,7 +268,9 @@ def _predict(evaluate: Evaluator, validation, z: Float[Array, " n_p"]):
     return fits, tuple(notes)
 
 
-def _result(problem, noise, settings, state, history, fits, notes) -> CalibrationResult:
+def _result(
+    problem, noise, settings, state, history, fits, notes, start
+) -> CalibrationResult:
     down, up = map(np.asarray, problem.space.room(state.z))
     at_bound = (down >= -1e-9) | (up <= 1e-9)
     n_measured = int(np.sum(problem.configurations.effectors.inverse_std > 0))
@@ -257,7 +284,7 @@ def _result(problem, noise, settings, state, history, fits, notes) -> Calibratio
     )
     return CalibrationResult(
         converged=bool(state.converged),
-        parameters=parameter_estimates(problem.space, state.z, spread),
+        parameters=parameter_estimates(problem.space, state.z, spread, start),
         uncertainty=spread,
         configurations=fits,
         history=tuple(history),

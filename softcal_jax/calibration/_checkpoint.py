@@ -30,7 +30,7 @@ class Journal:
         checkpoint: str | os.PathLike[str] | None,
         progress: Callable[[HistoryEntry], None] | None,
         *,
-        search: tuple[int, int] = (1, 0),
+        search: tuple[float, ...] = (1, 0),
     ):
         self.history: list[HistoryEntry] = []
         self._problem, self._progress = problem, progress
@@ -94,7 +94,7 @@ class Checkpoint(NamedTuple):
 def fingerprint(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
-    search: tuple[int, int],
+    search: tuple[float, ...],
 ) -> str:
     """Digest of everything that a calibration depends on."""
     digest = hashlib.sha256(repr((settings, problem.newton, search)).encode())

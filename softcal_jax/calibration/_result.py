@@ -273,10 +273,23 @@ class CalibrationResult(eqx.Module):
 
 
 def parameter_estimates(
-    space: ParameterSpace, z: Float[Array, " n_p"], spread: Uncertainty
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    spread: Uncertainty,
+    start: Float[Array, " n_p"] | None = None,
 ) -> tuple[ParameterEstimate, ...]:
-    """Values and standard errors of the parameters, in SI units."""
+    """Values and standard errors of the parameters, in SI units.
+
+    Args:
+        space: The parameters.
+        z: Scaled values [-].
+        spread: Their uncertainty.
+        start: Scaled values before, if not the start of the parameters [-].
+    """
     values = np.asarray(space.from_scaled(z))
+    before = [parameter.start for parameter in space.parameters]
+    if start is not None:
+        before = list(np.asarray(space.from_scaled(start)))
     std = np.sqrt(np.diag(spread.covariance))
     estimates = []
     for i, parameter in enumerate(space.parameters):
@@ -288,7 +301,7 @@ def parameter_estimates(
                 parameter.name,
                 float(values[i]),
                 float(slope * std[i]),
-                float(parameter.start),
+                float(before[i]),
                 float(parameter.lower),
                 float(parameter.upper),
                 parameter.unit,

@@ -1,4 +1,4 @@
-"""The command line: `softcal demo`, `calibrate`, `simulate`, `identify`.
+"""The command line: `softcal demo`, `calibrate`, `simulate`, `identify`, `sweep`.
 
 Exit codes: 0 all is well, 1 not converged or no equilibrium, 2 bad input, 130 Ctrl-C.
 """

@@ -1,6 +1,7 @@
 """Arguments of the command line, and the end of every command."""
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -12,6 +13,7 @@ from softcal_jax.cli._commands import calibrate, demo, simulate
 from softcal_jax.cli._display import Display, process_start, warnings_as_lines
 from softcal_jax.cli._identify import identify
 from softcal_jax.cli._shared import INTERRUPTED, Stop
+from softcal_jax.cli._sweep_arguments import add_sweep, sweep_words
 
 _ABOUT = """\
 Calibrate the finite-element model of a soft robot from a few measured poses."""
@@ -23,6 +25,8 @@ examples:
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
   softcal identify my_robot/project.toml  would the data suffice? before measuring
+  softcal sweep sweep.toml                many calibrations, side by side
+  softcal sweep show sweep.sqlite         what they found
 
 exit codes: 0 all is well, 1 not converged or no equilibrium, 2 bad input
 """
@@ -47,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         130 interrupted.
     """
     begin = process_start() if argv is None else time.time()
-    args = _parser().parse_args(argv)
+    args = _parser().parse_args(sweep_words(sys.argv[1:] if argv is None else argv))
     display = Display(begin)
     try:
         with display:
@@ -130,6 +134,7 @@ ranked by what measuring them as well would add.""",
             "project", metavar="PROJECT.toml", type=Path, help="the project file"
         )
         _add_output(command, default=None, required=command is not outlook)
+    add_sweep(commands, raw)
     return parser
 
 

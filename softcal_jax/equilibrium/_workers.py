@@ -31,10 +31,17 @@ def program_key(name: str, *arguments: Any) -> Hashable:
 
 
 def usable_cores() -> int:
-    """Cores that this process may use; fewer than the machine has under a scheduler."""
+    """Cores that this process may use; fewer than the machine has under a scheduler.
+
+    A process that was told to use fewer threads (`OMP_NUM_THREADS`) shares the machine
+    with others, like the workers of a sweep.
+    """
     if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        n = len(os.sched_getaffinity(0))
+    else:
+        n = os.cpu_count() or 1
+    told = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    return min(n, int(told)) if told.isdigit() and int(told) else n
 
 
 class Workers:

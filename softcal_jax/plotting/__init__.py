@@ -5,12 +5,14 @@ from softcal_jax.plotting._convergence import plot_convergence
 from softcal_jax.plotting._fibres import plot_fibres
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 from softcal_jax.plotting._robot import SensorFrame
+from softcal_jax.plotting._trials import plot_trials
 
 __all__ = [
     "RenderingError",
     "SensorFrame",
     "plot_convergence",
     "plot_fibres",
+    "plot_trials",
     "render_body",
     "render_configuration",
     "rendering_problem",

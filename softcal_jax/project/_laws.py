@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pydantic_core import PydanticCustomError
+
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
     AbstractElasticity,
@@ -17,7 +19,13 @@ from softcal_jax.materials import (
     StVenantKirchhoff,
     TransverseIsotropic,
 )
-from softcal_jax.project._quantities import ANGLE, DENSITY, PRESSURE, Dimension
+from softcal_jax.project._quantities import (
+    ANGLE,
+    DENSITY,
+    PRESSURE,
+    Dimension,
+    parse_scalar,
+)
 
 if TYPE_CHECKING:
     from softcal_jax.project._schema_material import MaterialTable
@@ -54,6 +62,28 @@ CONSTANTS = {
     "density": Constant(DENSITY, "kg/m3", 'mass density: "1070 kg/m^3"'),
 }
 """All constants, by their key in the file, which is their field in the law."""
+
+
+def parse_in_si(value: Any, unit: str) -> float:
+    """A value as a project file writes it, in SI.
+
+    Args:
+        value: "200 kPa", or a plain number where there is no unit.
+        unit: SI unit of the constant that it is a value of.
+
+    Raises:
+        ValueError: If it is no such value; the text says how to write one.
+    """
+    dimension = next(c.dimension for c in CONSTANTS.values() if c.unit == unit)
+    if dimension is not None:
+        try:
+            return parse_scalar(value, dimension)
+        except PydanticCustomError as error:
+            raise ValueError(error.message()) from error
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"got {value!r}; expected a number, like 0.45.")
+    return float(value)
+
 
 ANGLES = ("theta", "phi")
 RATIOS = ("nu", "nu_t", "nu_tl")

@@ -1,7 +1,9 @@
 """From a project file to a project."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -20,7 +22,9 @@ from softcal_jax.project._reading import read_tables
 from softcal_jax.project._schema import ProjectTable
 
 
-def load_project(path: str | os.PathLike[str]) -> Project:
+def load_project(
+    path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None
+) -> Project:
     """Reads a project file, builds all that it describes, and checks it.
 
     Nothing is solved. Paths in the file are relative to the file. The project file
@@ -28,6 +32,9 @@ def load_project(path: str | os.PathLike[str]) -> Project:
 
     Args:
         path: A TOML file.
+        changes: Values that take the place of those in the file, as it would write
+            them, by their key: {"material.E": "200 kPa"}. An entry of a list goes by
+            its name, "parameters.E.lower"; None takes a key out.
 
     Returns:
         The project, ready for `calibrate` or `simulate`.
@@ -44,7 +51,7 @@ def load_project(path: str | os.PathLike[str]) -> Project:
             'jax.config.update("jax_enable_x64", True) at the start of the program.'
         )
     path = Path(path)
-    table = read_tables(path)
+    table = read_tables(path, changes)
     mesh = build_mesh(path, table)
     model = build_body(path, table.material, mesh, build_parts(path, table, mesh))
     space = build_space(path, table)
@@ -78,6 +85,7 @@ def load_project(path: str | os.PathLike[str]) -> Project:
         seed=table.settings.seed,
         settings=settings,
         newton=newton,
+        files=_files(path, table),
         registrations={
             pose.configuration.name: pose.registration
             for pose in poses
@@ -109,6 +117,18 @@ def _poses(
     with at(path, "candidates"):
         _check_new(known, candidates)
     return poses, candidates
+
+
+def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
+    """The file, and those that it names."""
+    names = [table.mesh.file]
+    for configuration in table.configurations:
+        measured = configuration.measured
+        if measured is not None:
+            readings = measured.effectors.values()
+            names += [measured.file, *(getattr(r, "file", None) for r in readings)]
+    named = dict.fromkeys(name for name in names if name is not None)
+    return (path, *(path.parent / name for name in named))
 
 
 def _check_new(known: list[Configuration], candidates: list[Configuration]) -> None:

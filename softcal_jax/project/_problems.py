@@ -74,7 +74,7 @@ def _message(
     where, kind = _path(keys, raw), details["type"]
     if kind == "extra_forbidden":
         known = list(_model_at(schema, keys[:-1]).model_fields)
-        if len(keys) == 1:
+        if len(keys) == 1 and "configurations" in known:
             known.append("shared")
         return (
             f"{where}: unknown key.{suggestion(str(keys[-1]), known)} "

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
@@ -43,6 +44,7 @@ class Project(eqx.Module):
     Attributes:
         name: Name of the project.
         path: The file it came from.
+        files: That file, and those that it names: the mesh, measurements.
         model: The body, with the start values of the parameters.
         space: What is calibrated; None for a file without parameters.
         calibration: Configurations that are fitted.
@@ -59,6 +61,7 @@ class Project(eqx.Module):
 
     name: str
     path: Path
+    files: tuple[Path, ...]
     model: Model
     space: ParameterSpace | None
     calibration: tuple[Configuration, ...]
@@ -107,12 +110,14 @@ class Project(eqx.Module):
     def calibrate(
         self,
         *,
+        start: Float[Array, " n_p"] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
     ) -> CalibrationResult:
         """Finds the parameters, then predicts the validation configurations.
 
         Args:
+            start: Scaled parameters to start from, instead of those of the file [-].
             checkpoint: File that the state is kept in, and gone on from.
             progress: Called after the first evaluation and after each step.
 
@@ -137,6 +142,7 @@ class Project(eqx.Module):
             newton=self.newton,
             starts=self.starts,
             seed=self.seed,
+            start=start,
             checkpoint=checkpoint,
             progress=progress,
         )

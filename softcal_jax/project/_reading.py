@@ -1,11 +1,13 @@
 """From a file on the disk to its tables, and everything that is wrong in them."""
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
+from softcal_jax.project._changes import with_changes
 from softcal_jax.project._kinds import kind_problems
 from softcal_jax.project._laws import law_problems
 from softcal_jax.project._problems import (
@@ -25,14 +27,18 @@ _OF_CONFIGURATIONS = tuple(
 """Keys of [shared] that candidates do not take over."""
 
 
-def read_tables(path: Path) -> ProjectTable:
+def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:
     """The file as tables, with [shared] merged into each configuration.
+
+    Args:
+        path: The file.
+        changes: Values that take the place of those in the file, see `with_changes`.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ProjectError: If it is no TOML, or keys or values in it are wrong.
     """
-    raw = _toml(path)
+    raw = with_changes(path, read_toml(path, "project file"), changes or {})
     shared = raw.get("shared", {})
     problems = _shared_problems(shared)
     if problems:
@@ -53,11 +59,43 @@ def read_tables(path: Path) -> ProjectTable:
     return table
 
 
-def _toml(path: Path) -> dict[str, Any]:
+T = TypeVar("T", bound=BaseModel)
+
+
+def read_schema(path: Path, schema: type[T], what: str) -> T:
+    """Another file that is written as project files are.
+
+    Args:
+        path: A TOML file.
+        schema: Its keys.
+        what: What it is, for messages, like "sweep file".
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ProjectError: If it is no TOML, or keys or values in it are wrong.
+    """
+    raw = read_toml(path, what)
+    try:
+        return schema.model_validate(raw)
+    except ValidationError as error:
+        raise one_by_one(path, describe(error, schema, raw)) from error
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """A TOML file as it stands.
+
+    Args:
+        path: The file.
+        what: What it is, for messages.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ProjectError: If it is a folder, or no TOML.
+    """
     if not path.exists():
-        raise FileNotFoundError(f"project file {path} does not exist.")
+        raise FileNotFoundError(f"{what} {path} does not exist.")
     if not path.is_file():
-        raise ProjectError(f"project file {path} is a directory; name the file in it.")
+        raise ProjectError(f"{what} {path} is a directory; name the file in it.")
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:

@@ -10,9 +10,8 @@ from pydantic import (
     model_validator,
 )
 
-from softcal_jax.project._laws import ANGLES, CONSTANTS, RATIOS
+from softcal_jax.project._laws import ANGLES, CONSTANTS, RATIOS, parse_in_si
 from softcal_jax.project._problems import shown
-from softcal_jax.project._quantities import parse_scalar
 from softcal_jax.project._table import (
     Integer,
     Length,
@@ -151,20 +150,14 @@ def _scale_of(field: str) -> Literal["log", "linear"]:
 
 
 def _parsed(value: Any, field: str) -> float:
-    dimension = CONSTANTS[field].dimension
-    if dimension is not None:
-        return parse_scalar(value, dimension)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"got {value!r}; expected a number, like 0.45.")
-    return float(value)
+    return parse_in_si(value, CONSTANTS[field].unit)
 
 
 def _at_point(name: str, value: Any, field: str) -> float:
     try:
         return _parsed(value, field)
     except ValueError as error:
-        text = getattr(error, "message", error.__str__)()
-        raise ValueError(f"{name}: {text}") from error
+        raise ValueError(f"{name}: {error}") from error
 
 
 class ParameterSpaceTable(Table):

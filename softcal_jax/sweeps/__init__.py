@@ -1,0 +1,35 @@
+"""Many calibrations, or calls of a function of yours, side by side and kept in SQLite.
+
+`softcal sweep` does it for a sweep file; `run_sweep` for any function.
+"""
+
+from softcal_jax.sweeps._calibration import CalibrationTrial
+from softcal_jax.sweeps._file import Sweep, load_sweep
+from softcal_jax.sweeps._picture import plot_sweep
+from softcal_jax.sweeps._points import Range, grid, sample
+from softcal_jax.sweeps._progress import Progress
+from softcal_jax.sweeps._result import Group, SweepResult, read_sweep
+from softcal_jax.sweeps._row import Outcome, TrialRow
+from softcal_jax.sweeps._run import run_sweep
+from softcal_jax.sweeps._tables import sweep_table, write_sweep_csv
+from softcal_jax.sweeps._trial import Trial
+
+__all__ = [
+    "CalibrationTrial",
+    "Group",
+    "Outcome",
+    "Progress",
+    "Range",
+    "Sweep",
+    "SweepResult",
+    "Trial",
+    "TrialRow",
+    "grid",
+    "load_sweep",
+    "plot_sweep",
+    "read_sweep",
+    "run_sweep",
+    "sample",
+    "sweep_table",
+    "write_sweep_csv",
+]

@@ -1,0 +1,232 @@
+"""A calibration as a trial: other control points, start, noise, poses."""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax.calibration import (
+    CalibrationResult,
+    random_starts,
+    synthetic_measurements,
+    with_measured,
+)
+from softcal_jax.configurations import Configuration
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.layouts import place_control_points
+from softcal_jax.project import Project, load_project, parse_in_si, read_toml
+from softcal_jax.sweeps._row import Outcome
+from softcal_jax.sweeps._schema import OWN_AXES
+from softcal_jax.sweeps._trial import Trial
+
+KEPT = 8
+"""Variants of a project that a worker keeps."""
+
+MOST_MAPS = 40_000
+"""Memory maps at which a worker forgets what it compiled; Linux grants 65 530."""
+
+_KEPT: dict[str, Project] = {}
+_EXACT: dict[str, tuple[Configuration, ...]] = {}
+"""The same with measurements that the truth gives."""
+
+
+@dataclass(frozen=True)
+class CalibrationTrial:
+    """The function of a sweep over calibrations of one project.
+
+    Attributes:
+        project: The project file, where every worker finds it.
+        files: Digest of that file and of each that it names, by path.
+        layouts: Keys of [control_points.NAME] of each layout, or `place`.
+        replaces: The set of control points of the project that a layout replaces.
+        truth: Parameter values, as the file writes them, of which the trial's own mesh,
+            with the file's own control points, gives what is fitted instead of
+            measurements; nothing where the project is measured.
+    """
+
+    project: Path
+    files: Mapping[str, str]
+    layouts: Mapping[str, Mapping[str, Any]]
+    replaces: str
+    truth: Mapping[str, Any]
+
+    def __call__(self, trial: Trial) -> Outcome:
+        """Calibrates at a point of the sweep.
+
+        Raises:
+            RuntimeError: If a configuration has no equilibrium, or a file has changed.
+            ValueError: If the project cannot be calibrated there.
+        """
+        project = self.variant(trial.point)
+        project = self._measured(project, trial)
+        start, space = None, project.space
+        assert space is not None  # `load_sweep` has asked for parameters
+        if trial.point.get("start"):
+            seed = trial.seed_of("start")
+            start = random_starts(space, 1, seed=seed)[0]
+        result = project.calibrate(start=start)
+        figures = _figures(result)
+        own_points = not self.layouts.get(trial.point.get("layout", ""))
+        if self.truth and own_points:
+            truth = truth_in_si(space, self.truth)
+            z = space.to_scaled(jnp.asarray([truth[name] for name in space.names]))
+            figures["distance to truth [-]"] = float(
+                jnp.max(space.distance(result.z, z))
+            )
+        most = project.settings.max_steps
+        reason = f"lambda_p did not vanish within max_steps = {most}"
+        if len(result.history) - 1 < most:
+            reason = "every step was refused, but the fit is at no optimum"
+        return Outcome(figures, result.converged, reason, result.notes)
+
+    def variant(self, point: Mapping[str, Any]) -> Project:
+        """The project with the control points and keys of a point.
+
+        Kept from trial to trial: what was compiled for it serves the next one.
+        """
+        name = self._name(point)
+        if name not in _KEPT:
+            if len(_KEPT) >= KEPT:
+                _KEPT.clear()
+                _EXACT.clear()
+            _make_room()
+            self._check_files()
+            keys = _keys(point)
+            if "layout" in point:
+                keys |= self._layout(point)
+            _KEPT[name] = load_project(self.project, changes=keys)
+        return _KEPT[name]
+
+    def _name(self, point: Mapping[str, Any]) -> str:
+        """What tells the variants apart, in this process for all sweeps."""
+        layout = point.get("layout")
+        own = None if layout is None else [self.replaces, self.layouts[layout]]
+        return json.dumps([str(self.project), dict(self.files), own, _keys(point)])
+
+    def _exact(self, point: Mapping[str, Any]) -> tuple[Configuration, ...]:
+        """All poses as the truth gives them, with the file's own control points."""
+        point = {axis: value for axis, value in point.items() if axis != "layout"}
+        name = json.dumps([self._name(point), dict(self.truth)])
+        true = self.variant(point)
+        if name not in _EXACT:
+            assert true.space is not None
+            _EXACT[name] = synthetic_measurements(
+                true.model,
+                true.space,
+                true.configurations,
+                truth_in_si(true.space, self.truth),
+                newton=true.newton,
+            )
+        return _EXACT[name]
+
+    def _layout(self, point: Mapping[str, Any]) -> dict[str, Any]:
+        """The layout of a point as changes of the project file."""
+        own = dict(self.layouts[point["layout"]])
+        if not own:
+            return {}
+        if "place" in own:
+            mesh = self.variant(_keys(point)).model.mesh
+            options = {key: own[key] for key in ("power", "nearest") if key in own}
+            points = place_control_points(mesh, own.pop("place"), **options)
+            own["positions"] = {
+                cp: f"({x:.9g}, {y:.9g}, {z:.9g}) m"
+                for cp, (x, y, z) in zip(
+                    points.names, np.asarray(points.positions).tolist(), strict=True
+                )
+            }
+        own = {"names": None, **own}  # those of the file belong to its own positions
+        return {f"control_points.{self.replaces}.{key}": v for key, v in own.items()}
+
+    def _check_files(self) -> None:
+        for path, digest in self.files.items():
+            if digest_of(Path(path)) != digest:
+                raise RuntimeError(
+                    f"{path} has changed since the sweep began; its rows would no "
+                    "longer belong together."
+                )
+
+    def _measured(self, project: Project, trial: Trial) -> Project:
+        """The project with the measurements of a trial, and the poses that it fits."""
+        poses = self._exact(trial.point) if self.truth else project.configurations
+        fitted = [c.name for c in project.calibration]
+        fitted = trial.point.get("configurations", fitted)
+        if trial.point.get("noise"):
+            random = np.random.default_rng(trial.seed_of("noise"))
+            noisy = {c.name: _with_noise(c, random) for c in poses}
+            # What is held out stays exact: it tells the error of the prediction.
+            poses = [noisy[c.name] if c.name in fitted else c for c in poses]
+        return dataclasses.replace(
+            project,
+            calibration=tuple(c for c in poses if c.name in fitted),
+            validation=tuple(c for c in poses if c.name not in fitted),
+        )
+
+
+def _keys(point: Mapping[str, Any]) -> dict[str, Any]:
+    """Axes of a point that are keys of the project file."""
+    return {axis: value for axis, value in point.items() if axis not in OWN_AXES}
+
+
+def _make_room() -> None:
+    """Forget compiled programs where they are too many: each takes memory maps."""
+    maps = Path("/proc/self/maps")  # only Linux counts them
+    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+
+
+def digest_of(path: Path) -> str:
+    """Digest of a file; of a TOML file, of its content without the comments."""
+    if path.suffix == ".toml":
+        text = json.dumps(read_toml(path, "project file"), sort_keys=True, default=str)
+        content = text.encode()
+    else:
+        content = path.read_bytes()
+    return f"sha256 {hashlib.sha256(content).hexdigest()[:16]}"
+
+
+def truth_in_si(space: ParameterSpace, given: Mapping[str, Any]) -> dict[str, float]:
+    """Values of parameters in SI, as `synthetic_measurements` takes them."""
+    units = {q.name: q.unit for q in space.parameters}
+    return {
+        name: parse_in_si(value, units[name]) if name in units else np.nan
+        for name, value in given.items()
+    }
+
+
+def _with_noise(configuration: Configuration, random) -> Configuration:
+    """Measured positions with normal errors of the stated standard deviations."""
+    markers, measured = configuration.markers, configuration.measured
+    assert markers is not None
+    assert measured is not None
+    weight = markers.inverse_std()
+    std = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
+    return with_measured(
+        configuration, measured + std * random.standard_normal(measured.shape)
+    )
+
+
+def _figures(result: CalibrationResult) -> dict[str, Any]:
+    """What a row keeps of a calibration, in SI units."""
+    held_out = [f for f in result.configurations if f.role == "validation"]
+    figures: dict[str, Any] = {"fit rms [m]": result.history[-1].rms}
+    if held_out:
+        errors = np.concatenate([f.error_after for f in held_out])
+        figures["held-out rms [m]"] = np.sqrt(np.mean(np.sum(errors**2, axis=1)))
+    for q in result.parameters:
+        figures[_named(q.name, q.unit)] = q.value
+    figures["steps"] = len(result.history) - 1
+    figures["cost [-]"] = result.history[-1].cost
+    for q in result.parameters:
+        figures[_named(f"standard error of {q.name}", q.unit)] = q.standard_error
+    return figures
+
+
+def _named(name: str, unit: str) -> str:
+    return f"{name} [{unit or '-'}]"

@@ -1,0 +1,103 @@
+"""Trials on a Dask cluster."""
+
+import threading
+import uuid
+from collections.abc import Generator, Sequence
+from typing import TYPE_CHECKING
+
+from softcal_jax.sweeps._row import TrialFunction, TrialRow, failed_row, run_trial
+from softcal_jax.sweeps._trial import Trial
+from softcal_jax.sweeps._worker import WorkerSetup
+
+if TYPE_CHECKING:
+    import distributed
+
+CONNECT_S = 20
+"""How long the scheduler may take to answer [s]."""
+
+# The threads of a worker would share compiled programs, whose sparse solvers keep their
+# factors from one call to the next.
+_ONE_AT_A_TIME = threading.Lock()
+
+
+def dask_rows(
+    function: TrialFunction, trials: Sequence[Trial], address: str
+) -> Generator[TrialRow, None, None]:
+    """Rows of trials in the order in which they end.
+
+    A trial whose worker dies is tried on another one, as often as Dask allows
+    (`distributed.scheduler.allowed-failures`).
+
+    Args:
+        function: What is tried; workers must be able to import what it uses.
+        trials: Where.
+        address: Of the scheduler, "tcp://10.0.0.1:8786".
+
+    Yields:
+        A row as soon as its trial has ended. Closing the generator cancels the others.
+
+    Raises:
+        ValueError: If Dask is not installed, or the function cannot be sent.
+        OSError: If the scheduler cannot be reached, or is lost.
+    """
+    client = _connect(address)
+    from distributed import as_completed
+
+    setup, run = WorkerSetup.of_this_process(), uuid.uuid4().hex[:8]
+    with client:
+        try:
+            # Keys of their own: a scheduler may still know those of a killed run.
+            futures = {
+                client.submit(
+                    _run, function, trial, setup, key=f"trial-{trial.key}-{run}"
+                ): trial
+                for trial in trials
+            }
+        except TypeError as error:
+            raise ValueError(
+                f"the function of the sweep cannot be sent to a cluster: {error}."
+            ) from error
+        for future in as_completed(list(futures), loop=client.loop):
+            yield _row(future, futures.pop(future), address)
+
+
+def _row(future: "distributed.Future", trial: Trial, address: str) -> TrialRow:
+    if future.status == "finished":
+        return future.result()
+    if future.status != "error":
+        raise OSError(
+            f"the Dask scheduler at {address} was lost ({future.status}). Rows that "
+            "were written are safe; the same sweep goes on from them."
+        )
+    from distributed import KilledWorker
+
+    error = future.exception()
+    if isinstance(error, KilledWorker):
+        worker = f"the last one was {error.last_worker.address}"
+        deaths = error.allowed_failures + 1
+        return failed_row(trial, f"its worker died {deaths} times; {worker}")
+    # Not from the function, which ends in a row: the worker could not even call it.
+    return failed_row(trial, f"its worker could not run it: {error!r}")
+
+
+def _connect(address: str) -> "distributed.Client":
+    try:
+        from distributed import Client
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            "a Dask cluster needs Dask here too: pip install 'softcal-jax[dask]'."
+        ) from error
+    try:
+        return Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise OSError(
+            f'no Dask scheduler answers at "{address}" ({error}). Expected the address '
+            'that `dask scheduler` prints, like "tcp://10.0.0.1:8786".'
+        ) from error
+
+
+def _run(function: TrialFunction, trial: Trial, setup: WorkerSetup) -> TrialRow:
+    """What a worker of the cluster does with a trial."""
+    with _ONE_AT_A_TIME:
+        setup.apply()
+        return run_trial(function, trial)

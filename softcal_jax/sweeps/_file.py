@@ -1,0 +1,283 @@
+"""From a sweep file to a sweep that is ready to run."""
+
+import itertools
+import json
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softcal_jax.project import (
+    Project,
+    ProjectError,
+    at,
+    load_project,
+    read_schema,
+    read_toml,
+    suggestion,
+)
+from softcal_jax.sweeps._calibration import CalibrationTrial, digest_of, truth_in_si
+from softcal_jax.sweeps._points import Point, Range, grid, sample
+from softcal_jax.sweeps._progress import Progress
+from softcal_jax.sweeps._result import SweepResult
+from softcal_jax.sweeps._run import run_sweep
+from softcal_jax.sweeps._schema import (
+    OWN_AXES,
+    REPEATS,
+    ChooseTable,
+    CountTable,
+    RangeTable,
+    SweepTable,
+)
+
+_QUANTITY = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep file as objects; everything in it has been checked.
+
+    Attributes:
+        name: Name of the sweep.
+        path: The file it came from.
+        function: What is tried: a calibration.
+        points: Where, in the order in which trials are begun.
+        seed: Seed of noise, starts and sample.
+        definitions: What rows depend on beside their points, by name.
+    """
+
+    name: str
+    path: Path
+    function: CalibrationTrial
+    points: tuple[Point, ...]
+    seed: int
+    definitions: Mapping[str, str]
+
+    @property
+    def database(self) -> Path:
+        """Where rows are kept unless another file is named: beside the sweep file."""
+        return self.path.with_suffix(".sqlite")
+
+    def run(
+        self,
+        database: str | os.PathLike[str] | None = None,
+        *,
+        workers: int | None = None,
+        cores_per_worker: int = 1,
+        scheduler: str | None = None,
+        retry_failed: bool = False,
+        progress: Callable[[Progress], None] | None = None,
+    ) -> SweepResult:
+        """Runs all trials that are not in the database yet, see `run_sweep`.
+
+        Args:
+            database: SQLite file; by default that beside the sweep file.
+            workers: Worker processes; by default one per core.
+            cores_per_worker: Threads of each.
+            scheduler: Address of a Dask scheduler, whose workers are used then. They
+                must find the project file under the same path.
+            retry_failed: Whether trials that failed are tried again.
+            progress: Called at the beginning and after each trial.
+
+        Returns:
+            All rows of the database.
+
+        Raises:
+            ValueError: If the database is of another sweep.
+            OSError: If the database or the scheduler cannot be used.
+            RuntimeError: If workers cannot start.
+        """
+        return run_sweep(
+            self.function,
+            self.points,
+            self.database if database is None else database,
+            name=self.name,
+            seed=self.seed,
+            repeats=[axis for axis in REPEATS if axis in self.points[0]],
+            definitions=self.definitions,
+            workers=workers,
+            cores_per_worker=cores_per_worker,
+            scheduler=scheduler,
+            retry_failed=retry_failed,
+            progress=progress,
+        )
+
+
+def load_sweep(path: str | os.PathLike[str]) -> Sweep:
+    """Reads a sweep file and the project that it is about, and checks both.
+
+    Nothing is solved. Each layout and each value of a key of the project is tried on
+    the project file, so that a wrong one is found before the first trial.
+
+    Args:
+        path: A TOML file; the README shows one.
+
+    Returns:
+        The sweep, ready for `run`.
+
+    Raises:
+        FileNotFoundError: If it does not exist, or its project file does not.
+        ProjectError: If anything in one of them is wrong; the text names the key.
+        ValueError: If JAX is not in float64.
+    """
+    path = Path(path)
+    table = read_schema(path, SweepTable, "sweep file")
+    source = path.parent / table.project
+    if not source.exists():
+        raise FileNotFoundError(f"{path}: project: there is no file {source}.")
+    project = load_project(source)
+    files = {str(file.resolve()): digest_of(file) for file in project.files}
+    function = CalibrationTrial(
+        source.resolve(), files, table.layouts, _replaced(path, table), table.truth
+    )
+    _check_calibration(path, table, project)
+    axes = {
+        axis: _values(path, axis, values, table, project)
+        for axis, values in table.axes.items()
+    }
+    # Trials of one shape next to one another: a worker compiles less.
+    ordered = {a: axes[a] for a in (*_keys(axes), *OWN_AXES) if a in axes}
+    _check_variants(path, function, ordered)
+    with at(path, "axes"):
+        points = (
+            grid(ordered)
+            if table.sample is None
+            else sample(ordered, table.sample, seed=table.seed)
+        )
+    definitions = {
+        f"content of {os.path.relpath(file, source.resolve().parent)}": digest
+        for file, digest in files.items()
+    }
+    definitions |= {f"layout {k}": json.dumps(v) for k, v in table.layouts.items()}
+    definitions["truth"] = json.dumps(table.truth, sort_keys=True)
+    name = table.name or path.stem
+    return Sweep(name, path, function, tuple(points), table.seed, definitions)
+
+
+def _keys(axes: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(axis for axis in axes if axis not in OWN_AXES)
+
+
+def _replaced(path: Path, table: SweepTable) -> str:
+    """The set of control points that layouts replace."""
+    if not table.layouts:
+        return ""
+    sets = list(read_toml(path.parent / table.project, "").get("control_points", {}))
+    if table.replaces is None and len(sets) == 1:
+        return sets[0]
+    if table.replaces is not None and table.replaces in sets:
+        return table.replaces
+    known = f"It has {', '.join(sets)}." if sets else "It has none."
+    if table.replaces is None:
+        raise ProjectError(
+            f"{path}: replaces: missing. Expected the set of control points of the "
+            f"project that the layouts take the place of. {known}"
+        )
+    raise ProjectError(
+        f"{path}: replaces: the project has no control points "
+        f'"{table.replaces}".{suggestion(table.replaces, sets)} {known}'
+    )
+
+
+def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:
+    """Raise unless there is something to calibrate, with or without measurements."""
+    if not table.truth:
+        project.check_calibration()
+        return
+    project.check_identify()
+    assert project.space is not None
+    names = project.space.names
+    for name in table.truth:
+        if name not in names:
+            raise ProjectError(
+                f"{path}: truth: there is no parameter {name!r}."
+                f"{suggestion(name, names)} Known: {', '.join(names)}."
+            )
+    missing = [name for name in names if name not in table.truth]
+    if missing:
+        raise ProjectError(f"{path}: truth: it has no value for {', '.join(missing)}.")
+    with at(path, "truth"):
+        truth_in_si(project.space, table.truth)
+
+
+def _values(
+    path: Path, axis: str, given: Any, table: SweepTable, project: Project
+) -> Sequence[Any] | Range:
+    """Values of an axis, checked against the project."""
+    with at(path, f"axes.{axis}"):
+        if isinstance(given, CountTable):
+            return list(range(1, given.count + 1))
+        if isinstance(given, RangeTable):
+            return _range(given)
+        if axis == "layout":
+            for name in given:
+                if name not in table.layouts:
+                    hint = suggestion(str(name), table.layouts)
+                    raise ValueError(
+                        f"there is no [layouts.{name}].{hint} Known: "
+                        f"{', '.join(table.layouts)}."
+                    )
+        if axis == "configurations":
+            return _subsets(given, [c.name for c in project.calibration])
+    return given
+
+
+def _subsets(given: Any, names: list[str]) -> list[list[str]]:
+    """Sets of configurations that are fitted."""
+    if isinstance(given, ChooseTable):
+        if not 1 <= given.choose <= len(names):
+            raise ValueError(
+                f"choose = {given.choose}, but the project has {len(names)} "
+                f"configurations with the role calibration: {', '.join(names)}."
+            )
+        return [list(s) for s in itertools.combinations(names, given.choose)]
+    for subset in given:
+        if not isinstance(subset, list) or not subset:
+            raise ValueError(
+                f"got {subset}; expected lists of configurations that are fitted "
+                'together, like [["pose 1"], ["pose 1", "pose 2"]].'
+            )
+        for name in subset:
+            if name not in names:
+                raise ValueError(
+                    f"there is no configuration {name!r} with the role calibration."
+                    f"{suggestion(str(name), names)} Known: {', '.join(names)}."
+                )
+    # In one order, so that [a, b] and [b, a] are the same trial.
+    return [[name for name in names if name in subset] for subset in given]
+
+
+def _range(table: RangeTable) -> Range:
+    ends = [table.low, table.high]
+    if all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends):
+        return Range(float(table.low), float(table.high), table.scale)
+    parts = [_QUANTITY.fullmatch(str(end)) for end in ends]
+    if parts[0] is None or parts[1] is None or parts[0][2] != parts[1][2]:
+        raise ValueError(
+            f"got {table.low} and {table.high}; expected two numbers, or two "
+            'quantities in the same unit, like "100 kPa" and "300 kPa".'
+        )
+    low, high = (float(part[1]) for part in parts if part is not None)
+    return Range(low, high, table.scale, f"{{:.9g}} {parts[0][2]}")
+
+
+def _check_variants(
+    path: Path, function: CalibrationTrial, axes: Mapping[str, Sequence[Any] | Range]
+) -> None:
+    """Loads the project with each layout and each value of a key once."""
+    shaping = [axis for axis in axes if axis == "layout" or axis not in OWN_AXES]
+    tried = {axis: _some(axes[axis]) for axis in shaping}
+    first = {axis: values[0] for axis, values in tried.items()}
+    for axis, values in tried.items():
+        for value in values:
+            with at(path, f"axes.{axis} = {value}"):
+                try:
+                    function.variant({**first, axis: value})
+                except ProjectError as error:
+                    raise ValueError(str(error)) from error
+
+
+def _some(values: Sequence[Any] | Range) -> Sequence[Any]:
+    return [values.at(0.0), values.at(1.0)] if isinstance(values, Range) else values

@@ -1,0 +1,125 @@
+"""How far a sweep is, how fast it goes, and how long it will take."""
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from softcal_jax.sweeps._row import TrialRow
+
+WINDOW = 50
+"""Trials over which the rate is taken."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a sweep, after each trial.
+
+    Attributes:
+        total: Trials of the sweep.
+        ended: Those that have ended, in this run or before.
+        before: Those that had ended before this run.
+        not_converged: Those of the ended that did not converge.
+        failed: Those of the ended that failed.
+        rate: Trials per second, once what they need is compiled; None before the first
+            one has ended.
+        row: The trial that has just ended; None at the beginning.
+    """
+
+    total: int
+    ended: int
+    before: int
+    not_converged: int
+    failed: int
+    rate: float | None
+    row: TrialRow | None
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Wall time to the end at this rate [s]."""
+        return None if self.rate is None else (self.total - self.ended) / self.rate
+
+    def __str__(self) -> str:
+        """One line for a terminal."""
+        bad = [
+            f"{n} {what}"
+            for n, what in (
+                (self.failed, "failed"),
+                (self.not_converged, "not converged"),
+            )
+            if n
+        ]
+        text = f"{self.ended} of {self.total} trials"
+        text += f" ({', '.join(bad)})" if bad else ""
+        if self.rate is None or self.seconds_left is None:
+            return text
+        left = f", {duration(self.seconds_left)} left" if self.seconds_left else ""
+        return f"{text}, {rate_text(self.rate)}{left}"
+
+
+class Tally:
+    """Counts the trials of a run."""
+
+    def __init__(self, total: int, states: list[str]):
+        """A run that begins.
+
+        Args:
+            total: Trials of the sweep.
+            states: States of those that have ended.
+        """
+        self._total, self._before = total, len(states)
+        self._states = list(states)
+        self._workers: dict[str, int] = {}
+        self._seconds: deque[float] = deque(maxlen=WINDOW)
+        self._ends: deque[float] = deque(maxlen=WINDOW)
+
+    def now(self, row: TrialRow | None = None) -> Progress:
+        """Progress, with a trial that has just ended."""
+        if row is not None:
+            self._states.append(row.state)
+            # The first trial of a worker compiles what the others find compiled.
+            first = row.worker not in self._workers
+            self._workers[row.worker] = len(self._states)
+            self._seconds.append(row.seconds - first * row.compile_seconds)
+            self._ends.append(time.monotonic())
+        count = self._states.count
+        return Progress(
+            self._total,
+            len(self._states),
+            self._before,
+            count("not converged"),
+            count("failed"),
+            self._rate(),
+            row,
+        )
+
+    def _rate(self) -> float | None:
+        """Workers that ended one of the last trials, over the mean time of a trial.
+
+        Or the rows of late per second, where it is not the trials that take the time.
+        """
+        if not self._ends:
+            return None
+        recent = len(self._states) - max(WINDOW, 3 * len(self._workers))
+        busy = sum(number > recent for number in self._workers.values())
+        by_trials = busy * len(self._seconds) / max(sum(self._seconds), 1e-9)
+        span = self._ends[-1] - self._ends[0]
+        return min(by_trials, (len(self._ends) - 1) / span) if span else by_trials
+
+
+def rate_text(per_second: float) -> str:
+    """A rate in the unit that makes it a number of about 1 to 100."""
+    for size, name in ((1.0, "second"), (60.0, "minute")):
+        if per_second * size >= 1.0:
+            return f"{per_second * size:.3g} per {name}"
+    return f"{3600.0 * per_second:.3g} per hour"
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    if seconds < 5400.0:
+        return f"{seconds / 60.0:.0f} min"
+    if seconds < 172800.0:
+        return f"{seconds / 3600.0:.1f} h"
+    return f"{seconds / 86400.0:.1f} days"

@@ -1,0 +1,161 @@
+"""How a trial ended, and how it is run so that it always ends in a row."""
+
+import math
+import os
+import socket
+import traceback
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+from softcal_jax.calibration import Clock
+from softcal_jax.sweeps._trial import Trial
+
+State = Literal["converged", "not converged", "failed"]
+
+Figure = float | int | str | None
+
+_CACHE_WARNING = "persistent compilation cache"
+"""JAX warns, and compiles, where another worker is just writing what it would read."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a trial found.
+
+    Attributes:
+        figures: Numbers or words by name; nan and None mean that there is none. A name
+            may end with its SI unit in brackets, "fit rms [m]": tables then show
+            readable units.
+        converged: Whether they can be used; if not, no mean holds them.
+        reason: Why not.
+        notes: What a user should know before using them.
+    """
+
+    figures: Mapping[str, Any]
+    converged: bool = True
+    reason: str = ""
+    notes: Sequence[str] = ()
+
+
+TrialFunction = Callable[[Trial], Outcome | Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class TrialRow:
+    """How a trial ended: a row of the database.
+
+    Attributes:
+        key: Name of the trial.
+        point: Its value on each axis.
+        state: "converged", "not converged" or "failed".
+        reason: Why it did not converge, or failed.
+        figures: What it found; nothing if it failed.
+        notes: What a user should know before using it.
+        seconds: Wall time [s].
+        compile_seconds: Of these, for tracing and compiling in JAX, or for reading what
+            was compiled before [s].
+        worker: Machine and process that ran it.
+        ended: When it ended, in UTC.
+        traceback: Where it failed.
+    """
+
+    key: str
+    point: Mapping[str, Any]
+    state: State
+    reason: str = ""
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    compile_seconds: float = 0.0
+    worker: str = ""
+    ended: str = ""
+    traceback: str = ""
+
+
+def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
+    """Run a trial; whatever happens in it, it ends in a row.
+
+    Args:
+        function: What is tried.
+        trial: Where.
+    """
+    outcome, reason, trace = None, "", ""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with Clock() as clock:
+            try:
+                outcome = _as_outcome(function(trial))
+            except Exception as error:  # a trial that fails is a row with its reason
+                reason = f"{type(error).__name__}: {error}"
+                trace = traceback.format_exc()
+    warned = [str(w.message) for w in caught if _CACHE_WARNING not in str(w.message)]
+    times = clock.seconds
+    shared = {
+        "key": trial.key,
+        "point": trial.point,
+        "seconds": times["compile"] + times["solve"],
+        "compile_seconds": times["compile"],
+        **_here_and_now(),
+    }
+    if outcome is None:
+        notes = tuple(dict.fromkeys(warned))
+        return TrialRow(
+            state="failed", reason=reason, notes=notes, traceback=trace, **shared
+        )
+    return TrialRow(
+        state="converged" if outcome.converged else "not converged",
+        reason="" if outcome.converged else outcome.reason or "it did not converge",
+        figures=outcome.figures,
+        notes=tuple(dict.fromkeys([*outcome.notes, *warned])),
+        **shared,
+    )
+
+
+def failed_row(trial: Trial, reason: str, trace: str = "") -> TrialRow:
+    """The row of a trial whose worker could not tell how it ended."""
+    return TrialRow(
+        trial.key,
+        trial.point,
+        "failed",
+        reason,
+        traceback=trace,
+        ended=_here_and_now()["ended"],
+    )
+
+
+def _here_and_now() -> dict[str, str]:
+    return {
+        "worker": f"{socket.gethostname()} {os.getpid()}",
+        "ended": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _as_outcome(returned: Any) -> Outcome:
+    if isinstance(returned, Mapping):
+        returned = Outcome(returned)
+    if not isinstance(returned, Outcome):
+        raise TypeError(
+            f"the function of a sweep must return a mapping of names to numbers, or an "
+            f"Outcome; got {type(returned).__name__}."
+        )
+    figures = {str(name): _figure(name, v) for name, v in returned.figures.items()}
+    return Outcome(figures, bool(returned.converged), returned.reason, returned.notes)
+
+
+def _figure(name: str, value: Any) -> Figure:
+    if isinstance(value, np.ndarray | np.generic | jax.Array) and np.ndim(value) == 0:
+        value = np.asarray(value).item()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    raise TypeError(
+        f"figure {name!r} must be a number or a word, got {type(value).__name__}; give "
+        "each entry of an array a name of its own."
+    )

@@ -1,0 +1,141 @@
+"""Running a sweep: what is left to do, on workers, each trial a row when it ends."""
+
+import os
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from softcal_jax._names import unknown_name
+from softcal_jax.equilibrium import usable_cores
+from softcal_jax.sweeps._dask import dask_rows
+from softcal_jax.sweeps._database import Plan, SweepDatabase
+from softcal_jax.sweeps._local import local_rows
+from softcal_jax.sweeps._progress import Progress, Tally
+from softcal_jax.sweeps._result import SweepResult, read_sweep
+from softcal_jax.sweeps._row import TrialFunction, TrialRow, run_trial
+from softcal_jax.sweeps._trial import Trial, as_trials
+
+
+def run_sweep(
+    function: TrialFunction,
+    points: Iterable[Mapping[str, Any]],
+    database: str | os.PathLike[str],
+    *,
+    name: str | None = None,
+    seed: int = 0,
+    repeats: Sequence[str] = (),
+    definitions: Mapping[str, str] | None = None,
+    workers: int | None = None,
+    cores_per_worker: int = 1,
+    scheduler: str | None = None,
+    retry_failed: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+) -> SweepResult:
+    """Calls a function at every point, side by side, and keeps each result at once.
+
+    Each trial is a row of the database the moment it ends. A sweep that was stopped or
+    killed is run again with the same arguments, and goes on: only trials that were
+    under way are lost. A trial that raises is a row with its reason. A row depends on
+    its point and the seed alone, not on the order or the number of workers.
+
+    Example, in a module that can be imported::
+
+        def tip_height(trial):
+            E, noise = trial["E"], np.random.default_rng(trial.seed)
+            ...
+            return {"tip height [m]": height, "steps": steps}
+
+        if __name__ == "__main__":
+            points = grid({"E": [2e5, 3e5], "draw": range(20)})
+            print(run_sweep(tip_height, points, "tips.sqlite", repeats=["draw"]))
+
+    Args:
+        function: What is tried: takes a `Trial` and returns figures by name, or an
+            `Outcome`, which can say that it did not converge. Worker processes import
+            it, and keep what it compiled from one trial to the next.
+        points: Where, from `grid`, `sample` or your own: a value for each axis. More
+            points may be added when the sweep is run again.
+        database: SQLite file; made, or gone on with.
+        name: Name in tables; that of the function by default.
+        seed: Seed of the sweep, see `Trial.seed`.
+        repeats: Axes that only repeat the others; tables take means over them.
+        definitions: What else a row depends on, by name, like {"mesh": "beam 14x4x4"}.
+            A database with another value of any of them is refused.
+        workers: Worker processes; by default one per core. 0 runs everything in this
+            process, for functions that cannot be imported.
+        cores_per_worker: Threads of each. Sums are rounded differently on another
+            number of threads, so rows may differ in their last digits between them.
+        scheduler: Address of a Dask scheduler, whose workers are used then.
+        retry_failed: Whether trials that failed are tried again.
+        progress: Called at the beginning and after each trial.
+
+    Returns:
+        All rows of the database, those of earlier runs too.
+
+    Raises:
+        ValueError: If an argument is wrong, or the database is of another sweep.
+        OSError: If the database or the scheduler cannot be used.
+        RuntimeError: If workers cannot start.
+    """
+    trials = as_trials(points, seed)
+    for axis in repeats:
+        if axis not in trials[0].point:
+            raise unknown_name("axis", axis, trials[0].point)
+    what = getattr(function, "__qualname__", type(function).__qualname__)
+    plan = Plan(
+        name or what,
+        trials,
+        tuple(repeats),
+        {
+            "function": what,
+            "set of axes": ", ".join(sorted(trials[0].point)),
+            "seed": str(seed),
+            **(definitions or {}),
+        },
+    )
+    source = _source(function, workers, cores_per_worker, scheduler)
+    tell = progress or (lambda _: None)
+    with SweepDatabase(Path(database)) as file:
+        ended = file.begin(plan)
+        if retry_failed:
+            ended = {key: s for key, s in ended.items() if s != "failed"}
+        left = [trial for trial in trials if trial.key not in ended]
+        tally = Tally(len(trials), [ended[t.key] for t in trials if t.key in ended])
+        tell(tally.now())
+        if left:
+            with closing(source(left)) as rows:
+                for row in rows:
+                    file.add(row)
+                    tell(tally.now(row))
+    return read_sweep(database)
+
+
+Source = Callable[[Sequence[Trial]], Generator[TrialRow, None, None]]
+
+
+def _source(
+    function: TrialFunction,
+    workers: int | None,
+    cores_per_worker: int,
+    scheduler: str | None,
+) -> Source:
+    """Where rows come from."""
+    if cores_per_worker < 1:
+        raise ValueError(
+            f"cores_per_worker must be at least 1, got {cores_per_worker}."
+        )
+    if scheduler is not None:
+        if workers is not None:
+            raise ValueError(
+                "workers are processes of this machine; with a scheduler the cluster "
+                "has its own. Give one of the two."
+            )
+        return lambda trials: dask_rows(function, trials, scheduler)
+    if workers is None:
+        workers = max(1, usable_cores() // cores_per_worker)
+    if workers < 0:
+        raise ValueError(f"workers must be 0 or more, got {workers}.")
+    if workers == 0:
+        return lambda trials: (run_trial(function, trial) for trial in trials)
+    return lambda trials: local_rows(function, trials, workers, cores_per_worker)

@@ -1,0 +1,324 @@
+"""Running functions: rows, resuming, dying workers, and what a database refuses."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cheap
+import pytest
+from killable import kill, started, wait_for
+from rows import substance
+
+from softcal_jax.sweeps import _database as database_module
+from softcal_jax.sweeps import grid, read_sweep, run_sweep
+from softcal_jax.sweeps._worker import WorkerSetup
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """All rows, one after the other in this process."""
+    path = tmp_path_factory.mktemp("undisturbed") / "sweep.sqlite"
+    return run_sweep(cheap.measure, cheap.POINTS, path, repeats=["draw"], workers=0)
+
+
+def test_every_trial_is_a_row(undisturbed):
+    assert len(undisturbed.rows) == len(cheap.POINTS) == 24
+    assert [row.point for row in undisturbed.rows] == cheap.POINTS
+    assert not undisturbed.missing
+    failed = undisturbed.of_state("failed")
+    assert [row.point["draw"] for row in failed] == [3, 3]
+    assert failed[0].reason == "ArithmeticError: no value at E = 200000"
+    assert "in measure" in failed[0].traceback
+    assert failed[0].figures == {}
+    bad = undisturbed.of_state("not converged")
+    assert {row.reason for row in bad} == {"draw 4"}
+    # Neither counts in a mean.
+    assert len(undisturbed.numbers("E found [Pa]")) == 24 - 2 - 4
+
+
+def test_workers_give_the_same_rows(undisturbed, tmp_path):
+    """Two processes, in another order, from another function of the same numbers."""
+    backwards = cheap.POINTS[::-1]
+    found = run_sweep(cheap.measure, backwards, tmp_path / "s.sqlite", workers=2)
+    assert sorted(map(str, substance(found))) == sorted(
+        map(str, substance(undisturbed))
+    )
+    assert len({row.worker for row in found.rows}) == 2
+    assert str(os.getpid()) not in {row.worker.split()[1] for row in found.rows}
+
+
+def test_resuming_runs_only_what_is_missing(undisturbed, tmp_path):
+    path, progress = tmp_path / "s.sqlite", []
+    first = run_sweep(cheap.measure, cheap.POINTS[:10], path, workers=0)
+    run_sweep(
+        cheap.measure, cheap.POINTS, path, repeats=["draw"], workers=0,
+        progress=progress.append,
+    )  # fmt: skip
+    found = read_sweep(path)
+    assert substance(found) == substance(undisturbed)
+    assert [row.ended for row in found.rows[:10]] == [row.ended for row in first.rows]
+    assert (progress[0].before, progress[0].row) == (10, None)
+    assert [now.ended for now in progress] == list(range(10, 25))
+    assert progress[-1].seconds_left == 0.0
+    # A smaller plan keeps the rows that it does not ask for.
+    smaller = run_sweep(cheap.measure, cheap.POINTS[:5], path, workers=0)
+    assert len(smaller.planned) == 5
+    assert len(smaller.rows) == 24
+
+
+def test_failed_trials_are_tried_again_only_if_asked(tmp_path):
+    path, points = tmp_path / "s.sqlite", grid({"a": [1, 2]})
+    cure = []
+
+    def function(trial):
+        if trial["a"] == 1 and not cure:
+            raise OSError("out of space")
+        return {"x": trial["a"]}
+
+    run = lambda **more: run_sweep(function, points, path, workers=0, **more)
+    assert [row.state for row in run().rows] == ["failed", "converged"]
+    cure.append(True)
+    assert [row.state for row in run().rows] == ["failed", "converged"]
+    again = run(retry_failed=True)
+    assert [row.state for row in again.rows] == ["converged", "converged"]
+
+
+def children(pid):
+    """Worker processes of a driver; its resource tracker is none."""
+    listed = subprocess.run(
+        ["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True
+    )
+    lines = [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
+    return [int(number) for number, words in lines if "spawn_main" in words]
+
+
+def is_alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    return state != "Z"
+
+
+def test_kill_a_worker_and_then_the_driver(undisturbed, tmp_path):
+    """kill -9 of either loses nothing but trials under way, row by row."""
+    path = tmp_path / "s.sqlite"
+    driver = started(path, "2")
+    workers = children(driver.pid)
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    before = len(read_sweep(path).rows)
+    wait_for(driver, before + 4)
+    workers = children(driver.pid)
+    kill(driver)
+    # Nobody computes on for a driver that is gone.
+    end = time.monotonic() + 20.0
+    while any(map(is_alive, workers)) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not any(map(is_alive, workers))
+
+    left = read_sweep(path)
+    assert 7 <= len(left.rows) < 24
+    assert len(left.missing) == 24 - len(left.rows)
+    assert set(map(str, substance(left))) <= set(map(str, substance(undisturbed)))
+    done = {row.key: row.ended for row in left.rows}
+    found = run_sweep(cheap.slowly, cheap.POINTS, path, repeats=["draw"], workers=2)
+    assert substance(found) == substance(undisturbed)
+    assert all(row.ended == done[row.key] for row in found.rows if row.key in done)
+
+
+def test_a_trial_that_kills_its_worker_fails_alone(undisturbed, tmp_path):
+    points = [p for p in cheap.POINTS if p["E"] == 2e5 and p["kind"] == "u"]
+    found = run_sweep(cheap.deadly, points, tmp_path / "s.sqlite", workers=2)
+    assert [row.state for row in found.rows] == [
+        "converged", "converged", "failed", "converged", "not converged", "converged",
+    ]  # fmt: skip
+    assert found.rows[2].reason == (
+        "its worker died 2 times: SIGKILL (out of memory, or killed)"
+    )
+    others = [row for row in found.rows if row.state != "failed"]
+    expected = {row.key: row.figures for row in undisturbed.rows}
+    assert all(row.figures == expected[row.key] for row in others)
+
+
+def test_workers_compute_as_this_process_does(tmp_path):
+    """float64 as here, and one thread each however many there are."""
+    found = run_sweep(
+        cheap.where, grid({"a": [1, 2, 3]}), tmp_path / "s.sqlite", workers=1
+    )
+    assert set(found.numbers("float64")) == {1.0}
+    assert set(found.numbers("cores")) == {1.0}
+    assert len(set(found.numbers("process"))) == 1
+    assert "OMP_NUM_THREADS" not in os.environ
+
+
+def test_workers_of_another_version_are_refused():
+    setup = WorkerSetup(x64=True, version="0.0.1")
+    with pytest.raises(RuntimeError, match=r"the sweep 0.0.1: rows would not belong"):
+        setup.apply()
+
+
+def test_one_program_serves_trials_of_one_shape(tmp_path):
+    """What is compiled in a worker serves its later trials."""
+    points = grid({"length": [5, 6], "draw": [1, 2, 3]})
+    rows = run_sweep(cheap.compiled, points, tmp_path / "s.sqlite", workers=1).rows
+    assert [row.figures["sum"] for row in rows] == [30.0] * 3 + [55.0] * 3
+    assert [row.compile_seconds > 0.0 for row in rows] == [True, False, False] * 2
+
+
+def test_functions_that_cannot_be_sent(tmp_path):
+    points, path = grid({"a": [1]}), tmp_path / "s.sqlite"
+    with pytest.raises(
+        ValueError, match="cannot be sent to worker processes"
+    ) as caught:
+        run_sweep(lambda trial: {"x": 1}, points, path, workers=1)
+    assert str(caught.value).endswith("or run it in this process, workers=0.")
+    # In this process it can be anything.
+    found = run_sweep(lambda trial: {"x": 1}, points, tmp_path / "t.sqlite", workers=0)
+    assert found.numbers("x") == [1.0]
+
+
+def test_functions_that_cannot_be_imported(tmp_path, monkeypatch):
+    monkeypatch.setattr(cheap.measure, "__module__", "cheap", raising=False)
+    monkeypatch.setenv("PYTHONPATH", "")
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if "tests" not in p])
+    with pytest.raises(RuntimeError, match="cannot import the function of the sweep"):
+        run_sweep(cheap.measure, grid({"E": [1.0]}), tmp_path / "s.sqlite", workers=1)
+
+
+@pytest.mark.parametrize(
+    ("returned", "reason"),
+    [
+        (3.0, "TypeError: the function of a sweep must return a mapping of names"),
+        ({"x": [1, 2]}, "TypeError: figure 'x' must be a number or a word, got list"),
+    ],
+)
+def test_wrong_returns_are_failures(returned, reason, tmp_path):
+    found = run_sweep(
+        lambda trial: returned, grid({"a": [1]}), tmp_path / "s.sqlite", workers=0
+    )
+    assert found.rows[0].state == "failed"
+    assert found.rows[0].reason.startswith(reason)
+
+
+def test_figures_that_do_not_exist_and_warnings(tmp_path):
+    import warnings
+
+    def function(trial):
+        warnings.warn("the mesh locks", stacklevel=1)
+        return {"x": float("nan"), "y": float("inf"), "z": None, "word": "yes"}
+
+    path = tmp_path / "s.sqlite"
+    (row,) = run_sweep(function, grid({"a": [1]}), path, workers=0).rows
+    assert row.figures == {"x": None, "y": None, "z": None, "word": "yes"}
+    assert row.notes == ("the mesh locks",)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"points": []}, "the sweep has no trials: give each axis at least one value"),
+        ({"points": [{"a": 1}, {"a": 1}]}, "the sweep tries a = 1 twice"),
+        ({"points": [{"a": 1}, {"b": 1}]}, "all points of a sweep need the same axes"),
+        ({"repeats": ["draws"]}, "unknown axis 'draws'. Known: 'a'"),
+        ({"workers": -1}, "workers must be 0 or more, got -1"),
+        ({"cores_per_worker": 0}, "cores_per_worker must be at least 1, got 0"),
+        (
+            {"scheduler": "tcp://127.0.0.1:1", "workers": 2},
+            "with a scheduler the cluster has its own",
+        ),
+    ],
+)
+def test_bad_arguments(arguments, message, tmp_path):
+    given = {"points": grid({"a": [1, 2]}), **arguments}
+    with pytest.raises(ValueError, match=message):
+        run_sweep(cheap.measure, database=tmp_path / "s.sqlite", **given)
+    assert list(tmp_path.iterdir()) == []
+
+
+def one(path, function=cheap.measure, **more):
+    points = grid({"E": [1.0], "kind": ["u"], "draw": [0]})
+    return run_sweep(function, points, path, workers=0, **more)
+
+
+@pytest.mark.parametrize(
+    ("again", "message"),
+    [
+        (
+            {"seed": 1},
+            "holds another sweep: its seed is 0, that of this one is 1. Give another",
+        ),
+        (
+            {"function": cheap.where},
+            "its function is measure, that of this one is where",
+        ),
+        ({"definitions": {"mesh": "b"}}, "its mesh is a, that of this one is b"),
+    ],
+)
+def test_another_sweep_is_refused(again, message, tmp_path):
+    path = tmp_path / "s.sqlite"
+    before = one(path, definitions={"mesh": "a"})
+    with pytest.raises(ValueError, match=message):
+        one(path, **again)
+    assert substance(read_sweep(path)) == substance(before)
+    # What was not known before is no contradiction.
+    assert len(one(path, definitions={"layout three": "c"}).rows) == 1
+
+
+def test_other_axes_are_another_sweep(tmp_path):
+    path = tmp_path / "s.sqlite"
+    one(path)
+    with pytest.raises(ValueError, match="its set of axes is E, draw, kind, that of"):
+        run_sweep(cheap.measure, grid({"E": [1.0]}), path, workers=0)
+
+
+def test_files_that_are_no_database_of_a_sweep(tmp_path):
+    text = tmp_path / "text.sqlite"
+    text.write_text("a diary, long enough to be taken for something else" * 30)
+    other = tmp_path / "other.sqlite"
+    with sqlite3.connect(other) as file:
+        file.execute("CREATE TABLE addresses (name TEXT)")
+    file.close()
+    for use in (one, read_sweep):
+        with pytest.raises(ValueError, match="is not a database of a sweep"):
+            use(text)
+        with pytest.raises(ValueError, match="a database of something else than a"):
+            use(other)
+    with pytest.raises(FileNotFoundError, match="there is no sweep database"):
+        read_sweep(tmp_path / "none.sqlite")
+    with pytest.raises(FileNotFoundError, match=r"the folder .* does not exist"):
+        one(tmp_path / "no" / "s.sqlite")
+    with pytest.raises(IsADirectoryError, match="is a folder; name a database in it"):
+        one(tmp_path)
+
+
+def test_two_sweeps_do_not_share_a_database(tmp_path):
+    path = tmp_path / "s.sqlite"
+
+    def meddling(trial):
+        with pytest.raises(BlockingIOError, match="another sweep is writing to") as e:
+            one(path)
+        assert str(e.value).endswith("wait until it has ended, or give another file.")
+        assert read_sweep(path).rows == ()  # reading is fine
+        return {"x": 1}
+
+    (row,) = one(path, meddling).rows
+    assert (row.state, row.reason) == ("converged", "")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_locked_database_says_so(tmp_path, monkeypatch):
+    path = tmp_path / "s.sqlite"
+    one(path)
+    monkeypatch.setattr(database_module, "WAIT_S", 0.1)
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(BlockingIOError, match="is locked by another program; close it"):
+        one(path)
+    other.close()
+    assert len(one(path).rows) == 1

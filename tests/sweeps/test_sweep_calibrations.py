@@ -1,0 +1,224 @@
+"""Calibrations as trials, by Python and by the command line."""
+
+import csv
+import dataclasses
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rows import substance
+from small_project import write_small_project
+
+from softcal_jax.calibration import random_starts
+from softcal_jax.cli import main
+from softcal_jax.project import load_project
+from softcal_jax.sweeps import Trial, _calibration, load_sweep, read_sweep
+
+SWEEP = """
+project = "project.toml"
+seed = 7
+
+[axes]
+start = [0, 1]
+noise = [0, 1]
+"settings.max_steps" = [1, 50]
+"shared.gravity" = ["(0, 0, -9.81) m/s^2", "(0, 0, -1e8) m/s^2"]
+"""
+
+WEIGHT, CRUSHED = "(0, 0, -9.81) m/s^2", "(0, 0, -1e8) m/s^2"
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A folder with a sweep that the command line has run, and what it printed."""
+    folder = tmp_path_factory.mktemp("swept")
+    write_small_project(
+        folder, ("[markers]\n", "[newton]\nmax_steps = 5\n\n[markers]\n")
+    )
+    (folder / "sweep.toml").write_text(SWEEP)
+    return folder
+
+
+def run(folder, capsys, *more):
+    """`softcal sweep` in this process."""
+    code = main(["sweep", str(folder / "sweep.toml"), "--workers", "0", *more])
+    return code, *capsys.readouterr()
+
+
+def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    code, text, errors = run(swept, capsys)
+    assert code == 1
+    assert errors == "12 trials failed or did not converge.\n"
+    assert text.startswith("reading sweep.toml ...\n16 trials\n")
+    assert "failed: settings.max_steps = 1, shared.gravity = (0, 0, -1e8) m/s^2" in text
+    assert "16 of 16 trials have ended: 4 converged, 4 not converged, 8 failed." in text
+    assert "lambda_p did not vanish within max_steps = 1" in text
+    assert "no equilibrium found" in text
+    assert f"Rows in {swept / 'sweep.sqlite'}; `softcal sweep show" in text
+    check_rows(swept)
+    # Once more: all is there.
+    code, text, _ = run(swept, capsys)
+    assert (code, "16 trials, 16 of them before\n" in text) == (1, True)
+    check_show(swept, capsys, tmp_path)
+
+
+def check_rows(swept):
+    """What trials found, against a calibration of the same by hand."""
+    result = read_sweep(swept / "sweep.sqlite")
+    assert result.repeats == ("start", "noise")
+    by_point = {tuple(r.point.values()): r for r in result.rows}
+    row = lambda start, noise: by_point[(50, WEIGHT, start, noise)]
+    exact = row(0, 0).figures
+    assert exact["E [Pa]"] == pytest.approx(300e3, rel=1e-8)
+    assert exact["held-out rms [m]"] < 1e-9
+    assert set(exact) == {
+        "fit rms [m]", "held-out rms [m]", "E [Pa]", "steps", "cost [-]",
+        "standard error of E [Pa]",
+    }  # fmt: skip
+    # The same optimum from another start, on another way.
+    other = row(1, 0).figures
+    assert other["E [Pa]"] == pytest.approx(300e3, rel=1e-6)
+    assert row(1, 1).figures["E [Pa]"] == pytest.approx(
+        row(0, 1).figures["E [Pa]"], rel=1e-6
+    )
+    # By hand: the noise of the trial, on what is fitted and not on what is held out.
+    project = load_project(swept / "project.toml")
+    trial = Trial(row(0, 1).point, sweep_seed=7)
+    random = np.random.default_rng(trial.seed_of("noise"))
+    (pose,) = project.calibration
+    std = np.array([[1e-4] * 3, [2e-4] * 3])  # tip and side
+    noisy = pose.measured + std * random.standard_normal((2, 3))
+    pose = dataclasses.replace(pose, measured=noisy)
+    by_hand = dataclasses.replace(project, calibration=(pose,)).calibrate()
+    noisy_row = row(0, 1).figures
+    assert noisy_row["E [Pa]"] == pytest.approx(by_hand.value("E"), rel=1e-9)
+    assert noisy_row["E [Pa]"] != pytest.approx(300e3, rel=1e-4)
+    assert noisy_row["held-out rms [m]"] == pytest.approx(
+        by_hand.configurations[1].rms_after, rel=1e-6
+    )
+    assert noisy_row["standard error of E [Pa]"] == pytest.approx(
+        by_hand.parameters[0].standard_error, rel=1e-6
+    )
+    assert {r.state for p, r in by_point.items() if p[0] == 1 and p[1] == WEIGHT} == {
+        "not converged"
+    }
+    assert {r.state for p, r in by_point.items() if p[1] == CRUSHED} == {"failed"}
+
+    # The start of a trial is that of a calibration which is told to start there.
+    told = Trial(row(1, 0).point, sweep_seed=7)
+    z = random_starts(project.space, 1, seed=told.seed_of("start"))[0]
+    elsewhere = project.calibrate(start=z)
+    assert elsewhere.parameters[0].start == float(project.space.from_scaled(z)[0])
+    assert elsewhere.history[0].values["E"] == elsewhere.parameters[0].start != 200e3
+    assert len(elsewhere.history) - 1 == other["steps"]
+    with pytest.raises(ValueError, match=r"one scaled value for each of the 1 param"):
+        project.calibrate(start=jnp.zeros(2))
+
+
+def check_show(swept, capsys, tmp_path):
+    """Tables, CSV and picture of the rows."""
+    show = lambda *more: main(["sweep", "show", str(swept / "sweep.sqlite"), *more])
+    table, picture = tmp_path / "t.csv", tmp_path / "p.png"
+    assert show("--csv", str(table), "--plot", str(picture), "--figure", "E") == 0
+    text, errors = capsys.readouterr()
+    assert errors == ""
+    assert "E [kPa]" in text
+    assert "Mean ± standard deviation over the trials that converged." in text
+    assert "not converged, 4 trials, the first at settings.max_steps = 1" in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 16
+    good = [float(r["E [Pa]"]) for r in rows if r["state"] == "converged"]
+    assert len(good) == 4
+    assert show("--all") == 0
+    assert capsys.readouterr().out.count("failed") >= 8
+    assert show("--figure", "F [Pa]") == 2
+    assert (
+        "error: unknown figure 'F [Pa]'. Did you mean 'E [Pa]'?"
+        in capsys.readouterr().err
+    )
+    assert show("--by", "noisee") == 2
+    assert "unknown axis 'noisee'. Did you mean 'noise'?" in capsys.readouterr().err
+    assert main(["sweep", "show", str(tmp_path / "no.sqlite")]) == 2
+    assert "error: there is no sweep database" in capsys.readouterr().err
+
+
+def test_a_database_of_another_sweep_file(swept, capsys, tmp_path):
+    write_small_project(tmp_path)
+    (tmp_path / "sweep.toml").write_text(SWEEP.replace("seed = 7", "seed = 8"))
+    read = swept / "other.sqlite"
+    assert main(["sweep", str(swept / "sweep.toml"), "--workers", "-1"]) == 2
+    assert "workers must be 0 or more" in capsys.readouterr().err
+    short = SWEEP.replace("[0, 1]", "[0]").replace("[1, 50]", "[1]")
+    short = short.replace(f', "{CRUSHED}"', "")
+    (swept / "sweep.toml").write_text(short)
+    assert run(swept, capsys, "-o", str(read))[0] == 1
+    code, _, errors = run(tmp_path, capsys, "-o", str(read))
+    assert code == 2
+    assert "holds another sweep: its seed is 7, that of this one is 8" in errors
+
+
+def test_a_project_that_changes_while_a_sweep_runs(tmp_path, monkeypatch):
+    write_small_project(tmp_path)
+    (tmp_path / "sweep.toml").write_text(SWEEP)
+    sweep = load_sweep(tmp_path / "sweep.toml")
+    project = tmp_path / "project.toml"
+    project.write_text(project.read_text().replace("nu = 0.3", "nu = 0.2"))
+    monkeypatch.setattr(_calibration, "_KEPT", {})  # as in a new process
+    with pytest.raises(RuntimeError, match="has changed since the sweep began"):
+        sweep.function(Trial(sweep.points[0]))
+
+
+def test_interrupted(swept, capsys, monkeypatch):
+    """Ctrl-C: what is there stays, and the message says how to go on."""
+    from softcal_jax.sweeps import CalibrationTrial
+
+    def interrupt(self, trial):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(CalibrationTrial, "__call__", interrupt)
+    code, _, errors = run(swept, capsys, "-o", str(swept / "third.sqlite"))
+    assert code == 130
+    assert errors.startswith("interrupted: 0 of ")
+    assert "third.sqlite; the same command goes on from there.\n" in errors
+
+
+@pytest.mark.slow  # three processes compile a calibration, which takes minutes
+def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
+    """Bit for bit: one worker undisturbed; two, killed twice and resumed."""
+    import os
+    import signal
+    import subprocess
+    import sys
+
+    from test_run_sweep import children
+
+    write_small_project(tmp_path)
+    text = SWEEP.replace("start = [0, 1]", "start = { count = 3 }").replace(
+        "noise = [0, 1]", "noise = { count = 4 }"
+    )
+    (tmp_path / "sweep.toml").write_text(text.replace(f', "{CRUSHED}"', ""))
+    sweep = load_sweep(tmp_path / "sweep.toml")
+    expected = sweep.run(tmp_path / "one.sqlite", workers=1)
+    path = tmp_path / "two.sqlite"
+    command = [sys.executable, "-c", "from softcal_jax.cli import main; main()"]
+    command += ["sweep", str(sweep.path), "-o", str(path), "--workers", "2"]
+
+    def started(rows):
+        driver = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        while not path.exists() or len(read_sweep(path).rows) < rows:
+            assert driver.poll() is None
+        return driver
+
+    driver = started(2)
+    os.kill(children(driver.pid)[0], signal.SIGKILL)
+    while len(read_sweep(path).rows) < 5:
+        pass
+    driver.kill()
+    driver.wait()
+    assert 5 <= len(read_sweep(path).rows) < 24
+    found = sweep.run(path, workers=2)
+    assert json.dumps(substance(found)) == json.dumps(substance(expected))
