@@ -32,6 +32,13 @@ def slowly(trial):
     return measure(trial)
 
 
+def asleep(trial):
+    """Takes longer than any test waits, after it has told who it is."""
+    Path(trial["file"]).write_text(str(os.getpid()))
+    time.sleep(600.0)
+    return {"x": 1}
+
+
 def deadly(trial):
     """Dies of itself in one of the trials."""
     if trial["draw"] == 2:

@@ -132,6 +132,26 @@ def test_kill_a_worker_and_then_the_driver(undisturbed, tmp_path):
     assert all(row.ended == done[row.key] for row in found.rows if row.key in done)
 
 
+def test_a_worker_ends_in_the_middle_of_a_trial_with_its_driver(tmp_path):
+    """A trial may take hours, which nobody waits for when the driver is gone."""
+    told, path = tmp_path / "worker", tmp_path / "s.sqlite"
+    program = (
+        "import cheap, softcal_jax.sweeps as s\n"
+        f"s.run_sweep(cheap.asleep, [{{'file': {str(told)!r}}}], {str(path)!r}, "
+        "workers=1)"
+    )
+    driver = subprocess.Popen([sys.executable, "-c", program])
+    while not (told.exists() and told.read_text()):
+        assert driver.poll() is None
+        time.sleep(0.05)
+    driver.kill()
+    driver.wait()
+    end = time.monotonic() + 60.0
+    while is_alive(int(told.read_text())) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not is_alive(int(told.read_text()))
+
+
 def test_a_trial_that_kills_its_worker_fails_alone(undisturbed, tmp_path):
     points = [p for p in cheap.POINTS if p["E"] == 2e5 and p["kind"] == "u"]
     found = run_sweep(cheap.deadly, points, tmp_path / "s.sqlite", workers=2)
