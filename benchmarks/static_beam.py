@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from benchmarks._cantilever import (
@@ -28,12 +27,10 @@ from benchmarks._cantilever import (
     tip,
 )
 from benchmarks._felupe import FelupeBeam, Solver, linear_solvers, tuned_solvers
+from benchmarks._parts import parts
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms, ratio, run_process
 from softcal_jax import Model
-from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import energy_and_force, tangent_values
-from softcal_jax.equilibrium._problem import mask_supports
 
 BEAM = Beam((0.1, 0.02, 0.02), E=3e5, nu=0.4)
 TOL = 1e-8
@@ -122,7 +119,7 @@ def _one_size(n: int, size: Size) -> tuple[dict[str, Figure], dict[str, list[flo
         "ours": lambda: jax.block_until_ready(solve(model, lane)),
         "felupe": peer.solve,
         "felupe_tuned": tuned.solve,
-        **_parts(model, lane, solution.displacement),
+        **parts(model, lane, solution.displacement),
     }
     if n == min(SIZES):
         functions["batch4"] = _batch(model, 4)
@@ -199,36 +196,6 @@ def _fastest_peer(model: Model, solvers: dict[str, Solver]) -> Peer:
 
 def _felupe_call(built: FelupeBeam, solver: Solver):
     return lambda: built.solve(solver, TOL)
-
-
-def _parts(
-    model: Model, lane: ConfigurationArrays, u: jax.Array
-) -> dict[str, Callable[[], object]]:
-    """Parts of an iteration, and bare PARDISO with its defaults on the same matrix."""
-    from pardiso_mkl_jax import MatrixType, primitive
-
-    assembly = eqx.filter_jit(tangent_values)
-    evaluation = eqx.filter_jit(energy_and_force)
-    sparsity = model.solver.sparsity
-    fixed = lane.fixed.ravel()
-    values, _ = jax.jit(mask_supports)(sparsity, assembly(model, u), fixed)
-    rhs = jnp.where(fixed, 0.0, 1.0)[None]
-    indptr, indices = jnp.asarray(sparsity.indptr), jnp.asarray(sparsity.indices)
-    kind = MatrixType.REAL_SYMMETRIC_INDEFINITE
-    token, _ = primitive.analyze(indptr, indices, values, matrix_type=kind)
-
-    @jax.jit
-    def pardiso(token, indptr, indices, values, rhs):
-        return primitive.factor_and_solve_stateful(
-            token, indptr, indices, values, rhs, matrix_type=kind
-        )[0]
-
-    wait = jax.block_until_ready
-    return {
-        "pardiso": lambda: wait(pardiso(token, indptr, indices, values, rhs)),
-        "assembly": lambda: wait(assembly(model, u)),
-        "evaluation": lambda: wait(evaluation(model, u)),
-    }
 
 
 def _batch(model: Model, lanes: int) -> Callable[[], object]:

@@ -1,0 +1,125 @@
+"""Batches of configurations: on all cores, and as one call.
+
+The 525-node beam of Sec. V under loads of its own in each lane.
+
+- Throughput of evaluations (equilibria, errors, W_ep, as a step of a calibration takes
+  them) of 1 to 64 lanes side by side on all cores, over that of one core: processes of
+  their own, one after the other, of which the second may use a single core. Each lane
+  starts from the equilibria of parameters that are a step away.
+- One vmapped `solve_equilibrium` of 64 lanes over 64 calls of one.
+"""
+
+import json
+import os
+import statistics
+import sys
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks._cantilever import first_lane, solve
+from benchmarks._paper import CELLS, MeasuredBeam, measured_beam
+from benchmarks._problem import Figure, Goal, Options, Outcome, Table
+from benchmarks._timing import interleave, median_ms, run_process
+from softcal_jax.calibration import CalibrationProblem
+from softcal_jax.calibration._descent import from_rest
+from softcal_jax.calibration._evaluator import Evaluator
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import Workers, usable_cores
+
+LANES = (1, 2, 4, 16, 64)
+ROUNDS, REPEATS = 3, 5
+STEP = 0.05
+"""How far the parameters move from the equilibria that the lanes start from [-]."""
+
+SINGLES = 64
+GOALS = {"throughput_16_lanes_vs_1_core": Goal("at least", 1.7)}
+
+
+def run(options: Options) -> Outcome:
+    """All cores and one in turn; then one call against many."""
+    samples: dict[str, list[float]] = {}
+    for i in range(ROUNDS):
+        options.say(f"evaluations on all cores and on one, {i + 1} of {ROUNDS}")
+        for which in ("all", "one"):
+            command = [sys.executable, "-m", "benchmarks.batch", which]
+            told = json.loads(run_process(command).splitlines()[-1])
+            for lanes, seconds in told.items():
+                samples.setdefault(f"{which}_{lanes}_s", []).extend(seconds)
+    figures: dict[str, Figure] = {"cores": usable_cores()}
+    rows = []
+    for n in LANES:
+        whole, one = (statistics.median(samples[f"{k}_{n}_s"]) for k in ("all", "one"))
+        figures[f"throughput_{n}_lanes_vs_1_core"] = one / whole
+        figures[f"ms_per_lane_{n}_lanes"] = 1e3 * whole / n
+        rows.append([str(n), f"{1e3 * one / n:.2f}", f"{1e3 * whole / n:.2f}"])
+        rows[-1].append(f"{one / whole:.2f}")
+    options.say("one call against many")
+    times = one_call_and_many(measured_beam(CELLS, plane="xy"), SINGLES)
+    samples |= {f"{name}_s": seconds for name, seconds in times.items()}
+    share = median_ms(times["batch"]) / median_ms(times["singles"])
+    figures[f"batch{SINGLES}_over_{SINGLES}_singles"] = share
+    columns = ["lanes", "one core [ms a lane]", "all cores [ms a lane]", "throughput"]
+    table = Table("Evaluations, medians", columns, rows)
+    return Outcome(figures, samples, GOALS, [table])
+
+
+def loaded(measured: MeasuredBeam, n: int) -> CalibrationProblem:
+    """A calibration of n configurations: those of the beam, each with its own weight.
+
+    Args:
+        measured: The beam of Sec. V.
+        n: Number of configurations.
+    """
+    poses = measured.problem.configurations
+    n_c = poses.gravity.shape[0]
+    lanes = jax.tree.map(lambda leaf: leaf[np.arange(n) % n_c], poses)
+    weight = jnp.linspace(0.8, 1.2, n)[:, None]
+    lanes = eqx.tree_at(lambda c: c.gravity, lanes, weight * lanes.gravity)
+    return eqx.tree_at(lambda p: p.configurations, measured.problem, lanes)
+
+
+def evaluation_seconds(measured: MeasuredBeam, n: int, repeats: int) -> list[float]:
+    """Times of evaluations of n lanes on the cores of this process [s]."""
+    with Workers(measured.problem.model, n) as workers:
+        evaluate = Evaluator(loaded(measured, n), workers)
+        before = from_rest(evaluate, measured.target)
+        z, u = measured.target + STEP, before.equilibrium.displacement
+        call = lambda: jax.block_until_ready(evaluate(z, u))
+        if not bool(call().ok):
+            raise RuntimeError(f"a lane of {n} has no equilibrium.")
+        return interleave({"evaluate": call}, repeats)["evaluate"]
+
+
+def one_call_and_many(measured: MeasuredBeam, n: int) -> dict[str, list[float]]:
+    """Times of one vmapped solve of n lanes, and of n solves [s]."""
+    model = measured.problem.space.apply(measured.problem.model, measured.target)
+    lanes = loaded(measured, n).configurations
+    singles = [first_lane(_from(lanes, i)) for i in range(n)]
+    batched = eqx.filter_jit(
+        lambda model, lanes: jax.vmap(lambda lane: solve(model, lane))(lanes)
+    )
+    calls: dict[str, Callable[[], object]] = {
+        "batch": lambda: jax.block_until_ready(batched(model, lanes)),
+        "singles": lambda: [
+            jax.block_until_ready(solve(model, lane)) for lane in singles
+        ],
+    }
+    return interleave(calls, REPEATS)
+
+
+def _from(lanes: ConfigurationArrays, i: int) -> ConfigurationArrays:
+    return jax.tree.map(lambda leaf: leaf[i:], lanes)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "one":
+        # Before anything computes, so that every pool of threads has one.
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    jax.config.update("jax_enable_x64", True)
+    beam = measured_beam(CELLS, plane="xy")
+    found = {n: evaluation_seconds(beam, n, REPEATS) for n in LANES}
+    print(json.dumps(found))
