@@ -28,7 +28,17 @@ def measure(trial):
 
 def slowly(trial):
     """The same, after a while: the test kills somebody meanwhile."""
-    time.sleep(0.1)
+    time.sleep(0.4)
+    return measure(trial)
+
+
+def together(trial):
+    """The same, once two processes have begun; they meet in a folder."""
+    place = Path(os.environ["SWEEP_MEETING"])
+    (place / str(os.getpid())).touch()
+    end = time.monotonic() + 120.0
+    while len(list(place.iterdir())) < 2 and time.monotonic() < end:
+        time.sleep(0.02)
     return measure(trial)
 
 

@@ -40,10 +40,12 @@ def test_every_trial_is_a_row(undisturbed):
     assert len(undisturbed.numbers("E found [Pa]")) == 24 - 2 - 4
 
 
-def test_workers_give_the_same_rows(undisturbed, tmp_path):
+def test_workers_give_the_same_rows(undisturbed, tmp_path, monkeypatch):
     """Two processes, in another order, from another function of the same numbers."""
-    backwards = cheap.POINTS[::-1]
-    found = run_sweep(cheap.measure, backwards, tmp_path / "s.sqlite", workers=2)
+    backwards, place = cheap.POINTS[::-1], tmp_path / "meeting"
+    place.mkdir()
+    monkeypatch.setenv("SWEEP_MEETING", str(place))
+    found = run_sweep(cheap.together, backwards, tmp_path / "s.sqlite", workers=2)
     assert sorted(map(str, substance(found))) == sorted(
         map(str, substance(undisturbed))
     )
