@@ -238,7 +238,8 @@ def plot(swept: Sequence[Swept], path: Path) -> None:
             label += ", nothing compiled before"
         ended, counts = [0.0, *found.ended], range(len(found.ended) + 1)
         axes.step(ended, counts, where="post", color=colour, lw=2, label=label)
-    axes.set(xlim=(0, None), ylim=(0, None))
+    most = max(len(found.ended) for found in swept)
+    axes.set(xlim=(0, None), ylim=(0, 1.25 * most))  # room for the legend
     axes.set_xlabel("time [s]", fontsize=14)
     axes.set_ylabel("rows in the database", fontsize=14)
     axes.tick_params(labelsize=12)
