@@ -236,13 +236,14 @@ def plot(swept: Sequence[Swept], path: Path) -> None:
         label = f"{n} worker{'s' * (n > 1)}: {found.per_hour:.0f} trials per hour"
         if n == 1:
             label += ", nothing compiled before"
-        counts = range(1, len(found.ended) + 1)
-        axes.step(found.ended, counts, where="post", color=colour, lw=2, label=label)
-    axes.set(xlim=(0, None), ylim=(0, None))
+        ended, counts = [0.0, *found.ended], range(len(found.ended) + 1)
+        axes.step(ended, counts, where="post", color=colour, lw=2, label=label)
+    most = max(len(found.ended) for found in swept)
+    axes.set(xlim=(0, None), ylim=(0, 1.25 * most))  # room for the legend
     axes.set_xlabel("time [s]", fontsize=14)
     axes.set_ylabel("rows in the database", fontsize=14)
     axes.tick_params(labelsize=12)
     axes.grid(True, color="#dddddd", lw=0.8)
-    axes.legend(fontsize=13, loc="lower right")
+    axes.legend(fontsize=13, loc="upper left")
     axes.set_title("Calibrations of a 525-node beam in a sweep", fontsize=16)
     drawing.savefig(path, format="png")

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
+from softcal_jax._compilation_cache import throw_away_damaged
 from softcal_jax.calibration import Clock
 from softcal_jax.sweeps._trial import Trial
 
@@ -21,7 +22,7 @@ State = Literal["converged", "not converged", "failed"]
 Figure = float | int | str | None
 
 _CACHE_WARNING = "persistent compilation cache"
-"""JAX warns, and compiles, where another worker is just writing what it would read."""
+"""Words of what JAX warns of where it can read or write no compiled program."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
             except Exception as error:  # a trial that fails is a row with its reason
                 reason = f"{type(error).__name__}: {error}"
                 trace = traceback.format_exc()
-    warned = [str(w.message) for w in caught if _CACHE_WARNING not in str(w.message)]
+    warned = [text for w in caught if not _of_the_cache(text := str(w.message))]
     times = clock.seconds
     shared = {
         "key": trial.key,
@@ -115,6 +116,16 @@ def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
         notes=tuple(dict.fromkeys([*outcome.notes, *warned])),
         **shared,
     )
+
+
+def _of_the_cache(warning: str) -> bool:
+    """Whether a warning is about compiled programs on the disk, not about the trial.
+
+    A worker that was killed, or is just writing, leaves half a program, which JAX
+    compiles again; the half is thrown away, so that the next worker finds a whole one.
+    """
+    throw_away_damaged(warning)
+    return _CACHE_WARNING in warning
 
 
 def failed_row(trial: Trial, reason: str, trace: str = "") -> TrialRow:

@@ -6,9 +6,11 @@ import sqlite3
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import cheap
+import jax
 import pytest
 from killable import kill, started, wait_for
 from rows import substance
@@ -229,8 +231,6 @@ def test_wrong_returns_are_failures(returned, reason, tmp_path):
 
 
 def test_figures_that_do_not_exist_and_warnings(tmp_path):
-    import warnings
-
     def function(trial):
         warnings.warn("the mesh locks", stacklevel=1)
         return {"x": float("nan"), "y": float("inf"), "z": None, "word": "yes"}
@@ -239,6 +239,29 @@ def test_figures_that_do_not_exist_and_warnings(tmp_path):
     (row,) = run_sweep(function, grid({"a": [1]}), path, workers=0).rows
     assert row.figures == {"x": None, "y": None, "z": None, "word": "yes"}
     assert row.notes == ("the mesh locks",)
+
+
+def test_half_a_compiled_program_is_thrown_away(tmp_path):
+    """What a killed worker left on the disk is no matter of the trial."""
+    folder = tmp_path / "programs"
+    folder.mkdir()
+    half, other = folder / "jit_f-12-cache", folder / "jit_g-12-cache"
+    half.write_bytes(b"ha")
+    other.write_bytes(b"whole")
+    before = jax.config.values["jax_compilation_cache_dir"]
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+
+    def function(trial):
+        text = "Error reading persistent compilation cache entry for 'jit_f': cut off"
+        warnings.warn(text, stacklevel=1)
+        return {"x": 1}
+
+    try:
+        found = run_sweep(function, grid({"a": [1]}), tmp_path / "s.sqlite", workers=0)
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+    assert found.rows[0].notes == ()
+    assert list(folder.iterdir()) == [other]
 
 
 @pytest.mark.parametrize(
