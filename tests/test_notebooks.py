@@ -6,7 +6,7 @@ from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 
-SLOW = {"03_parallel_robot", "04_inverse_control"}
+SLOW = {"02_anisotropic_beam", "03_parallel_robot", "04_inverse_control"}
 """Notebooks that take minutes."""
 
 NOTEBOOKS = [

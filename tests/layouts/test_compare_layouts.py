@@ -57,11 +57,16 @@ def data():
     return measured(HANG, PULL, SWAP)
 
 
+COMPARED = pytest.mark.slow
+"""Three layouts are three programs, which compile for minutes."""
+
+
 @pytest.fixture(scope="module")
 def comparison(data):
     return compare_layouts(bar(CELLS), LAYOUTS, data, make_parameters=moduli)
 
 
+@COMPARED
 def test_two_points_predict_best(comparison):
     one, two, six = (
         next(s for s in comparison.layouts if s.name == name) for name in LAYOUTS
@@ -83,6 +88,7 @@ def test_two_points_predict_best(comparison):
     assert not any(s.failed for s in comparison.layouts)
 
 
+@COMPARED
 def test_layouts_with_as_many_points_share_a_program(comparison, data):
     names = ["near", "far"]
     moved = on_axis(0.03, 0.08, nearest=1, names=names)
@@ -94,6 +100,7 @@ def test_layouts_with_as_many_points_share_a_program(comparison, data):
     assert found.best.name == "moved"
 
 
+@COMPARED
 def test_words_and_table(comparison):
     text = str(comparison)
     six = next(s for s in comparison.layouts if s.name == "six")
@@ -104,6 +111,7 @@ def test_words_and_table(comparison):
     assert "layout  points  parameters  held-out [mm]" in text
 
 
+@COMPARED
 def test_a_fold_is_a_calibration_without_that_configuration(comparison, data):
     """`calibrate` with the last one held out, which shares no loop with the folds."""
     points = LAYOUTS["two"]
@@ -121,6 +129,7 @@ def test_a_fold_is_a_calibration_without_that_configuration(comparison, data):
     np.testing.assert_allclose(fold.fit_rms, rms, rtol=1e-3)
 
 
+@COMPARED
 def test_fit_of_everything_and_its_identifiability(comparison, data):
     points = LAYOUTS["two"]
     whole = calibrate(bar(CELLS), as_space(moduli(points)), data)
@@ -211,6 +220,7 @@ def test_a_start_without_equilibrium_is_named():
     )
 
 
+@COMPARED
 def test_a_fold_that_did_not_converge_is_named(comparison, data, monkeypatch):
     """The best layout, with one fold that did not end, ranks last."""
     real = _cross_validation._fit

@@ -9,7 +9,7 @@ from benchmarks.paper_table1 import FOUR, Design, broken_orderings, designs
 CELLS = (6, 2, 2)
 
 
-@pytest.mark.parametrize("plane", ["xy", "xz"])
+@pytest.mark.parametrize("plane", ["xy", pytest.param("xz", marks=pytest.mark.slow)])
 def test_orderings_of_the_paper(plane):
     numbers = paper_table1.condition_numbers(CELLS, plane)
     assert broken_orderings(numbers, FOUR) == []
