@@ -94,7 +94,9 @@ def test_failed_trials_are_tried_again_only_if_asked(tmp_path):
 def children(pid):
     """Worker processes of a driver; its resource tracker is none."""
     listed = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True
+        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(pid)],
+        capture_output=True,
+        text=True,
     )
     lines = [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
     return [int(number) for number, words in lines if "spawn_main" in words]
