@@ -13,6 +13,7 @@ from softcal_jax.calibration._checkpoint import Journal, resumed_state
 from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._descent import descend, from_rest
 from softcal_jax.calibration._evaluator import Evaluator
+from softcal_jax.calibration._fits import configuration_fits, parameter_estimates
 from softcal_jax.calibration._notes import (
     fit_notes,
     mesh_notes,
@@ -26,12 +27,7 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
 )
-from softcal_jax.calibration._result import (
-    CalibrationResult,
-    HistoryEntry,
-    configuration_fits,
-    parameter_estimates,
-)
+from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
 from softcal_jax.calibration._starts import (
     MultiStartResult,
     multi_start,

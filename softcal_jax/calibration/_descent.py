@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._problem import first_guess
+from softcal_jax.calibration._problem import Evaluation, first_guess
 from softcal_jax.calibration._runs import (
     Run,
     as_run,
@@ -39,7 +39,7 @@ _origin = eqx.filter_jit(
 )
 
 
-def from_rest(evaluate: Evaluator, z: Float[Array, " n_p"]):
+def from_rest(evaluate: Evaluator, z: Float[Array, " n_p"]) -> Evaluation:
     """The evaluation at some parameters, from nothing but the configurations.
 
     Args:

@@ -94,11 +94,11 @@ def continue_equilibrium(
 
     Full Newton steps are taken as long as each brings the residual down, the body is
     stable and no tet inverted; otherwise `solve_equilibrium` starts again with all its
-    care. The last digits come from steps on the last factor (chord steps) without a new
-    one. The right-hand sides are those of the equilibrium; the tangent is that
-    of the displacement before the last Newton step, and off by no more than the way
-    from there. (With right-hand sides from there too, a direction of the parameters
-    without any effect would seem to have one, as large as that way.)
+    care. The last digits come from steps on the last factor (chord steps). The
+    right-hand sides are those of the equilibrium; the tangent is that of the
+    displacement before the last Newton step, and off by no more than the way from
+    there. (With right-hand sides from there too, a direction of the parameters without
+    any effect would seem to have one, as large as that way.)
 
     Args:
         model: The body.

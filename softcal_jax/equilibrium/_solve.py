@@ -31,7 +31,7 @@ class EquilibriumSolution(eqx.Module):
         multipliers: Forces of the actuators whose displacement is imposed, 0 for the
             others; `actuator_forces` gives those of all.
         result: Outcome; only `RESULTS.converged` is an equilibrium.
-        steps: Newton iterations, all load steps together.
+        steps: Newton iterations, each on a factor of its own, all load steps together.
         load_steps: Load increments that were taken (1: full load at once).
         load_reached: Share of the load that the body was found to carry [-]; 1 if done.
         residual: Residual relative to the largest of external force, internal force

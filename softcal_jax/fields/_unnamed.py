@@ -1,6 +1,7 @@
 """A parameter space without its names, so that alike ones share compiled programs."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from softcal_jax.fields._control_points import ControlPoints
 from softcal_jax.fields._parameters import Parameter
@@ -47,9 +48,10 @@ def _renamed(
     entry: Entry, points: Mapping[str, str], names: Mapping[str, str]
 ) -> Entry:
     if isinstance(entry, Parameter):
-        return _parameter(entry, names)
+        return replace(entry, name=names[entry.name])
     if isinstance(entry, SetupParameter):
-        parameter = _parameter(entry.parameter, names)
+        own = entry.parameter
+        parameter = replace(own, name=names[own.name])
         return SetupParameter(entry.kind, entry.of, parameter, entry.axis)
     at = entry.control_points
     return ControlPointParameters(
@@ -74,20 +76,4 @@ def _renamed(
         tied={points[name]: names[other] for name, other in entry.tied},
         max_step=entry.max_step,
         prior_std=entry.prior_std,
-    )
-
-
-def _parameter(q: Parameter, names: Mapping[str, str]) -> Parameter:
-    return Parameter(
-        names[q.name],
-        q.field,
-        q.start,
-        q.lower,
-        q.upper,
-        scale=q.scale,
-        S=q.S,
-        region=q.region,
-        max_step=q.max_step,
-        periodic=q.periodic,
-        prior_std=q.prior_std,
     )

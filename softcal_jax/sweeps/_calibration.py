@@ -203,8 +203,11 @@ def truth_in_si(space: ParameterSpace, given: Mapping[str, Any]) -> dict[str, fl
 def _with_noise(configuration: Configuration, random) -> Configuration:
     """Measured positions with normal errors of the stated standard deviations."""
     markers, measured = configuration.markers, configuration.measured
-    assert markers is not None
-    assert measured is not None
+    if markers is None or measured is None or configuration.effectors:
+        raise ValueError(
+            f"configuration {configuration.name!r} measures more than markers, and the "
+            "axis noise knows what to add to markers alone: leave the axis out."
+        )
     weight = markers.inverse_std()
     std = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
     return with_measured(

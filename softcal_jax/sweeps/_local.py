@@ -172,8 +172,8 @@ def _work(connection: Connection, function: bytes, setup: WorkerSetup) -> None:
     """The life of a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that runs it
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    setup.apply()
     try:
-        setup.apply()
         call = pickle.loads(function)
     except Exception as error:  # whatever an import can raise
         connection.send(

@@ -12,8 +12,10 @@ from small_project import write_small_project
 
 from softcal_jax.calibration import random_starts
 from softcal_jax.cli import main
+from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.project import load_project
 from softcal_jax.sweeps import Trial, _calibration, load_sweep, read_sweep
+from softcal_jax.sweeps._calibration import _with_noise
 
 SWEEP = """
 project = "project.toml"
@@ -222,3 +224,10 @@ def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
     assert 5 <= len(read_sweep(path).rows) < 24
     found = sweep.run(path, workers=2)
     assert json.dumps(substance(found)) == json.dumps(substance(expected))
+
+
+def test_noise_is_for_markers_alone():
+    """A pose that measures a sensor, too, must not pass for one that has its noise."""
+    sensor = Configuration("pose", ("x_min",), effectors=[BodyFrame("sensor", "plate")])
+    with pytest.raises(ValueError, match="'pose' measures more than markers"):
+        _with_noise(sensor, np.random.default_rng(0))
