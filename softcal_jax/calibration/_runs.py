@@ -56,11 +56,12 @@ def run_starts(
         problem: The calibration.
         settings: Settings of the outer loop.
         starts: Scaled parameters to start from [-].
-        mirror: Whether a run that ends with an error goes on from its mirror images:
-            all material axes reflected (theta to -theta), then one after the other,
-            and, if it did not converge, from those of its start. A body that is loaded
-            in or across its print plane hardly tells an axis from its reflection, and
-            each has an optimum. The best is kept.
+        mirror: Whether a run that ends with an error goes on from mirror images: that
+            of its end with all material axes reflected (theta to -theta), that of its
+            start, and those of its start with one axis reflected after the other. A
+            body that is loaded in or across its print plane hardly tells an axis from
+            its reflection, and each has an optimum. The best is kept, and finished if
+            the step limit ended it before it converged.
 
     Returns:
         How each of them ended.
@@ -103,21 +104,21 @@ class Image(NamedTuple):
 
 
 def images_of(space: ParameterSpace, mirror: bool) -> Image:
-    """What is tried: the start; the end with all axes reflected, then each; and so on.
+    """What is tried: the start, an image of the end, images of the start; the finish.
 
-    A run that the step limit ended before it converged is tried from the images of its
-    start, too, and then finished.
+    Where the end with all axes reflected leads nowhere, that with one of them reflected
+    hardly ever does; then the run has lost its way, and the start is the better origin.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
     groups = [angles] + [[i] for i in angles] if len(angles) > 1 else [angles]
     groups = groups if mirror and angles else []
     finish = [[], []] if groups else []
-    rounds = [[], *groups, *groups, *finish]
+    rounds = [[], *groups[:1], *groups, *finish]
     signs = np.ones((len(rounds), len(space.names)))
     for row, group in zip(signs, rounds, strict=True):
         row[group] = -1.0
     reflects = np.any(signs < 0.0, axis=1)
-    of_start = reflects & (np.arange(len(rounds)) > len(groups))
+    of_start = reflects & (np.arange(len(rounds)) > 1)
     return Image(jnp.asarray(signs), jnp.asarray(reflects), jnp.asarray(of_start))
 
 
@@ -134,11 +135,7 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> Bool[Array, 
     # A start without equilibrium has no end to go on from.
     lost = jnp.isinf(best.cost) & (best.steps > 0)
     unfinished = ~best.converged & ~lost
-    return jnp.where(
-        image.reflects,
-        ~lost & ~nothing_left & (~image.of_start | unfinished),
-        unfinished,
-    )
+    return jnp.where(image.reflects, ~lost & ~nothing_left, unfinished)
 
 
 def _minimise(

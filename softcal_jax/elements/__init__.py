@@ -16,6 +16,7 @@ from softcal_jax.elements._tensors import (
     skew,
     solve3,
     spin,
+    sum_of,
     symmetric,
 )
 
@@ -33,6 +34,7 @@ __all__ = [
     "skew",
     "solve3",
     "spin",
+    "sum_of",
     "symmetric",
     "tet_rule",
     "triangle_rule",

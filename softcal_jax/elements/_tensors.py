@@ -1,13 +1,23 @@
 """Algebra of single 3x3 tensors, written out so that it vectorises under `vmap`.
 
 Batched `@`, `inv`, `svd` and `eigh` of tiny matrices call a library routine per
-matrix on every backend; sums of products fuse into the loop over tets instead.
+matrix on every backend; sums of products fuse into the loop over tets instead, if they
+are written out: XLA turns a reduction inside a product over tets into scalar code.
 """
+
+from collections.abc import Iterable
+from functools import reduce
+from operator import add
 
 import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
+
+
+def sum_of(terms: Iterable[Array]) -> Array:
+    """Sum of at least one term."""
+    return reduce(add, terms)
 
 
 def determinant(F: Float[Array, "3 3"]) -> Float[Array, ""]:

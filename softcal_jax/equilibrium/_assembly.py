@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.elements import determinant
+from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
     deformation_gradients,
     element_energy,
@@ -108,12 +108,13 @@ def tangent_values(
             the mixed formulation, which has its own [m].
     """
     p, q = _kept_entries(model)
-    stepped = before is not None
-    both = jnp.concatenate([u, before], axis=1) if stepped else u
+    both, stepped = u, None
+    if before is not None:
+        both, stepped = jnp.concatenate([u, before], axis=1), jnp.any(before != u)
 
     def entries(u, dN, w, law, active):
-        u, before = u[:, :3], u[:, 3:] if stepped else None
-        K = element_stiffness(u, dN, w, law, model.formulation, before)
+        u, before = u[:, :3], None if stepped is None else u[:, 3:]
+        K = element_stiffness(u, dN, w, law, model.formulation, before, stepped)
         return active * K.reshape(3 * u.shape[0], -1)[p, q]
 
     return _add_entries(model, _map_blocks(model, both, entries))
@@ -202,21 +203,28 @@ def field_forces(
 
 def add_weighted(
     model: Model,
-    forces: Float[Array, "n_blocks m n_en 3 block"],
-    weights: Float[Array, "n_p n_tets m"],
-) -> Float[Array, "n_p n_nodes 3"]:
-    """Nodal forces of the body, each tet's multiplied by its weight [N]."""
-    n_blocks, m, *_, block = forces.shape
-    pad = n_blocks * block - model.n_tets
+    forces: Mapping[str, Float[Array, "n_blocks _ n_en 3 block"]],
+    weights: Mapping[str, Float[Array, "n_p n_tets _"]],
+) -> Float[Array, "n_p n_points 3"]:
+    """Nodal forces of the body, each tet's multiplied by its weight [N].
 
-    def one(weight):
+    Args:
+        model: The body.
+        forces: Forces of each tet per unit of each field, from `field_forces`.
+        weights: How far each parameter moves these fields.
+    """
+
+    def of_tets(name, weight):
+        n_blocks, m, *_, block = forces[name].shape
+        pad = n_blocks * block - model.n_tets
         full = jnp.concatenate([weight, jnp.zeros((pad, m))])
         blocked = jnp.moveaxis(full.reshape(n_blocks, block, m), 1, 2)
-        return _add_forces(
-            model, jnp.sum(forces * blocked[:, :, None, None, :], axis=1)
-        )
+        return jnp.sum(forces[name] * blocked[:, :, None, None, :], axis=1)
 
-    return jax.lax.map(one, weights)
+    def one(weight):
+        return _add_forces(model, sum_of(of_tets(n, w) for n, w in weight.items()))
+
+    return jax.lax.map(one, {name: weights[name] for name in forces})
 
 
 def _add_entries(

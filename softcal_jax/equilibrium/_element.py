@@ -17,8 +17,8 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Float
-from softcal_jax.elements import cofactor, determinant, matmul
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.elements import cofactor, determinant, matmul, sum_of
 from softcal_jax.materials import AbstractLaw, law_at_points
 
 Formulation = Literal["displacement", "mean-dilatation"]
@@ -34,8 +34,8 @@ def deformation_gradients(
     nearly incompressible body would not come down.
     """
     relative = u[1:] - u[:1]
-    H = jnp.sum(relative[None, :, :, None] * dN[:, 1:, None, :], axis=1)
-    return jnp.eye(3)[None] + H
+    H = sum_of(r[None, :, None] * dN[:, a, None] for a, r in enumerate(relative, 1))
+    return jax.lax.optimization_barrier(jnp.eye(3)[None] + H)
 
 
 def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
@@ -130,6 +130,7 @@ def element_stiffness(
     law: AbstractLaw,
     formulation: Formulation,
     before: Float[Array, "n_en 3"] | None = None,
+    stepped: Bool[Array, ""] | None = None,
 ) -> Float[Array, "n_en 3 n_en 3"]:
     """Tangent stiffness of a tet, the Hessian of its energy in u [N/m].
 
@@ -141,13 +142,19 @@ def element_stiffness(
         formulation: Of the volume change.
         before: Displacements from which a step led to `u`; the stress that bends with
             the tet is then the one that the step foresaw, see `_foreseen` [m].
+        stepped: Whether `before` differs from `u` anywhere in the body; given with it.
     """
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         return mixed_newton(u, mean_dilatation(u, dN, w), dN, w, law)[0]
     P, A = _stresses_and_tangents(law, F)
     if before is not None:
-        gap = _second(F, P) - _foreseen(law, deformation_gradients(before, dN), F)
+        began = deformation_gradients(before, dN)
+        gap = jax.lax.cond(
+            stepped,
+            lambda: _second(F, P) - _foreseen(law, began, F),
+            lambda: jnp.zeros_like(P),
+        )
         A = A - jnp.eye(3)[None, :, None, :, None] * gap[:, None, :, None, :]
     return _pull(w[:, None, None, None, None] * A, dN)
 
@@ -185,7 +192,11 @@ def _push(
     P: Float[Array, "n_qp 3 3"], dN: Float[Array, "n_qp n_en 3"]
 ) -> Float[Array, "n_en 3"]:
     """Nodal forces of the stresses at the quadrature points."""
-    return jnp.sum(P[:, None] * dN[:, :, None, :], axis=(0, 3))
+    return sum_of(
+        P[q, None, :, J] * dN[q, :, None, J]
+        for q in range(P.shape[0])
+        for J in range(3)
+    )
 
 
 def _pull(
@@ -193,19 +204,12 @@ def _pull(
 ) -> Float[Array, "n_en 3 n_en 3"]:
     """Stiffness of the tangents: both reference slots contracted with gradients.
 
-    Sums are written out, and no tensor is fused into the contraction that follows,
-    which would compute it again for every node.
+    No tensor is fused into the contraction that follows, which would compute it again
+    for every node.
     """
     A = jax.lax.optimization_barrier(A)
-    half = sum(A[:, None, :, J] * dN[:, :, None, J, None, None] for J in range(3))
-    half = jax.lax.optimization_barrier(half)  # point, node, i, k, L
-    return jnp.asarray(
-        sum(
-            half[q, :, :, None, :, L] * dN[q, None, None, :, None, L]
-            for q in range(A.shape[0])
-            for L in range(3)
-        )
-    )
+    half = jax.lax.optimization_barrier(jnp.einsum("qaJ,qiJkL->qaikL", dN, A))
+    return jnp.einsum("qaikL,qbL->aibk", half, dN)
 
 
 def _outer(a: Float[Array, "*q m 3"], b: Float[Array, "*q n 3"]):

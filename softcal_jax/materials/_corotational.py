@@ -14,11 +14,12 @@ from softcal_jax.elements import (
     matmul,
     rotation,
     skew,
+    sum_of,
     symmetric,
 )
 from softcal_jax.materials._elasticity import AbstractElasticity
 from softcal_jax.materials._law import AbstractLinearLaw
-from softcal_jax.materials._products import outer, sum_of, turned
+from softcal_jax.materials._products import outer, turned
 
 # hat(e_1), hat(e_2), hat(e_3): minus the permutation symbol.
 _HAT = -np.cross(np.eye(3)[:, None], np.eye(3)[None])
@@ -43,7 +44,7 @@ def _polar(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> _Polar:
 
 
 def _times(M: Float[Array, "3 3"], a: Float[Array, "3"]) -> Float[Array, "3"]:
-    return jnp.sum(M * a[None, :], axis=1)
+    return sum_of(M[:, k] * a[k] for k in range(3))
 
 
 def _left(A: Float[Array, "3 3"], X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:

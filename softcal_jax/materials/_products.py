@@ -1,20 +1,9 @@
-"""Fourth-order tensors A_iJkL from products of small ones, as tangents need them.
-
-Sums are written out: XLA turns a reduction inside a product over tets into scalar code.
-"""
-
-from collections.abc import Iterable
-from functools import reduce
-from operator import add
+"""Fourth-order tensors A_iJkL from products of small ones, as tangents need them."""
 
 import jax
 
 from softcal_jax._typing import Array, Float
-
-
-def sum_of(terms: Iterable[Array]) -> Array:
-    """Sum of at least one term."""
-    return reduce(add, terms)
+from softcal_jax.elements import sum_of
 
 
 def outer(X: Float[Array, "3 3"], Y: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:

@@ -119,8 +119,9 @@ def _by_fields(
         for name, where in wheres.items()
         if name != "density"
     }
-    for name, forces in field_forces(applied, u, in_law).items():
-        total = total - add_weighted(applied, forces, slopes[name])
+    if in_law:
+        forces = field_forces(applied, u, in_law)
+        total = total - add_weighted(applied, forces, slopes)
     return total
 
 
