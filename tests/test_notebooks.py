@@ -6,17 +6,12 @@ from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 
-SLOW = {"02_anisotropic_beam", "03_parallel_robot", "04_inverse_control"}
-"""Notebooks that take minutes."""
-
 NOTEBOOKS = [
-    pytest.param(
-        path, id=path.stem, marks=[pytest.mark.slow] if path.stem in SLOW else []
-    )
-    for path in sorted(FOLDER.glob("*.ipynb"))
+    pytest.param(path, id=path.stem) for path in sorted(FOLDER.glob("*.ipynb"))
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.notebook
 @pytest.mark.parametrize("path", NOTEBOOKS)
 def test_notebook_runs(path):

@@ -171,6 +171,7 @@ def test_linear_tets_say_that_their_modulus_is_effective(recovered):
     assert any("effective numbers" in note for note in recovered.notes)
 
 
+@pytest.mark.slow  # half a minute of compiling
 def test_quadratic_tets_do_not():
     mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
     data = measure(mesh, Corotational(Isotropic(E_TRUE, NU_TRUE)), ("hang",))
@@ -305,6 +306,7 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     assert not bool(state.converged)
 
 
+@pytest.mark.slow  # a program of its own, which compiles for half a minute
 def test_a_batch_of_starts_is_one_vmap(model, exact):
     """Every start walks as it does alone, and all reach the answer."""
     settings = CalibrationSettings()

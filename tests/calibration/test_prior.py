@@ -31,6 +31,7 @@ def modulus(prior_std, start=300e3):
     return Parameter("E", "E", start, 50e3, 2e6, prior_std=prior_std)
 
 
+@pytest.mark.slow  # three calibrations that compile
 def test_a_weak_prior_leaves_the_data_alone_and_a_strong_one_wins():
     data = simulated_measurements(MODEL, [POSE])
     found = {

@@ -169,6 +169,7 @@ def test_parameter_compliance_of_all_kinds_of_effectors(cable):
     np.testing.assert_allclose(error[0] / error[1], 4.0, rtol=0.03)
 
 
+@pytest.mark.slow  # half a minute of compiling
 def test_adjoint_side_without_forces():
     effectors = EFFECTORS[:5]
     lane, z = arrays(MODEL, watched(BY_DISPLACEMENT, effectors)), SPACE.start()

@@ -244,7 +244,11 @@ def derivative(both, inputs, tangent):
     return jax.jvp(partial(sensors, both), (inputs,), (tangent,))[1]
 
 
-@pytest.fixture(scope="module", params=["forces", "displacements", "torque"])
+TORQUE = pytest.param("torque", marks=pytest.mark.slow)
+"""A third set of programs of the same kind."""
+
+
+@pytest.fixture(scope="module", params=["forces", "displacements", TORQUE])
 def start(request, by_force):
     delta, lambda_a = read(by_force[1])
     asked = (

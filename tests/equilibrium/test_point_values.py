@@ -138,7 +138,7 @@ def test_points_of_another_number_of_tets_are_refused():
         body.with_law(short)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_tabulated_law_has_its_entries_where_the_constants_are(order):
     """One for all, one per tet, one per point, and all three in one law."""
     mesh = cube(order)

@@ -192,6 +192,7 @@ def soft_and_stiff(start=1e5):
     )
 
 
+@COMPARED
 def test_a_pose_that_the_fit_cannot_carry_is_named():
     found = soft_and_stiff()
     (score,) = found.layouts

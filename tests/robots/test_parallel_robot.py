@@ -82,6 +82,7 @@ def test_the_prior_and_the_parameters():
     assert len(ROBOT.configurations) == len(ROBOT.validation) == 7
 
 
+@pytest.mark.slow  # two robots, which compile for half a minute
 def test_printed_robots_differ_and_are_read_with_noise():
     small = {"size": 0.02}
     one, other = (printed_robot(seed=seed, **small) for seed in (0, 1))

@@ -172,7 +172,7 @@ def near(name):
         "many parameters",
         "KLU",
         "no potential",
-        "no potential, many parameters",
+        pytest.param("no potential, many parameters", marks=pytest.mark.slow),
         "mean dilatation",
     ],
 )

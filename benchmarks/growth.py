@@ -1,0 +1,119 @@
+"""How time and memory of an equilibrium grow with the mesh, up to 100 000 nodes.
+
+The neo-Hookean beam of `static_beam` under its own weight, in cells that are cubes: the
+whole solve from rest, compiled, and the peak memory of a process of its own for each
+mesh, beyond that of its imports. Both are fitted as powers of the number of nodes by
+least squares of the logarithms. A mesh that needs more memory than the machine has, or
+whose process fails, ends the series and is named.
+"""
+
+import json
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks._memory import peak_bytes
+from benchmarks._problem import Figure, Goal, Options, Outcome, Table
+from benchmarks._timing import run_process
+
+ACROSS = (4, 6, 9, 13, 18, 22, 27)
+"""Cells across the beam; five times as many along it."""
+
+SECONDS = 5.0
+"""A mesh is solved again until this time is spent, once at least [s]."""
+
+MOST_REPEATS = 15
+
+GOALS = {
+    "time_exponent": Goal("at most", 1.5),
+    "largest_nodes": Goal("at least", 100_000),
+    "peak_memory_gb": Goal("at most", 16),
+}
+
+COLUMNS = {
+    "nodes": "nodes",
+    "solve_s": "solve [s]",
+    "steps": "steps",
+    "setup_s": "set-up [s]",
+    "memory_gb": "memory [GB]",
+}
+
+
+def run(options: Options) -> Outcome:
+    """All meshes, each in a process of its own."""
+    found: list[dict[str, float]] = []
+    ended = "the largest mesh that was asked for"
+    for across in ACROSS:
+        options.say(f"{across} cells across the beam")
+        command = [sys.executable, "-m", "benchmarks.growth", str(across)]
+        try:
+            found.append(json.loads(run_process(command).splitlines()[-1]))
+        except RuntimeError as error:
+            if len(found) < 2:
+                raise
+            ended = f"{across} cells across failed: {str(error).splitlines()[-1]}"
+            break
+    column = lambda name: [row[name] for row in found]
+    time_exponent, memory_exponent = (
+        exponent(column("nodes"), column(name)) for name in ("solve_s", "memory_gb")
+    )
+    figures: dict[str, Figure] = {
+        "time_exponent": time_exponent,
+        "last_time_exponent": exponent(*(column(n)[-2:] for n in ("nodes", "solve_s"))),
+        "memory_exponent": memory_exponent,
+        "largest_nodes": int(found[-1]["nodes"]),
+        "peak_memory_gb": max(column("peak_gb")),
+        "largest_solve_s": found[-1]["solve_s"],
+        "ended_by": ended,
+    }
+    samples = {f"series_{name}": column(name) for name in COLUMNS}
+    rows = [[f"{row[name]:.3g}" for name in COLUMNS] for row in found]
+    return Outcome(
+        figures,
+        samples,
+        GOALS,
+        [Table("Growth with the mesh", list(COLUMNS.values()), rows)],
+        {"time_exponent": "lower", "last_time_exponent": "lower"}
+        | {"memory_exponent": "lower", "largest_nodes": "higher"},
+    )
+
+
+def exponent(nodes: Sequence[float], cost: Sequence[float]) -> float:
+    """Power of the number of nodes that fits a cost, by logarithms."""
+    return float(np.polyfit(np.log(nodes), np.log(cost), 1)[0])
+
+
+def one_mesh(across: int) -> dict[str, float]:
+    """Time and memory of one mesh, in this process."""
+    from benchmarks._cantilever import equilibrium, first_lane, own_weight
+    from benchmarks.static_beam import BEAM
+
+    imported = peak_bytes()
+    begin = time.perf_counter()
+    model = BEAM.model((5 * across, across, across))
+    lane = first_lane(own_weight(model))
+    setup = time.perf_counter() - begin
+    equilibrium(model, lane)  # compiles
+    seconds: list[float] = []
+    while not seconds or (sum(seconds) < SECONDS and len(seconds) < MOST_REPEATS):
+        begin = time.perf_counter()
+        steps = int(equilibrium(model, lane).steps)
+        seconds.append(time.perf_counter() - begin)
+    return {
+        "nodes": model.mesh.n_nodes,
+        "solve_s": statistics.median(seconds),
+        "steps": steps,
+        "setup_s": setup,
+        "memory_gb": (peak_bytes() - imported) / 1e9,
+        "peak_gb": peak_bytes() / 1e9,
+    }
+
+
+if __name__ == "__main__":
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    print(json.dumps(one_mesh(int(sys.argv[1]))))

@@ -1,0 +1,48 @@
+"""The benchmark of growth: its powers, and a mesh that the machine cannot hold."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import growth
+from benchmarks._problem import Options
+
+
+def test_exponent_of_a_power():
+    nodes = np.array([500.0, 4000.0, 100e3])
+    np.testing.assert_allclose(growth.exponent(nodes, 3e-6 * nodes**1.5), 1.5)
+
+
+def measured(across):
+    nodes = 6 * across**3
+    columns = {"setup_s": 1.0, "steps": 4, "peak_gb": 0.3 + 1e-6 * nodes}
+    return columns | {
+        "nodes": nodes,
+        "solve_s": 1e-6 * nodes**1.25,
+        "memory_gb": 1e-6 * nodes,
+    }
+
+
+def test_a_mesh_that_fails_ends_the_series_and_is_named(monkeypatch, tmp_path):
+    def process(command):
+        if int(command[-1]) > 9:
+            raise RuntimeError("benchmarks.growth 13 ended with -9:\nkilled")
+        return f"some line\n{json.dumps(measured(int(command[-1])))}\n"
+
+    monkeypatch.setattr(growth, "run_process", process)
+    figures = growth.run(Options(tmp_path, lambda text: None)).figures
+    assert figures["largest_nodes"] == 6 * 9**3
+    assert figures["ended_by"] == "13 cells across failed: killed"
+    np.testing.assert_allclose(figures["time_exponent"], 1.25)
+    np.testing.assert_allclose(figures["memory_exponent"], 1.0)
+    np.testing.assert_allclose(figures["peak_memory_gb"], 0.3 + 6e-6 * 9**3)
+
+
+def test_the_first_mesh_must_work(monkeypatch, tmp_path):
+    def process(command):
+        raise RuntimeError("no module")
+
+    monkeypatch.setattr(growth, "run_process", process)
+    with pytest.raises(RuntimeError, match="no module"):
+        growth.run(Options(tmp_path, lambda text: None))
