@@ -48,6 +48,7 @@ def cofactor(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
 
 def matmul(A: Float[Array, "3 3"], B: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """Product A B."""
+    # A reduction: a written sum would compute A and B again for each of its terms.
     return jnp.sum(A[:, :, None] * B[None, :, :], axis=1)
 
 

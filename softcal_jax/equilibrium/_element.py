@@ -35,6 +35,7 @@ def deformation_gradients(
     """
     relative = u[1:] - u[:1]
     H = sum_of(r[None, :, None] * dN[:, a, None] for a, r in enumerate(relative, 1))
+    # Not again for each entry of what is computed of it.
     return jax.lax.optimization_barrier(jnp.eye(3)[None] + H)
 
 
