@@ -21,6 +21,7 @@ from softcal_jax.calibration import (
     levenberg_marquardt,
 )
 from softcal_jax.calibration._descent import _decide, _propose
+from softcal_jax.calibration._step import SMALLEST_FALL
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -188,8 +189,10 @@ def test_both_optimisers_agree(model):
     z, converged = levenberg_marquardt(build_problem(model, parameters, data))
     assert ours.converged
     assert converged
-    # Both stop where the gradient vanishes, each by its own rule; the minimum is flat.
-    np.testing.assert_allclose(z, ours.z, rtol=0, atol=2e-6)
+    # Ours stops where the way to the minimum is not worth a step; that is this far.
+    way = np.asarray(z) - np.asarray(ours.z)
+    to_gain = 0.5 * np.sum((ours.W_ep @ way) ** 2)
+    assert to_gain <= SMALLEST_FALL * ours.history[-1].cost
 
 
 def test_standard_error_predicts_the_scatter_of_noisy_data(model):

@@ -67,7 +67,13 @@ def found(drive):
     return configuration, state, compliance(arm(), configuration, solution)
 
 
-@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize(
+    "drive",
+    [
+        pytest.param("tensions and an angle", marks=pytest.mark.slow),
+        "shortenings and a torque",
+    ],
+)
 def test_responses_meet_differences_at_second_order(drive):
     """Of effectors, forces and displacements, along each input."""
     configuration, state, response = found(drive)

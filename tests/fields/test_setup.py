@@ -86,8 +86,13 @@ def test_compliances_against_differences(method):
 
     z = SPACE.start()
     u = values(z)[1]
-    applied = SPACE.apply(MODEL, z)
-    W = parameter_compliance(applied, one, u, SPACE, z, method=method).W_ep
+
+    @jax.jit
+    def compliance(z, u):
+        model = SPACE.apply(MODEL, z)
+        return parameter_compliance(model, one, u, SPACE, z, method=method).W_ep
+
+    W = compliance(z, u)
     errors = []
     for h in (0.3, 0.1):
         columns = [

@@ -209,6 +209,7 @@ def test_a_pose_that_the_fit_cannot_carry_is_named():
     assert "push held out: with the fitted parameters it has no equilibrium." in text
 
 
+@COMPARED
 def test_a_start_without_equilibrium_is_named():
     (score,) = soft_and_stiff(start=3.1e4).layouts
     start = "a fitted configuration has no equilibrium at the start"
