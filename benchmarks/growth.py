@@ -71,10 +71,9 @@ def run(options: Options) -> Outcome:
     }
     samples = {f"series_{name}": column(name) for name in COLUMNS}
     rows = [[f"{row[name]:.3g}" for name in COLUMNS] for row in found]
-    better: dict[str, Better] = {
-        name: "lower"
-        for name in ("time_exponent", "last_time_exponent", "memory_exponent")
-    }
+    better: dict[str, Better] = dict.fromkeys(
+        ("time_exponent", "last_time_exponent", "memory_exponent"), "lower"
+    )
     table = Table("Growth with the mesh", list(COLUMNS.values()), rows)
     return Outcome(figures, samples, GOALS, [table], better)
 
