@@ -106,8 +106,8 @@ class Image(NamedTuple):
 def images_of(space: ParameterSpace, mirror: bool) -> Image:
     """What is tried: the start, an image of the end, images of the start; the finish.
 
-    Where the end with all axes reflected leads nowhere, that with one of them reflected
-    hardly ever does; then the run has lost its way, and the start is the better origin.
+    Of the end only with all axes reflected: where that leads nowhere, the run has lost
+    its way, and the start is the better origin.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
     groups = [angles] + [[i] for i in angles] if len(angles) > 1 else [angles]

@@ -41,7 +41,7 @@ Where it does not, a Newton step follows.
 SHORT = 1e-3
 """Relative residual from which the next step needs no foreseen stress.
 
-Newton's method is at home there: the iterations are as many, the tangent is quicker.
+Newton's method is at home there, and the tangent without it is quicker.
 """
 
 SAME_MATRIX = 1e-6
@@ -69,8 +69,9 @@ class Continuation(NamedTuple):
 class _Quick(NamedTuple):
     """State of the quick steps.
 
-    `before` is where the last one began, `direction` the last one on a new factor;
-    `chord` tells that the next is on the same.
+    `before` is where the last one began, or where it ended if it left little
+    (`SHORT`); `direction` is the last one on a new factor; `chord` tells that the next
+    is on the same.
     """
 
     solution: EquilibriumSolution
@@ -184,6 +185,7 @@ class _Body(NamedTuple):
         n_rhs = jax.eval_shape(self.right_hand_sides, at.u).shape
         no = jnp.zeros((), bool)
         before = at.u if before is None else before
+        before = jnp.where(self.residual(at, lambda_a) <= SHORT, at.u, before)
         none = jax.eval_shape(self.newton_step, at, lambda_a, before)
         return _Quick(
             solution,
@@ -233,8 +235,7 @@ class _Body(NamedTuple):
         )
         was_careful, problem, rtol = s.robust, self.problem, self.settings.rtol
         one = jnp.ones((), at.u.dtype)
-        short = was_careful | (self.residual(at, lambda_a) <= SHORT)
-        before = jnp.where(short, at.u, s.before)
+        before = jnp.where(was_careful, at.u, s.before)
         newton_step = lambda: self.newton_step(at, lambda_a, before)
         if problem.has_multipliers:
             direction = newton_step()
@@ -282,7 +283,7 @@ class _Body(NamedTuple):
         return _Quick(
             solution,
             jax.tree.map(pick, new, at),
-            at.u,
+            jnp.where(taken & (self.residual(new, new_lambda) <= SHORT), new_u, at.u),
             pick(new_lambda, lambda_a),
             direction,
             chord,

@@ -23,6 +23,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration._descent import run_start
 from softcal_jax.calibration._evaluator import Evaluator
+from softcal_jax.calibration._runs import images_of, nothing_yet, origin, wanted
 from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ControlPoints, Parameter, ParameterSpace
@@ -163,6 +164,32 @@ def test_without_any_equilibrium_it_is_an_error(measured):
     lost = jnp.full_like(measured.starts, jnp.nan)
     with pytest.raises(RuntimeError, match="none of 3 starts has an equilibrium"):
         multi_start(measured.problem, lost)
+
+
+def test_images_are_one_of_the_end_and_then_those_of_the_start(measured):
+    problem, space = measured.problem, measured.beam.space
+    images = images_of(space, True)
+    both, none, one, other = [-1, -1], [1, 1], [-1, 1], [1, -1]
+    signs = np.asarray(images.signs)
+    np.testing.assert_array_equal(
+        signs[:, THETA], [none, both, both, one, other, none, none]
+    )
+    np.testing.assert_array_equal(np.delete(signs, [4, 5], axis=1), 1.0)
+    start, end = space.start(), space.start() + 0.1
+    run = lambda cost, converged: eqx.tree_at(
+        lambda r: (r.cost, r.steps, r.converged),
+        nothing_yet(FROM_ANYWHERE, end),
+        (jnp.asarray(cost), jnp.asarray(3, jnp.int32), jnp.asarray(converged)),
+    )
+    for row, of_start in enumerate([False, False, True, True, True, False, False]):
+        image = jax.tree.map(lambda leaf, row=row: leaf[row], images)
+        begin = origin(run(1.0, True), image, start)
+        np.testing.assert_array_equal(begin, signs[row] * (start if of_start else end))
+        # With an error left, converged or not; unfinished runs are finished.
+        reflects = 1 <= row <= 4
+        assert bool(wanted(problem, run(1.0, True), image)) == reflects
+        assert bool(wanted(problem, run(1.0, False), image))
+        assert not bool(wanted(problem, run(0.0, True), image))
 
 
 def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):
