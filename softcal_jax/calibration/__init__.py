@@ -16,6 +16,10 @@ from softcal_jax.calibration._problem import (
     simulate,
     without_names,
 )
+from softcal_jax.calibration._proposal import (
+    KKT_TOLERANCE,
+    propose,
+)
 from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -32,14 +36,14 @@ from softcal_jax.calibration._starts import (
     multi_start,
     random_starts,
 )
-from softcal_jax.calibration._step import (
-    KKT_TOLERANCE,
+from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,
+    initial_state,
+)
+from softcal_jax.calibration._step import (
     calibration_step,
     decide,
-    initial_state,
-    propose,
 )
 from softcal_jax.calibration._synthetic import (
     simulated_measurements,

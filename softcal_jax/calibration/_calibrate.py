@@ -33,7 +33,7 @@ from softcal_jax.calibration._starts import (
     multi_start,
     random_starts,
 )
-from softcal_jax.calibration._step import (
+from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,
     initial_state,

@@ -17,7 +17,10 @@ import numpy as np
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import HistoryEntry
-from softcal_jax.calibration._step import CalibrationSettings, CalibrationState
+from softcal_jax.calibration._state import (
+    CalibrationSettings,
+    CalibrationState,
+)
 
 
 class Journal:

@@ -9,6 +9,9 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._problem import Evaluation, first_guess
+from softcal_jax.calibration._proposal import (
+    propose,
+)
 from softcal_jax.calibration._runs import (
     Run,
     as_run,
@@ -18,12 +21,13 @@ from softcal_jax.calibration._runs import (
     origin,
     wanted,
 )
-from softcal_jax.calibration._step import (
+from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,
-    decide,
     initial_state,
-    propose,
+)
+from softcal_jax.calibration._step import (
+    decide,
 )
 
 # Several programs instead of one per step: the evaluation, which takes seconds to
@@ -71,7 +75,7 @@ def descend(
         tried = (
             state.evaluation
             if proposal.vanishes
-            else evaluate(proposal.z, proposal.guess, proposal.before)
+            else evaluate(proposal.z, proposal.guess, proposal.before, proposal.precise)
         )
         state = _decide(problem, settings, state, proposal, tried)
         note(state)

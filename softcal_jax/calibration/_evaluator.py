@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
@@ -56,6 +56,7 @@ class Evaluator:
         z: Float[Array, " n_p"],
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
+        precise: bool | Bool[Array, ""] = False,
     ) -> Evaluation:
         """Equilibria, errors and compliances, as `evaluate` gives them.
 
@@ -63,10 +64,11 @@ class Evaluator:
             z: Scaled parameters [-].
             guess: Displacements to start from [m].
             before: Equilibria from which the guess was extrapolated, if it was [m].
+            precise: Whether the compliances are exact, for one more Newton step each.
         """
         before = guess if before is None else before
         lanes = zip(self._configurations, guess, before, strict=True)
-        jobs = [(z, *lane) for lane in lanes]
+        jobs = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
         lanes = self._workers.map(self._one, jobs, self._program)
         return _stacked(self.numbered, z, lanes)
 

@@ -147,6 +147,7 @@ def evaluate_lane(
     configuration: ConfigurationArrays,
     guess: Float[Array, "n_points 3"],
     before: Float[Array, "n_points 3"],
+    precise: bool | Bool[Array, ""] = False,
 ) -> Lane:
     """Equilibrium, effectors and compliances of one configuration.
 
@@ -156,6 +157,8 @@ def evaluate_lane(
         configuration: One of its configurations.
         guess: Displacements to start from [m].
         before: Those of the equilibrium from which they were extrapolated [m].
+        precise: Whether the compliances are exact, for one more Newton step; otherwise
+            they are off by the way of the last.
     """
     model = problem.space.apply(problem.model, z)
     response = equilibrium_response(
@@ -166,6 +169,7 @@ def evaluate_lane(
         z,
         newton=problem.newton,
         before=before,
+        precise=precise,
     )
     return Lane(response, _effectors(model, configuration, response.equilibrium))
 
@@ -198,6 +202,7 @@ def evaluate(
     z: Float[Array, " n_p"],
     guess: Float[Array, "n_c n_points 3"],
     before: Float[Array, "n_c n_points 3"] | None = None,
+    precise: bool | Bool[Array, ""] = False,
 ) -> Evaluation:
     """Equilibria, stacked errors Delta_e and compliances W_ep (paper Eqs. 9, 10).
 
@@ -207,12 +212,14 @@ def evaluate(
         guess: Displacements to start from [m].
         before: Equilibria from which the guess was extrapolated to first order, if it
             was [m].
+        precise: Whether the compliances are exact, for one more Newton step of each
+            equilibrium; otherwise they are off by the way of the last.
 
     Returns:
         Everything that one step of the outer loop needs.
     """
     before = guess if before is None else before
-    lane = lambda *args: evaluate_lane(problem, z, *args)
+    lane = lambda c, u, u0: evaluate_lane(problem, z, c, u, u0, precise)
     lanes = jax.vmap(lane)(problem.configurations, guess, before)
     return stacked(problem, z, lanes)
 

@@ -9,12 +9,16 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._problem import CalibrationProblem, evaluate, first_guess
-from softcal_jax.calibration._step import (
+from softcal_jax.calibration._proposal import (
+    propose,
+)
+from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,
-    decide,
     initial_state,
-    propose,
+)
+from softcal_jax.calibration._step import (
+    decide,
 )
 from softcal_jax.equilibrium import lane_by_lane
 from softcal_jax.fields import ParameterSpace
@@ -173,6 +177,7 @@ def _minimise(
                 choose(proposal.z, z),
                 choose(proposal.guess, rest),
                 choose(proposal.before, rest),
+                begun & proposal.precise,
             ),
         )
         first = initial_state(settings, z, tried)

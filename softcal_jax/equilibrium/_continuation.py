@@ -71,7 +71,7 @@ class _Quick(NamedTuple):
 
     `before` is where the last one began, or where it ended if it left little
     (`SHORT`); `direction` is the last one on a new factor; `chord` tells that the next
-    is on the same.
+    is on the same, `arrived` that there is nothing left but to factorize once more.
     """
 
     solution: EquilibriumSolution
@@ -80,6 +80,7 @@ class _Quick(NamedTuple):
     lambda_a: Float[Array, " n_a"]
     direction: Direction
     chord: Bool[Array, ""]
+    arrived: Bool[Array, ""]
     x: Float[Array, "n_rhs n_points 3"]
     ok: Bool[Array, ""]
     step: Int[Array, ""]
@@ -95,6 +96,7 @@ def continue_equilibrium(
     *,
     settings: NewtonSettings,
     before: Float[Array, "n_points 3"] | None = None,
+    precise: bool | Bool[Array, ""] = False,
     transpose: bool = False,
 ) -> Continuation:
     """Equilibrium near a guess, and K^-1 of further right-hand sides.
@@ -115,6 +117,8 @@ def continue_equilibrium(
         settings: Settings of Newton's method, for the careful solve.
         before: Displacement of an equilibrium from which the guess was extrapolated, to
             first order; it spares a Newton step of a slender body [m].
+        precise: Whether one more Newton step is taken, so that the tangent is that of
+            the equilibrium.
         transpose: Take K^-T for the right-hand sides, for an adjoint.
 
     Returns:
@@ -136,7 +140,7 @@ def continue_equilibrium(
         )
         return Continuation(solution, solved.x, solved.ok)
     tabulated = model.tabulated()
-    body = _Body(tabulated, configuration, right_hand_sides, settings)
+    body = _Body(tabulated, configuration, right_hand_sides, settings, precise)
     state = jax.lax.while_loop(lambda s: ~s.done, body.step, body.start(guess, before))
     return Continuation(state.solution, state.x, state.ok)
 
@@ -148,6 +152,7 @@ class _Body(NamedTuple):
     configuration: ConfigurationArrays
     right_hand_sides: RightHandSides
     settings: NewtonSettings
+    precise: bool | Bool[Array, ""]
 
     @property
     def problem(self) -> EquilibriumProblem:
@@ -193,6 +198,7 @@ class _Body(NamedTuple):
             before,
             lambda_a,
             jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), none),
+            no,
             no,
             jnp.zeros(n_rhs, guess.dtype),
             no,
@@ -254,6 +260,7 @@ class _Body(NamedTuple):
         falls = residual <= solution.residual
         n_newton = s.step + (~s.chord).astype(s.step.dtype)
         contracts = s.chord | (sound & falls & (n_newton < MAX_QUICK_STEPS))
+        last = arrived & (s.arrived | ~jnp.asarray(self.precise))
         quick = EquilibriumSolution(
             new_u,
             new_lambda,
@@ -273,7 +280,7 @@ class _Body(NamedTuple):
         chord = taken & ~arrived & (next_residual <= rtol)
         pick = lambda a, b: jnp.where(taken, a, b)
         solution = jax.tree.map(pick, quick, solution)
-        done = was_careful | arrived
+        done = was_careful | last
         x, ok = jax.lax.cond(
             done,
             lambda u: self.further(direction.system, u, direction.ok),
@@ -287,6 +294,7 @@ class _Body(NamedTuple):
             pick(new_lambda, lambda_a),
             direction,
             chord,
+            arrived,
             x,
             ok,
             n_newton,

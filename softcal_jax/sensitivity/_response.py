@@ -58,6 +58,7 @@ def equilibrium_response(
     *,
     newton: NewtonSettings,
     before: Float[Array, "n_points 3"] | None = None,
+    precise: bool | Bool[Array, ""] = False,
 ) -> Response:
     """Equilibrium near a guess and W_ep = H_e K^-1 H_p^T there, paper Eq. (9).
 
@@ -74,13 +75,15 @@ def equilibrium_response(
         newton: Settings of Newton's method where the guess is not good.
         before: Displacement of an equilibrium from which the guess was extrapolated, to
             first order; by default the guess [m].
+        precise: Whether W_ep is exact, for one more Newton step; otherwise it is off by
+            the way of the last.
 
     Returns:
         Equilibrium and compliance, effector coordinates in the order effector, axis.
     """
 
     @lane_by_lane
-    def lane(model, configuration, guess, before, space, z):
+    def lane(model, configuration, guess, before, precise, space, z):
         effectors = configuration.effectors
         setup = setup_columns(space)
         n_e, n_p = effectors.measured.size, z.shape[0]
@@ -93,6 +96,7 @@ def equilibrium_response(
                 forces,
                 settings=newton,
                 before=before,
+                precise=precise,
             )
             ok = done.ok & done.equilibrium.converged
             x = jnp.where(ok, done.x, 0.0)
@@ -111,6 +115,7 @@ def equilibrium_response(
             rows,
             settings=newton,
             before=before,
+            precise=precise,
             transpose=True,
         )
         u = done.equilibrium.displacement
@@ -122,6 +127,6 @@ def equilibrium_response(
             W = W.at[:, jnp.asarray(setup)].set(by_setup)
         return Response(done.equilibrium, jnp.where(ok, W, 0.0), None, ok)
 
-    return lane(
-        model, configuration, guess, guess if before is None else before, space, z
-    )
+    before = guess if before is None else before
+    precise = jnp.asarray(precise)
+    return lane(model, configuration, guess, before, precise, space, z)

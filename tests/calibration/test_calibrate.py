@@ -21,7 +21,7 @@ from softcal_jax.calibration import (
     levenberg_marquardt,
 )
 from softcal_jax.calibration._descent import _decide, _propose
-from softcal_jax.calibration._step import SMALLEST_FALL
+from softcal_jax.calibration._proposal import SMALLEST_FALL
 from softcal_jax.configurations import (
     Configuration,
     Markers,

@@ -78,13 +78,14 @@ def forces(model, configuration, u):
 
 
 @jax.jit
-def continued(model, configuration, guess):
+def continued(model, configuration, guess, precise=False):
     return continue_equilibrium(
         model,
         configuration,
         guess,
         lambda u: forces(model, configuration, u),
         settings=TIGHT,
+        precise=precise,
     )
 
 
@@ -153,6 +154,19 @@ def test_right_hand_sides_are_those_of_the_equilibrium(careful):
     done = continued(MODEL, lane(LANES, HEAVIER), guess)
     moved = float(jnp.max(jnp.abs(done.equilibrium.displacement - guess)))
     assert float(jnp.max(jnp.abs(done.x[2]))) < 1e-4 * moved
+
+
+def test_one_more_step_makes_the_solutions_exact(careful):
+    """Those of the last Newton step are off by its way."""
+    guess, there = careful.displacement[HANGING], lane(LANES, HEAVIER)
+    quick, exact = (continued(MODEL, there, guess, flag) for flag in (False, True))
+    assert int(exact.equilibrium.steps) == int(quick.equilibrium.steps) + 1
+    off = []
+    for done in (quick, exact):
+        expected = further(MODEL, there, done.equilibrium.displacement).x[:2]
+        gap = jnp.max(jnp.abs(done.x[:2] - expected))
+        off.append(float(gap / jnp.max(jnp.abs(expected))))
+    assert off[1] < 1e-11 < 1e-8 < off[0]
 
 
 def test_the_last_digits_come_from_the_factor_that_is_there(careful):

@@ -1,0 +1,108 @@
+"""Settings of the outer loop, and its state between steps."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax.calibration._curvature import Curvature, no_curvature
+from softcal_jax.calibration._problem import Evaluation
+from softcal_jax.calibration._qp import DAMPING
+
+MEMORY = 5
+"""Steps over which the cost must have fallen, not at each of them.
+
+The data often leave a narrow, curved valley. A Gauss-Newton step along it climbs its
+wall a little, and the next one comes back to its floor further down; a step that must
+lower the cost itself can only creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
+Anal. 23, 1986).
+"""
+
+
+class CalibrationSettings(eqx.Module):
+    """Settings of the outer loop.
+
+    Attributes:
+        tol: Largest entry of lambda_p at which the loop stops, without that step; with
+            `adapt` also where it would lower the cost by less than `SMALLEST_FALL` [-].
+        max_steps: Steps after which it gives up.
+        step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
+            scale and the whole range on a linear one [-].
+        max_step_bound: Largest bound that it may grow to; beyond a factor of two the
+            linear model says little, and equilibria are far to find [-].
+        damping: Levenberg damping of the QP, for columns of W of unit length: it holds
+            back directions that the data hardly see. A step that is repeated until it
+            vanishes ends at the same minimum, later [-].
+        adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
+            learn the curvature of the errors; without, every QP step is that of the
+            linear model, taken with the same bound, as in the paper.
+    """
+
+    tol: float = eqx.field(static=True, default=1e-6)
+    max_steps: int = eqx.field(static=True, default=50)
+    step_bound: float = eqx.field(static=True, default=0.3)
+    max_step_bound: float = eqx.field(static=True, default=0.5)
+    damping: float = eqx.field(static=True, default=DAMPING)
+    adapt: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self):
+        if not 0.0 < self.tol < 1.0:
+            raise ValueError(f"tol must lie in (0, 1), got {self.tol}.")
+        if self.max_steps < 1:
+            raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
+        if not self.step_bound > 0.0:
+            raise ValueError(f"step_bound must be positive, got {self.step_bound}.")
+        if not self.damping > 0.0:
+            raise ValueError(f"damping must be positive, got {self.damping}.")
+        if not self.max_step_bound > 0.0:
+            raise ValueError(
+                f"max_step_bound must be positive, got {self.max_step_bound}."
+            )
+
+
+class CalibrationState(eqx.Module):
+    """State of the outer loop; a pytree, so that a batch of starts is one `vmap`.
+
+    Attributes:
+        z: Scaled parameters [-].
+        evaluation: Equilibria, errors and compliances at `z`.
+        curvature: What past steps tell of the curvature of the errors.
+        recent_costs: Costs of the last steps that were kept, the last one first [-].
+        step_bound: Bound on the next step [-].
+        lambda_p: Last QP step, kept or not [-].
+        kkt_residual: Its optimality residual [-].
+        accepted: Whether it was kept.
+        step: Steps so far.
+        converged: Whether lambda_p has vanished, with no bound on the step in its way.
+        stalled: Whether steps were refused until the bound itself was below `tol`.
+    """
+
+    z: Float[Array, " n_p"]
+    evaluation: Evaluation
+    curvature: Curvature
+    recent_costs: Float[Array, " memory"]
+    step_bound: Float[Array, ""]
+    lambda_p: Float[Array, " n_p"]
+    kkt_residual: Float[Array, ""]
+    accepted: Bool[Array, ""]
+    step: Int[Array, ""]
+    converged: Bool[Array, ""]
+    stalled: Bool[Array, ""]
+
+
+def initial_state(
+    settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
+) -> CalibrationState:
+    """State before the first step."""
+    return CalibrationState(
+        z,
+        evaluation,
+        no_curvature(z),
+        jnp.full((MEMORY,), -jnp.inf, z.dtype).at[0].set(evaluation.cost),
+        jnp.full((), settings.step_bound, z.dtype),
+        jnp.full_like(z, jnp.inf),
+        jnp.zeros((), z.dtype),
+        jnp.ones((), bool),
+        jnp.zeros((), jnp.int32),
+        jnp.zeros((), bool),
+        jnp.zeros((), bool),
+    )
