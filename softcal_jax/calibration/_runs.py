@@ -64,8 +64,9 @@ def run_starts(
             of its end with all material axes reflected (theta to -theta), that of its
             start, and those of its start with one axis reflected after the other. A
             body that is loaded in or across its print plane hardly tells an axis from
-            its reflection, and each has an optimum. The best is kept, and finished if
-            the step limit ended it before it converged.
+            its reflection, and each has an optimum. At the last from the axes of its
+            end, with all other parameters as the space starts them. The best is kept,
+            and finished if the step limit ended it before it converged.
 
     Returns:
         How each of them ended.
@@ -100,35 +101,51 @@ def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> R
 
 
 class Image(NamedTuple):
-    """A further run: from the best end so far, or from the start; reflected, or not."""
+    """A further run, from `signs` times the best end so far, or the start, and `plus`.
+
+    `elsewhere` tells it from one that goes on where a run was ended by its limit.
+    """
 
     signs: Float[Array, " n_p"]
-    reflects: Bool[Array, ""]
+    plus: Float[Array, " n_p"]
+    elsewhere: Bool[Array, ""]
     of_start: Bool[Array, ""]
 
 
 def images_of(space: ParameterSpace, mirror: bool) -> Image:
-    """What is tried: the start, an image of the end, images of the start; the finish.
+    """What is tried: the start, images of the end, images of the start; the finish.
 
-    Of the end only with all axes reflected: where that leads nowhere, the run has lost
-    its way, and the start is the better origin.
+    Of the end only that with all axes reflected: where that leads nowhere, the run has
+    lost its way, and the start is the better origin. At the last its axes with all else
+    as the space starts it: there it may be the moduli that went astray.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
-    groups = [angles] + [[i] for i in angles] if len(angles) > 1 else [angles]
-    groups = groups if mirror and angles else []
-    finish = [[], []] if groups else []
-    rounds = [[], *groups[:1], *groups, *finish]
-    signs = np.ones((len(rounds), len(space.names)))
-    for row, group in zip(signs, rounds, strict=True):
-        row[group] = -1.0
-    reflects = np.any(signs < 0.0, axis=1)
-    of_start = reflects & (np.arange(len(rounds)) > 1)
-    return Image(jnp.asarray(signs), jnp.asarray(reflects), jnp.asarray(of_start))
+    turns = np.isin(np.arange(len(space.names)), angles)
+
+    def image(*, reflected=(), of_start=False) -> Image:
+        signs = np.ones(len(turns))
+        signs[list(reflected)] = -1.0
+        plus = jnp.zeros(len(turns))
+        flags = jnp.asarray(len(reflected) > 0), jnp.asarray(of_start)
+        return Image(jnp.asarray(signs), plus, *flags)
+
+    images = [image()]
+    if mirror and angles:
+        each = [[i] for i in angles] if len(angles) > 1 else []
+        as_given, no = jnp.where(turns, 0.0, space.start()), jnp.zeros((), bool)
+        images += [
+            image(reflected=angles),
+            *(image(reflected=group, of_start=True) for group in (angles, *each)),
+            Image(jnp.asarray(turns, float), as_given, jnp.ones((), bool), no),
+            image(),
+            image(),
+        ]
+    return jax.tree.map(lambda *rows: jnp.stack(rows), *images)
 
 
 def origin(best: Run, image: Image, start: Float[Array, " n_p"]):
     """Where the run of an image begins, as scaled parameters."""
-    return image.signs * jnp.where(image.of_start, start, best.z)
+    return image.signs * jnp.where(image.of_start, start, best.z) + image.plus
 
 
 def wanted(problem: CalibrationProblem, best: Run, image: Image) -> Bool[Array, ""]:
@@ -139,7 +156,7 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> Bool[Array, 
     # A start without equilibrium has no end to go on from.
     lost = jnp.isinf(best.cost) & (best.steps > 0)
     unfinished = ~best.converged & ~lost
-    return jnp.where(image.reflects, ~lost & ~nothing_left, unfinished)
+    return jnp.where(image.elsewhere, ~lost & ~nothing_left, unfinished)
 
 
 def _minimise(

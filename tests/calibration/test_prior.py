@@ -44,6 +44,7 @@ def test_a_weak_prior_leaves_the_data_alone_and_a_strong_one_wins():
     np.testing.assert_allclose(found[1e-5], 300e3, rtol=1e-3)
 
 
+@pytest.mark.slow  # it compiles a calibration of its own
 def test_the_optimum_is_the_weighted_mean_in_a_linear_problem():
     """Of z = ln E, whose data say z_d with weight W and whose prior says z_0."""
     data = simulated_measurements(MODEL, [POSE])

@@ -166,28 +166,34 @@ def test_without_any_equilibrium_it_is_an_error(measured):
         multi_start(measured.problem, lost)
 
 
-def test_images_are_one_of_the_end_and_then_those_of_the_start(measured):
+def test_images_of_the_end_and_of_the_start(measured):
     problem, space = measured.problem, measured.beam.space
     images = images_of(space, True)
     both, none, one, other = [-1, -1], [1, 1], [-1, 1], [1, -1]
     signs = np.asarray(images.signs)
     np.testing.assert_array_equal(
-        signs[:, THETA], [none, both, both, one, other, none, none]
+        signs[:, THETA], [none, both, both, one, other, none, none, none]
     )
-    np.testing.assert_array_equal(np.delete(signs, [4, 5], axis=1), 1.0)
-    start, end = space.start(), space.start() + 0.1
+    # Moduli are kept, but for the axes of the end with the moduli of the space.
+    kept = np.delete(signs, [4, 5], axis=1)
+    np.testing.assert_array_equal(kept, [[1.0] * 4] * 5 + [[0.0] * 4] + [[1.0] * 4] * 2)
+    start, end = space.start() - 0.1, space.start() + 0.1
     run = lambda cost, converged: eqx.tree_at(
         lambda r: (r.cost, r.steps, r.converged),
         nothing_yet(FROM_ANYWHERE, end),
         (jnp.asarray(cost), jnp.asarray(3, jnp.int32), jnp.asarray(converged)),
     )
-    for row, of_start in enumerate([False, False, True, True, True, False, False]):
+    of_start = [False, False, True, True, True, False, False, False]
+    for row, from_start in enumerate(of_start):
         image = jax.tree.map(lambda leaf, row=row: leaf[row], images)
         begin = origin(run(1.0, True), image, start)
-        np.testing.assert_array_equal(begin, signs[row] * (start if of_start else end))
+        wished = signs[row] * (start if from_start else end)
+        if row == 5:
+            wished = space.start().at[4:].set(end[4:])
+        np.testing.assert_array_equal(begin, wished)
         # With an error left, converged or not; unfinished runs are finished.
-        reflects = 1 <= row <= 4
-        assert bool(wanted(problem, run(1.0, True), image)) == reflects
+        elsewhere = 1 <= row <= 5
+        assert bool(wanted(problem, run(1.0, True), image)) == elsewhere
         assert bool(wanted(problem, run(1.0, False), image))
         assert not bool(wanted(problem, run(0.0, True), image))
 

@@ -145,7 +145,9 @@ def both_ways(lane, z):
     return W.W_ep, jnp.stack(slopes, axis=1), values(z)
 
 
-@pytest.mark.parametrize("cable", [BY_FORCE, BY_DISPLACEMENT])
+@pytest.mark.parametrize(
+    "cable", [pytest.param(BY_FORCE, marks=pytest.mark.slow), BY_DISPLACEMENT]
+)
 def test_parameter_compliance_of_all_kinds_of_effectors(cable):
     """W_ep meets the implicit derivative, and that meets differences."""
     lane, z = arrays(MODEL, watched(cable)), SPACE.start()

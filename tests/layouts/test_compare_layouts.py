@@ -144,6 +144,7 @@ def test_fit_of_everything_and_its_identifiability(comparison, data):
     )
 
 
+@COMPARED
 def test_what_is_held_out_cannot_touch_the_fit(data):
     """Its measurement may be anything: the fit is the same to the last bit."""
     problem = build_problem(bar(CELLS), as_space(moduli(ONE)), data)
