@@ -17,14 +17,12 @@ from softcal_jax.fields import ParameterSpace
 KKT_TOLERANCE = 1e-6
 """Largest optimality residual with which a vanishing QP step is believed [-]."""
 
-
 SMALLEST_FALL = 1e-8
 """Fall of the cost that is not worth a step, relative to the cost [-].
 
 Where the fit leaves an error, a Gauss-Newton step only goes a share of the way, and
 many small ones would follow that hardly change the fit.
 """
-
 
 SLOW = 1e-2
 """Predicted fall of the cost, relative to it, from which gradients must be exact [-].
@@ -120,6 +118,7 @@ class LinearModel(NamedTuple):
 def linear_model(
     space: ParameterSpace, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> LinearModel:
+    """The errors of an evaluation and how they follow a step."""
     W_ep, error = evaluation.W_ep, evaluation.error
     if space.has_prior:
         W_ep = jnp.concatenate([W_ep, jnp.diag(space.prior_weights())])
@@ -190,6 +189,9 @@ def _small(
     return ((size <= settings.tol) | no_gain) & free
 
 
-def is_at_bound(problem: CalibrationProblem, state: CalibrationState, qp: QPStep):
+def is_at_bound(
+    problem: CalibrationProblem, state: CalibrationState, qp: QPStep
+) -> Bool[Array, ""]:
+    """Whether a step is as long as it may be."""
     limit = jnp.minimum(state.step_bound, problem.space.max_step())
     return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)
