@@ -140,6 +140,7 @@ def test_tensor_steps_find_the_way_out_of_the_trap(tensor, measured):
         assert result.value(name) == pytest.approx(value, rel=1e-4)
 
 
+@pytest.mark.slow  # it compiles a calibration of its own
 def test_without_them_the_same_start_stays_isotropic(measured):
     """The trap: E_l = E_t hides the angle, and the order keeps it so."""
     plain = anisotropic_beam(cells=CELLS, tensor_steps=False, ordered=True)
