@@ -33,9 +33,7 @@ from softcal_jax import Configuration, Markers, Model, Support
 from softcal_jax.calibration import FROM_ANYWHERE, CalibrationState, random_starts
 from softcal_jax.calibration._descent import descend, from_rest
 from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._state import (
-    initial_state,
-)
+from softcal_jax.calibration._state import initial_state
 from softcal_jax.configurations import ConfigurationArrays, configuration_arrays
 from softcal_jax.equilibrium import NewtonSettings, Workers
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace

@@ -3,8 +3,9 @@
 Starts are uniform in the whole bounds, theta in +-90 degrees, E_l < E_t; 4
 configurations, one effector. Three ways to step from the same starts:
 
-- ours: steps of {E_t, E_l, theta} as tensors, and mirror images of a run that ends
-  with an error;
+- ours: steps of {E_t, E_l, theta} as tensors, and images of a run that ends with an
+  error: its start with mirrored axes, and the axes of its end with all else as the
+  space starts it;
 - the same trust region without these two cures: theta as a number, mixed linearly,
   E_l <= E_t as a constraint of the QP;
 - the paper's loop: every QP step is taken, with one bound.

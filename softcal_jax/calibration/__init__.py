@@ -16,10 +16,7 @@ from softcal_jax.calibration._problem import (
     simulate,
     without_names,
 )
-from softcal_jax.calibration._proposal import (
-    KKT_TOLERANCE,
-    propose,
-)
+from softcal_jax.calibration._proposal import KKT_TOLERANCE, propose
 from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -41,10 +38,7 @@ from softcal_jax.calibration._state import (
     CalibrationState,
     initial_state,
 )
-from softcal_jax.calibration._step import (
-    calibration_step,
-    decide,
-)
+from softcal_jax.calibration._step import calibration_step, decide
 from softcal_jax.calibration._synthetic import (
     simulated_measurements,
     synthetic_measurements,

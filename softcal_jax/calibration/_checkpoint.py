@@ -17,10 +17,7 @@ import numpy as np
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import HistoryEntry
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
-    CalibrationState,
-)
+from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 
 
 class Journal:

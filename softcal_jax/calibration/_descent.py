@@ -9,9 +9,7 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._problem import Evaluation, first_guess
-from softcal_jax.calibration._proposal import (
-    propose,
-)
+from softcal_jax.calibration._proposal import propose
 from softcal_jax.calibration._runs import (
     Run,
     as_run,
@@ -26,9 +24,7 @@ from softcal_jax.calibration._state import (
     CalibrationState,
     initial_state,
 )
-from softcal_jax.calibration._step import (
-    decide,
-)
+from softcal_jax.calibration._step import decide
 
 # Several programs instead of one per step: the evaluation, which takes seconds to
 # compile, serves the start and every step.

@@ -9,10 +9,7 @@ import numpy as np
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import ConfigurationFit
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
-    CalibrationState,
-)
+from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace

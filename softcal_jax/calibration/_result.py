@@ -7,9 +7,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._starts import MultiStartResult
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
-)
+from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import (
     Model,

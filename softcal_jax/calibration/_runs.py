@@ -9,17 +9,13 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._problem import CalibrationProblem, evaluate, first_guess
-from softcal_jax.calibration._proposal import (
-    propose,
-)
+from softcal_jax.calibration._proposal import propose
 from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,
     initial_state,
 )
-from softcal_jax.calibration._step import (
-    decide,
-)
+from softcal_jax.calibration._step import decide
 from softcal_jax.equilibrium import lane_by_lane
 from softcal_jax.fields import ParameterSpace
 

@@ -9,9 +9,7 @@ from softcal_jax.calibration._descent import run_start
 from softcal_jax.calibration._evaluator import Evaluator, with_solver
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._runs import Run, run_starts
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
-)
+from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers, program_key, usable_cores
 from softcal_jax.fields import ParameterSpace, unnamed
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from softcal_jax.calibration._curvature import Curvature, learned
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation, evaluate
 from softcal_jax.calibration._proposal import (
+    SMALLEST_FALL,
     Proposal,
     is_at_bound,
     linear_model,
@@ -41,7 +42,8 @@ def decide(
     lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
     at_bound = is_at_bound(problem, state, proposal.qp)
-    vanished = proposal.vanishes & tried.ok
+    no_harm = tried.cost <= now.cost + SMALLEST_FALL * now.cost
+    vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
     if settings.adapt:
         most = jnp.maximum(bound, settings.max_step_bound)
@@ -83,7 +85,7 @@ def _after(
     here = linear_model(space, state.z, now)
     there = linear_model(space, proposal.z, tried)
     error = jnp.where(tried.cost <= now.cost, there.error, here.error)
-    return learned(
+    new = learned(
         state.curvature,
         proposal.qp.lambda_p,
         (there.W - here.W).T @ error,
@@ -91,6 +93,9 @@ def _after(
         tried.cost,
         proposal.costs,
     )
+    # A step that vanishes is not taken: both ends are the same.
+    keep = lambda old, new: jnp.where(proposal.vanishes, old, new)
+    return jax.tree.map(keep, state.curvature, new)
 
 
 def calibration_step(

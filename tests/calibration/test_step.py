@@ -17,9 +17,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration._descent import _decide, _propose
 from softcal_jax.calibration._notes import warn_if_too_few_data
-from softcal_jax.calibration._state import (
-    MEMORY,
-)
+from softcal_jax.calibration._state import MEMORY
 from softcal_jax.robots import anisotropic_beam
 
 evaluated = eqx.filter_jit(evaluate)
@@ -251,17 +249,18 @@ def test_a_refused_cost_is_not_remembered(problem, evaluation):
 
 
 @pytest.mark.parametrize(
-    ("promised", "adapt", "ends"),
+    ("promised", "worse", "adapt", "ends"),
     [
-        (1e-9, True, True),
-        (1e-7, True, False),
-        (1e-9, False, False),  # as in the paper, until lambda_p vanishes
+        (1e-9, 0.0, True, True),
+        (1e-7, 0.0, True, False),
+        (1e-9, 1e-4, True, False),
+        (1e-9, 0.0, False, False),  # as in the paper, until lambda_p vanishes
     ],
 )
 def test_a_step_that_gains_next_to_nothing_ends_the_search(
-    problem, evaluation, promised, adapt, ends
+    problem, evaluation, promised, worse, adapt, ends
 ):
-    """However long it is: 1e-8 of the cost."""
+    """However long it is, if it also costs next to nothing: 1e-8 of the cost."""
     settings = CalibrationSettings(adapt=adapt)
     state = initial_state(settings, problem.space.start(), evaluation)
     W = np.asarray(evaluation.W_ep)
@@ -274,9 +273,12 @@ def test_a_step_that_gains_next_to_nothing_ends_the_search(
     assert np.max(np.abs(proposal.qp.lambda_p)) > settings.tol
     fall = 1.0 - float(proposal.cost / state.evaluation.cost)
     assert fall == pytest.approx(promised, rel=1e-3)
-    assert bool(proposal.vanishes) == ends
-    after = _decide(problem, settings, state, proposal, state.evaluation)
+    assert bool(proposal.vanishes) == (adapt and promised < 1e-8)
+    now = costing(state.evaluation, float(state.evaluation.cost) * (1.0 + worse))
+    after = _decide(problem, settings, state, proposal, now)
     assert bool(after.converged) == ends
+    if proposal.vanishes:  # nothing was learned from a step that was not taken
+        np.testing.assert_array_equal(after.curvature.matrix, 0.0)
 
 
 def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
