@@ -39,6 +39,7 @@ from softcal_jax.calibration import (
     build_problem,
     calibrate,
     multi_start,
+    profile_intervals,
     simulated_measurements,
     synthetic_measurements,
 )
@@ -182,6 +183,7 @@ __all__ = [
     "mounting",
     "multi_start",
     "place_control_points",
+    "profile_intervals",
     "rank_configurations",
     "read_mesh",
     "read_polhemus",

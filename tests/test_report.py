@@ -18,7 +18,7 @@ from export.handmade import (
 from matplotlib.image import imread
 from rich.console import Console
 
-from softcal_jax.calibration import ParameterEstimate
+from softcal_jax.calibration import ParameterEstimate, ParameterInterval
 from softcal_jax.export import simulation_dict
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
@@ -198,6 +198,20 @@ def test_summary_in_80_columns():
     assert "Converged in 4 steps, but take the values with care." in text
     assert "Note: nu ended on a bound." in text
     assert "…" not in text
+
+
+def test_summary_shows_intervals_that_were_asked_for():
+    found = (
+        ParameterInterval("E", 0.9, 2.1e5, 1e6, "likelihood", "bound", "Pa"),
+        ParameterInterval(
+            "theta", 0.9, *np.deg2rad([-20.0, 31.5]), *2 * ["likelihood"], "rad"
+        ),
+    )
+    text = printed(summary_table(make_result(intervals=found)))
+    assert "90 % interval" in text
+    assert "0.21 to 1 (bound) MPa" in text
+    assert "-20 to 31.5 deg" in text
+    assert "90 % interval" not in printed(summary_table(make_result()))
 
 
 def judged(*rows):

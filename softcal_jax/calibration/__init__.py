@@ -5,6 +5,7 @@ from softcal_jax.calibration._calibrate import (
     calibrate,
 )
 from softcal_jax.calibration._clock import Clock
+from softcal_jax.calibration._intervals import profile_intervals
 from softcal_jax.calibration._levenberg_marquardt import levenberg_marquardt
 from softcal_jax.calibration._notes import CalibrationWarning, fit_notes
 from softcal_jax.calibration._problem import (
@@ -16,6 +17,7 @@ from softcal_jax.calibration._problem import (
     simulate,
     without_names,
 )
+from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._proposal import KKT_TOLERANCE, propose
 from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
@@ -24,6 +26,7 @@ from softcal_jax.calibration._result import (
     EffectorFit,
     HistoryEntry,
     ParameterEstimate,
+    ParameterInterval,
 )
 from softcal_jax.calibration._runs import Run, run_starts
 from softcal_jax.calibration._starts import (
@@ -59,9 +62,11 @@ __all__ = [
     "EffectorFit",
     "Evaluation",
     "HistoryEntry",
+    "LowerCostFound",
     "MultiStartResult",
     "Optimum",
     "ParameterEstimate",
+    "ParameterInterval",
     "QPStep",
     "Run",
     "Uncertainty",
@@ -77,6 +82,8 @@ __all__ = [
     "initial_state",
     "levenberg_marquardt",
     "multi_start",
+    "profile_ends",
+    "profile_intervals",
     "propose",
     "random_starts",
     "run_starts",

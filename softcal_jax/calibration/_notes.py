@@ -18,6 +18,13 @@ EQUAL = 1e-6
 """Difference of scaled parameters that counts as none [-]."""
 
 
+ROUGH = 0.3
+"""Relative standard error from which an interval of first order is only rough [-]."""
+
+ROUGH_SHARE = 0.1
+"""The same of a parameter on a linear scale, over its range [-]."""
+
+
 class CalibrationWarning(UserWarning):
     """Something about a calibration that its user should know."""
 
@@ -134,7 +141,23 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
             "match the data that well, or the noise is larger than stated; standard "
             "errors are too small."
         )
-    return notes
+    return notes + _rough(problem.space, spread)
+
+
+def _rough(space: ParameterSpace, spread: Uncertainty) -> list[str]:
+    """Parameters that are known too badly for the errors to be linear in them."""
+    std = np.sqrt(np.diag(spread.covariance))
+    ranges = np.asarray(space.upper() - space.lower())
+    log = np.array([q.scale == "log" for q in space.parameters])
+    rough = std > np.where(log, ROUGH, ROUGH_SHARE * ranges)
+    if not np.any(rough):
+        return []
+    named = ", ".join(n for n, flag in zip(space.names, rough, strict=True) if flag)
+    return [
+        f"The data determine {named} so badly that value +- 1.96 standard errors is "
+        "only rough: `profile_intervals` (intervals = 0.95 under [settings]) gives "
+        "intervals that hold."
+    ]
 
 
 def warn_if_locking(model: Model, space: ParameterSpace) -> None:

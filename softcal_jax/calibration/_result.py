@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._units import readable_unit
 from softcal_jax.calibration._starts import MultiStartResult
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
@@ -39,6 +40,47 @@ class ParameterEstimate(eqx.Module):
     upper: float
     unit: str
     at_bound: bool
+
+
+IntervalEnd = Literal["likelihood", "bound", "not converged"]
+
+
+class ParameterInterval(eqx.Module):
+    """Confidence interval of a calibrated parameter, in SI units.
+
+    Attributes:
+        name: Its name.
+        level: Confidence [-].
+        lower: Lower end; nan if it was not found.
+        upper: Upper end; likewise. An angle goes on beyond its bounds, where it is
+            periodic.
+        lower_end: What ends it below: "likelihood"; "bound", if the data do not exclude
+            the bound of the parameter (or half a turn of a periodic angle); or "not
+            converged", if fits along the profile were not.
+        upper_end: The same above.
+        unit: SI unit.
+    """
+
+    name: str
+    level: float
+    lower: float
+    upper: float
+    lower_end: IntervalEnd
+    upper_end: IntervalEnd
+    unit: str
+
+    def __str__(self) -> str:
+        """Its ends in a readable unit, in one line."""
+        factor, unit = readable_unit([self.lower, self.upper], self.unit)
+        words = {"likelihood": "", "bound": " (bound)"}
+        ends = [
+            f"{factor * value:.4g}{words[end]}" if end in words else "not found"
+            for value, end in (
+                (self.lower, self.lower_end),
+                (self.upper, self.upper_end),
+            )
+        ]
+        return f"{ends[0]} to {ends[1]} {unit}".rstrip()
 
 
 class HistoryEntry(eqx.Module):
@@ -211,6 +253,7 @@ class CalibrationResult(eqx.Module):
         timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
         notes: What the user should know before using the numbers.
         starts: Where runs from many starts ended, if there were any.
+        intervals: What `profile_intervals` gave, if it was asked.
     """
 
     converged: bool
@@ -227,6 +270,7 @@ class CalibrationResult(eqx.Module):
     timing_s: dict[str, float]
     notes: tuple[str, ...]
     starts: MultiStartResult | None = None
+    intervals: tuple[ParameterInterval, ...] = ()
 
     def __str__(self) -> str:
         """The parameters, the fits and the notes, in a few lines."""
@@ -236,6 +280,9 @@ class CalibrationResult(eqx.Module):
             f"  {p.name} = {p.value:.5g} +- {p.standard_error:.2g} {p.unit} "
             f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
             for p in self.parameters
+        ]
+        lines += [
+            f"  {100 * i.level:g} % interval of {i.name}: {i}" for i in self.intervals
         ]
         lines += [
             f"  {fit.name} ({fit.role}): rms {1e3 * fit.rms_before:.3f} to "

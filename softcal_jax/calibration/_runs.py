@@ -75,7 +75,7 @@ def run_starts(
             z = origin(best, image, start)
             best = jax.lax.cond(
                 wanted(problem, best, image),
-                lambda: better(best, _minimise(problem, settings, z)),
+                lambda: better(best, minimise(problem, settings, z)),
                 lambda: best,
             )
             return best, None
@@ -155,7 +155,7 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> Bool[Array, 
     return jnp.where(image.elsewhere, ~lost & ~nothing_left, unfinished)
 
 
-def _minimise(
+def minimise(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
     start: Float[Array, " n_p"],
@@ -164,6 +164,11 @@ def _minimise(
 
     The start is evaluated by the first pass of the loop, so that `evaluate`, most of
     the program, is in it once.
+
+    Args:
+        problem: The calibration.
+        settings: Settings of the outer loop.
+        start: Scaled parameters to start from [-].
     """
     z = problem.space.admissible(start)
     rest = first_guess(problem, z)

@@ -76,6 +76,10 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         )
     show.lap("solve")
     show.split("solve", "compile", result.timing_s["compile"])
+    if project.intervals is not None and result.converged:
+        show.now(f"intervals of {len(result.parameters)} parameters")
+        result = project.with_intervals(result)
+        show.lap("intervals")
 
     show.now("writing results and pictures")
     with bad_input():

@@ -37,7 +37,8 @@ def result_dict(
     """A calibration as a dictionary, the content of `result.json`.
 
     Keys: `format`, `name`, `converged`; `parameters` (`name`, `value`, `unit`,
-    `standard_error`, `lower`, `upper`, `start`, `at_bound`; SI); `configurations`
+    `standard_error`, `lower`, `upper`, `start`, `at_bound`; SI); `intervals` (`name`,
+    `level`, `lower`, `upper`, `lower_end`, `upper_end`, `unit`; SI); `configurations`
     (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
     `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
     `simulated_before_mm`, `simulated_mm`, `residual_mm`, and points of other effectors;
@@ -66,6 +67,7 @@ def result_dict(
             "name": name,
             "converged": result.converged,
             "parameters": [fields_of(parameter) for parameter in result.parameters],
+            "intervals": [fields_of(interval) for interval in result.intervals],
             "configurations": [_fit(fit) for fit in result.configurations],
             "history": [_step(entry) for entry in result.history],
             "solver": _solver(result.model),

@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, Int
 from softcal_jax.fields._axes import AxisChart
 from softcal_jax.fields._order import axis_columns, order_terms
 from softcal_jax.fields._parameters import Parameter
@@ -40,6 +40,20 @@ def _as_triples(axes: Iterable[Sequence[str]]) -> tuple[tuple[str, str, str], ..
     return tuple(triples)
 
 
+class Pin(eqx.Module):
+    """A parameter that is drawn to a value, whatever is known of it before.
+
+    Attributes:
+        column: Number of the parameter.
+        value: Its scaled value [-].
+        weight: 1 / how far it may be off, scaled [-].
+    """
+
+    column: Int[Array, ""]
+    value: Float[Array, ""]
+    weight: Float[Array, ""]
+
+
 class ParameterSpace(eqx.Module):
     """The calibrated parameters, in the order of lambda_p.
 
@@ -55,6 +69,8 @@ class ParameterSpace(eqx.Module):
             control points: ("E_l", "E_t", "theta") for a soft fibre. Steps of these are
             taken as tensors, see `AxisChart`: neither winding of the angle nor the
             isotropic state can trap them, and smaller <= larger holds by itself.
+        pin: A parameter that is held at a value, for a profile of the likelihood; in
+            place of its prior.
     """
 
     entries: tuple[Entry, ...] = eqx.field(converter=tuple)
@@ -64,6 +80,7 @@ class ParameterSpace(eqx.Module):
     axes: tuple[tuple[str, str, str], ...] = eqx.field(
         static=True, default=(), converter=_as_triples
     )
+    pin: Pin | None = None
 
     def __check_init__(self):
         if not self.parameters:
@@ -148,30 +165,36 @@ class ParameterSpace(eqx.Module):
         self, z: Float[Array, " n_p"], other: Float[Array, " n_p"]
     ) -> Float[Array, " n_p"]:
         """Distance of scaled parameters, the shorter way round if periodic."""
-        gap = jnp.abs(z - other)
-        turn = self.upper() - self.lower()
-        periodic = jnp.asarray([q.periodic for q in self.parameters])
-        return jnp.where(periodic, jnp.minimum(gap, turn - gap), gap)
+        return jnp.abs(self.shorter(z - other))
 
     @property
     def has_prior(self) -> bool:
         """Whether something is known of a parameter before any data."""
-        return any(q.prior_std is not None for q in self.parameters)
+        known = any(q.prior_std is not None for q in self.parameters)
+        return known or self.pin is not None
 
     def prior_weights(self) -> Float[Array, " n_p"]:
         """1 / standard deviations of the prior; 0 where nothing is known [-]."""
-        return jnp.stack([q.prior_weight() for q in self.parameters])
+        weights = jnp.stack([q.prior_weight() for q in self.parameters])
+        if self.pin is None:
+            return weights
+        return weights.at[self.pin.column].set(self.pin.weight)
 
     def from_prior(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
         """Distance of scaled parameters from their start, in units of the prior [-].
 
         With a sign; the shorter way round if periodic.
         """
-        gap = z - self.start()
+        middle = self.start()
+        if self.pin is not None:
+            middle = middle.at[self.pin.column].set(self.pin.value)
+        return self.prior_weights() * self.shorter(z - middle)
+
+    def shorter(self, gap: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Differences of scaled parameters, the shorter way round if periodic."""
         turn = self.upper() - self.lower()
         periodic = jnp.asarray([q.periodic for q in self.parameters])
-        gap = jnp.where(periodic, gap - turn * jnp.round(gap / turn), gap)
-        return self.prior_weights() * gap
+        return jnp.where(periodic, gap - turn * jnp.round(gap / turn), gap)
 
     def admissible(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
         """Parameters within their bounds, the moduli of an axis a little apart."""

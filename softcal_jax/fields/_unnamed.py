@@ -41,6 +41,7 @@ def unnamed(space: ParameterSpace) -> ParameterSpace:
         tuple(_renamed(entry, points, names) for entry in space.entries),
         order=[(rename(small), rename(large)) for small, large in space.order],
         axes=[[rename(name) for name in axis] for axis in space.axes],
+        pin=space.pin,
     )
 
 

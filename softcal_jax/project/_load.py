@@ -66,7 +66,7 @@ def load_project(
         if c.role == role
     )
     given = table.settings.model_dump(
-        exclude={"noise", "starts", "seed"}, exclude_none=True
+        exclude={"noise", "starts", "seed", "intervals"}, exclude_none=True
     )
     with at(path, "settings"):
         settings = CalibrationSettings(**given)
@@ -82,6 +82,7 @@ def load_project(
         candidates=tuple(candidates),
         noise=table.settings.noise,
         starts=table.settings.starts,
+        intervals=table.settings.intervals,
         seed=table.settings.seed,
         settings=settings,
         newton=newton,

@@ -15,7 +15,9 @@ from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
     HistoryEntry,
+    LowerCostFound,
     calibrate,
+    profile_intervals,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -53,6 +55,7 @@ class Project(eqx.Module):
         noise: Where the noise comes from: "estimated" or "stated".
         starts: From how many starts the optimum is looked for.
         seed: Seed of the random ones.
+        intervals: Level of the intervals by profile likelihood; None for none [-].
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
         registrations: How each camera frame was placed, by configuration; `rms` of
@@ -70,6 +73,7 @@ class Project(eqx.Module):
     noise: Literal["estimated", "stated"]
     starts: int
     seed: int
+    intervals: float | None
     settings: CalibrationSettings
     newton: NewtonSettings
     registrations: dict[str, Registration]
@@ -154,6 +158,21 @@ class Project(eqx.Module):
         )
         note = f"Camera frames registered to the mesh with an rms of: {listed}."
         return dataclasses.replace(result, notes=(*result.notes, note))
+
+    def with_intervals(self, result: CalibrationResult) -> CalibrationResult:
+        """The result with the intervals that the file asks for; a note says if not.
+
+        Args:
+            result: What `calibrate` returned.
+        """
+        if self.intervals is None or not result.converged:
+            return result
+        try:
+            found = profile_intervals(result, self.calibration, level=self.intervals)
+        except (LowerCostFound, ValueError) as error:
+            note = f"No intervals: {error}"
+            return dataclasses.replace(result, notes=(*result.notes, note))
+        return dataclasses.replace(result, intervals=found)
 
     def check_identify(self) -> None:
         """Checks that there is something to judge; nothing need be measured.

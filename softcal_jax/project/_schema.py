@@ -40,6 +40,7 @@ class SettingsTable(Table):
     damping: Number | None = None
     starts: Integer = 1
     seed: Integer = 0
+    intervals: Number | None = None
     adapt: Flag | None = None
 
     @field_validator("starts")
@@ -47,6 +48,13 @@ class SettingsTable(Table):
     def _check_starts(cls, value: int) -> int:
         if value < 1:
             raise ValueError(f"got {value}; expected at least 1.")
+        return value
+
+    @field_validator("intervals")
+    @classmethod
+    def _check_intervals(cls, value: float | None) -> float | None:
+        if value is not None and not 0.0 < value < 1.0:
+            raise ValueError(f"got {value:g}; expected a level like 0.95.")
         return value
 
 

@@ -59,7 +59,7 @@ def summary_table(result: CalibrationResult) -> "rich.console.Group":
         text = f"Converged in {steps} steps, but take the values with care."
         head = Text(text, style="bold yellow")
     entries = result_dict(result)["configurations"]
-    parts: list[Any] = [_parameter_table(result, found)]
+    parts: list[Any] = [_parameter_table(result, found), *_interval_table(result)]
     parts += _configuration_tables(result, entries)
     parts += [*effector_table(entries), *robot_tables(entries)]
     parts += [*_outlook(found), head]
@@ -119,6 +119,19 @@ def _parameter_table(
             plain_text(bounds.rstrip()),
         )
     return table
+
+
+def _interval_table(result: CalibrationResult) -> list["rich.table.Table"]:
+    """Intervals of the parameters, if they were asked for."""
+    if not result.intervals:
+        return []
+    level = f"{100.0 * result.intervals[0].level:g} %"
+    table = start_table("By profile likelihood", "parameter", [f"{level} interval"])
+    for interval in result.intervals:
+        ends = (interval.lower_end, interval.upper_end)
+        style = "bold red" if "not converged" in ends else ""
+        table.add_row(plain_text(interval.name), plain_text(str(interval), style))
+    return [table]
 
 
 def _configuration_tables(

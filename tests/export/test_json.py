@@ -11,7 +11,7 @@ from export.handmade import (
     small_model,
 )
 
-from softcal_jax.calibration import Uncertainty
+from softcal_jax.calibration import ParameterInterval, Uncertainty
 from softcal_jax.equilibrium import RESULTS
 from softcal_jax.export import result_dict, simulation_dict
 
@@ -28,6 +28,7 @@ def test_result_is_strict_json_with_all_its_keys(data):
         "name",
         "converged",
         "parameters",
+        "intervals",
         "configurations",
         "history",
         "solver",
@@ -42,6 +43,22 @@ def test_result_is_strict_json_with_all_its_keys(data):
     ]
     assert (data["name"], data["converged"]) == ("beam", True)
     assert data["timing_s"] == {"steps": 1.5, "import": 2.5}
+
+
+def test_intervals_are_in_si_and_a_missing_end_is_null():
+    found = ParameterInterval(
+        "E", 0.95, 2.1e5, np.nan, "likelihood", "not converged", "Pa"
+    )
+    (entry,) = result_dict(make_result(intervals=(found,)))["intervals"]
+    assert entry == {
+        "name": "E",
+        "level": 0.95,
+        "lower": 2.1e5,
+        "upper": None,
+        "lower_end": "likelihood",
+        "upper_end": "not converged",
+        "unit": "Pa",
+    }
 
 
 def test_parameters_are_in_si_and_a_missing_error_is_null(data):

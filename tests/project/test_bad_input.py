@@ -241,6 +241,13 @@ CASES = {
         ),
         "settings: tol must lie in (0, 1), got 2.0.",
     ),
+    "level of intervals": (
+        (
+            '[[configurations]]\nname = "weight"',
+            '[settings]\nintervals = 95\n\n[[configurations]]\nname = "weight"',
+        ),
+        "settings.intervals: got 95; expected a level like 0.95.",
+    ),
     "newton": (
         (
             '[[configurations]]\nname = "weight"',

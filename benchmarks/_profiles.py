@@ -1,0 +1,117 @@
+"""Whether intervals by profile likelihood hold p_target, draw by draw."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks._problem import Options
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration import (
+    CalibrationProblem,
+    CalibrationSettings,
+    LowerCostFound,
+    at_rest,
+    evaluate,
+    profile_ends,
+    run_starts,
+)
+
+SETTINGS = CalibrationSettings(max_steps=40)
+
+MOST_AGAIN = 5
+"""Calibrations of a draw that are begun again where its profile found a lower cost."""
+
+
+class Profiles(NamedTuple):
+    """Intervals of the draws of one level of noise.
+
+    Attributes:
+        inside: Whether the interval of each parameter in each draw holds p_target.
+        found: Whether it has both ends.
+        again: Calibrations that were begun again.
+    """
+
+    inside: HostArray
+    found: HostArray
+    again: int
+
+    @property
+    def coverage(self) -> float:
+        """Share of the intervals with both ends that hold p_target [-]."""
+        return float(np.mean(self.inside[self.found]))
+
+
+def profiles(
+    problem: CalibrationProblem,
+    target: Float[Array, " n_p"],
+    measured: Float[HostArray, "n_draws n_c n_rows 3"],
+    rise: float,
+    options: Options,
+) -> Profiles:
+    """Calibrate each draw and find the interval of every parameter.
+
+    Args:
+        problem: The calibration, with its level of noise.
+        target: p_target, scaled [-].
+        measured: What each draw measured [m].
+        rise: Root of the rise of twice the cost at the end of an interval [-].
+        options: Who is told how far it is.
+    """
+    rows, again = [], 0
+    for number, draw in enumerate(measured, start=1):
+        own = eqx.tree_at(_measured, problem, jnp.asarray(draw))
+        z, tries = target, 0
+        while True:
+            z, converged, W, cost = _fit(own, z)
+            try:
+                ends = (
+                    profile_ends(
+                        own,
+                        SETTINGS,
+                        z,
+                        np.asarray(W),
+                        float(cost),
+                        rise,
+                        range(len(z)),
+                    )
+                    if converged
+                    else None
+                )
+            except LowerCostFound as lower:
+                z, tries = lower.z, tries + 1
+                if tries <= MOST_AGAIN:
+                    continue
+                ends = None
+            break
+        again += tries
+        rows.append(_row(own, target - z, ends))
+        if number % 10 == 0:
+            options.say(f"  intervals of {number} draws")
+    found = np.array([[np.isfinite(a + b) for a, b, _ in row] for row in rows])
+    inside = np.array([[-a <= gap <= b for a, b, gap in row] for row in rows])
+    return Profiles(inside, found, again)
+
+
+def _measured(problem: CalibrationProblem):
+    return problem.configurations.effectors.measured
+
+
+@eqx.filter_jit
+def _fit(problem: CalibrationProblem, z: Float[Array, " n_p"]):
+    """A calibration from z, with the compliances and the cost at its end."""
+    run = run_starts(problem, SETTINGS, z[None], mirror=False)
+    end = evaluate(problem, run.z[0], at_rest(problem))
+    return run.z[0], run.converged[0], end.W_ep, end.cost
+
+
+def _row(problem: CalibrationProblem, gap, ends) -> list[tuple[float, float, float]]:
+    """How far an interval goes down and up, and how far away p_target is."""
+    gaps = np.asarray(problem.space.shorter(gap))
+    if ends is None:
+        return [(np.nan, np.nan, float(g)) for g in gaps]
+    return [
+        (low.distance, high.distance, float(g))
+        for (low, high), g in zip(ends, gaps, strict=True)
+    ]
