@@ -80,8 +80,8 @@ def profiles(
                     else None
                 )
             except LowerCostFound as lower:
-                z, tries = lower.z, tries + 1
-                if tries <= MOST_AGAIN:
+                if tries < MOST_AGAIN:
+                    z, tries = lower.z, tries + 1
                     continue
                 ends = None
             break

@@ -294,7 +294,7 @@ def _lost(levels: dict[float, Draws], n_parameters: int) -> Table:
             str(int(found.usable.sum())),
             _listed(~found.converged),
             _listed(found.on_bound),
-            _percent(found),
+            _percent(found.inside),
         ]
         for std, found in levels.items()
     ]
@@ -303,14 +303,15 @@ def _lost(levels: dict[float, Draws], n_parameters: int) -> Table:
     return Table(title, [*columns, "coverage"], rows)
 
 
-def _percent(found: Draws) -> str:
-    return f"{100 * np.mean(found.inside):.1f} %" if found.inside.size else "none"
+def _percent(inside: HostArray) -> str:
+    return f"{100 * np.mean(inside):.1f} %" if inside.size else "none"
 
 
 def _profile_figures(found: Profiles) -> dict[str, Figure]:
     return {
         "coverage_95_profile": found.coverage,
         "profile_intervals_found": int(found.found.sum()),
+        "profile_intervals_asked": int(found.found.size),
         "profile_calibrated_again": found.again,
     }
 
@@ -320,7 +321,7 @@ def _profile_table(found: Profiles, names: list[str], std: float) -> Table:
         [
             name,
             str(int(found.found[:, i].sum())),
-            f"{100 * np.mean(found.inside[found.found[:, i], i]):.0f} %",
+            _percent(found.inside[found.found[:, i], i]),
         ]
         for i, name in enumerate(names)
     ]
@@ -351,7 +352,9 @@ def plot(levels: dict[float, Draws], names: list[str], path: Path) -> None:
                 expected, np.sort(scaled[:, i]), ".", ms=5, color=colour, label=name
             )
         axes.plot([-3, 3], [-3, 3], color=TEXT, lw=1.2, label="as predicted")
-        axes.set_title(f"{1e3 * std:g} mm: {_percent(found)} covered", fontsize=15)
+        axes.set_title(
+            f"{1e3 * std:g} mm: {_percent(found.inside)} covered", fontsize=15
+        )
         axes.set_xlabel("quantile of the normal law", fontsize=13)
         axes.grid(True, color="#dddddd", lw=0.8)
         axes.set(xlim=(-3.2, 3.2), ylim=(-5, 5))

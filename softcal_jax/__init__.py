@@ -36,6 +36,7 @@ from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
+    LowerCostFound,
     build_problem,
     calibrate,
     multi_start,
@@ -131,6 +132,7 @@ __all__ = [
     "ImposedDisplacement",
     "ImposedForce",
     "Isotropic",
+    "LowerCostFound",
     "Markers",
     "Model",
     "Motor",

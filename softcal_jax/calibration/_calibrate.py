@@ -69,7 +69,7 @@ def build_problem(
     Raises:
         ValueError: If a configuration has no measurement, or a parameter no field.
     """
-    configurations = _as_sequence(configurations)
+    configurations = as_sequence(configurations)
     for configuration in configurations:
         if not configuration.is_measured:
             raise ValueError(
@@ -141,8 +141,8 @@ def calibrate(
     if starts < 1:
         raise ValueError(f"starts must be at least 1, got {starts}.")
     settings = settings or CalibrationSettings()
-    configurations = _as_sequence(configurations)
-    validation = _as_sequence(validation)
+    configurations = as_sequence(configurations)
+    validation = as_sequence(validation)
     problem = build_problem(model, parameters, configurations, newton)
     # Built now, so that a wrong held-out configuration is found before the fit.
     held_out = (
@@ -307,7 +307,10 @@ def _check_names(configurations, validation) -> None:
             raise ValueError(f"configuration {name!r} is named more than once.")
 
 
-def _as_sequence(configurations) -> tuple[Configuration, ...]:
+def as_sequence(
+    configurations: Configuration | Sequence[Configuration],
+) -> tuple[Configuration, ...]:
+    """Configurations, where one alone may be given as it is."""
     if isinstance(configurations, Configuration):
         return (configurations,)
     return tuple(configurations)

@@ -6,13 +6,16 @@ import numpy as np
 from scipy.stats import norm, t
 
 from softcal_jax._names import unknown_name
-from softcal_jax.calibration._calibrate import build_problem
+from softcal_jax.calibration._calibrate import as_sequence, build_problem
 from softcal_jax.calibration._descent import from_rest
 from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._profile import ProfileEnd, profile_ends
-from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
+from softcal_jax.calibration._result import (
+    CalibrationResult,
+    ParameterInterval,
+)
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Workers
+from softcal_jax.equilibrium import Workers, check_converged
 
 SAME_COST = 1e-4
 """Relative difference of costs that cannot be of the same configurations [-]."""
@@ -22,7 +25,7 @@ def profile_intervals(
     result: CalibrationResult,
     configurations: Configuration | Sequence[Configuration],
     *,
-    parameters: Sequence[str] | None = None,
+    parameters: str | Sequence[str] | None = None,
     level: float = 0.95,
 ) -> tuple[ParameterInterval, ...]:
     """Confidence intervals from the likelihood itself, not from its first derivatives.
@@ -33,7 +36,9 @@ def profile_intervals(
     others are calibrated anew, and the interval ends where the squared errors have
     risen by what chance allows (Bates and Watts, Nonlinear Regression Analysis, 1988,
     sec. 6.1). It need not be symmetric, and it may end at a bound that the data do not
-    exclude. It takes about five calibrations per end, from near their optimum.
+    exclude. Each holds for itself, not all of them together, and it is the part around
+    the fit: other optima are not looked for. It takes a few calibrations per end, from
+    near their optimum; an end is nan if they do not converge.
 
     Args:
         result: A calibration that converged.
@@ -48,6 +53,7 @@ def profile_intervals(
         ValueError: If the calibration did not converge, the configurations are not
             those that it fitted, a parameter or the level is not known, or the noise
             was estimated from residuals of which there are too few, or beside a prior.
+        RuntimeError: If a configuration has no equilibrium with the fitted parameters.
         LowerCostFound: If a fit along the way beats the calibration, which then is not
             in the best optimum; the error tells from where to calibrate again.
     """
@@ -59,14 +65,24 @@ def profile_intervals(
             "the calibration did not converge, so it has no intervals: raise max_steps "
             "or look at its notes."
         )
+    if isinstance(parameters, str):
+        parameters = [parameters]
     names = list(space.names if parameters is None else parameters)
     for name in names:
         if name not in space.names:
             raise unknown_name("parameter", name, space.names)
     rise = _rise(result, level)
+    configurations = as_sequence(configurations)
+    fitted = [f.name for f in result.configurations if f.role == "calibration"]
+    if [c.name for c in configurations] != fitted:
+        raise ValueError(
+            f"the calibration fitted {', '.join(fitted)}; got "
+            f"{', '.join(c.name for c in configurations)}: give those, in that order."
+        )
     problem = build_problem(result.model, space, configurations, result.newton)
     with Workers(problem.model, len(problem.configurations.gravity)) as workers:
         now = from_rest(Evaluator(problem, workers), result.z)
+    check_converged(now.equilibrium, tuple(c.name for c in configurations))
     cost, before = float(now.cost), result.history[-1].cost
     if not abs(cost - before) <= SAME_COST * before + 1e-9:
         raise ValueError(

@@ -155,8 +155,8 @@ def _rough(space: ParameterSpace, spread: Uncertainty) -> list[str]:
     named = ", ".join(n for n, flag in zip(space.names, rough, strict=True) if flag)
     return [
         f"The data determine {named} so badly that value +- 1.96 standard errors is "
-        "only rough: `profile_intervals` (intervals = 0.95 under [settings]) gives "
-        "intervals that hold."
+        "only rough; `profile_intervals` (intervals = 0.95 under [settings]) asks the "
+        "likelihood itself."
     ]
 
 

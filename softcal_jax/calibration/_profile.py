@@ -13,7 +13,7 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluator import with_solver
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._result import IntervalEnd
-from softcal_jax.calibration._runs import minimise
+from softcal_jax.calibration._runs import Run, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers, program_key
 from softcal_jax.fields import ParameterSpace, Pin
@@ -21,8 +21,9 @@ from softcal_jax.fields import ParameterSpace, Pin
 FIRM = 10.0
 """How much better than by the data a held parameter is known [-].
 
-It gives way by a hundredth of its standard error, and the profile is that of where it
-comes to rest.
+Where the profile is a parabola it gives way by a hundredth of its distance from the
+fit; the profile is that of where it comes to rest. At a bound it is held ten times
+as firmly, since the question is what the data say there.
 """
 
 CLOSE_ENOUGH = 0.005
@@ -32,7 +33,10 @@ NARROW = 0.02
 """Step out, over how far it is, below which a fit that is lost stays so [-]."""
 
 LOWER = 1e-3
-"""Fall of twice the cost which tells that the fit is not in its minimum [-]."""
+"""Fall of twice the cost, over its rise at an end, which tells of another optimum [-].
+
+It is no rounding then, and no end of a loop that stopped a little early.
+"""
 
 
 class ProfileEnd(NamedTuple):
@@ -42,11 +46,39 @@ class ProfileEnd(NamedTuple):
         distance: How far it is from the fit, scaled; nan if it was not found [-].
         why: What ends the interval: the likelihood; the bound of the parameter, or half
             a turn of an angle, which the data do not exclude; or that there is no end,
-            since fits along the profile did not converge.
+            since fits along the profile did not converge, or jumped.
     """
 
     distance: float
     why: IntervalEnd
+
+
+class LowerCostFound(RuntimeError):
+    """A fit along the profile found a lower cost than the calibration had.
+
+    Attributes:
+        z: Where, scaled [-].
+        cost: That cost [-].
+        before: That of the calibration [-].
+    """
+
+    def __init__(self, z: Float[Array, " n_p"], cost: float, before: float):
+        """A cost below that of the calibration."""
+        super().__init__(z, cost, before)
+        self.z, self.cost, self.before = z, cost, before
+
+    def __str__(self) -> str:
+        """What it means, and what to do."""
+        return (
+            f"along the profile the cost falls from {self.before:.6g} to "
+            f"{self.cost:.6g}, so the calibration is not in the best optimum: "
+            "calibrate from more `starts`, or in Python with `start` = the `z` of this "
+            "error."
+        )
+
+
+class _NotFound(Exception):
+    """A fit along the profile did not converge, or the profile jumps."""
 
 
 def profile_ends(
@@ -107,94 +139,106 @@ def _spread(problem: CalibrationProblem, W) -> Float[HostArray, "n_p n_p"]:
     return np.linalg.inv(W.T @ W + np.diag(known))
 
 
-class LowerCostFound(RuntimeError):
-    """A fit along the profile found a lower cost than the calibration had.
-
-    Attributes:
-        z: Where, scaled: calibrate again with it as `start` [-].
-    """
-
-    def __init__(self, z: Float[Array, " n_p"], cost: float, before: float):
-        """A cost below that of the calibration."""
-        super().__init__(
-            f"the cost falls from {before:.6g} to {cost:.6g} along the profile: the "
-            "calibration is not in the best optimum. Calibrate again with `start` = "
-            "the `z` of this error, or from more `starts`."
-        )
-        self.z = z
-
-
-class _NotConverged(Exception):
-    """A fit along the profile did not converge."""
-
-
 def _end(at: _Fit, solver, column: int, sign: float) -> ProfileEnd:
     """One end of the interval of one parameter."""
-    space = at.problem.space
-    std = float(np.sqrt(at.covariance[column, column]))
-    limit = _room(space, at.z, column, sign)
-    path = at.covariance[column] / at.covariance[column, column]
-    problem = with_solver(at.problem, solver)
-    plain = eqx.tree_at(lambda p: p.space, problem, in_plain_steps(space))
-    # Where fits along the profile came to rest, and how much too high their cost is.
-    seen = {0.0: (0.0, np.asarray(at.z), -at.rise)}
+    profile = _Profile(at, solver, column, sign)
+    try:
+        bracket = _bracket(profile.excess, at.rise, profile.reach, profile.limit)
+        if bracket is None:
+            return ProfileEnd(max(profile.limit, 0.0), "bound")
+        xtol = 0.01 * CLOSE_ENOUGH * bracket[1]
+        found: float = brentq(profile.excess, *bracket, xtol=xtol)  # pyright: ignore
+        if profile.excess(found) != 0.0:  # which it is where it is close enough
+            raise _NotFound
+    except _NotFound:
+        return ProfileEnd(float("nan"), "not found")
+    return ProfileEnd(profile.seen[found].distance, "likelihood")
 
-    def excess(distance: float) -> float:
-        if distance in seen:
-            return seen[distance][2]
-        near = min(seen, key=lambda other: abs(other - distance))
-        start = seen[near][1] + sign * (distance - near) * path
+
+class _Rest(NamedTuple):
+    """Where a fit came to rest that held a parameter.
+
+    `distance` is how far the parameter is from the fit, `excess` the root of the rise
+    of twice the cost, less what is looked for.
+    """
+
+    distance: float
+    z: HostArray
+    excess: float
+
+
+class _Profile:
+    """Fits that hold one parameter further and further away on one side."""
+
+    def __init__(self, at: _Fit, solver, column: int, sign: float):
+        space, variance = at.problem.space, at.covariance[column, column]
+        self.at, self.column, self.sign = at, column, sign
+        self.std = float(np.sqrt(variance))
+        self.reach, self.limit = at.rise * self.std, _room(space, at.z, column, sign)
+        self.path = sign * at.covariance[column] / variance
+        self.problem = with_solver(at.problem, solver)
+        self.seen = {0.0: _Rest(0.0, np.asarray(at.z), -at.rise)}
+
+    def excess(self, distance: float) -> float:
+        """How much too high the cost is; 0 where that is close to nothing."""
+        if distance not in self.seen:
+            self.seen[distance] = self._fit(distance)
+        return self.seen[distance].excess
+
+    def _fit(self, distance: float) -> _Rest:
+        at = self.at
+        near = min(self.seen, key=lambda other: abs(other - distance))
+        start = self.seen[near].z + (distance - near) * self.path
+        firm = FIRM if distance < self.limit else 10.0 * FIRM
         pin = Pin(
-            jnp.asarray(column),
-            at.z[column] + sign * distance,
-            jnp.asarray(FIRM / std),
+            jnp.asarray(self.column),
+            at.z[self.column] + self.sign * distance,
+            jnp.asarray(firm / self.std),
         )
+        problem = self.problem
         run = _pinned(problem, at.settings, jnp.asarray(start), pin)
         if not run.converged:
-            run = _pinned(plain, at.settings, run.z, pin)
+            self._check(pin, run)
+            again = run.z if np.isfinite(run.cost) else self.seen[near].z
+            space = in_plain_steps(problem.space)
+            plain = eqx.tree_at(lambda p: p.space, problem, space)
+            run = _pinned(plain, at.settings, jnp.asarray(again), pin)
+        far, higher = self._check(pin, run)
         if not run.converged:
-            raise _NotConverged
-        far, cost = _without_pin(space, pin, run.z, run.cost)
-        higher = 2.0 * (float(cost) - at.cost)
-        if higher < -LOWER:
-            raise LowerCostFound(run.z, float(cost), at.cost)
+            raise _NotFound
         value = np.sqrt(max(higher, 0.0)) - at.rise
         value = 0.0 if abs(value) <= CLOSE_ENOUGH * at.rise else float(value)
-        seen[distance] = (distance + sign * float(far), np.asarray(run.z), value)
-        return value
+        return _Rest(distance + self.sign * far, np.asarray(run.z), value)
 
-    try:
-        bracket = _bracket(excess, at.rise, std, limit)
-        if bracket is None:
-            return ProfileEnd(max(limit, 0.0), "bound")
-        # Ended by `excess`, which is zero where it is close enough.
-        found: float = brentq(excess, *bracket, xtol=1e-6 * std)  # pyright: ignore
-        excess(found)
-    except _NotConverged:
-        return ProfileEnd(float("nan"), "not converged")
-    return ProfileEnd(seen[found][0], "likelihood")
+    def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
+        """How far beyond its pin a parameter is, and the rise of twice the cost."""
+        far, cost = _without_pin(self.at.problem.space, pin, run.z, run.cost)
+        higher = 2.0 * (float(cost) - self.at.cost)
+        if higher < -LOWER * self.at.rise**2:
+            raise LowerCostFound(run.z, float(cost), self.at.cost)
+        return float(far), higher
 
 
 def _bracket(
-    excess: Callable[[float], float], rise: float, std: float, limit: float
+    excess: Callable[[float], float], rise: float, reach: float, limit: float
 ) -> tuple[float, float] | None:
     """Two distances with the end between them; None if it is beyond the limit.
 
     Further and further out, and half the way back where a fit does not converge.
     """
-    inside, outside, lost = 0.0, rise * std, np.inf
+    inside, outside, lost = 0.0, reach, np.inf
     while inside < limit:
         outside = min(outside, limit)
         try:
             value = excess(outside)
-        except _NotConverged:
+        except _NotFound:
             value, lost = -rise, outside
         else:
             if value >= 0.0:
                 return inside, outside
             inside = outside
-        if lost - inside < NARROW * (inside + std):
-            raise _NotConverged
+        if lost - inside < NARROW * (inside + reach):
+            raise _NotFound
         grown = float(np.clip(1.05 * rise / (value + rise + 1e-300), 1.2, 2.0))
         outside = min(inside * grown if inside else np.inf, 0.5 * (inside + lost))
     return None
@@ -209,7 +253,7 @@ def _room(space: ParameterSpace, z, column: int, sign: float) -> float:
 
 
 def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
-    """The same parameters with steps of moduli and angles, not of tensors.
+    """The parameters with steps of moduli and angles, not of tensors.
 
     Where both moduli of an axis are equal a step of tensors has a kink: beyond it the
     axis is another one. With their order as a constraint an optimum there is regular.
@@ -217,12 +261,18 @@ def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
     Args:
         space: The parameters.
     """
-    order = [(small, large) for small, large, _ in space.axes]
+    if space.chart is None:
+        return space
+    names, chart = space.names, space.chart
+    pairs = zip(chart.small, chart.large, strict=True)
+    order = [(names[small], names[large]) for small, large in pairs]
     return ParameterSpace(space.entries, order=(*space.order, *order), pin=space.pin)
 
 
 @eqx.filter_jit
-def _pinned(problem: CalibrationProblem, settings: CalibrationSettings, start, pin):
+def _pinned(
+    problem: CalibrationProblem, settings: CalibrationSettings, start, pin: Pin
+) -> Run:
     """The calibration with one parameter held."""
     add = partial(eqx.tree_at, lambda p: p.space.pin, is_leaf=lambda x: x is None)
     return minimise(add(problem, pin), settings, start)

@@ -42,7 +42,7 @@ class ParameterEstimate(eqx.Module):
     at_bound: bool
 
 
-IntervalEnd = Literal["likelihood", "bound", "not converged"]
+IntervalEnd = Literal["likelihood", "bound", "not found"]
 
 
 class ParameterInterval(eqx.Module):
@@ -56,7 +56,7 @@ class ParameterInterval(eqx.Module):
             periodic.
         lower_end: What ends it below: "likelihood"; "bound", if the data do not exclude
             the bound of the parameter (or half a turn of a periodic angle); or "not
-            converged", if fits along the profile were not.
+            found", if fits along the profile did not converge, or jumped.
         upper_end: The same above.
         unit: SI unit.
     """
@@ -73,6 +73,11 @@ class ParameterInterval(eqx.Module):
         """Its ends in a readable unit, in one line."""
         factor, unit = readable_unit([self.lower, self.upper], self.unit)
         words = {"likelihood": "", "bound": " (bound)"}
+        turn = self.unit == "rad" and np.isclose(self.upper - self.lower, np.pi)
+        if turn and self.lower_end == self.upper_end == "bound":
+            return "any angle"
+        if self.lower_end == self.upper_end == "not found":
+            return "not found"
         ends = [
             f"{factor * value:.4g}{words[end]}" if end in words else "not found"
             for value, end in (

@@ -76,21 +76,27 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         )
     show.lap("solve")
     show.split("solve", "compile", result.timing_s["compile"])
+
+    def write(result: "CalibrationResult", *, force: bool) -> Path:
+        show.now("writing results and pictures")
+        with bad_input():
+            folder = report.write_results(
+                result,
+                args.output,
+                name=project.name,
+                force=force,
+                timing_s=dict(show.laps),
+            )
+        show.lap("results and pictures")
+        return folder
+
+    where = write(result, force=args.force)
     if project.intervals is not None and result.converged:
+        # After the results, which are kept if somebody does not want to wait.
         show.now(f"intervals of {len(result.parameters)} parameters")
         result = project.with_intervals(result)
         show.lap("intervals")
-
-    show.now("writing results and pictures")
-    with bad_input():
-        where = report.write_results(
-            result,
-            args.output,
-            name=project.name,
-            force=args.force,
-            timing_s=dict(show.laps),
-        )
-    show.lap("results and pictures")
+        where = write(result, force=True)
     show.line()
     show.line(report.summary_table(result))
     _print_held_out(result, show)

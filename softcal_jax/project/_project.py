@@ -15,7 +15,6 @@ from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
     HistoryEntry,
-    LowerCostFound,
     calibrate,
     profile_intervals,
 )
@@ -169,7 +168,7 @@ class Project(eqx.Module):
             return result
         try:
             found = profile_intervals(result, self.calibration, level=self.intervals)
-        except (LowerCostFound, ValueError) as error:
+        except (RuntimeError, ValueError) as error:
             note = f"No intervals: {error}"
             return dataclasses.replace(result, notes=(*result.notes, note))
         return dataclasses.replace(result, intervals=found)

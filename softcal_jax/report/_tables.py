@@ -129,7 +129,7 @@ def _interval_table(result: CalibrationResult) -> list["rich.table.Table"]:
     table = start_table("By profile likelihood", "parameter", [f"{level} interval"])
     for interval in result.intervals:
         ends = (interval.lower_end, interval.upper_end)
-        style = "bold red" if "not converged" in ends else ""
+        style = "bold red" if "not found" in ends else ""
         table.add_row(plain_text(interval.name), plain_text(str(interval), style))
     return [table]
 

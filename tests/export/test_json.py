@@ -46,9 +46,7 @@ def test_result_is_strict_json_with_all_its_keys(data):
 
 
 def test_intervals_are_in_si_and_a_missing_end_is_null():
-    found = ParameterInterval(
-        "E", 0.95, 2.1e5, np.nan, "likelihood", "not converged", "Pa"
-    )
+    found = ParameterInterval("E", 0.95, 2.1e5, np.nan, "likelihood", "not found", "Pa")
     (entry,) = result_dict(make_result(intervals=(found,)))["intervals"]
     assert entry == {
         "name": "E",
@@ -56,7 +54,7 @@ def test_intervals_are_in_si_and_a_missing_end_is_null():
         "lower": 2.1e5,
         "upper": None,
         "lower_end": "likelihood",
-        "upper_end": "not converged",
+        "upper_end": "not found",
         "unit": "Pa",
     }
 
