@@ -6,6 +6,8 @@ import os
 # user's cache. Who names a folder of his own may keep programs there.
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ.setdefault("JAX_ENABLE_COMPILATION_CACHE", "0")
+# Most of the time goes into compiling programs that run for milliseconds.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 import jax
 import jaxtyping
