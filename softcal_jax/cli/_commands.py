@@ -93,7 +93,8 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     where = write(result, force=args.force)
     if project.intervals is not None and result.converged:
         # After the results, which are kept if somebody does not want to wait.
-        show.now(f"intervals of {len(result.parameters)} parameters")
+        several = "s" if len(result.parameters) > 1 else ""
+        show.now(f"intervals of {len(result.parameters)} parameter{several}")
         result = project.with_intervals(result)
         show.lap("intervals")
         where = write(result, force=True)
