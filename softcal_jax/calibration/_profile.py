@@ -187,7 +187,8 @@ class _Profile:
 
     def _fit(self, distance: float) -> _Rest:
         at = self.at
-        near = min(self.seen, key=lambda other: abs(other - distance))
+        within = [other for other, rest in self.seen.items() if rest.excess <= 0.0]
+        near = min(within, key=lambda other: abs(other - distance))  # none lost beyond
         start = self.seen[near].z + (distance - near) * self.path
         firm = FIRM if distance < self.limit else 10.0 * FIRM
         pin = Pin(
