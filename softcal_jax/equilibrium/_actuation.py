@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.actuators import actuator_rows, curvature_entries
 from softcal_jax.configurations import ActuationArrays
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
@@ -38,13 +39,28 @@ def rows(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, "n_a n_poi
     return actuator_rows(model.mechanism.actuators, positions(model, u))
 
 
-def by_multiplier(model: Model, actuation: ActuationArrays) -> Bool[Array, " n_a"]:
-    """Which actuators have a displacement imposed, and lambda_a solved for.
+def with_multiplier(model: Model) -> Int[HostArray, " n_m"]:
+    """Numbers of the actuators whose lambda_a may have to be solved for.
 
     A motor is not among them: an imposed angle holds its body.
     """
-    motor = jnp.asarray(model.mechanism.actuators.motor_body) >= 0
-    return jnp.asarray(actuation.by_displacement) & ~motor
+    actuators = model.mechanism.actuators
+    motor = np.array(actuators.motor_body) >= 0
+    return np.flatnonzero(actuators.has_displacement & ~motor)
+
+
+def by_multiplier(model: Model, actuation: ActuationArrays) -> Bool[Array, " n_a"]:
+    """Which actuators have a displacement imposed, and lambda_a solved for."""
+    may_be = np.isin(np.arange(model.mechanism.n_actuators), with_multiplier(model))
+    return jnp.asarray(actuation.by_displacement) & may_be
+
+
+def among_all(
+    model: Model, values: Float[Array, "*batch n_m"]
+) -> Float[Array, "*batch n_a"]:
+    """Values of the actuators `with_multiplier` among those of all, 0 for others."""
+    none = jnp.zeros((*values.shape[:-1], model.mechanism.n_actuators), values.dtype)
+    return none.at[..., with_multiplier(model)].set(values, unique_indices=True)
 
 
 def imposed_forces(actuation: ActuationArrays) -> Float[Array, " n_a"]:
@@ -80,16 +96,17 @@ class Bordered(NamedTuple):
 
     Attributes:
         x: Steps of the unknowns, one row per right-hand side [m].
-        lambda_a: Changes of the actuators' forces, 0 where they are imposed.
-        W_aa: Compliance of the actuators.
+        lambda_a: Changes of the forces of the actuators `with_multiplier`, 0 where they
+            are imposed.
+        W_aa: Compliance of these actuators.
         n_negative: Negative eigenvalues of the tangent on the steps that leave the
             imposed displacements alone; -1 where the solver counts none.
         ok: Whether the solutions exist.
     """
 
     x: Float[Array, "n_rhs n_dof"]
-    lambda_a: Float[Array, "n_rhs n_a"]
-    W_aa: Float[Array, "n_a n_a"]
+    lambda_a: Float[Array, "n_rhs n_m"]
+    W_aa: Float[Array, "n_m n_m"]
     n_negative: Array
     ok: Bool[Array, ""]
 
@@ -99,19 +116,19 @@ class System(NamedTuple):
 
     Attributes:
         values: Tangent of the unknowns, supports masked.
-        H_a: Rows of the actuators on the unknowns, zero on held ones.
-        active: Which actuators have a displacement imposed that acts.
+        H_a: Rows of the actuators `with_multiplier` on the unknowns, zero on held ones.
+        active: Which of them have a displacement imposed that acts.
     """
 
     values: Float[Array, " nnz_reduced"]
-    H_a: Float[Array, "n_a n_dof"]
-    active: Bool[Array, " n_a"]
+    H_a: Float[Array, "n_m n_dof"]
+    active: Bool[Array, " n_m"]
 
     def solve(
         self,
         model: Model,
         force: Float[Array, "n_rhs n_dof"],
-        gap: Float[Array, "n_rhs n_a"],
+        gap: Float[Array, "n_rhs n_m"],
         *,
         transpose: bool = False,
     ) -> Bordered:
@@ -158,13 +175,13 @@ def _solve(
     solver: AbstractLinearSolver,
     system: System,
     force: Float[Array, "n_rhs n_dof"],
-    gap: Float[Array, "n_rhs n_a"],
+    gap: Float[Array, "n_rhs n_m"],
     *,
     transpose: bool,
 ) -> Bordered:
     """`System.solve`, by elimination of the unknowns."""
-    n_rhs, n_a = gap.shape
-    if n_a == 0:
+    n_rhs, n_m = gap.shape
+    if n_m == 0:
         solved = solver.factor_solve(system.values, force, transpose=transpose)
         none = jnp.zeros((0, 0))
         return Bordered(solved.x, gap, none, solved.n_negative, solved.ok)

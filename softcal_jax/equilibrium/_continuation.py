@@ -321,9 +321,9 @@ class _Body(NamedTuple):
         matrix is factorized again. So it is where actuators' displacements are imposed.
         """
         solver, values = self.model.solver, system.values
-        n_a = system.active.shape[0]
-        again = lambda: system.solve(self.model, b, jnp.zeros((len(b), n_a))).x
-        if n_a > 0:
+        n_m = system.active.size
+        again = lambda: system.solve(self.model, b, jnp.zeros((len(b), n_m))).x
+        if n_m > 0:
             return again()
         x = solver.solve_again(values, b)
         size = jnp.linalg.norm(b, axis=1)

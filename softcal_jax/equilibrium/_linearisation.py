@@ -107,8 +107,9 @@ def linearise(
     unknowns = problem.unknowns(one)
     reduced = unknowns.reduce(u, full, g)
     masked, _ = mask_supports(model.solver.sparsity, reduced, unknowns.fixed())
-    H_a = problem.rows_on_unknowns(u, one, rows)
-    system = actuation.System(masked, H_a, problem.taut(at, one))
+    which = problem.with_multiplier
+    H_a = problem.rows_on_unknowns(u, one, rows[which])
+    system = actuation.System(masked, H_a, problem.taut(at, one)[which])
     return Linearisation(unknowns, system, full, model.pattern)
 
 
@@ -137,7 +138,7 @@ def factor_solve(
     """
     lin = linearise(model, configuration, u)
     forces = jax.vmap(lambda f: lin.free(u, f))(rhs)
-    gap = jnp.zeros((rhs.shape[0], model.mechanism.n_actuators))
+    gap = jnp.zeros((rhs.shape[0], lin.system.active.size))
     solved = lin.system.solve(model, forces, gap, transpose=transpose)
     x = jax.vmap(lambda d: lin.unknowns.scatter(u, d))(solved.x)
     return LinearSolution(x, solved.n_negative, solved.ok)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import _actuation as actuation
@@ -142,13 +142,13 @@ class EquilibriumProblem:
 
     @property
     def has_multipliers(self) -> bool:
-        """Whether actuators could have a displacement imposed on them."""
-        actuators = self.model.mechanism.actuators
-        motor = [body >= 0 for body in actuators.motor_body]
-        return any(
-            has and not turns
-            for has, turns in zip(actuators.has_displacement, motor, strict=True)
-        )
+        """Whether forces of actuators may have to be solved for."""
+        return self.with_multiplier.size > 0
+
+    @property
+    def with_multiplier(self) -> Int[HostArray, " n_m"]:
+        """Numbers of these actuators."""
+        return actuation.with_multiplier(self.model)
 
     def by_multiplier(self) -> Bool[Array, " n_a"]:
         """Which actuators have a displacement imposed, and their force solved for."""
@@ -249,11 +249,12 @@ class EquilibriumProblem:
         masked, stiffness = mask_supports(model.solver.sparsity, reduced, fixed)
         g_newton = g + (force - at.force)
         rhs = -unknowns.gather(u, g_newton + pull.reshape(u.shape))
-        H_a = self.rows_on_unknowns(u, load, rows)
-        on_held = jnp.sum(rows * held_step[None], axis=(1, 2))
-        system = actuation.System(masked, H_a, active)
+        which = self.with_multiplier
+        H_a = self.rows_on_unknowns(u, load, rows[which])
+        on_held = jnp.sum(rows[which] * held_step[None], axis=(1, 2))
+        system = actuation.System(masked, H_a, active[which])
         rhs = jnp.where(fixed, 0.0, rhs)
-        solved = system.solve(model, rhs[None], (gap - on_held)[None])
+        solved = system.solve(model, rhs[None], (gap[which] - on_held)[None])
         d = solved.x[0]
         slope = jnp.sum(self.on_unknowns(u, load, g) * d)
         supports = jnp.where(jnp.asarray(self.configuration.fixed), held_step, 0.0)
@@ -262,12 +263,12 @@ class EquilibriumProblem:
         compliance = jnp.abs(jnp.diag(solved.W_aa))
         tiny = jnp.finfo(u.dtype).tiny
         # Of slack cables, too: a step that tightens one leaves a gap to close.
-        stiff = 1.0 / jnp.maximum(compliance, tiny)
+        stiff = actuation.among_all(model, 1.0 / jnp.maximum(compliance, tiny))
         gap_stiffness = jnp.where(self.by_multiplier(), stiff, 0.0)
         return Direction(
             d,
             lambda_a,
-            sign * solved.lambda_a[0],
+            sign * actuation.among_all(model, solved.lambda_a[0]),
             sign * slope,
             moving,
             reach,

@@ -177,7 +177,9 @@ def implicit_response(
     dr = dR + lin.stiffness(du_held)
     _, dr = eqx.filter_jvp(_on_unknowns, (*inputs, u, r), (*t_inputs, du_held, dr))
     force = jnp.where(lin.unknowns.fixed(), 0.0, -dr)
+    dgap = dgap[actuation.with_multiplier(model)]
     dx, d_lambda = _solve_implicitly(model, lin.system, force, dgap)
+    d_lambda = actuation.among_all(model, d_lambda)
     du = du_held + lin.unknowns.scatter(u, dx)
     # Where there is no equilibrium there is no derivative of it.
     du = jnp.where(solution.converged, du, jnp.nan)
@@ -203,13 +205,13 @@ def _solve_implicitly(model: Model, system: actuation.System, force, dgap):
     sparsity, n_dof = model.solver.sparsity, model.n_dof
     values, H_a, active = system
     # An array without entries would make JAX 0.10.2 lose the solver's call.
-    n_a = active.shape[0]
-    join = lambda x, lam: jnp.concatenate([x, lam]) if n_a > 0 else x
+    n_m = active.shape[0]
+    join = lambda x, lam: jnp.concatenate([x, lam]) if n_m > 0 else x
 
     def matvec(v):
         x = v[:n_dof]
         force = product(sparsity, values, x)
-        if n_a == 0:
+        if n_m == 0:
             return force
         lam = jnp.where(active, v[n_dof:], 0.0)
         force = force - jnp.sum(lam[:, None] * H_a, axis=0)
@@ -218,9 +220,9 @@ def _solve_implicitly(model: Model, system: actuation.System, force, dgap):
 
     def solve(_, b, transpose=False):
         below = b[n_dof:]
-        gap = jnp.where(active, -below, 0.0)[None] if n_a > 0 else jnp.zeros((1, 0))
+        gap = jnp.where(active, -below, 0.0)[None] if n_m > 0 else jnp.zeros((1, 0))
         solved = system.solve(model, b[None, :n_dof], gap, transpose=transpose)
-        lam = jnp.where(active, solved.lambda_a[0], below) if n_a > 0 else below
+        lam = jnp.where(active, solved.lambda_a[0], below) if n_m > 0 else below
         # A derivative that does not exist must not pass for zero.
         return jnp.where(solved.ok, join(solved.x[0], lam), jnp.nan)
 

@@ -217,9 +217,8 @@ def test_a_cable_becomes_taut_under_another_load(load):
 @jax.jit
 def compliance(model, lane, u):
     lin = linearise(model, lane, u)
-    n_a = model.mechanism.n_actuators
     none = jnp.zeros((1, model.n_dof))
-    return lin.system.solve(model, none, jnp.zeros((1, n_a))).W_aa
+    return lin.system.solve(model, none, jnp.zeros((1, lin.system.active.size))).W_aa
 
 
 class Inputs(NamedTuple):
