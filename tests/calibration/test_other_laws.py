@@ -83,13 +83,9 @@ def poses():
     )
 
 
+@pytest.mark.slow  # three calibrations that compile
 @pytest.mark.parametrize(
-    "name",
-    [
-        "fibre-reinforced",
-        pytest.param("st-venant-kirchhoff", marks=pytest.mark.slow),
-        pytest.param("full set", marks=pytest.mark.slow),
-    ],
+    "name", ["fibre-reinforced", "st-venant-kirchhoff", "full set"]
 )
 def test_known_parameters_come_back(name):
     mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)

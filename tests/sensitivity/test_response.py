@@ -171,9 +171,9 @@ def near(name):
         "plain",
         "many parameters",
         "KLU",
-        "no potential",
+        pytest.param("no potential", marks=pytest.mark.slow),
         pytest.param("no potential, many parameters", marks=pytest.mark.slow),
-        "mean dilatation",
+        pytest.param("mean dilatation", marks=pytest.mark.slow),
     ],
 )
 def test_both_at_once_are_what_the_two_solves_give(name):
