@@ -1,11 +1,14 @@
 """Strict numerics for every test: float64, no promotion, checked annotations."""
 
 import os
+import tempfile
 
-# Before JAX is imported, and for the processes that tests start: nothing is left in the
-# user's cache. Who names a folder of his own may keep programs there.
+# Before JAX is imported, and for the processes that tests start: what one module has
+# compiled the others need not, and nothing is left in the user's cache. Who names a
+# folder of his own keeps the programs there.
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    os.environ.setdefault("JAX_ENABLE_COMPILATION_CACHE", "0")
+    _PROGRAMS = tempfile.TemporaryDirectory(prefix="softcal_jax_tests_")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = _PROGRAMS.name
 # Most of the time goes into compiling programs that run for milliseconds.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
@@ -14,6 +17,7 @@ import jaxtyping
 import pytest
 
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 

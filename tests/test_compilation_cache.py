@@ -37,6 +37,7 @@ def config(monkeypatch, tmp_path):
     before = {key: jax.config.values[key] for key in KEYS}
     jax.config.update("jax_enable_compilation_cache", True)
     jax.config.update("jax_compilation_cache_dir", None)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     yield lambda key: jax.config.values[key]
     for key, value in before.items():
