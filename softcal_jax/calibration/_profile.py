@@ -1,6 +1,7 @@
 """Confidence intervals from the profile of the likelihood."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -267,7 +268,7 @@ def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
     names, chart = space.names, space.chart
     pairs = zip(chart.small, chart.large, strict=True)
     order = [(names[small], names[large]) for small, large in pairs]
-    return ParameterSpace(space.entries, order=(*space.order, *order), pin=space.pin)
+    return replace(space, order=(*space.order, *order), tensor_steps=False)
 
 
 @eqx.filter_jit

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float, Int
 from softcal_jax.fields._axes import AxisChart
+from softcal_jax.fields._cores import fading_axes
 from softcal_jax.fields._order import axis_columns, order_terms
 from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import SetupParameter
@@ -68,7 +69,9 @@ class ParameterSpace(eqx.Module):
         axes: Triples (smaller modulus, larger modulus, angle) of fields with the same
             control points: ("E_l", "E_t", "theta") for a soft fibre. Steps of these are
             taken as tensors, see `AxisChart`: neither winding of the angle nor the
-            isotropic state can trap them, and smaller <= larger holds by itself.
+            isotropic state can trap them, and smaller <= larger holds by itself. Where
+            the angle has a `core`, their contrast fades in it.
+        tensor_steps: Whether they are, or as moduli and angles; `order` is then wanted.
         pin: A parameter that is held at a value, for a profile of the likelihood; in
             place of its prior.
     """
@@ -80,6 +83,7 @@ class ParameterSpace(eqx.Module):
     axes: tuple[tuple[str, str, str], ...] = eqx.field(
         static=True, default=(), converter=_as_triples
     )
+    tensor_steps: bool = eqx.field(static=True, default=True)
     pin: Pin | None = None
 
     def __check_init__(self):
@@ -99,6 +103,7 @@ class ParameterSpace(eqx.Module):
                         )
         order_terms(self.entries, self.order)
         axis_columns(self.entries, self.axes)
+        fading_axes(self.entries, self.axes)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -154,8 +159,8 @@ class ParameterSpace(eqx.Module):
 
     @property
     def chart(self) -> AxisChart | None:
-        """Step coordinates of the axes; None if there are none."""
-        if not self.axes:
+        """Step coordinates of the axes; None without, or if steps are not tensors."""
+        if not (self.axes and self.tensor_steps):
             return None
         columns = axis_columns(self.entries, self.axes)
         S = [self.parameters[i].unit_step for i in columns[:, 2]]
@@ -239,6 +244,8 @@ class ParameterSpace(eqx.Module):
         values = {name: p[i] for i, name in enumerate(self.names)}
         for entry in self.entries:
             model = entry.apply(model, values)
+        for axis in fading_axes(self.entries, self.axes):
+            model = axis.apply(model, values)
         return model
 
 

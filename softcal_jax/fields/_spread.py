@@ -37,6 +37,14 @@ class ControlPointParameters(eqx.Module):
     results of the paper are to be repeated. Bounds that span 180 degrees then mean no
     bounds: the angle leaves by one and comes back by the other.
 
+    Between control points whose axes differ much the mixed directions nearly cancel:
+    rho = |sum_j w_j (cos 2 theta_j, sin 2 theta_j)| is small, and the direction turns
+    by a right angle from one tet to the next, over the full contrast of the moduli.
+    Such a defect moves through the mesh with the parameters, and every tet that it
+    passes is a bend in the cost of a calibration. With a `core` the contrast fades
+    there, as the order of a liquid crystal does in the core of a defect: see `contrast`
+    and `ParameterSpace.axes`, which says whose moduli.
+
     Attributes:
         field: Field of the law, like "E_t", "E_l" or "theta"; or "density".
         control_points: Where the values are.
@@ -56,6 +64,8 @@ class ControlPointParameters(eqx.Module):
         max_step: Largest entry of lambda_p in one step [-].
         prior_std: Standard deviation of what is known of each value before any data,
             about its start; relative on a log scale, in SI units on a linear one.
+        core: For the angle of an axis: rho below which the contrast of its moduli
+            fades, like 0.1; 0 lets it be full everywhere [-].
     """
 
     field: str = eqx.field(static=True)
@@ -74,6 +84,7 @@ class ControlPointParameters(eqx.Module):
     max_step: Float[Array, ""] | None
     periodic: tuple[bool, ...] = eqx.field(static=True)
     prior_std: Float[Array, ""] | None
+    core: float = eqx.field(static=True)
 
     def __init__(
         self,
@@ -93,6 +104,7 @@ class ControlPointParameters(eqx.Module):
         tied: Mapping[str, str] | None = None,
         max_step: Float[ArrayLike, ""] | None = None,
         prior_std: Float[ArrayLike, ""] | None = None,
+        core: float = 0.0,
     ):
         """One unknown per control point that is neither fixed nor tied.
 
@@ -100,8 +112,9 @@ class ControlPointParameters(eqx.Module):
 
         Raises:
             ValueError: If a value has the wrong shape, an option is unknown, a fixed or
-                tied name is no control point, or the bounds of an angle that is mixed
-                as a director span more than 180 degrees.
+                tied name is no control point, the bounds of an angle that is mixed as a
+                director span more than 180 degrees, or there is a core without a
+                director or out of [0, 1).
         """
         self.field, self.control_points = field, control_points
         n_cp = len(control_points.names)
@@ -119,6 +132,7 @@ class ControlPointParameters(eqx.Module):
         self.fixed = {k: jnp.asarray(v, float) for k, v in (fixed or {}).items()}
         self.tied = tuple((tied or {}).items())
         self.max_step, self.prior_std = number(max_step), number(prior_std)
+        self.core = float(core)
         span = np.asarray(self.upper - self.lower)
         director = interpolation == "director"
         self.periodic = tuple(bool(director and np.isclose(v, np.pi)) for v in span)
@@ -153,6 +167,17 @@ class ControlPointParameters(eqx.Module):
                 f"the bounds of {self.field} span {np.rad2deg(span.max()):.0f} "
                 "degrees: an axis is the same again after 180, so give at most that, "
                 "like -90 to 90."
+            )
+        if not 0.0 <= self.core < 1.0:
+            raise ValueError(
+                f"core of {self.field} must lie in [0, 1), got {self.core:g}: it is a "
+                "share of the length that directions have which all agree."
+            )
+        if self.core > 0.0 and self.interpolation != "director":
+            raise ValueError(
+                f"core of {self.field} is for an angle that is mixed as a director: "
+                f'take interpolation="director", got {self.interpolation!r}, or leave '
+                "core out."
             )
 
     def parameter_name(self, control_point: str) -> str:
@@ -217,17 +242,55 @@ class ControlPointParameters(eqx.Module):
         Returns:
             One value per tet of the region, or per tet and quadrature point.
         """
-        points = self.points(mesh)
-        weights = self.control_points.weights(points.reshape(-1, 3))
+        weights, shape = self._weights(mesh)
         field = _mix(weights, self.at_control_points(values), self.interpolation)
-        return field.reshape(points.shape[:-1])
+        return field.reshape(shape)
+
+    def contrast(
+        self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]
+    ) -> Float[Array, "..."]:
+        """What is left of ln(E_l / E_s) where the mixed directions nearly cancel [-].
+
+        rho sqrt(1 + core^2) / sqrt(rho^2 + core^2): 1 where all directions agree, and
+        0 where there is none. The tensor of the axis is then a smooth function of the
+        parameters.
+
+        Args:
+            mesh: The mesh [m].
+            values: Values of all parameters by name, in SI units.
+
+        Returns:
+            One value per tet of the region, or per tet and quadrature point.
+        """
+        weights, shape = self._weights(mesh)
+        c, s = _direction(weights, self.at_control_points(values))
+        square = (c**2 + s**2).reshape(shape)
+        rho = jnp.sqrt(jnp.maximum(square, _LOST))
+        return rho * jnp.sqrt((1.0 + self.core**2) / (square + self.core**2))
+
+    def _weights(self, mesh: TetMesh):
+        """Weights of the control points, and the shape of the field."""
+        points = self.points(mesh)
+        return self.control_points.weights(points.reshape(-1, 3)), points.shape[:-1]
 
     def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
         """The model with this field, from the values of all parameters."""
-        field = self.evaluate(model.mesh, values)
+        return self.set_on(model, self.evaluate(model.mesh, values))
+
+    def set_on(self, model: Any, field: Float[Array, "..."]) -> Any:
+        """The model with values of this field, as `evaluate` gives them."""
         if self.sampling == "quadrature":
             return set_field(model, self.field, PointValues(field), self.region)
         return set_field(model, self.field, field, self.region)
+
+
+_LOST = 1e-20
+"""Square of rho at which there is no direction [-]."""
+
+
+def _direction(weights, angles):
+    """The mixed direction, as cosine and sine of twice its angle times its length."""
+    return weights @ jnp.cos(2.0 * angles), weights @ jnp.sin(2.0 * angles)
 
 
 def _mix(
@@ -239,9 +302,9 @@ def _mix(
         return jnp.exp(weights @ jnp.log(values))
     if interpolation == "linear":
         return weights @ values
-    c, s = weights @ jnp.cos(2.0 * values), weights @ jnp.sin(2.0 * values)
+    c, s = _direction(weights, values)
     # Half way between two axes at right angles there is no mean direction, nor a
     # derivative of it: such a point keeps the angle 0 and moves with nobody.
-    lost = c**2 + s**2 < 1e-20
+    lost = c**2 + s**2 < _LOST
     c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
     return 0.5 * jnp.arctan2(s, c)

@@ -41,6 +41,7 @@ def unnamed(space: ParameterSpace) -> ParameterSpace:
         tuple(_renamed(entry, points, names) for entry in space.entries),
         order=[(rename(small), rename(large)) for small, large in space.order],
         axes=[[rename(name) for name in axis] for axis in space.axes],
+        tensor_steps=space.tensor_steps,
         pin=space.pin,
     )
 
@@ -77,4 +78,5 @@ def _renamed(
         tied={points[name]: names[other] for name, other in entry.tied},
         max_step=entry.max_step,
         prior_std=entry.prior_std,
+        core=entry.core,
     )

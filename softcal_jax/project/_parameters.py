@@ -52,12 +52,9 @@ def build_space(path: Path, table: ProjectTable) -> ParameterSpace | None:
     between = table.parameter_space
     if not entries:
         return None
-    with at(path, "parameters"):
-        space = ParameterSpace(tuple(entries))
-    with at(path, "parameter_space"):
-        if between.order or between.axes:
-            return ParameterSpace(space.entries, order=between.order, axes=between.axes)
-    return space
+    related = between.order or between.axes
+    with at(path, "parameter_space" if related else "parameters"):
+        return ParameterSpace(tuple(entries), order=between.order, axes=between.axes)
 
 
 def _name(field: str, region: str | None) -> str:
@@ -150,6 +147,7 @@ def _at_control_points(
         tied=table.tied,
         max_step=table.max_step,
         prior_std=table.prior_std,
+        core=table.core,
     )
 
 

@@ -72,6 +72,7 @@ class ParameterTable(Table):
     fixed: dict[str, float] = Field(default_factory=dict)
     tied: dict[str, str] = Field(default_factory=dict)
     prior_std: float | None = None
+    core: float = 0.0
 
     @property
     def chosen_scale(self) -> Literal["log", "linear"]:
@@ -130,7 +131,7 @@ class ParameterTable(Table):
                     f'made, like "{self.field} of CP 1". Leave it out.'
                 )
             return self
-        options = ("interpolation", "sampling", "fixed", "tied")
+        options = ("interpolation", "sampling", "fixed", "tied", "core")
         given = [key for key in options if getattr(self, key)]
         given += [
             f"a table for `{key}`"

@@ -28,6 +28,12 @@ from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
 EFFECTOR = "rod"
 """Name of the rigid rod, and of the 6-D sensor at its middle."""
 
+CORE = 0.1
+"""Core of the defects of the fibre between control points [-].
+
+Without it the bends that defects leave in the cost hold a calibration up.
+"""
+
 PRIOR = {"E_t": 0.3, "E_l": 0.3, "theta": float(np.deg2rad(20.0))}
 """Standard deviations of what is known of a printed field: 30 % and 20 degrees."""
 
@@ -218,6 +224,7 @@ def control_space(
         S=1.0,
         interpolation="director",
         prior_std=known.get("theta"),
+        core=CORE,
     )
     errors = _setup_parameters(geometry, setup or {})
     return ParameterSpace((*moduli, theta, *errors), axes=[("E_l", "E_t", "theta")])

@@ -172,6 +172,22 @@ def test_options_of_control_points(tmp_path):
     assert space.order == (("E_l of foot", "E_l of middle"),)
 
 
+CORE = ('S = "1 rad"\n', 'S = "1 rad"\ncore = 0.1\n')
+
+
+def test_core_of_the_angle(tmp_path):
+    space = load_project(write_anisotropic_project(tmp_path, CORE)).space
+    assert space is not None
+    cores = {e.field: e.core for e in space.entries if hasattr(e, "core")}
+    assert cores == {"E_t": 0.0, "E_l": 0.0, "theta": 0.1}
+
+
+def test_a_core_without_axes_is_refused(tmp_path):
+    path = write_anisotropic_project(tmp_path, CORE, ("axes = [[", "# [["))
+    with pytest.raises(ProjectError, match=r"theta has a core, .* say which in axes"):
+        load_project(path)
+
+
 def test_angles_are_in_radians(tmp_path):
     """The start of an angle is that of the material; a file has degrees."""
     project = load_project(write_anisotropic_project(tmp_path))
