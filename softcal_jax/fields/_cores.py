@@ -57,14 +57,14 @@ def fading_axes(
     for angle in fields:
         if angle.core == 0.0:
             continue
-        names = [axis for axis in axes if axis[2] == angle.field]
-        if not names:
+        its = [axis for axis in axes if axis[2] == angle.field]
+        if not its:
             raise ValueError(
                 f"{angle.field} has a core, in which the contrast of two moduli fades: "
                 f'say which in axes, like ("E_l", "E_t", "{angle.field}"), or leave '
                 "core out."
             )
-        small, large = (_beside(angle, name, fields) for name in names[0][:2])
+        small, large = (_beside(angle, name, fields) for name in its[0][:2])
         found.append(FadingAxis(small, large, angle))
     return found
 
