@@ -62,6 +62,7 @@ def test_list_of_the_house():
     """Every problem of the house says in one line what it measures."""
     known = _problem.discover(_cli.benchmarks)
     assert {"static_beam", "compile", "locking", "silicone_mesh", "sweep"} <= set(known)
+    assert "peers" in known
     paper = {"paper_fig1", "paper_fig3", "paper_fig4", "paper_table1"}
     assert paper | {"noise_coverage", "model_error", "calibration_beam"} <= set(known)
     assert all(known.values()), known
