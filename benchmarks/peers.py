@@ -23,14 +23,15 @@ In favour of the peers: that stop; the fields of a tet and their derivatives com
 our compiled code. In ours: the mesh is small, where the calls of a Python library weigh
 most; the poses of a calibration are solved side by side on all cores, those of a peer
 one after the other; feax is made for GPUs, and its direct solvers other than SuperLU
-need scikit-sparse, which PyPI has only as source that wants SuiteSparse. Not here:
-jax-fem, which imports petsc4py, and PyPI has that only as source that wants PETSc.
+need scikit-sparse, which PyPI has only as source that wants SuiteSparse; a call of a
+peer takes 0.2 ms more, since each runs in a process of its own, in turns with ours. Not
+here: jax-fem, which imports petsc4py, and PyPI has that only as source that wants
+PETSc.
 """
 
 import statistics
-import time
-from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from typing import NamedTuple
 
@@ -40,13 +41,13 @@ from benchmarks._paper import STD, recovered
 from benchmarks._peer import AbstractPeer, peer_gradient
 from benchmarks._peer_calibration import Arrival, calibrate_by, quicker_jacobian
 from benchmarks._peer_job import (
-    Gradient,
     Job,
     our_calibration,
     our_gradient,
     our_static,
     peer_job,
 )
+from benchmarks._peer_process import PeerProcess
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms, ratio
 from softcal_jax._typing import HostArray
@@ -69,7 +70,7 @@ class Library(NamedTuple):
     """Where a peer is, and how it is installed.
 
     Attributes:
-        module: Module with `variants`, the ways in which it can do the job.
+        module: Module that `PeerProcess` opens.
         packages: Packages whose versions are told, the peer first.
         extra: Extra of this project that brings them.
     """
@@ -86,26 +87,42 @@ LIBRARIES = {
 }
 
 
+class Opened(NamedTuple):
+    """A peer that is installed, and how it solves the job."""
+
+    process: PeerProcess
+    label: str
+
+
 def run(options: Options) -> Outcome:
     """The three tasks by all libraries that are installed."""
     job = peer_job()
-    peers, absent = available(job, LIBRARIES)
-    for name, why in absent.items():
-        options.say(f"{name}: {why}")
+    with opened(LIBRARIES) as (peers, absent):
+        for name, why in absent.items():
+            options.say(f"{name}: {why}")
+        return _compare(job, peers, absent, options)
+
+
+def _compare(
+    job: Job, peers: Mapping[str, Opened], absent: Mapping[str, str], options: Options
+) -> Outcome:
     figures = our_end(job)
     for name, peer in peers.items():
         options.say(f"agreement of {name}")
-        figures |= _prefixed(name, agreement(job, peer))
+        found = (peer.process.ask(tips), peer.process.ask(by_parameter))
+        figures |= _prefixed(name, agreement(job, name, *found))
     options.say("static and gradient")
     seconds = {
-        "static": interleave(_static_calls(job, peers), STATIC_REPEATS),
-        "gradient": interleave(_gradient_calls(job, peers), GRADIENT_REPEATS),
+        "static": interleave(_calls(job, peers, our_pose, static), STATIC_REPEATS),
+        "gradient": interleave(
+            _calls(job, peers, our_slope, by_parameter), GRADIENT_REPEATS
+        ),
     }
     arrivals, adjoint = {}, {}
     for name, peer in peers.items():
         options.say(f"calibration by {name}")
-        adjoint[name] = quicker_jacobian(peer)
-        arrivals[name] = _calibrations(peer, by_adjoint=adjoint[name])
+        adjoint[name] = peer.process.ask(quicker_jacobian)
+        arrivals[name] = _calibrations(peer.process, by_adjoint=adjoint[name])
     ours = interleave({"ours": lambda: our_calibration(job)}, CALIBRATION_REPEATS)
     theirs = {name: [a.seconds for a in runs] for name, runs in arrivals.items()}
     seconds["calibration"] = ours | theirs
@@ -136,85 +153,94 @@ def run(options: Options) -> Outcome:
     return Outcome(figures, samples, goals, [table], better)
 
 
-def available(
-    job: Job, libraries: Mapping[str, Library]
-) -> tuple[dict[str, AbstractPeer], dict[str, str]]:
-    """Each installed peer at its quickest, and what to do about the others.
+@contextmanager
+def opened(
+    libraries: Mapping[str, Library], process: Callable[[], PeerProcess] = PeerProcess
+) -> Iterator[tuple[dict[str, Opened], dict[str, str]]]:
+    """Each installed peer in a process, and what to do about the others.
 
     Args:
-        job: The job.
         libraries: The peers by name.
+        process: What starts a process.
 
-    Returns:
+    Yields:
         Peers, and a sentence for each that is not installed.
     """
     peers, absent = {}, {}
-    for name, library in libraries.items():
-        try:
-            ways = import_module(f"benchmarks.{library.module}").variants(job)
-        except ModuleNotFoundError as error:
-            if error.name is None or error.name.startswith("benchmarks"):
-                raise
-            absent[name] = (
-                f"{error.name} is not installed: "
-                f"pip install softcal-jax[{library.extra}]"
-            )
-            continue
-        peers[name] = _quickest(ways, job)
-    return peers, absent
+    with ExitStack() as stack:
+        for name, library in libraries.items():
+            started = stack.enter_context(process())
+            try:
+                peers[name] = Opened(started, started.open(library.module))
+            except ModuleNotFoundError as error:
+                if error.name is None or error.name.startswith("benchmarks"):
+                    raise
+                absent[name] = (
+                    f"{error.name} is not installed: "
+                    f"pip install softcal-jax[{library.extra}]"
+                )
+        yield peers, absent
 
 
-def _quickest(ways: Sequence[Callable[[], AbstractPeer]], job: Job) -> AbstractPeer:
-    """The way whose static solve is quickest, each tried twice."""
-    fields = job.fields(job.target)
-    best: tuple[float, AbstractPeer] | None = None
-    for way in ways:
-        peer = way()
-        seconds = []
-        for _ in range(3):  # the first compiles
-            begin = time.perf_counter()
-            peer.solve(POSE, fields)
-            seconds.append(time.perf_counter() - begin)
-        if best is None or min(seconds) < best[0]:
-            best = min(seconds), peer
-    assert best is not None
-    return best[1]
+def tips(peer: AbstractPeer) -> HostArray:
+    """Displacement of the marker in all poses at p_target, by a peer [m]."""
+    fields = peer.job.fields(peer.job.target)
+    found = [
+        peer.solve(i, fields)[pose.marker] for i, pose in enumerate(peer.job.poses)
+    ]
+    return np.stack(found)
 
 
-def agreement(job: Job, peer: AbstractPeer) -> dict[str, Figure]:
-    """Relative differences of the tip of all poses, and of the gradient, from ours.
+def static(peer: AbstractPeer) -> None:
+    """The first task, by a peer."""
+    peer.solve(POSE, peer.job.fields(peer.job.target))
+
+
+def our_pose(job: Job) -> None:
+    """The same by us."""
+    our_static(job, POSE, job.target)
+
+
+def by_parameter(peer: AbstractPeer) -> HostArray:
+    """The second task, by a peer."""
+    return peer_gradient(peer, POSE, peer.job.start, STD).by_parameter
+
+
+def our_slope(job: Job) -> HostArray:
+    """The same by us."""
+    return our_gradient(job, POSE, job.start).by_parameter
+
+
+def agreement(
+    job: Job, name: str, tips: HostArray, by_parameter: HostArray
+) -> dict[str, Figure]:
+    """Relative differences of a peer's tips, and of its gradient, from ours.
 
     Args:
         job: The job.
-        peer: The library.
+        name: Name of the peer.
+        tips: What the peer finds for all poses [m].
+        by_parameter: Its gradient.
 
     Raises:
         RuntimeError: If they exceed 1e-6 and 1e-3, and the times would compare nothing.
     """
-    fields, tips = job.fields(job.target), []
-    for i, pose in enumerate(job.poses):
+    moved = []
+    for i, (pose, theirs) in enumerate(zip(job.poses, tips, strict=True)):
         ours = np.asarray(our_static(job, i, job.target).displacement)[pose.marker]
-        theirs = peer.solve(i, fields)[pose.marker]
-        tips.append(_difference(peer, "moves the tip by", ours, theirs, 1e-6))
-    ours, theirs = (
-        g.by_parameter
-        for g in (
-            our_gradient(job, POSE, job.start),
-            peer_gradient(peer, POSE, job.start, STD),
-        )
-    )
-    gradient = _difference(peer, "has the gradient", ours, theirs, 1e-3)
-    return {"tip_difference": max(tips), "gradient_difference": gradient}
+        moved.append(_difference(name, "moves the tip by", ours, theirs, 1e-6))
+    slope = _difference(name, "has the gradient", our_slope(job), by_parameter, 1e-3)
+    return {"tip_difference": max(moved), "gradient_difference": slope}
 
 
 def _difference(
-    peer: AbstractPeer, what: str, ours: HostArray, theirs: HostArray, limit: float
+    name: str, what: str, ours: HostArray, theirs: HostArray, limit: float
 ) -> float:
     difference = float(np.linalg.norm(ours - theirs) / np.linalg.norm(ours))
     if not difference <= limit:
         raise RuntimeError(
-            f"{type(peer).__name__} {what} {theirs} where ours is {ours}, relative "
-            f"difference {difference:.1e}: the two do not solve the same problem."
+            f"{name} {what} {theirs} where ours is {ours}, relative difference "
+            f"{difference:.1e}: the two do not solve the same problem."
         )
     return difference
 
@@ -238,36 +264,22 @@ def _prefixed(name: str, figures: Mapping[str, Figure]) -> dict[str, Figure]:
     return {f"{name}_{figure}": value for figure, value in figures.items()}
 
 
-def _static_calls(job: Job, peers: Mapping[str, AbstractPeer]):
-    z, fields = job.target, job.fields(job.target)
-    calls: dict[str, Callable[[], object]] = {
-        "ours": lambda: our_static(job, POSE, z),
-        **{
-            name: lambda peer=peer: peer.solve(POSE, fields)
-            for name, peer in peers.items()
-        },
+def _calls(job: Job, peers: Mapping[str, Opened], ours, theirs):
+    """A task of all libraries, to be timed."""
+    of_peers = {
+        name: lambda process=peer.process: process.ask(theirs)
+        for name, peer in peers.items()
     }
-    return calls
+    return {"ours": lambda: ours(job), **of_peers}
 
 
-def _gradient_calls(job: Job, peers: Mapping[str, AbstractPeer]):
-    z = job.start
-    calls: dict[str, Callable[[], Gradient]] = {
-        "ours": lambda: our_gradient(job, POSE, z),
-        **{
-            name: lambda peer=peer: peer_gradient(peer, POSE, z, STD)
-            for name, peer in peers.items()
-        },
-    }
-    return calls
-
-
-def _calibrations(peer: AbstractPeer, *, by_adjoint: bool) -> list[Arrival]:
+def _calibrations(process: PeerProcess, *, by_adjoint: bool) -> list[Arrival]:
     """Timed runs of a peer, one at least."""
     runs: list[Arrival] = []
     while len(runs) < CALIBRATION_REPEATS and sum(r.seconds for r in runs) < LIMIT_S:
-        runs.append(calibrate_by(peer, by_adjoint=by_adjoint, limit_s=LIMIT_S))
-        if not runs[-1].reached:
+        end = process.ask(calibrate_by, by_adjoint=by_adjoint, limit_s=LIMIT_S)
+        runs.append(end)
+        if not end.reached:
             break
     return runs
 

@@ -1,13 +1,14 @@
 """The job that the peers share, and what is said of those that are not installed."""
 
 import sys
-from types import ModuleType
+import time
+from importlib import import_module
 
 import jax
 import numpy as np
 import pytest
 
-from benchmarks import _peer_law, peers
+from benchmarks import _peer_law, _peer_process, peers
 from benchmarks._paper import STD
 from benchmarks._peer import (
     AbstractAdjointPeer,
@@ -175,62 +176,86 @@ def test_a_run_out_of_time_counts_as_its_limit(job):
 
 
 def test_a_peer_that_solves_another_problem_is_refused(job):
+    ours, gradient = peers.our_slope(job), peers.by_parameter(Adjoint(job))
+    with pytest.raises(RuntimeError, match="other moves the tip by"):
+        peers.agreement(job, "other", peers.tips(Adjoint(job)), ours)
+    moved = np.stack([pose.measured for pose in job.poses])
     with pytest.raises(RuntimeError, match="do not solve the same problem"):
-        peers.agreement(job, Adjoint(job))
+        peers.agreement(job, "other", moved, gradient)
+    found = peers.agreement(job, "same", moved, ours)
+    assert found == {
+        "tip_difference": pytest.approx(0.0, abs=1e-9),
+        "gradient_difference": 0.0,
+    }
 
 
-@pytest.fixture
-def libraries(monkeypatch):
-    """One that is installed, and one that is not."""
-    here = ModuleType("benchmarks._peer_here")
-    here.variants = lambda job: [lambda: Adjoint(job)]
-    gone = ModuleType("benchmarks._peer_gone")
+class Slow(Adjoint):
+    def solve(self, pose, fields, guess=None):
+        time.sleep(0.02)
+        return super().solve(pose, fields, guess)
 
-    def variants(job):
+
+def test_the_quickest_way_is_taken(job):
+    ways = [lambda: Slow(job), lambda: Adjoint(job)]
+    assert type(_peer_process.quickest(ways, job)) is Adjoint
+
+
+class Unopened(_peer_process.PeerProcess):
+    """Opens what `installed` says, without a process."""
+
+    installed = ("_peer_here",)
+
+    def open(self, module):
+        if module in self.installed:
+            return "with adjoint"
         raise ModuleNotFoundError("No module named 'torch'", name="torch")
 
-    gone.variants = variants
-    monkeypatch.setitem(sys.modules, here.__name__, here)
-    monkeypatch.setitem(sys.modules, gone.__name__, gone)
-    return {
-        "here": peers.Library("_peer_here", (), "benchmarks"),
-        "gone": peers.Library("_peer_gone", (), "peers"),
-    }
+
+LIBRARIES = {
+    "here": peers.Library("_peer_here", (), "benchmarks"),
+    "gone": peers.Library("_peer_gone", (), "peers"),
+}
 
 
-def test_an_absent_peer_is_reported(job, libraries):
-    found, absent = peers.available(job, libraries)
-    assert [peer.label for peer in found.values()] == ["with adjoint"]
-    assert absent == {
-        "gone": "torch is not installed: pip install softcal-jax[peers]",
-    }
+def test_an_absent_peer_is_reported():
+    with peers.opened(LIBRARIES, Unopened) as (found, absent):
+        assert [peer.label for peer in found.values()] == ["with adjoint"]
+        assert absent == {
+            "gone": "torch is not installed: pip install softcal-jax[peers]",
+        }
 
 
-def test_every_library_is_told_how_to_install(job, monkeypatch):
-    for name in ("felupe", "torch", "feax"):
-        monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "benchmarks._peer_felupe", raising=False)
-    monkeypatch.delitem(sys.modules, "benchmarks._felupe", raising=False)
-    found, absent = peers.available(job, peers.LIBRARIES)
-    assert found == {}
-    assert absent == {
-        "felupe": "felupe is not installed: pip install softcal-jax[benchmarks]",
-        "torch_fem": "torch is not installed: pip install softcal-jax[peers]",
-        "feax": "feax is not installed: pip install softcal-jax[peers]",
-    }
+@pytest.mark.parametrize(
+    ("name", "missing", "extra"),
+    [("felupe", "felupe", "benchmarks"), ("torch_fem", "torch", "peers")],
+)
+def test_a_library_that_is_missing_names_itself(job, monkeypatch, name, missing, extra):
+    monkeypatch.setitem(sys.modules, missing, None)
+    for module in ("_felupe", "_peer_felupe"):
+        monkeypatch.delitem(sys.modules, f"benchmarks.{module}", raising=False)
+    library = peers.LIBRARIES[name]
+    with pytest.raises(ModuleNotFoundError) as error:
+        import_module(f"benchmarks.{library.module}").variants(job)
+    assert (error.value.name, library.extra) == (missing, extra)
 
 
-def test_other_missing_modules_are_not_hidden(job):
-    nowhere = peers.Library("_peer_nowhere", (), "peers")
-    with pytest.raises(ModuleNotFoundError, match="_peer_nowhere"):
-        peers.available(job, {"nowhere": nowhere})
+def test_a_module_of_ours_that_is_missing_is_not_hidden():
+    """In a process of its own, which hands on what it raises."""
+    nowhere = {"nowhere": peers.Library("_peer_nowhere", (), "peers")}
+    with (
+        pytest.raises(ModuleNotFoundError, match="_peer_nowhere"),
+        peers.opened(nowhere),
+    ):
+        pass
 
 
-def test_a_run_without_peers_tells_ours(job, libraries, monkeypatch, tmp_path):
+def test_a_run_without_peers_tells_ours(job, monkeypatch, tmp_path):
     monkeypatch.setattr(peers, "peer_job", lambda: job)
     monkeypatch.setattr(peers, "our_end", lambda job: {"ours_recovered": 1})
     monkeypatch.setattr(peers, "our_calibration", lambda job: None)
-    monkeypatch.setattr(peers, "LIBRARIES", {"gone": libraries["gone"]})
+    absent = lambda libraries: opened({"gone": LIBRARIES["gone"]}, Unopened)
+    opened = peers.opened
+    monkeypatch.setattr(peers, "opened", absent)
     outcome = peers.run(Options(tmp_path, say=lambda _: None))
     assert set(outcome.figures) == {
         "ours_recovered",
