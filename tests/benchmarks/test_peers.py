@@ -239,6 +239,7 @@ def test_a_library_that_is_missing_names_itself(job, monkeypatch, name, missing,
     assert (error.value.name, library.extra) == (missing, extra)
 
 
+@pytest.mark.slow  # a process that sets up the whole beam
 def test_a_module_of_ours_that_is_missing_is_not_hidden():
     """In a process of its own, which hands on what it raises."""
     nowhere = {"nowhere": peers.Library("_peer_nowhere", (), "peers")}
