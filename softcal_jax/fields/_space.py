@@ -89,18 +89,7 @@ class ParameterSpace(eqx.Module):
     def __check_init__(self):
         if not self.parameters:
             raise ValueError("at least one parameter is needed, got none.")
-        names = self.names
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"parameter {name!r} is named more than once.")
-        for entry in self.entries:
-            if isinstance(entry, ControlPointParameters):
-                for point, name in entry.tied:
-                    if name not in names:
-                        raise ValueError(
-                            f"{entry.field} of {point} is tied to {name!r}, which is "
-                            f"no parameter; there are {', '.join(names)}."
-                        )
+        check_names(self.entries)
         order_terms(self.entries, self.order)
         axis_columns(self.entries, self.axes)
         fading_axes(self.entries, self.axes)
@@ -258,3 +247,23 @@ def as_space(
     if isinstance(parameters, Parameter | ControlPointParameters | SetupParameter):
         return ParameterSpace((parameters,))
     return ParameterSpace(tuple(parameters))
+
+
+def check_names(entries: tuple[Entry, ...]) -> None:
+    """Raise unless every parameter has a name of its own and ties lead to one.
+
+    Raises:
+        ValueError: If a name stands twice, or a value is tied to no parameter.
+    """
+    names = [q.name for entry in entries for q in entry.parameters]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"parameter {name!r} is named more than once.")
+    for entry in entries:
+        if isinstance(entry, ControlPointParameters):
+            for point, name in entry.tied:
+                if name not in names:
+                    raise ValueError(
+                        f"{entry.field} of {point} is tied to {name!r}, which is no "
+                        f"parameter; there are {', '.join(names)}."
+                    )

@@ -12,6 +12,7 @@ from softcal_jax.fields import (
     Entry,
     Parameter,
     ParameterSpace,
+    check_names,
 )
 from softcal_jax.project._laws import ANGLES, CONSTANTS, RATIOS
 from softcal_jax.project._problems import at, suggestion
@@ -52,8 +53,9 @@ def build_space(path: Path, table: ProjectTable) -> ParameterSpace | None:
     between = table.parameter_space
     if not entries:
         return None
-    related = between.order or between.axes
-    with at(path, "parameter_space" if related else "parameters"):
+    with at(path, "parameters"):
+        check_names(tuple(entries))
+    with at(path, "parameter_space"):
         return ParameterSpace(tuple(entries), order=between.order, axes=between.axes)
 
 
