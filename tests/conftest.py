@@ -1,5 +1,6 @@
 """Strict numerics for every test: float64, no promotion, checked annotations."""
 
+import gc
 import os
 import tempfile
 
@@ -20,6 +21,8 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# And some of it into a search for garbage among what has been traced.
+gc.set_threshold(200_000, 20, 100)
 
 # Here, because it must come before the first import of the package.
 jaxtyping.install_import_hook("softcal_jax", "typechecking.typechecked")

@@ -1,5 +1,6 @@
 """Energy, internal force and tangent of the whole mesh."""
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -26,69 +27,75 @@ FieldOfLaw = Callable[[Any], Any]
 """Accessor of one field of a law, as `eqx.tree_at` takes it."""
 
 
-def _map_blocks(model: Model, u: Float[Array, "n_points _"], function, *per_tet):
+def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **own):
     """Apply a function of (u, dN, w, law, active, ...) to all tets, block by block.
 
-    Returns arrays with axes (block number, ..., tet in block).
+    Args:
+        model: The body.
+        u: Nodal values.
+        kernel: The function, of one tet. A function of the module is traced once for
+            all its calls in a program and in those that follow.
+        per_tet: Further values of each tet, in blocks.
+        own: What the function takes beside: strings and flags, or arrays for all tets.
+
+    Returns:
+        Arrays with axes (block number, ..., tet in block).
     """
-    axes = (-1, -1, -1, 0, -1) + (-1,) * len(per_tet)
-    vectorised = jax.vmap(function, in_axes=axes, out_axes=-1)
+    blocks = (model.shape_gradients, model.weights, model.law_blocks(), model.active)
+    arrays, static = eqx.partition(own, eqx.is_array)
+    options = tuple(static.items())
+    return _mapped(kernel, options, u, arrays, model.nodes, *blocks, *per_tet)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _mapped(kernel, options, u, arrays, nodes, *of_tets):
+    axes = (-1, -1, -1, 0, -1) + (-1,) * (len(of_tets) - 4)
+    one = functools.partial(kernel, **eqx.combine(arrays, dict(options)))
+    vectorised = jax.vmap(one, in_axes=axes, out_axes=-1)
 
     def block(args):
         nodes, *rest = args
         return vectorised(jnp.moveaxis(u[nodes], -1, 1), *rest)
 
-    return jax.lax.map(
-        block,
-        (
-            model.nodes,
-            model.shape_gradients,
-            model.weights,
-            model.law_blocks(),
-            model.active,
-            *per_tet,
-        ),
-    )
+    return jax.lax.map(block, (nodes, *of_tets))
 
 
 def strain_energy(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_blocks block"]:
     """Strain energy of each tet, in blocks [J]."""
-    return _map_blocks(
-        model,
-        u,
-        lambda u, dN, w, law, active: (
-            active * element_energy(u, dN, w, law, model.formulation)
-        ),
-    )
+    return _map_blocks(model, u, _energy, formulation=model.formulation)
+
+
+def _energy(u, dN, w, law, active, formulation):
+    return active * element_energy(u, dN, w, law, formulation)
 
 
 def internal_force(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_points 3"]:
     """Internal force f(u; p), the gradient of the strain energy [N]."""
-    forces = _map_blocks(
-        model,
-        u,
-        lambda u, dN, w, law, active: (
-            active * element_force(u, dN, w, law, model.formulation)
-        ),
-    )
+    forces = _map_blocks(model, u, _force, formulation=model.formulation)
     return _add_forces(model, forces)
+
+
+def _force(u, dN, w, law, active, formulation):
+    return active * element_force(u, dN, w, law, formulation)
 
 
 def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
     """Strain energy, the sum of its absolute parts, internal force, smallest det F."""
-
-    def both(u, dN, w, law, active):
-        energy, force = element_energy_and_force(u, dN, w, law, model.formulation)
-        det = jax.vmap(determinant)(deformation_gradients(u, dN))
-        return active * energy, active * force, jnp.min(det)
-
-    energy, forces, det = _map_blocks(model, u, both)
+    energy, forces, det = _map_blocks(
+        model, u, _energy_and_force, formulation=model.formulation
+    )
     force = _add_forces(model, forces)
     return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
+
+
+def _energy_and_force(u, dN, w, law, active, formulation):
+    energy, force = element_energy_and_force(u, dN, w, law, formulation)
+    det = jax.vmap(determinant)(deformation_gradients(u, dN))
+    return active * energy, active * force, jnp.min(det)
 
 
 def tangent_values(
@@ -107,52 +114,63 @@ def tangent_values(
         before: Where a step to `u` began, see `element_stiffness`; it has no place in
             the mixed formulation, which has its own [m].
     """
-    p, q = _kept_entries(model)
+    check_law(model.law, model.conservative, model.formulation)
     both, stepped = u, None
     if before is not None:
         both, stepped = jnp.concatenate([u, before], axis=1), jnp.any(before != u)
+    entries = _map_blocks(
+        model,
+        both,
+        _stiffness,
+        formulation=model.formulation,
+        symmetric=model.pattern.symmetric,
+        stepped=stepped,
+    )
+    return _add_entries(model, entries)
 
-    def entries(u, dN, w, law, active):
-        u, before = u[:, :3], None if stepped is None else u[:, 3:]
-        K = element_stiffness(u, dN, w, law, model.formulation, before, stepped)
-        return active * K.reshape(3 * u.shape[0], -1)[p, q]
 
-    return _add_entries(model, _map_blocks(model, both, entries))
+def _stiffness(u, dN, w, law, active, formulation, symmetric, stepped):
+    u, before = u[:, :3], None if stepped is None else u[:, 3:]
+    K = element_stiffness(u, dN, w, law, formulation, before, stepped)
+    return active * _kept(K, symmetric)
 
 
 def mixed_tangent(
     model: Model, u: Float[Array, "n_points 3"], theta: Float[Array, "n_blocks block"]
 ) -> tuple[Float[Array, " nnz"], Float[Array, "n_points 3"]]:
     """Stiffness and force of the Newton step with volume ratios of their own."""
-    p, q = _kept_entries(model)
-
-    def both(u, dN, w, law, active, theta):
-        K, f = mixed_newton(u, theta, dN, w, law)
-        return active * K.reshape(3 * u.shape[0], -1)[p, q], active * f
-
-    entries, forces = _map_blocks(model, u, both, theta)
+    check_law(model.law, model.conservative, model.formulation)
+    entries, forces = _map_blocks(
+        model, u, _mixed_newton, theta, symmetric=model.pattern.symmetric
+    )
     return _add_entries(model, entries), _add_forces(model, forces)
+
+
+def _mixed_newton(u, dN, w, law, active, theta, symmetric):
+    K, f = mixed_newton(u, theta, dN, w, law)
+    return active * _kept(K, symmetric), active * f
+
+
+def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
+    """The entries of an element matrix that the pattern keeps."""
+    n_en = K.shape[0]
+    p, q = element_entries(n_en, symmetric)
+    return K.reshape(3 * n_en, -1)[p, q]
 
 
 def predicted_dilatation(
     model: Model, u: Float[Array, "n_points 3"], du: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_blocks block"]:
     """Volume ratio of each tet after a step, to first order: J_bar + dJ_bar du [-]."""
-
-    def linear(both, dN, w, law, active):
-        del law, active
-        u, du = both[:, :3], both[:, 3:]
-        J, dJ = jax.jvp(lambda u: mean_dilatation(u, dN, w), (u,), (du,))
-        # A step that would turn a tet inside out is not believed beyond a factor 4.
-        return jnp.clip(J + dJ, 0.25, 4.0)
-
-    return _map_blocks(model, jnp.concatenate([u, du], axis=1), linear)
+    return _map_blocks(model, jnp.concatenate([u, du], axis=1), _predicted_dilatation)
 
 
-def _kept_entries(model: Model):
-    """Local rows and columns of the entries that the pattern of the model keeps."""
-    check_law(model.law, model.conservative, model.formulation)
-    return element_entries(model.nodes.shape[1], model.pattern.symmetric)
+def _predicted_dilatation(both, dN, w, law, active):
+    del law, active
+    u, du = both[:, :3], both[:, 3:]
+    J, dJ = jax.jvp(lambda u: mean_dilatation(u, dN, w), (u,), (du,))
+    # A step that would turn a tet inside out is not believed beyond a factor 4.
+    return jnp.clip(J + dJ, 0.25, 4.0)
 
 
 def field_forces(
