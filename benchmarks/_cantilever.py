@@ -54,6 +54,7 @@ class Beam(NamedTuple):
         *,
         order: int = 1,
         formulation: Formulation = "displacement",
+        solver: str | None = None,
     ) -> Model:
         """The neo-Hookean body on a mesh of tets."""
         return build_model(
@@ -61,6 +62,7 @@ class Beam(NamedTuple):
             NeoHookean(self.E, self.nu),
             density=DENSITY,
             formulation=formulation,
+            solver=solver,
         )
 
 

@@ -1,10 +1,11 @@
-"""How time and memory of an equilibrium grow with the mesh, up to 100 000 nodes.
+"""How time and memory of an equilibrium grow with the mesh, up to 200 000 nodes.
 
 The neo-Hookean beam of `static_beam` under its own weight, in cells that are cubes: the
 whole solve from rest, compiled, and the peak memory of a process of its own for each
 mesh, beyond that of its imports. Both are fitted as powers of the number of nodes by
-least squares of the logarithms. A mesh that needs more memory than the machine has, or
-whose process fails, ends the series and is named.
+least squares of the logarithms; with the direct solver, and with multigrid, whose tip
+is held against that of the direct one. A mesh that needs more memory than the machine
+has, or whose process fails, ends the series and is named.
 """
 
 import json
@@ -22,6 +23,9 @@ from benchmarks._timing import run_process
 ACROSS = (4, 6, 9, 13, 18, 22, 27)
 """Cells across the beam; five times as many along it."""
 
+ACROSS_MULTIGRID = (6, 9, 13, 18, 27, 34)
+"""The same for the iterative solver, one mesh beyond the direct one's last."""
+
 SECONDS = 5.0
 """A mesh is solved again until this time is spent, once at least [s]."""
 
@@ -31,6 +35,8 @@ GOALS = {
     "time_exponent": Goal("at most", 1.5),
     "largest_nodes": Goal("at least", 100_000),
     "peak_memory_gb": Goal("at most", 16),
+    "multigrid_time_exponent": Goal("at most", 1.5),
+    "multigrid_peak_memory_gb": Goal("at most", 16),
 }
 
 COLUMNS = {
@@ -43,39 +49,68 @@ COLUMNS = {
 
 
 def run(options: Options) -> Outcome:
-    """All meshes, each in a process of its own."""
+    """All meshes, each in a process of its own; first the direct solver."""
+    direct, ended = _series(options, "direct", ACROSS)
+    iterative, ended_too = _series(options, "multigrid", ACROSS_MULTIGRID)
+    figures = _figures("", direct, ended)
+    figures |= _figures("multigrid_", iterative, ended_too)
+    largest = direct[-1]
+    same = [row for row in iterative if row["nodes"] == largest["nodes"]]
+    if same:
+        ratio = same[0]["solve_s"] / largest["solve_s"]
+        figures["multigrid_over_direct_at_its_largest"] = ratio
+        apart = abs(same[0]["tip_m"] / largest["tip_m"] - 1.0)
+        figures["multigrid_tip_difference"] = apart
+    samples = {
+        f"{prefix}series_{name}": [row[name] for row in found]
+        for prefix, found in (("", direct), ("multigrid_", iterative))
+        for name in COLUMNS
+    }
+    rows = lambda found: [[f"{row[name]:.3g}" for name in COLUMNS] for row in found]
+    better: dict[str, Better] = dict.fromkeys(
+        (name for name in figures if "exponent" in name or "_over_" in name), "lower"
+    )
+    heads = list(COLUMNS.values())
+    tables = [
+        Table("Growth with the mesh, direct solver", heads, rows(direct)),
+        Table("Growth with the mesh, multigrid", heads, rows(iterative)),
+    ]
+    return Outcome(figures, samples, GOALS, tables, better)
+
+
+def _series(
+    options: Options, solver: str, meshes: Sequence[int]
+) -> tuple[list[dict[str, float]], str]:
+    """What the meshes took, as far as they could be solved, and why that ended."""
     found: list[dict[str, float]] = []
-    ended = "the largest mesh that was asked for"
-    for across in ACROSS:
-        options.say(f"{across} cells across the beam")
-        command = [sys.executable, "-m", "benchmarks.growth", str(across)]
+    for across in meshes:
+        options.say(f"{solver}: {across} cells across the beam")
+        command = [sys.executable, "-m", "benchmarks.growth", solver, str(across)]
         try:
             found.append(json.loads(run_process(command).splitlines()[-1]))
         except RuntimeError as error:
             if len(found) < 2:
                 raise
-            ended = f"{across} cells across failed: {str(error).splitlines()[-1]}"
-            break
+            last = str(error).splitlines()[-1]
+            return found, f"{across} cells across failed: {last}"
+    return found, "the largest mesh that was asked for"
+
+
+def _figures(prefix: str, found, ended: str) -> dict[str, Figure]:
+    """Powers and extremes of a series."""
     column = lambda name: [row[name] for row in found]
-    time_exponent, memory_exponent = (
-        exponent(column("nodes"), column(name)) for name in ("solve_s", "memory_gb")
-    )
+    nodes = column("nodes")
+    power = lambda name, since=0: exponent(nodes[since:], column(name)[since:])
     figures: dict[str, Figure] = {
-        "time_exponent": time_exponent,
-        "last_time_exponent": exponent(*(column(n)[-2:] for n in ("nodes", "solve_s"))),
-        "memory_exponent": memory_exponent,
-        "largest_nodes": int(found[-1]["nodes"]),
+        "time_exponent": power("solve_s"),
+        "last_time_exponent": power("solve_s", -2),
+        "memory_exponent": power("memory_gb"),
+        "largest_nodes": int(nodes[-1]),
         "peak_memory_gb": max(column("peak_gb")),
         "largest_solve_s": found[-1]["solve_s"],
         "ended_by": ended,
     }
-    samples = {f"series_{name}": column(name) for name in COLUMNS}
-    rows = [[f"{row[name]:.3g}" for name in COLUMNS] for row in found]
-    better: dict[str, Better] = dict.fromkeys(
-        ("time_exponent", "last_time_exponent", "memory_exponent"), "lower"
-    )
-    table = Table("Growth with the mesh", list(COLUMNS.values()), rows)
-    return Outcome(figures, samples, GOALS, [table], better)
+    return {prefix + name: value for name, value in figures.items()}
 
 
 def exponent(nodes: Sequence[float], cost: Sequence[float]) -> float:
@@ -83,17 +118,18 @@ def exponent(nodes: Sequence[float], cost: Sequence[float]) -> float:
     return float(np.polyfit(np.log(nodes), np.log(cost), 1)[0])
 
 
-def one_mesh(across: int) -> dict[str, float]:
-    """Time and memory of one mesh, in this process."""
+def one_mesh(solver: str, across: int) -> dict[str, float]:
+    """Time and memory of one mesh with one solver, in this process."""
     from benchmarks._cantilever import equilibrium, first_lane, own_weight
     from benchmarks.static_beam import BEAM
 
     imported = peak_bytes()
     begin = time.perf_counter()
-    model = BEAM.model((5 * across, across, across))
+    name = None if solver == "direct" else solver
+    model = BEAM.model((5 * across, across, across), solver=name)
     lane = first_lane(own_weight(model))
     setup = time.perf_counter() - begin
-    steps = int(equilibrium(model, lane).steps)  # compiles
+    first = equilibrium(model, lane)  # compiles
     seconds: list[float] = []
     while not seconds or (sum(seconds) < SECONDS and len(seconds) < MOST_REPEATS):
         begin = time.perf_counter()
@@ -102,7 +138,8 @@ def one_mesh(across: int) -> dict[str, float]:
     return {
         "nodes": model.mesh.n_nodes,
         "solve_s": statistics.median(seconds),
-        "steps": steps,
+        "steps": int(first.steps),
+        "tip_m": float(first.displacement[:, 2].min()),
         "setup_s": setup,
         "memory_gb": (peak_bytes() - imported) / 1e9,
         "peak_gb": peak_bytes() / 1e9,
@@ -113,4 +150,4 @@ if __name__ == "__main__":
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    print(json.dumps(one_mesh(int(sys.argv[1]))))
+    print(json.dumps(one_mesh(sys.argv[1], int(sys.argv[2]))))

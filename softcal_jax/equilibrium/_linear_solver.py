@@ -331,30 +331,26 @@ class Klu(AbstractLinearSolver):
 
 
 _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
-_BY_NAME = {"pardiso": Pardiso, "klu": Klu}
+DIRECT_SOLVERS = {"pardiso": Pardiso, "klu": Klu}
+"""By the names that `build_model` takes."""
 
 
 def analyse(sparsity: Sparsity, solver: str | None = None) -> AbstractLinearSolver:
-    """The sparse solver of this platform, ready for a pattern.
+    """The sparse direct solver of this platform, ready for a pattern.
 
     Args:
         sparsity: Pattern of the matrices to come.
-        solver: "pardiso" or "klu"; by default the one that pyproject.toml
-            installs on this platform.
+        solver: One of `DIRECT_SOLVERS`; by default the one that pyproject.toml installs
+            on this platform.
 
     Returns:
         A solver that holds its symbolic analysis.
 
     Raises:
-        ValueError: If the name is unknown.
         ImportError: If no sparse solver is installed.
     """
     if solver is not None:
-        if solver not in _BY_NAME:
-            raise ValueError(
-                f"solver must be one of {sorted(_BY_NAME)} or None, got {solver!r}."
-            )
-        return _BY_NAME[solver].analyse(sparsity)
+        return DIRECT_SOLVERS[solver].analyse(sparsity)
     for package, kind in _PACKAGES.items():
         if find_spec(package) is not None:
             return kind.analyse(sparsity)

@@ -85,28 +85,31 @@ def _with_group(mesh: TetMesh, name: str, table: GroupTable) -> TetMesh:
     return mesh.with_tet_group(name, tets)
 
 
-def build_body(path: Path, table: MaterialTable, mesh: TetMesh, parts: Parts) -> Model:
+def build_body(path: Path, table: ProjectTable, mesh: TetMesh, parts: Parts) -> Model:
     """The model with the constants of the file.
 
     Args:
         path: The project file, for messages.
-        table: Its material.
+        table: Its tables.
         mesh: The mesh.
         parts: Rigid bodies and actuators, which fit the mesh.
 
     Raises:
-        ProjectError: If a constant is out of range, or a region is no tet group.
+        ProjectError: If a constant is out of range, a region is no tet group, or the
+            solver cannot be had.
     """
+    material = table.material
     with at(path, "material"):
-        law = build_law(table, lambda key: _constant(mesh, table, key))
-        density = _constant(mesh, table, "density")
+        law = build_law(material, lambda key: _constant(mesh, material, key))
+        density = _constant(mesh, material, "density")
         return build_model(
             mesh,
             law,
             density=density,
             bodies=parts[0],
             actuators=parts[1],
-            formulation=table.formulation,
+            formulation=material.formulation,
+            solver=table.newton.solver,
         )
 
 

@@ -53,7 +53,7 @@ def load_project(
     path = Path(path)
     table = read_tables(path, changes)
     mesh = build_mesh(path, table)
-    model = build_body(path, table.material, mesh, build_parts(path, table, mesh))
+    model = build_body(path, table, mesh, build_parts(path, table, mesh))
     space = build_space(path, table)
     if space is not None:
         with at(path, "parameters"):
@@ -71,7 +71,8 @@ def load_project(
     with at(path, "settings"):
         settings = CalibrationSettings(**given)
     with at(path, "newton"):
-        newton = NewtonSettings(**table.newton.model_dump(exclude_none=True))
+        given = table.newton.model_dump(exclude={"solver"}, exclude_none=True)
+        newton = NewtonSettings(**given)
     return Project(
         name=table.name,
         path=path,

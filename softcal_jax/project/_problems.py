@@ -47,7 +47,7 @@ def at(path: Path, key: str) -> Iterator[None]:
         yield
     except ProjectError:
         raise
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         raise ProjectError(f"{path}: {key}: {error}") from error
 
 

@@ -59,12 +59,17 @@ class SettingsTable(Table):
 
 
 class NewtonTable(Table):
-    """Settings of the equilibrium; what is left out keeps its default."""
+    """Settings of the equilibrium; what is left out keeps its default.
+
+    Attributes:
+        solver: Sparse solver of its linear systems, see `build_model`.
+    """
 
     rtol: Number | None = None
     max_steps: Integer | None = None
     max_steps_per_load: Integer | None = None
     smallest_load_step: Number | None = None
+    solver: Literal["pardiso", "klu", "multigrid"] | None = None
 
 
 class ProjectTable(Table):

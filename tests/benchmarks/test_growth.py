@@ -17,6 +17,7 @@ def test_exponent_of_a_power():
 def measured(across):
     nodes = 6 * across**3
     columns = {"setup_s": 1.0, "steps": 4, "peak_gb": 0.3 + 1e-6 * nodes}
+    columns |= {"tip_m": -0.01}
     return columns | {
         "nodes": nodes,
         "solve_s": 1e-6 * nodes**1.25,
@@ -26,9 +27,12 @@ def measured(across):
 
 def test_a_mesh_that_fails_ends_the_series_and_is_named(monkeypatch, tmp_path):
     def process(command):
-        if int(command[-1]) > 9:
+        slow = 2.0 if command[-2] == "multigrid" else 1.0
+        if int(command[-1]) > 9 and slow == 1.0:
             raise RuntimeError("benchmarks.growth 13 ended with -9:\nkilled")
-        return f"some line\n{json.dumps(measured(int(command[-1])))}\n"
+        found = measured(int(command[-1]))
+        found["solve_s"] *= slow
+        return f"some line\n{json.dumps(found)}\n"
 
     monkeypatch.setattr(growth, "run_process", process)
     figures = growth.run(Options(tmp_path, lambda text: None)).figures
@@ -37,6 +41,11 @@ def test_a_mesh_that_fails_ends_the_series_and_is_named(monkeypatch, tmp_path):
     np.testing.assert_allclose(figures["time_exponent"], 1.25)
     np.testing.assert_allclose(figures["memory_exponent"], 1.0)
     np.testing.assert_allclose(figures["peak_memory_gb"], 0.3 + 6e-6 * 9**3)
+    # The other series goes on, and meets the first where that ends.
+    assert figures["multigrid_largest_nodes"] == 6 * growth.ACROSS_MULTIGRID[-1] ** 3
+    np.testing.assert_allclose(figures["multigrid_time_exponent"], 1.25)
+    np.testing.assert_allclose(figures["multigrid_over_direct_at_its_largest"], 2.0)
+    np.testing.assert_allclose(figures["multigrid_tip_difference"], 0.0)
 
 
 def test_the_first_mesh_must_work(monkeypatch, tmp_path):

@@ -255,6 +255,13 @@ CASES = {
         ),
         "newton: max_steps and max_steps_per_load must be at least 1",
     ),
+    "solver": (
+        (
+            '[[configurations]]\nname = "weight"',
+            '[newton]\nsolver = "multi"\n\n[[configurations]]\nname = "weight"',
+        ),
+        'newton.solver: got "multi"; expected one of "pardiso", "klu", "multigrid".',
+    ),
     "mesh from nowhere": (
         (BEAM, ""),
         "mesh: expected exactly one of file, beam; got none.",

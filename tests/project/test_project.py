@@ -197,13 +197,15 @@ def test_intervals_are_left_out_with_a_reason(tmp_path):
 def test_settings(tmp_path):
     text = '[settings]\nnoise = "stated"\ntol = 1e-4\nstep_bound = 0.5\n\n[newton]\n'
     path = write_small_project(
-        tmp_path, ("[markers]\n", text + "rtol = 1e-9\n\n[markers]\n")
+        tmp_path,
+        ("[markers]\n", text + 'rtol = 1e-9\nsolver = "klu"\n\n[markers]\n'),
     )
     project = load_project(path)
     assert project.noise == "stated"
     assert (project.settings.tol, project.settings.step_bound) == (1e-4, 0.5)
     assert project.settings.max_steps == 50
     assert project.newton.rtol == 1e-9
+    assert project.model.solver.name == "KLU (klujax)"
 
 
 def test_start_of_a_parameter(tmp_path):

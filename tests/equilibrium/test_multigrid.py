@@ -1,0 +1,194 @@
+"""Conjugate gradients with multigrid: the direct solver's answer, or a clear no."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import (
+    CLAMP,
+    DENSITY,
+    LENGTH,
+    POISSON,
+    SIDE,
+    TIGHT,
+    YOUNG,
+    hanging,
+    lane,
+    small_lanes,
+    small_model,
+    solve,
+    stiffness,
+)
+
+from softcal_jax.actuators import Cable, Guide
+from softcal_jax.bodies import RigidBody
+from softcal_jax.configurations import (
+    Configuration,
+    ImposedDisplacement,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import RESULTS, build_model, factor_solve
+from softcal_jax.equilibrium import _multigrid as multigrid
+from softcal_jax.equilibrium._linearisation import linearise
+from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
+from softcal_jax.mesh import beam
+
+pytest.importorskip("pyamg")
+compiled = jax.jit(factor_solve)
+MESH = beam(LENGTH, SIDE, SIDE, (20, 4, 4))
+LAW = Corotational(Isotropic(YOUNG, POISSON))
+RHS = jnp.asarray(np.random.default_rng(0).normal(size=(3, MESH.n_nodes, 3)))
+REST = jnp.zeros(MESH.points.shape)
+HANGING = lane(configuration_arrays(MESH, [hanging()]), 0)
+AXIAL = jnp.asarray(MESH.points * np.array([-0.3, 0.0, 0.0]))
+
+
+def model(solver="multigrid", **changed):
+    return build_model(MESH, LAW, density=DENSITY, solver=solver, **changed)
+
+
+def test_solutions_are_those_of_the_direct_solver():
+    ours, theirs = (compiled(model(s), HANGING, REST, RHS) for s in ("multigrid", None))
+    assert bool(ours.ok)
+    assert int(ours.n_negative) == 0
+    scale = float(jnp.max(jnp.abs(theirs.x)))
+    # The residual, 1e-10, times what a slender beam makes of it.
+    np.testing.assert_allclose(ours.x, theirs.x, rtol=0, atol=1e-8 * scale)
+
+
+def test_rigid_motions_of_nodes_and_bodies_meet_no_resistance():
+    robot = model(bodies=(RigidBody("plate", "x_max"),))
+    modes = robot.solver.rigid_motions
+    held = lane(configuration_arrays(MESH, [hanging()], robot.mechanism), 0)
+    loose = eqx.tree_at(lambda c: c.fixed, held, jnp.zeros_like(held.fixed))
+    lin = jax.jit(linearise)(robot, loose, jnp.zeros((robot.n_points, 3)))
+    s = robot.solver.sparsity
+    K = np.zeros((s.n_dof, s.n_dof))
+    K[s.rows, s.indices] = lin.system.values
+    K = K + np.triu(K, 1).T
+    free = ~np.asarray(lin.unknowns.fixed())
+    K, modes = K[np.ix_(free, free)], modes[free]
+    assert np.abs(K @ modes).max() < 1e-9 * np.abs(K).max()
+    assert np.linalg.matrix_rank(modes) == 6
+
+
+@pytest.mark.parametrize("bodies", [(), (RigidBody("plate", "x_max"),)])
+def test_iterations_do_not_grow_with_the_mesh(bodies, monkeypatch):
+    counts = []
+    cg = multigrid.cg
+
+    def counting(*args, **settings):
+        count = [0]
+        settings["callback"] = lambda x: count.__setitem__(0, count[0] + 1)
+        found = cg(*args, **settings)
+        counts.append(count[0])
+        return found
+
+    monkeypatch.setattr(multigrid, "cg", counting)
+    for cells in ((10, 2, 2), (40, 8, 8)):
+        mesh = beam(LENGTH, SIDE, SIDE, cells)
+        body = build_model(
+            mesh, LAW, density=DENSITY, bodies=bodies, solver="multigrid"
+        )
+        lanes = configuration_arrays(mesh, [hanging()], body.mechanism)
+        u = jnp.zeros((body.n_points, 3))
+        rhs = u.at[mesh.n_nodes // 2].set(1.0)[None]
+        assert bool(compiled(body, lane(lanes, 0), u, rhs).ok)
+    coarse, fine = counts
+    assert fine < 60
+    assert fine <= coarse + 30
+
+
+def test_equilibria_of_a_batch_are_those_of_the_direct_solver():
+    lanes = small_lanes(hanging(), hanging("heavy", factor=3.0))
+    ours = solve(small_model("multigrid"), lanes, TIGHT)
+    default = solve(small_model(), lanes, TIGHT)
+    assert bool(jnp.all(ours.converged))
+    scale = float(jnp.max(jnp.abs(default.displacement)))
+    np.testing.assert_allclose(
+        ours.displacement, default.displacement, rtol=0, atol=1e-9 * scale
+    )
+
+
+def test_a_cable_with_an_imposed_length():
+    """The bordered system, by several right-hand sides on one hierarchy."""
+    ends = ((LENGTH, SIDE / 2, SIDE / 2), Guide((0.0, SIDE / 2, 3 * SIDE), on="ground"))
+    cable = Cable("tendon", ends)
+    raised = Configuration(
+        "raised",
+        CLAMP,
+        gravity=(0.0, 0.0, 0.0),
+        actuation={"tendon": ImposedDisplacement(1e-3)},
+    )
+    found = []
+    for solver in ("multigrid", None):
+        body = model(solver, actuators=(cable,))
+        found.append(solve(body, configuration_arrays(MESH, [raised], body.mechanism)))
+    ours, theirs = found
+    assert bool(jnp.all(ours.converged))
+    np.testing.assert_allclose(ours.multipliers, theirs.multipliers, rtol=1e-6)
+
+
+def test_an_indefinite_matrix_is_refused():
+    solved = compiled(model(), HANGING, AXIAL, RHS)
+    free = ~np.asarray(HANGING.fixed).ravel()
+    K = stiffness(model(None), AXIAL)[np.ix_(free, free)]
+    assert np.linalg.eigvalsh(K)[0] < 0.0
+    assert not bool(solved.ok)
+    assert int(solved.n_negative) == 1
+    np.testing.assert_array_equal(solved.x, 0.0)
+
+
+def test_a_mode_that_no_load_has_is_found():
+    """A strut that has buckled sideways in its tangent, under an axial load."""
+    strut = lane(configuration_arrays(MESH, [hanging(gravity=(0.0, 0.0, 0.0))]), 0)
+    pressed = AXIAL * 0.2
+    free = ~np.asarray(strut.fixed).ravel()
+    K = stiffness(model(None), pressed)[np.ix_(free, free)]
+    assert np.linalg.eigvalsh(K)[0] < 0.0
+    axial = jnp.zeros((1, *MESH.points.shape)).at[0, MESH.points[:, 0] > 0.199, 0]
+    assert not bool(compiled(model(), strut, pressed, axial.set(-1.0)).ok)
+
+
+def test_a_solution_that_is_not_accurate_is_refused(monkeypatch):
+    monkeypatch.setattr(multigrid, "_MAX_ITERATIONS", 3)
+    monkeypatch.setattr(multigrid, "_KEPT", {})
+    assert not bool(compiled(model(), HANGING, REST, RHS).ok)
+    lanes = configuration_arrays(MESH, [hanging()])
+    solution = solve(model(), lanes)
+    assert not bool(jnp.any(solution.converged))
+    assert bool(jnp.all(solution.result == RESULTS.singular))
+    assert "iterative solver" in RESULTS[RESULTS.singular]
+
+
+def test_another_matrix_gets_another_hierarchy(monkeypatch):
+    made = []
+    cycle = multigrid._cycle
+
+    def counting(*arguments):
+        made.append(arguments)
+        return cycle(*arguments)
+
+    monkeypatch.setattr(multigrid, "_cycle", counting)
+    monkeypatch.setattr(multigrid, "_KEPT", {})
+    body = model()
+    for u in (REST, REST, 1e-3 * AXIAL, REST):
+        jax.block_until_ready(compiled(body, HANGING, u, RHS))
+    assert len(made) == 3
+
+
+def test_what_it_cannot_do_is_said():
+    with pytest.raises(ValueError, match="for models with a potential"):
+        build_model(
+            MESH,
+            ClassicalCorotational(Isotropic(YOUNG, POISSON)),
+            density=DENSITY,
+            solver="multigrid",
+        )
+
+
+def test_without_its_package(monkeypatch):
+    monkeypatch.setattr(multigrid, "find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r"pip install 'softcal-jax\[multigrid\]'"):
+        model()
