@@ -11,7 +11,10 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     _PROGRAMS = tempfile.TemporaryDirectory(prefix="softcal_jax_tests_")
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _PROGRAMS.name
 # Most of the time goes into compiling programs that run for milliseconds.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false",
+)
 
 import jax
 import jaxtyping

@@ -24,11 +24,20 @@ from softcal_jax.mesh import beam
 TIGHT = NewtonSettings(rtol=1e-12)
 
 
-@partial(jax.jit, static_argnames="settings")
-def solve(model, lanes, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
+def _solve(model, lanes, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
     """All lanes of a batch."""
     one = partial(solve_equilibrium, settings=settings)
     return jax.vmap(one, in_axes=(None, 0))(model, lanes)
+
+
+solve = jax.jit(_solve, static_argnames="settings")
+# Compiled as a user has it: as the other tests are, a batch differs from its members in
+# the last bit.
+solve_as_users = jax.jit(
+    _solve,
+    static_argnames="settings",
+    compiler_options={"xla_cpu_use_fusion_emitters": True},
+)
 
 
 def lane(lanes, index: int):

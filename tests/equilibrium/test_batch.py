@@ -14,7 +14,7 @@ from bodies import (
     lane,
     small_lanes,
     small_model,
-    solve,
+    solve_as_users,
 )
 from problems import nearest_node
 
@@ -52,7 +52,7 @@ def batch():
 
 @pytest.fixture(scope="module")
 def together(batch):
-    return solve(small_model(), batch)
+    return solve_as_users(small_model(), batch)
 
 
 def assert_same(one, other):
@@ -64,7 +64,7 @@ def assert_same(one, other):
 
 @pytest.mark.parametrize("index", range(len(CONFIGURATIONS)))
 def test_a_member_alone_gives_bit_for_bit_the_same(batch, together, index):
-    alone = solve(small_model(), lane(batch, np.array([index])))
+    alone = solve_as_users(small_model(), lane(batch, np.array([index])))
     assert_same(lane(alone, 0), lane(together, index))
 
 
@@ -98,7 +98,7 @@ def test_reactions_carry_the_load(batch, together):
 def test_a_failing_lane_does_not_disturb_the_others(batch, together):
     """A NaN force is flagged; the process lives and the other lanes do not change."""
     broken = eqx.tree_at(lambda c: c.force, batch, batch.force.at[1, 7, 2].set(jnp.nan))
-    solution = solve(small_model(), broken)
+    solution = solve_as_users(small_model(), broken)
     assert not bool(lane(solution, 1).converged)
     assert bool(jnp.all(jnp.isnan(solution.displacement[1])))
     for index in (0, 2, 3):
@@ -114,7 +114,7 @@ def test_a_nan_in_the_law_is_flagged(batch):
     model = eqx.tree_at(
         lambda m: m.law.elasticity.E, small_model(), jnp.asarray(jnp.nan)
     )
-    solution = solve(model, batch)
+    solution = solve_as_users(model, batch)
     assert not bool(jnp.any(solution.converged))
 
 
@@ -137,7 +137,7 @@ def test_a_load_beyond_the_limit_point_is_reported_with_its_lane():
     )
     names = ("below", "beyond")
     model, lanes = block(push("below", 0.19), push("beyond", 0.21))
-    solution = solve(model, lanes)
+    solution = solve_as_users(model, lanes)
     # Homogeneous: E s (s^2 - 1) / 2 = -0.19 between 1/sqrt(3) and 1.
     s = np.roots([0.5, 0.0, -0.5, 0.19])
     s = s[(s > 1 / np.sqrt(3)) & (s < 1)].item()
@@ -158,7 +158,7 @@ def test_a_load_beyond_the_limit_point_is_reported_with_its_lane():
 def test_too_few_steps_are_reported():
     down = Configuration("hanging", CLAMP, gravity=(0.0, 0.0, -0.02))
     model, lanes = block(down)
-    solution = solve(model, lanes, NewtonSettings(max_steps=2))
+    solution = solve_as_users(model, lanes, NewtonSettings(max_steps=2))
     assert bool(lane(solution, 0).result == RESULTS.max_steps)
     assert int(solution.steps[0]) == 2
     with pytest.raises(
