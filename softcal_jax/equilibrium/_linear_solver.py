@@ -348,7 +348,14 @@ def analyse(sparsity: Sparsity, solver: str | None = None) -> AbstractLinearSolv
 
     Raises:
         ImportError: If no sparse solver is installed.
+        ValueError: If JAX does not compute on the CPU, where these solvers are.
     """
+    backend = jax.default_backend()
+    if backend != "cpu":
+        raise ValueError(
+            f"JAX computes on {backend!r}, and the direct sparse solvers run on the "
+            "CPU alone: set JAX_PLATFORMS=cpu before Python starts."
+        )
     if solver is not None:
         return DIRECT_SOLVERS[solver].analyse(sparsity)
     for package, kind in _PACKAGES.items():

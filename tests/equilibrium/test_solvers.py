@@ -147,6 +147,12 @@ def test_unknown_solver():
         build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, solver="mumps")
 
 
+def test_a_gpu_has_a_clear_error(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    with pytest.raises(ValueError, match=r"computes on 'gpu'.*JAX_PLATFORMS=cpu"):
+        build_model(beam(1.0, 1.0, 1.0, (1, 1, 1)), NeoHookean(1.0, 0.3), density=1.0)
+
+
 def test_float32_has_a_clear_error():
     """In a process of its own: the switch is global."""
     program = (
