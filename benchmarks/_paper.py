@@ -1,6 +1,6 @@
 """The beam of Sec. V, measured by its own model: what the paper's figures share."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -156,3 +156,42 @@ def readable(names: Sequence[str], values: HostArray) -> str:
         for name, v in zip(names, values, strict=True)
     ]
     return ", ".join(f"{n} {v}" for n, v in zip(names, shown, strict=True))
+
+
+def fit_by_scipy(
+    residuals: Callable[[HostArray], HostArray],
+    jacobian: Callable[[HostArray], HostArray],
+    start: HostArray,
+    space: ParameterSpace,
+    stop: Callable[[HostArray], bool],
+) -> HostArray:
+    """`scipy.optimize.least_squares` between the bounds, until told to stop.
+
+    Args:
+        residuals: Errors at scaled parameters.
+        jacobian: Their derivative.
+        start: Scaled parameters to start from [-].
+        space: The parameters, with their bounds.
+        stop: Whether to stop at the parameters of an iteration.
+
+    Returns:
+        Scaled parameters at the end [-].
+    """
+    from scipy.optimize import least_squares
+
+    def watch(intermediate_result) -> None:
+        if stop(intermediate_result.x):
+            raise StopIteration
+
+    low, high = np.asarray(space.lower()), np.asarray(space.upper())
+    return least_squares(
+        residuals,
+        np.clip(start, low + 1e-9, high - 1e-9),
+        jacobian,  # pyright: ignore[reportArgumentType]
+        (low, high),
+        xtol=1e-10,
+        ftol=1e-14,
+        gtol=1e-10,
+        max_nfev=500,
+        callback=watch,
+    ).x

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks._paper import STD, recovered
+from benchmarks._paper import STD, fit_by_scipy, recovered
 from benchmarks._peer import (
     AbstractAdjointPeer,
     AbstractPeer,
@@ -133,31 +133,13 @@ def calibrate_by(peer: AbstractPeer, *, by_adjoint: bool, limit_s: float) -> Arr
         by_adjoint: As of `Residuals`.
         limit_s: Wall time after which it is given up [s].
     """
-    from scipy.optimize import least_squares
-
     job, space = peer.job, peer.job.measured.space
     begin = time.perf_counter()
     residuals = Residuals(peer, by_adjoint=by_adjoint, limit_s=limit_s)
     reached = lambda z: recovered(job.errors(z))
-
-    def watch(intermediate_result) -> None:
-        if reached(intermediate_result.x):
-            raise StopIteration
-
-    low, high = np.asarray(space.lower()), np.asarray(space.upper())
     try:
-        end = least_squares(
-            residuals,
-            np.clip(job.start, low + 1e-9, high - 1e-9),
-            residuals.jacobian,  # pyright: ignore[reportArgumentType]
-            (low, high),
-            xtol=1e-10,
-            ftol=1e-14,
-            gtol=1e-10,
-            max_nfev=500,
-            callback=watch,
-        )
+        end = fit_by_scipy(residuals, residuals.jacobian, job.start, space, reached)
     except (_OutOfTime, NoEquilibrium):
         return Arrival(limit_s, residuals.count, reached=False)
     seconds = time.perf_counter() - begin
-    return Arrival(seconds, residuals.count, reached(end.x))
+    return Arrival(seconds, residuals.count, reached(end))

@@ -27,6 +27,7 @@ import numpy as np
 from benchmarks._paper import (
     CELLS,
     MeasuredBeam,
+    fit_by_scipy,
     measured_beam,
     parameter_errors,
     recovered,
@@ -196,8 +197,6 @@ def by_hand(
         warm: Whether equilibria start from the last one.
         limit_s: Wall time after which it is given up [s].
     """
-    from scipy.optimize import least_squares
-
     space = measured.space
     residuals = Residuals(measured.problem, warm=warm)
     begin = time.perf_counter()
@@ -205,24 +204,10 @@ def by_hand(
         parameter_errors(space, jnp.asarray(z), measured.target)
     )
 
-    def watch(intermediate_result) -> None:
-        late = time.perf_counter() - begin > limit_s
-        if late or reached(intermediate_result.x):
-            raise StopIteration
-
-    low, high = np.asarray(space.lower()), np.asarray(space.upper())
-    end = least_squares(
-        residuals,
-        np.clip(np.asarray(start), low + 1e-9, high - 1e-9),
-        residuals.jacobian,  # pyright: ignore[reportArgumentType]
-        (low, high),
-        xtol=1e-10,
-        ftol=1e-14,
-        gtol=1e-10,
-        max_nfev=500,
-        callback=watch,
-    )
-    return Attempt(time.perf_counter() - begin, residuals.count, reached(end.x))
+    late = lambda: time.perf_counter() - begin > limit_s
+    stop = lambda z: late() or reached(z)
+    end = fit_by_scipy(residuals, residuals.jacobian, np.asarray(start), space, stop)
+    return Attempt(time.perf_counter() - begin, residuals.count, reached(end))
 
 
 def parts_of_a_step(measured: MeasuredBeam) -> tuple[dict[str, list[float]], int]:

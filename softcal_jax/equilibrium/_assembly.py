@@ -33,24 +33,25 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
     Args:
         model: The body.
         u: Nodal values.
-        kernel: The function, of one tet. A function of the module is traced once for
-            all its calls in a program and in those that follow.
+        kernel: The function, of one tet, from the top level of a module: it is traced
+            once for all its calls in a program and in those that follow, and kept; a
+            closure would be traced each time, and keep the program that made it.
         per_tet: Further values of each tet, in blocks.
-        own: What the function takes beside: strings and flags, or arrays for all tets.
+        own: What the function takes beside: arrays for all tets, or what is hashable.
 
     Returns:
         Arrays with axes (block number, ..., tet in block).
     """
     blocks = (model.shape_gradients, model.weights, model.law_blocks(), model.active)
-    arrays, static = eqx.partition(own, eqx.is_array)
-    options = tuple(static.items())
+    arrays = {name: value for name, value in own.items() if eqx.is_array(value)}
+    options = tuple((name, own[name]) for name in own if name not in arrays)
     return _mapped(kernel, options, u, arrays, model.nodes, *blocks, *per_tet)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def _mapped(kernel, options, u, arrays, nodes, *of_tets):
     axes = (-1, -1, -1, 0, -1) + (-1,) * (len(of_tets) - 4)
-    one = functools.partial(kernel, **eqx.combine(arrays, dict(options)))
+    one = functools.partial(kernel, **arrays, **dict(options))
     vectorised = jax.vmap(one, in_axes=axes, out_axes=-1)
 
     def block(args):
@@ -185,38 +186,39 @@ def field_forces(
     Args:
         model: The body.
         u: Displacement [m].
-        fields: Accessors of fields of the law, by name.
+        fields: Accessors of fields of the law, by name; equal ones are traced once.
 
     Returns:
         Nodal forces in blocks; m is 1, or the number of quadrature points.
     """
+    own = {"fields": tuple(fields.items()), "formulation": model.formulation}
+    return _map_blocks(model, u, _field_forces, **own)
 
-    def per_tet(u, dN, w, law, active):
-        values = {name: where(law) for name, where in fields.items()}
-        plain = {
-            name: value.values if is_point_values(value) else value[None]
-            for name, value in values.items()
-        }
 
-        def force(plain):
-            new = law
-            for name, where in fields.items():
-                points = is_point_values(values[name])
-                value = PointValues(plain[name]) if points else plain[name][0]
-                new = eqx.tree_at(where, new, value)
-            return element_force(u, dN, w, new, model.formulation)
+def _field_forces(u, dN, w, law, active, fields, formulation):
+    values = {name: where(law) for name, where in fields}
+    plain = {
+        name: value.values if is_point_values(value) else value[None]
+        for name, value in values.items()
+    }
 
-        # Once for all fields: what a law computes of F is the same for each of them.
-        _, slope = jax.linearize(force, plain)
-        still = jax.tree.map(jnp.zeros_like, plain)
+    def force(plain):
+        new = law
+        for name, where in fields:
+            points = is_point_values(values[name])
+            value = PointValues(plain[name]) if points else plain[name][0]
+            new = eqx.tree_at(where, new, value)
+        return element_force(u, dN, w, new, formulation)
 
-        def along(name):
-            directions = jnp.eye(plain[name].shape[0])
-            return active * jax.vmap(lambda d: slope(still | {name: d}))(directions)
+    # Once for all fields: what a law computes of F is the same for each of them.
+    _, slope = jax.linearize(force, plain)
+    still = jax.tree.map(jnp.zeros_like, plain)
 
-        return {name: along(name) for name in plain}
+    def along(name):
+        directions = jnp.eye(plain[name].shape[0])
+        return active * jax.vmap(lambda d: slope(still | {name: d}))(directions)
 
-    return _map_blocks(model, u, per_tet)
+    return {name: along(name) for name in plain}
 
 
 def add_weighted(

@@ -1,5 +1,7 @@
 """The fields of a model by name: constants of its law, and its density."""
 
+import operator
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -92,10 +94,14 @@ def find_field(model: Any, field: str):
             f"field {field!r} of the model {problem}; it has {', '.join(paths)}."
         )
 
-    def where(model):
-        leaf = model
-        for name in found[0].split("."):
-            leaf = getattr(leaf, name)
-        return leaf
+    return _Accessor(found[0])
 
-    return where
+
+@dataclass(frozen=True)
+class _Accessor:
+    """A field by its dotted path; equal ones are one to compiled programs."""
+
+    path: str
+
+    def __call__(self, model: Any) -> Any:
+        return operator.attrgetter(self.path)(model)

@@ -5,6 +5,8 @@ Sign: Eqs. (1) and (7) of the paper give K dx = ... - (df/dp) S lambda_p, Eq. (8
 `parameter_forces`, and nowhere else.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -115,14 +117,22 @@ def _by_fields(
         )
         total = total + jax.vmap(weight)(slopes["density"])
     in_law = {
-        name: lambda law, where=where: where(_Holder(law))
-        for name, where in wheres.items()
-        if name != "density"
+        name: _InLaw(where) for name, where in wheres.items() if name != "density"
     }
     if in_law:
         forces = field_forces(applied, u, in_law)
         total = total - add_weighted(applied, forces, slopes)
     return total
+
+
+@dataclass(frozen=True)
+class _InLaw:
+    """An accessor of a model's field, for its law; equal if the accessors are."""
+
+    where: Callable[[Any], Any]
+
+    def __call__(self, law: Any) -> Any:
+        return self.where(_Holder(law))
 
 
 class _Holder(NamedTuple):

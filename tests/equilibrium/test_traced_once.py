@@ -1,0 +1,48 @@
+"""What a program does with a tet is traced once, and keeps nothing of the program."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+from bodies import small_model
+
+from softcal_jax.equilibrium import _assembly as assembly
+from softcal_jax.fields import find_field
+from softcal_jax.sensitivity._compliance import _InLaw
+
+
+def forces(model, u):
+    return assembly.field_forces(model, u, {"E": _InLaw(find_field(model, "E"))})
+
+
+KERNELS = {
+    "element_stiffness": assembly.tangent_values,
+    "element_energy_and_force": assembly.energy_and_force,
+    "element_force": forces,
+}
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_of_all_calls(name, monkeypatch):
+    count, kernel = [0], getattr(assembly, name)
+
+    def counting(*arguments):
+        count[0] += 1
+        return kernel(*arguments)
+
+    monkeypatch.setattr(assembly, name, counting)
+    model = small_model()
+    u = jnp.zeros((model.n_points, 3))
+    jax.clear_caches()
+    several = lambda model, u: [KERNELS[name](model, u + step) for step in range(3)]
+    jax.eval_shape(several, model, u)
+    jax.eval_shape(several, model, 2.0 * u)
+    assert count == [1]
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_nothing_of_a_program_is_kept(name):
+    model = small_model()
+    u = jnp.zeros((model.n_points, 3))
+    jax.clear_caches()
+    with jax.checking_leaks():
+        jax.jit(lambda model, u: KERNELS[name](model, u)).trace(model, u)
