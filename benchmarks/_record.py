@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks._problem import Outcome
+from softcal_jax._machine import available_cores
 
 _PACKAGES = (
     "jax",
@@ -57,7 +58,7 @@ def hardware() -> dict[str, Any]:
     """The machine: processor, cores, memory [GB], operating system."""
     return {
         "cpu": _cpu(),
-        "cores": _usable_cores(),
+        "cores": available_cores(),
         "memory_gb": _memory_gb(),
         "os": platform.platform(),
     }
@@ -111,12 +112,6 @@ def _cpu() -> str:
         if found:
             return found.group(1).strip()
     return platform.processor() or platform.machine()
-
-
-def _usable_cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _memory_gb() -> float | None:

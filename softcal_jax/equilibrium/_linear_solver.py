@@ -1,14 +1,12 @@
 """Sparse direct solvers behind one small interface, usable inside jit and vmap.
 
-`analyse` picks the one that pyproject.toml installs on the platform: PARDISO on x86-64
-Linux and Windows, KLU elsewhere. Nothing else is tried; the name of the solver is part
-of every result.
+pyproject.toml installs one on each platform: PARDISO on x86-64 Linux and Windows, KLU
+elsewhere.
 """
 
 import os
 from abc import abstractmethod
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -67,6 +65,11 @@ class AbstractLinearSolver(eqx.Module):
         if transpose and self.sparsity.mirror is not None:
             values = values[self.sparsity.mirror]
         return LinearSolution(*_factor_solve(self, values, rhs))
+
+    @property
+    def runs_in_threads(self) -> bool:
+        """Whether programs with solvers of this kind may run in several threads."""
+        return True
 
     @abstractmethod
     def another(self, number: int) -> "AbstractLinearSolver":
@@ -328,43 +331,6 @@ class Klu(AbstractLinearSolver):
     def solve_again(self, values, rhs):
         """Factorize anew: klujax keeps no factors."""
         return self._factor_solve(values, rhs)[0]
-
-
-_PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
-DIRECT_SOLVERS = {"pardiso": Pardiso, "klu": Klu}
-"""By the names that `build_model` takes."""
-
-
-def analyse(sparsity: Sparsity, solver: str | None = None) -> AbstractLinearSolver:
-    """The sparse direct solver of this platform, ready for a pattern.
-
-    Args:
-        sparsity: Pattern of the matrices to come.
-        solver: One of `DIRECT_SOLVERS`; by default the one that pyproject.toml installs
-            on this platform.
-
-    Returns:
-        A solver that holds its symbolic analysis.
-
-    Raises:
-        ImportError: If no sparse solver is installed.
-        ValueError: If JAX does not compute on the CPU, where these solvers are.
-    """
-    backend = jax.default_backend()
-    if backend != "cpu":
-        raise ValueError(
-            f"JAX computes on {backend!r}, and the direct sparse solvers run on the "
-            "CPU alone: set JAX_PLATFORMS=cpu before Python starts."
-        )
-    if solver is not None:
-        return DIRECT_SOLVERS[solver].analyse(sparsity)
-    for package, kind in _PACKAGES.items():
-        if find_spec(package) is not None:
-            return kind.analyse(sparsity)
-    raise ImportError(
-        "no sparse direct solver is installed: `pip install softcal-jax` brings the "
-        "one of your platform (pardiso-mkl-jax or klujax)."
-    )
 
 
 def require_float64() -> None:

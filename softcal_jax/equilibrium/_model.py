@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators import AbstractActuator, clique_nodes
 from softcal_jax.bodies import RigidBody
@@ -17,13 +16,11 @@ from softcal_jax.configurations import Mechanism, build_mechanism
 from softcal_jax.elements import shape_functions, shape_gradients, tet_rule
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import (
-    DIRECT_SOLVERS,
     AbstractLinearSolver,
-    analyse,
     require_float64,
 )
-from softcal_jax.equilibrium._multigrid import Multigrid, rigid_motions
 from softcal_jax.equilibrium._reduction import Reduction, build_reduction
+from softcal_jax.equilibrium._solver_choice import check_solver, choose_solver
 from softcal_jax.equilibrium._sparsity import Sparsity, build_sparsity, destinations
 from softcal_jax.materials import AbstractLaw
 from softcal_jax.mesh import TetMesh, check_mesh
@@ -185,10 +182,11 @@ def build_model(
         formulation: How the volume change enters. "auto" takes "mean-dilatation" for
             quadratic tets whose law has a Poisson's ratio `nu` of 0.49 or more, and
             "displacement" otherwise; `Model.formulation` says which.
-        solver: Sparse solver: "pardiso" or "klu", direct ones, of which the default is
-            the one of the platform; or "multigrid", conjugate gradients for bulky
-            bodies of 100 000 nodes and more (extra `multigrid`), which needs a
-            potential and stable states.
+        solver: Sparse solver: "pardiso" or "klu", direct ones of the CPU, of which the
+            default is the one of the platform; "pardiso-host", the default where JAX
+            computes on a GPU (extra `gpu`); or "multigrid", conjugate gradients on the
+            host for bulky bodies of 100 000 nodes and more (extra `multigrid`), which
+            needs a potential and stable states.
 
     Returns:
         The model.
@@ -197,11 +195,12 @@ def build_model(
         ValueError: If JAX is not in float64, the mesh is not sound, the density is
             negative, a per-tet array has the wrong length, a body or an actuator does
             not fit the mesh, the formulation is unknown, or needs a potential that
-            the law does not have, or the solver is unknown, or needs one.
+            the law does not have, or the solver is unknown, needs one, or does not
+            run where JAX computes.
         ImportError: If the package of the solver is not installed.
     """
     require_float64()
-    _check_solver(solver)
+    check_solver(solver)
     _check_fields(law, mesh.n_tets)
     density = _checked_density(density, mesh.n_tets)
     mechanism = build_mechanism(mesh, bodies, actuators)
@@ -247,26 +246,9 @@ def build_model(
         pattern,
         tuple(destinations(pattern, nodes) for nodes in curved),
         reduction,
-        _solver(solver, unknowns, mechanism),
+        choose_solver(solver, unknowns, mechanism),
         chosen,
     )
-
-
-def _check_solver(name: str | None) -> None:
-    known = [*DIRECT_SOLVERS, "multigrid"]
-    if name is not None and name not in known:
-        raise ValueError(
-            f"solver must be one of {sorted(known)}, or left out for that of the "
-            f"platform, got {name!r}.{suggestion(name, known)}"
-        )
-
-
-def _solver(
-    name: str | None, unknowns: Sparsity, mechanism: Mechanism
-) -> AbstractLinearSolver:
-    if name == "multigrid":
-        return Multigrid.analyse(unknowns, rigid_motions(mechanism))
-    return analyse(unknowns, name)
 
 
 def _linked(mechanism: Mechanism) -> list[np.ndarray]:

@@ -6,8 +6,8 @@ hierarchy is one of smoothed aggregation (Vanek, Mandel and Brezina, Computing 5
 with the rigid motions of the body at rest as its near-null space, by pyamg on the host.
 """
 
-from dataclasses import dataclass
 from importlib.util import find_spec
+from threading import Lock
 from typing import NamedTuple
 
 import equinox as eqx
@@ -72,13 +72,11 @@ class Multigrid(AbstractLinearSolver):
     Attributes:
         blocks: The matrix in blocks.
         rigid_motions: The six rigid motions of the robot at rest, by columns.
-        number: Which of the solvers of a pattern; each keeps one hierarchy.
     """
 
     sparsity: Sparsity
     blocks: Blocks
     rigid_motions: Float[HostArray, "n_dof 6"]
-    number: int = eqx.field(static=True, default=0)
     name: str = eqx.field(static=True, default="CG with multigrid (pyamg)")
     counts_negative: bool = eqx.field(static=True, default=True)
 
@@ -115,16 +113,17 @@ class Multigrid(AbstractLinearSolver):
             jax.ShapeDtypeStruct((), bool),
         )
         matrix = (self.blocks, jnp.asarray(self.rigid_motions), values)
-        return jax.pure_callback(_OnHost(self.number), results, matrix, rhs)
+        return jax.pure_callback(_on_host, results, matrix, rhs)
+
+    @property
+    def runs_in_threads(self):
+        """No, see `_host_pardiso`."""
+        return False
 
     def another(self, number):
-        """A solver of the same pattern that keeps a hierarchy of its own."""
-        return Multigrid(
-            sparsity=self.sparsity,
-            blocks=self.blocks,
-            rigid_motions=self.rigid_motions,
-            number=number,
-        )
+        """This one."""
+        del number
+        return self
 
     def solve_again(self, values, rhs):
         """Solve with the hierarchy of the last matrix, if that was this one."""
@@ -158,40 +157,39 @@ class _Kept(NamedTuple):
     cycle: LinearOperator
 
 
-_KEPT: dict[int, _Kept] = {}
-"""By the number of the solver: several right-hand sides of one matrix need one."""
+_kept: _Kept | None = None
+_LOCK = Lock()
+"""Several right-hand sides of one matrix need one hierarchy."""
 
 
-@dataclass(frozen=True)
-class _OnHost:
-    """The solve outside JAX; equal ones are one to the compiled programs."""
+def _on_host(matrix, rhs):
+    """The solve outside JAX."""
+    # Copies: what is kept outlives the buffers that JAX lends.
+    blocks, rigid_motions, values, rhs = jax.tree.map(np.array, (*matrix, rhs))
+    nothing = np.zeros_like(rhs)
+    try:
+        kept = _prepare(blocks, rigid_motions, values)
+        x = np.stack([_solve(kept, b) if np.any(b) else b for b in rhs])
+    except _NegativeCurvature:
+        return nothing, np.int32(1), np.bool_(False)
+    except np.linalg.LinAlgError:  # of the blocks on the diagonal or the coarsest
+        return nothing, np.int32(0), np.bool_(False)
+    exact = np.linalg.norm(rhs, axis=1)
+    left = np.linalg.norm(rhs - (kept.matrix @ x.T).T, axis=1)
+    # Recomputed, the residual has the rounding that the iterations do not see.
+    return x, np.int32(0), np.bool_(np.all(left <= 10.0 * _RTOL * exact))
 
-    number: int
 
-    def __call__(self, matrix, rhs):
-        # Copies: what is kept outlives the buffers that JAX lends.
-        blocks, rigid_motions, values, rhs = jax.tree.map(np.array, (*matrix, rhs))
-        nothing = np.zeros_like(rhs)
-        try:
-            kept = self._prepare(blocks, rigid_motions, values)
-            x = np.stack([_solve(kept, b) if np.any(b) else b for b in rhs])
-        except _NegativeCurvature:
-            return nothing, np.int32(1), np.bool_(False)
-        except np.linalg.LinAlgError:  # of the blocks on the diagonal or the coarsest
-            return nothing, np.int32(0), np.bool_(False)
-        exact = np.linalg.norm(rhs, axis=1)
-        left = np.linalg.norm(rhs - (kept.matrix @ x.T).T, axis=1)
-        # Recomputed, the residual has the rounding that the iterations do not see.
-        return x, np.int32(0), np.bool_(np.all(left <= 10.0 * _RTOL * exact))
-
-    def _prepare(self, blocks: Blocks, rigid_motions, values) -> _Kept:
-        kept = _KEPT.get(self.number)
+def _prepare(blocks: Blocks, rigid_motions, values) -> _Kept:
+    """The hierarchy of a matrix, the last one if it is that of the same."""
+    global _kept
+    with _LOCK:
         if (
-            kept is not None
-            and np.array_equal(kept.values, values)
-            and np.array_equal(kept.indices, blocks.indices)
+            _kept is not None
+            and np.array_equal(_kept.values, values)
+            and np.array_equal(_kept.indices, blocks.indices)
         ):
-            return kept
+            return _kept
         entries = np.zeros(9 * blocks.indices.size)
         entries[blocks.at] = values
         entries[blocks.mirrored_at] = values
@@ -199,9 +197,9 @@ class _OnHost:
         matrix = sparse.bsr_array(
             (entries.reshape(-1, 3, 3), blocks.indices, blocks.indptr), shape=(n, n)
         )
-        kept = _Kept(blocks.indices, values, matrix, _cycle(matrix, rigid_motions))
-        _KEPT[self.number] = kept
-        return kept
+        _kept = None  # its memory is free before that of the next is taken
+        _kept = _Kept(blocks.indices, values, matrix, _cycle(matrix, rigid_motions))
+        return _kept
 
 
 def _cycle(matrix: sparse.bsr_array, rigid_motions) -> LinearOperator:

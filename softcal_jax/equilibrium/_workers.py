@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import jax
 
+from softcal_jax._machine import available_cores
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
 
@@ -36,10 +37,7 @@ def usable_cores() -> int:
     A process that was told to use fewer threads (`OMP_NUM_THREADS`) shares the machine
     with others, like the workers of a sweep.
     """
-    if hasattr(os, "sched_getaffinity"):
-        n = len(os.sched_getaffinity(0))
-    else:
-        n = os.cpu_count() or 1
+    n = available_cores()
     told = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
     return min(n, int(told)) if told.isdigit() and int(told) else n
 
@@ -55,7 +53,8 @@ class Workers:
 
     Attributes:
         n: Number of threads; with one, everything runs in the thread of the caller,
-            and the sparse solver keeps all cores.
+            and the sparse solver keeps all cores. It is one where the solver does not
+            run in threads.
     """
 
     def __init__(self, model: Model, lanes: int, n: int | None = None):
@@ -71,8 +70,9 @@ class Workers:
         """
         if n is not None and n < 1:
             raise ValueError(f"the number of workers must be at least 1, got {n}.")
-        self.n = max(1, min(usable_cores() if n is None else n, lanes))
         self._solver = model.solver
+        wanted = usable_cores() if n is None else n
+        self.n = max(1, min(wanted, lanes)) if self._solver.runs_in_threads else 1
         self._free: SimpleQueue[AbstractLinearSolver] = SimpleQueue()
 
     def __enter__(self) -> "Workers":

@@ -153,7 +153,7 @@ def test_a_mode_that_no_load_has_is_found():
 
 def test_a_solution_that_is_not_accurate_is_refused(monkeypatch):
     monkeypatch.setattr(multigrid, "_MAX_ITERATIONS", 3)
-    monkeypatch.setattr(multigrid, "_KEPT", {})
+    monkeypatch.setattr(multigrid, "_kept", None)
     assert not bool(compiled(model(), HANGING, REST, RHS).ok)
     lanes = configuration_arrays(MESH, [hanging()])
     solution = solve(model(), lanes)
@@ -171,7 +171,7 @@ def test_another_matrix_gets_another_hierarchy(monkeypatch):
         return cycle(*arguments)
 
     monkeypatch.setattr(multigrid, "_cycle", counting)
-    monkeypatch.setattr(multigrid, "_KEPT", {})
+    monkeypatch.setattr(multigrid, "_kept", None)
     body = model()
     for u in (REST, REST, 1e-3 * AXIAL, REST):
         jax.block_until_ready(compiled(body, HANGING, u, RHS))

@@ -95,3 +95,22 @@ def test_there_are_no_more_threads_than_lanes(cantilever):
     assert Workers(model, 3, 8).n == 3
     with pytest.raises(ValueError, match="at least 1, got 0"):
         Workers(model, 3, 0)
+
+
+@pytest.mark.parametrize("solver", ["pardiso-host", "multigrid"])
+def test_solvers_behind_a_callback_take_one_thread(cantilever, solver):
+    """Two of their programs at once can wait for each other for ever."""
+    package = {"pardiso-host": "pypardiso", "multigrid": "pyamg"}[solver]
+    pytest.importorskip(package, reason="not installed on this platform")
+    mesh, law = cantilever[0].mesh, cantilever[0].law
+    model = build_model(mesh, law, density=1000.0, solver=solver)
+    assert Workers(model, 8, 4).n == 1
+
+
+@pytest.mark.parametrize("solver", ["pardiso-host", "multigrid"])
+def test_a_callback_without_a_thread_is_refused(cantilever, solver, monkeypatch):
+    """It would wait for ever."""
+    monkeypatch.setenv("PJRT_NPROC", "1")
+    mesh, law = cantilever[0].mesh, cantilever[0].law
+    with pytest.raises(ValueError, match=f"'{solver}'.* has 1: set PJRT_NPROC=2"):
+        build_model(mesh, law, density=1000.0, solver=solver)
