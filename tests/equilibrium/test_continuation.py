@@ -305,10 +305,26 @@ def test_factors_of_another_program_are_noticed(careful):
     forgetful = Forgetful(sparsity=MODEL.solver.sparsity, real=MODEL.solver)
     model = eqx.tree_at(lambda m: m.solver, MODEL, forgetful)
     guess = careful.displacement[HANGING]
-    done, expected = (continued(m, lane(LANES, HEAVIER), guess) for m in (model, MODEL))
+    # Precisely: without the chord steps the last tangent is another one.
+    done, expected = (
+        continued(m, lane(LANES, HEAVIER), guess, True) for m in (model, MODEL)
+    )
     assert bool(done.ok)
+    assert int(done.equilibrium.steps) > int(expected.equilibrium.steps)
     scale = float(jnp.max(jnp.abs(expected.x)))
     np.testing.assert_allclose(done.x, expected.x, rtol=0, atol=1e-9 * scale)
+
+
+def test_the_last_digits_come_from_the_last_factor(careful):
+    """From close enough one factorization does, and its tangent is off by the way."""
+    u = careful.displacement[HANGING]
+    done = continued(MODEL, lane(LANES, HANGING), 1.0005 * u)
+    assert int(done.equilibrium.steps) == 1
+    assert float(done.equilibrium.residual) <= TIGHT.rtol
+    assert_same(done, HANGING, careful, rtol=1e-6)
+    precise = continued(MODEL, lane(LANES, HANGING), 1.0005 * u, True)
+    assert int(precise.equilibrium.steps) == 2
+    assert_same(precise, HANGING, careful, rtol=1e-6)
 
 
 def test_a_support_that_has_moved_since_the_guess(careful):
