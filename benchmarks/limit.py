@@ -8,6 +8,8 @@ same run, PARDISO with its defaults on the same matrix, and a copy of as many by
 the assembly must at least move: every array of the elements read once, the entries of
 the tangent written once.
 
+The residuals of the iterations of the smaller one show how fast they fall.
+
 How many iterations a calibration takes per configuration and step is counted on the
 beam of Sec. V, from all starts of `calibration_beam` that converge by themselves: those
 of the steps that were kept, each with a factorization of its own.
@@ -59,6 +61,11 @@ GOALS = {
 }
 
 
+ROUNDING = 1e-12
+"""Relative residual below which nothing but rounding is left [-]."""
+
+MOST_ITERATIONS = 10
+
 POINTS = 4
 """Control points of the modulus, and effectors, along the beam."""
 
@@ -76,12 +83,20 @@ def run(options: Options) -> Outcome:
         rows.append([str(found["free_dof"]), *(f"{found[c]:.3g}" for c in COLUMNS)])
     name = "sensitivity_vs_pardiso"
     figures[f"{name}_n20000"] = figures.pop(f"n20000_{name}")
+    options.say("residuals of iterations")
+    model, _, lane = _case(SIZES[1500])
+    residuals = newton_residuals(model, lane)
+    falls = [f"{i + 1}: {residual:.1e}" for i, residual in enumerate(residuals)]
+    samples["newton_residuals"] = residuals
+    figures["newton_order"] = order(residuals)
     options.say("iterations of calibrations")
     counted = newton_per_lane(measured_beam(CELLS, plane="xy"))
     figures["newton_per_lane_per_step"] = float(np.mean(counted))
     figures["kept_steps"] = len(counted)
     table = Table("Against the limit, medians", ["free dof", *COLUMNS.values()], rows)
-    return Outcome(figures, samples, GOALS, [table])
+    heads = ["iteration from rest: relative residual"]
+    told = Table("Convergence of Newton's method", heads, [[fall] for fall in falls])
+    return Outcome(figures, samples, GOALS, [table, told])
 
 
 COLUMNS = {
@@ -163,6 +178,26 @@ def assembly_bytes(model: Model) -> int:
     elements = (model.nodes, model.shape_gradients, model.weights, model.destination)
     read = sum(np.asarray(array).nbytes for array in elements)
     return read + 8 * (model.n_dof + model.pattern.nnz)
+
+
+def newton_residuals(model: Model, lane: ConfigurationArrays) -> list[float]:
+    """Relative residual after each Newton iteration from rest, down to rounding [-].
+
+    Args:
+        model: The body.
+        lane: One configuration.
+    """
+    found: list[float] = []
+    while len(found) < MOST_ITERATIONS and (not found or found[-1] > ROUNDING):
+        settings = NewtonSettings(rtol=ROUNDING, max_steps=len(found) + 1)
+        found.append(float(solve(model, lane, settings=settings).residual))
+    return found
+
+
+def order(residuals: list[float]) -> float:
+    """Order of convergence of the last three above rounding; 2 is quadratic [-]."""
+    before, now, after = np.log([r for r in residuals if r > ROUNDING][-3:])
+    return float((after - now) / (now - before))
 
 
 def newton_per_lane(measured: MeasuredBeam) -> list[float]:

@@ -75,11 +75,6 @@ class HostPardiso(AbstractLinearSolver):
         """No."""
         return False
 
-    def another(self, number):
-        """This one."""
-        del number
-        return self
-
     def solve_again(self, values, rhs):
         """Solve on the factors of the last matrix, if that was this one."""
         return self._factor_solve(values, rhs)[0]

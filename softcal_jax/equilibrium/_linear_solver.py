@@ -71,13 +71,16 @@ class AbstractLinearSolver(eqx.Module):
         """Whether programs with solvers of this kind may run in several threads."""
         return True
 
-    @abstractmethod
     def another(self, number: int) -> "AbstractLinearSolver":
-        """A solver of the same pattern that keeps factors of its own.
+        """A solver of the same pattern for another thread, with factors of its own.
+
+        This one, where it keeps no factors or does not run in threads.
 
         Args:
             number: Which of them, from 1; the same one keeps the same factors.
         """
+        del number
+        return self
 
     def on_one_core(self) -> AbstractContextManager[None]:
         """Context in which the solvers made in it take one core each.
@@ -322,11 +325,6 @@ class Klu(AbstractLinearSolver):
 
         x = klujax.solve(self.full_rows, self.full_cols, values[self.source], rhs.T).T
         return x, jnp.full((), -1, jnp.int32), jnp.all(jnp.isfinite(x))
-
-    def another(self, number):
-        """This one: it keeps no factors."""
-        del number
-        return self
 
     def solve_again(self, values, rhs):
         """Factorize anew: klujax keeps no factors."""

@@ -120,11 +120,6 @@ class Multigrid(AbstractLinearSolver):
         """No, see `_host_pardiso`."""
         return False
 
-    def another(self, number):
-        """This one."""
-        del number
-        return self
-
     def solve_again(self, values, rhs):
         """Solve with the hierarchy of the last matrix, if that was this one."""
         return self._factor_solve(values, rhs)[0]

@@ -7,7 +7,16 @@ import pytest
 from benchmarks._cantilever import equilibrium
 from benchmarks._paper import measured_beam
 from benchmarks.batch import evaluation_seconds, loaded
-from benchmarks.limit import Size, _case, assembly_bytes, newton_per_lane, one_size
+from benchmarks.limit import (
+    ROUNDING,
+    Size,
+    _case,
+    assembly_bytes,
+    newton_per_lane,
+    newton_residuals,
+    one_size,
+    order,
+)
 
 SMALL = Size((2, 1, 1), 1, 1.0)
 CELLS = (4, 1, 1)
@@ -21,6 +30,11 @@ def test_bytes_of_an_assembly():
     assert assembly_bytes(model) == elements + 8 * (3 * 12 + model.pattern.nnz)
 
 
+def test_order_of_convergence():
+    assert np.isclose(order([1.0, 1e-1, 1e-2, 1e-4, 1e-8, 1e-15]), 2.0)
+    assert np.isclose(order([1e-2, 1e-3, 1e-4]), 1.0)
+
+
 @pytest.mark.slow
 def test_everything_on_small_meshes():
     """Compiles for minutes: all that the benchmarks measure, but the sizes."""
@@ -29,6 +43,8 @@ def test_everything_on_small_meshes():
     assert all(min(times) > 0.0 for times in seconds.values())
     model, _, lane = _case(SMALL)
     assert figures["steps"] == int(equilibrium(model, lane).steps)
+    residuals = newton_residuals(model, lane)
+    assert residuals[-1] <= ROUNDING < residuals[-2]
     measured = measured_beam(CELLS, plane="xy")
     check_lanes(measured)
     counted = newton_per_lane(measured)

@@ -121,9 +121,6 @@ class OnAnyPlatform(AbstractLinearSolver):
         x = rhs / values[self.sparsity.diagonal][None]
         return x, jnp.zeros((), jnp.int32), jnp.ones((), bool)
 
-    def another(self, number):
-        return self
-
     def solve_again(self, values, rhs):
         return self._factor_solve(values, rhs)[0]
 

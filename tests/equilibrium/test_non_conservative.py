@@ -184,10 +184,11 @@ def test_the_tangent_at_equilibrium_is_not_symmetric():
     np.testing.assert_allclose(ours, [9.8e-4, 4.5e-3], rtol=0.02)
 
 
-def test_newton_steps_converge_quadratically():
+@pytest.mark.parametrize("law", [ClassicalCorotational, Corotational])
+def test_newton_steps_converge_quadratically(law):
     """From a nearby shape; with the symmetric part alone they converge linearly."""
-    model, c = body(ClassicalCorotational), lane(LANES, TWENTY_G)
-    goal = solution(ClassicalCorotational).displacement[TWENTY_G]
+    model, c = body(law), lane(LANES, TWENTY_G)
+    goal = solution(law).displacement[TWENTY_G]
 
     @jax.jit
     def step(u):
