@@ -198,11 +198,13 @@ def newton_errors(model: Model, lane: ConfigurationArrays) -> list[float]:
     """
     exact = solve(model, lane, settings=NewtonSettings(rtol=ROUNDING)).displacement
     step = eqx.filter_jit(
-        lambda u: factor_solve(model, lane, u, -residual(model, lane, u)[None]).x[0]
+        lambda model, lane, u: factor_solve(
+            model, lane, u, -residual(model, lane, u)[None]
+        ).x[0]
     )
     u, errors = jnp.zeros_like(exact), [1.0]
     while errors[-1] > ROUNDING and len(errors) <= MOST_ITERATIONS:
-        u = u + step(u)
+        u = u + step(model, lane, u)
         error = jnp.max(jnp.abs(u - exact)) / jnp.max(jnp.abs(exact))
         errors.append(float(error))
     return errors

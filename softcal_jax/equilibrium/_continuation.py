@@ -35,8 +35,8 @@ MAX_QUICK_STEPS = 5
 CHORDS_FROM = 1e-4
 """Relative residual from which steps on the last factor take the place of Newton's.
 
-One brings it down by a factor of 100 to 1000, for a tenth to a half of the time. From
-further away the tangent, which also gives the sensitivities, would be off by more.
+One takes an evaluation of the forces and a solve, no assembly and no factorization.
+From further away the tangent, which also gives the sensitivities, would be off by more.
 """
 
 MOST_CHORDS = 3

@@ -153,8 +153,9 @@ class _Kept(NamedTuple):
 
 
 _kept: _Kept | None = None
+"""The last one: several right-hand sides of one matrix need one hierarchy."""
+
 _LOCK = Lock()
-"""Several right-hand sides of one matrix need one hierarchy."""
 
 
 def _on_host(matrix, rhs):
