@@ -26,6 +26,7 @@ from softcal_jax.bodies import RigidBody
 from softcal_jax.configurations import (
     Configuration,
     ImposedDisplacement,
+    Support,
     configuration_arrays,
 )
 from softcal_jax.equilibrium import RESULTS, build_model, factor_solve
@@ -86,7 +87,7 @@ def test_iterations_do_not_grow_with_the_mesh(bodies, monkeypatch):
         return found
 
     monkeypatch.setattr(multigrid, "cg", counting)
-    for cells in ((10, 2, 2), (40, 8, 8)):
+    for cells in ((20, 4, 4), (40, 8, 8)):
         mesh = beam(LENGTH, SIDE, SIDE, cells)
         body = build_model(
             mesh, LAW, density=DENSITY, bodies=bodies, solver="multigrid"
@@ -162,20 +163,98 @@ def test_a_solution_that_is_not_accurate_is_refused(monkeypatch):
     assert "iterative solver" in RESULTS[RESULTS.singular]
 
 
-def test_another_matrix_gets_another_hierarchy(monkeypatch):
-    made = []
-    cycle = multigrid._cycle
+def test_a_slender_body_is_solved_to_rounding():
+    """Its residual cannot reach the aim of the iterations, with no solver."""
+    mesh = beam(1.0, SIDE, SIDE, (60, 4, 4))
+    weight = jnp.zeros((1, mesh.n_nodes, 3)).at[..., 2].set(-1.0)
+    held = lane(configuration_arrays(mesh, [hanging()]), 0)
+    ours, theirs = (
+        compiled(
+            build_model(mesh, LAW, density=DENSITY, solver=solver),
+            held,
+            jnp.zeros(mesh.points.shape),
+            weight,
+        )
+        for solver in ("multigrid", None)
+    )
+    assert bool(ours.ok)
+    scale = float(jnp.max(jnp.abs(theirs.x)))
+    np.testing.assert_allclose(ours.x, theirs.x, rtol=0, atol=1e-6 * scale)
 
-    def counting(*arguments):
-        made.append(arguments)
-        return cycle(*arguments)
 
-    monkeypatch.setattr(multigrid, "_cycle", counting)
+@pytest.fixture
+def made(monkeypatch):
+    """The matrices of which hierarchies are made, none being kept from before."""
+    found = []
+    make = multigrid._make_hierarchy
+
+    def counting(A, rigid_motions):
+        found.append(A)
+        return make(A, rigid_motions)
+
+    monkeypatch.setattr(multigrid, "_make_hierarchy", counting)
     monkeypatch.setattr(multigrid, "_kept", None)
-    body = model()
-    for u in (REST, REST, 1e-3 * AXIAL, REST):
-        jax.block_until_ready(compiled(body, HANGING, u, RHS))
+    return found
+
+
+def solve_each(body, states, configurations=(HANGING,)):
+    """Solutions at some displacements under some configurations, in turn."""
+    return [
+        jax.block_until_ready(compiled(body, configuration, u, RHS))
+        for configuration in configurations
+        for u in states
+    ]
+
+
+def test_similar_matrices_share_a_hierarchy(made):
+    states = (REST, -0.03 * AXIAL)
+    for u, solved in zip(states, solve_each(model(), states), strict=True):
+        theirs = compiled(model(None), HANGING, u, RHS)
+        assert bool(solved.ok)
+        scale = float(jnp.max(jnp.abs(theirs.x)))
+        np.testing.assert_allclose(solved.x, theirs.x, rtol=0, atol=1e-8 * scale)
+    assert len(made) == 1
+
+
+def test_other_matrices_get_another_hierarchy(made):
+    solve_each(model(), (REST, -AXIAL, REST))
     assert len(made) == 3
+
+
+def test_other_supports_get_another_hierarchy(made):
+    other = Configuration("other end", (Support("x_max"),))
+    held = lane(configuration_arrays(MESH, [other]), 0)
+    solve_each(model(), (REST,), (HANGING, held, HANGING))
+    assert len(made) == 3
+
+
+def test_an_indefinite_matrix_leaves_no_hierarchy(made):
+    solve_each(model(), (AXIAL, AXIAL))
+    assert len(made) == 2
+
+
+def test_a_hierarchy_that_does_not_serve_is_made_anew(made, monkeypatch):
+    far = -3.0 * AXIAL
+    fresh = solve_each(model(), (far,))[0]
+    monkeypatch.setattr(multigrid, "_kept", None)
+    monkeypatch.setattr(multigrid, "_SIMILAR", np.inf)
+    monkeypatch.setattr(multigrid, "_MAX_ITERATIONS", 60)
+    _, solved = solve_each(model(), (REST, far))
+    assert bool(solved.ok)
+    np.testing.assert_array_equal(solved.x, fresh.x)
+    assert len(made) == 3
+
+
+def test_the_random_numbers_of_others_stay_as_they_are(monkeypatch):
+    np.random.seed(3)  # noqa: NPY002
+    numbers = []
+    for _ in range(2):
+        monkeypatch.setattr(multigrid, "_kept", None)
+        np.random.seed(3)  # noqa: NPY002
+        numbers.append((solve_each(model(), (REST,))[0].x, np.random.random()))  # noqa: NPY002
+    np.random.seed(3)  # noqa: NPY002
+    assert numbers[0][1] == numbers[1][1] == np.random.random()  # noqa: NPY002
+    np.testing.assert_array_equal(numbers[0][0], numbers[1][0])
 
 
 def test_what_it_cannot_do_is_said():
