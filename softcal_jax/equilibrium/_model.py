@@ -184,9 +184,12 @@ def build_model(
             "displacement" otherwise; `Model.formulation` says which.
         solver: Sparse solver: "pardiso" or "klu", direct ones of the CPU, of which the
             default is the one of the platform; "pardiso-host", the default where JAX
-            computes on a GPU (extra `gpu`); or "multigrid", conjugate gradients on the
-            host for bulky bodies of 100 000 nodes and more (extra `multigrid`), which
-            needs a potential and stable states.
+            computes on a GPU (extra `gpu`); "multigrid", conjugate gradients on the
+            host for large bulky bodies (extra `multigrid`), which needs a potential and
+            stable states; or "auto": multigrid from 60 000 unknowns on where there is
+            a potential, which solves an equilibrium sooner then (`python -m benchmarks
+            run growth`), and the default otherwise. Each further right-hand side, of
+            sensitivities, takes multigrid as long as the first one.
 
     Returns:
         The model.

@@ -15,7 +15,10 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 
 _ON_CPU = {"pardiso": Pardiso, "klu": Klu}
 _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
-_NAMES = ["klu", "multigrid", "pardiso", "pardiso-host"]
+_NAMES = ["auto", "klu", "multigrid", "pardiso", "pardiso-host"]
+
+ITERATIVE_FROM = 60_000
+"""Unknowns from which on "auto" takes multigrid (`python -m benchmarks run growth`)."""
 
 
 def check_solver(name: str | None) -> None:
@@ -37,7 +40,8 @@ def choose_solver(
     """The solver of this name, ready for a pattern.
 
     By default the direct solver that pyproject.toml installs on the platform, or that
-    of the host where JAX does not compute on the CPU. Nothing else is tried.
+    of the host where JAX does not compute on the CPU; "auto" takes multigrid instead
+    for a large matrix that is symmetric. Nothing else is tried.
 
     Args:
         name: Name of the solver, None for the default.
@@ -49,6 +53,9 @@ def choose_solver(
         ValueError: If it cannot run where JAX computes, or not on such matrices.
     """
     backend = jax.default_backend()
+    if name == "auto":
+        iterative = unknowns.symmetric and unknowns.n_dof >= ITERATIVE_FROM
+        name = "multigrid" if iterative else None
     if name is None and backend != "cpu":
         name = "pardiso-host"
     if name in ("multigrid", "pardiso-host"):

@@ -69,7 +69,7 @@ class NewtonTable(Table):
     max_steps: Integer | None = None
     max_steps_per_load: Integer | None = None
     smallest_load_step: Number | None = None
-    solver: Literal["pardiso", "klu", "pardiso-host", "multigrid"] | None = None
+    solver: Literal["auto", "pardiso", "klu", "pardiso-host", "multigrid"] | None = None
 
 
 class ProjectTable(Table):

@@ -26,26 +26,32 @@ def measured(across):
 
 
 def test_a_mesh_that_fails_ends_the_series_and_is_named(monkeypatch, tmp_path):
+    slower = {"auto": 1.0, "direct": 2.0, "multigrid": 3.0}
+
     def process(command):
-        slow = 2.0 if command[-2] == "multigrid" else 1.0
-        if int(command[-1]) > 9 and slow == 1.0:
-            raise RuntimeError("benchmarks.growth 13 ended with -9:\nkilled")
-        found = measured(int(command[-1]))
-        found["solve_s"] *= slow
+        solver, across = command[-2], int(command[-1])
+        if across > 13 and solver == "direct":
+            raise RuntimeError("benchmarks.growth 18 ended with -9:\nkilled")
+        found = measured(across)
+        found["solve_s"] *= slower[solver]
+        found["tip_m"] *= 1.0 + 1e-9 * (solver == "direct")
         return f"some line\n{json.dumps(found)}\n"
 
     monkeypatch.setattr(growth, "run_process", process)
     figures = growth.run(Options(tmp_path, lambda text: None)).figures
-    assert figures["largest_nodes"] == 6 * 9**3
-    assert figures["ended_by"] == "13 cells across failed: killed"
+    assert figures["direct_largest_nodes"] == 6 * 13**3
+    assert figures["direct_ended_by"] == "18 cells across failed: killed"
+    np.testing.assert_allclose(figures["direct_time_exponent"], 1.25)
+    # The other series go on, and are held against that one as far as it went.
+    assert figures["largest_nodes"] == 6 * growth.ACROSS[-1] ** 3
     np.testing.assert_allclose(figures["time_exponent"], 1.25)
     np.testing.assert_allclose(figures["memory_exponent"], 1.0)
-    np.testing.assert_allclose(figures["peak_memory_gb"], 0.3 + 6e-6 * 9**3)
-    # The other series goes on, and meets the first where that ends.
-    assert figures["multigrid_largest_nodes"] == 6 * growth.ACROSS_MULTIGRID[-1] ** 3
-    np.testing.assert_allclose(figures["multigrid_time_exponent"], 1.25)
-    np.testing.assert_allclose(figures["multigrid_over_direct_at_its_largest"], 2.0)
-    np.testing.assert_allclose(figures["multigrid_tip_difference"], 0.0)
+    np.testing.assert_allclose(
+        figures["peak_memory_gb"], 0.3 + 6e-6 * growth.ACROSS[-1] ** 3
+    )
+    np.testing.assert_allclose(figures["over_direct_at_its_largest"], 0.5)
+    np.testing.assert_allclose(figures["multigrid_over_direct_left_out"], 1.5)
+    np.testing.assert_allclose(figures["tip_difference"], 1e-9, rtol=1e-6)
 
 
 def test_the_first_mesh_must_work(monkeypatch, tmp_path):

@@ -29,7 +29,7 @@ from softcal_jax.configurations import (
     Support,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import RESULTS, build_model, factor_solve
+from softcal_jax.equilibrium import RESULTS, _solver_choice, build_model, factor_solve
 from softcal_jax.equilibrium import _multigrid as multigrid
 from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
@@ -257,14 +257,21 @@ def test_the_random_numbers_of_others_stay_as_they_are(monkeypatch):
     np.testing.assert_array_equal(numbers[0][0], numbers[1][0])
 
 
+CLASSICAL = ClassicalCorotational(Isotropic(YOUNG, POISSON))
+
+
 def test_what_it_cannot_do_is_said():
     with pytest.raises(ValueError, match="for models with a potential"):
-        build_model(
-            MESH,
-            ClassicalCorotational(Isotropic(YOUNG, POISSON)),
-            density=DENSITY,
-            solver="multigrid",
-        )
+        build_model(MESH, CLASSICAL, density=DENSITY, solver="multigrid")
+
+
+def test_auto_takes_it_for_large_bodies_with_a_potential(monkeypatch):
+    direct, iterative = (model(solver).solver.name for solver in (None, "multigrid"))
+    assert model("auto").solver.name == direct
+    monkeypatch.setattr(_solver_choice, "ITERATIVE_FROM", 3 * MESH.n_nodes)
+    assert model("auto").solver.name == iterative
+    without = build_model(MESH, CLASSICAL, density=DENSITY, solver="auto")
+    assert without.solver.name == direct
 
 
 def test_without_its_package(monkeypatch):

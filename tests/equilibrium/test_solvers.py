@@ -147,7 +147,7 @@ def test_the_same_equilibrium(solver):
 
 def test_unknown_solver():
     mesh = beam(1.0, 1.0, 1.0, (1, 1, 1))
-    with pytest.raises(ValueError, match=r"\['klu', .*'pardiso-host'\].*'mumps'"):
+    with pytest.raises(ValueError, match=r"\['auto', .*'pardiso-host'\].*'mumps'"):
         build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, solver="mumps")
 
 

@@ -260,8 +260,8 @@ CASES = {
             '[[configurations]]\nname = "weight"',
             '[newton]\nsolver = "multi"\n\n[[configurations]]\nname = "weight"',
         ),
-        'newton.solver: got "multi"; expected one of "pardiso", "klu", "pardiso-host", '
-        '"multigrid".',
+        'newton.solver: got "multi"; expected one of "auto", "pardiso", "klu", '
+        '"pardiso-host", "multigrid".',
     ),
     "mesh from nowhere": (
         (BEAM, ""),
