@@ -29,6 +29,15 @@ _RTOL = 1e-10
 
 _MAX_ITERATIONS = 500
 
+_MAX_CORRECTIONS = 20
+"""Iterations at most that take out what rounding has left."""
+
+_LARGEST_RESIDUAL = 1e-4
+"""Rounding of a solution beyond which the matrix counts as singular [-]."""
+
+_ROUNDING = 1e-12
+"""Eigenvalue of the coarsest matrix that may be a zero, by the largest one [-]."""
+
 _SIMILAR = 0.03
 """Change of a matrix, by its Frobenius norm, with which a hierarchy still serves [-].
 
@@ -104,8 +113,8 @@ class Multigrid(AbstractLinearSolver):
         """
         if find_spec("pyamg") is None:
             raise ImportError(
-                'solver="multigrid" needs pyamg: '
-                "`pip install 'softcal-jax[multigrid]'`."
+                'The solver "multigrid" needs pyamg: '
+                "`pip install 'softcal-jax[multigrid]'`; or leave solver out."
             )
         if not sparsity.symmetric:
             raise ValueError(
@@ -133,7 +142,7 @@ class Multigrid(AbstractLinearSolver):
         return False
 
     def solve_again(self, values, rhs):
-        """Solve with the hierarchy of the last matrix, if that was this one."""
+        """Solve, with the hierarchy that was kept where that serves."""
         return self._factor_solve(values, rhs)[0]
 
 
@@ -155,11 +164,29 @@ class _Positive(LinearOperator):
         return product
 
 
-class _Hierarchy(NamedTuple):
-    """One multigrid cycle, and the matrix that it was made of."""
+class _Rescaled(LinearOperator):
+    """A cycle for a scaled matrix, for the matrix as it was."""
 
-    indices: HostArray
-    entries: HostArray
+    def __init__(self, cycle: LinearOperator, scale: Float[HostArray, " n_dof"]):
+        super().__init__(cycle.dtype, cycle.shape)
+        self._cycle, self._scale = cycle, scale
+
+    def _matvec(self, x):
+        return self._scale * (self._cycle @ (self._scale * x))
+
+
+class _Hierarchy(NamedTuple):
+    """A multigrid cycle, and the matrix that it was made of.
+
+    Attributes:
+        scale: What the matrix was scaled by, from both sides, to a diagonal of ones.
+        scaled: The scaled matrix.
+        held: Which unknowns are held.
+        cycle: One cycle for the matrix as it was.
+    """
+
+    scale: HostArray
+    scaled: sparse.bsr_array
     held: HostArray
     cycle: LinearOperator
 
@@ -175,15 +202,10 @@ def _on_host(matrix, rhs):
     blocks, rigid_motions, values, rhs = jax.tree.map(np.asarray, (*matrix, rhs))
     A, nothing = _assemble(blocks, values), np.zeros_like(rhs)
     try:
-        hierarchy, fresh = _hierarchy(A, rigid_motions)
-        x, ok = _solve_all(A, hierarchy, rhs)
-        if not ok and not fresh:
-            _forget()
-            x, ok = _solve_all(A, _hierarchy(A, rigid_motions)[0], rhs)
+        x, ok = _solve_all(A, rigid_motions, rhs)
     except _NegativeCurvature:
-        _forget()
         return nothing, np.int32(1), np.bool_(False)
-    except np.linalg.LinAlgError:  # of the blocks on the diagonal or the coarsest
+    except np.linalg.LinAlgError:  # of the diagonal or the coarsest matrix
         return nothing, np.int32(0), np.bool_(False)
     return x, np.int32(0), np.bool_(ok)
 
@@ -199,34 +221,47 @@ def _assemble(blocks: Blocks, values) -> sparse.bsr_array:
     return sparse.bsr_array((entries.reshape(-1, 3, 3), *pattern), shape=(n, n))
 
 
-def _hierarchy(A: sparse.bsr_array, rigid_motions) -> tuple[_Hierarchy, bool]:
-    """The last hierarchy, or one of this matrix; whether it is that."""
-    global _kept
-    with _LOCK:
-        if _kept is not None and _similar(_kept, A):
-            return _kept, False
-        _kept = None  # its memory is free before that of the next is taken
-        _kept = _make_hierarchy(A, rigid_motions)
-        return _kept, True
+def _solve_all(
+    A: sparse.bsr_array, rigid_motions, rhs: Float[HostArray, "n_rhs n_dof"]
+) -> tuple[Float[HostArray, "n_rhs n_dof"], bool]:
+    """Solutions by rows, and whether all are accurate.
 
-
-def _forget() -> None:
-    """Make a new hierarchy for the next matrix.
-
-    That of an indefinite one would hide whether others are positive definite.
+    A hierarchy is kept once its matrix was found to be positive definite: another one
+    would hide whether similar matrices are.
     """
     global _kept
+    if np.all(_held(A)):
+        return rhs / A.diagonal(), True
     with _LOCK:
-        _kept = None
+        hierarchy, _kept = _kept, None
+        x, ok = rhs, False
+        if hierarchy is not None and _similar(hierarchy, A):
+            x, ok = _solve_with(hierarchy, A, rhs)
+        if not ok:
+            hierarchy = None  # its memory is free before that of the next is taken
+            hierarchy = _make_hierarchy(A, rigid_motions)
+            x, ok = _solve_with(hierarchy, A, rhs)
+        if ok:
+            _kept = hierarchy
+    return x, ok
 
 
 def _similar(hierarchy: _Hierarchy, A: sparse.bsr_array) -> bool:
     """Whether a hierarchy is as good as one of this matrix would be."""
-    if not np.array_equal(hierarchy.indices, A.indices):
+    before, norm = hierarchy.scaled, np.linalg.norm
+    if not np.array_equal(before.indices, A.indices):
         return False
-    changed = np.linalg.norm(A.data - hierarchy.entries)
-    small = changed <= _SIMILAR * np.linalg.norm(hierarchy.entries)
+    changed = norm(_scaled(A, hierarchy.scale).data - before.data)
+    small = changed <= _SIMILAR * norm(before.data)
     return bool(small) and np.array_equal(hierarchy.held, _held(A))
+
+
+def _scaled(A: sparse.bsr_array, scale: Float[HostArray, " n_dof"]) -> sparse.bsr_array:
+    """A matrix times a diagonal one from both sides."""
+    of_block = scale.reshape(-1, 3)
+    rows = np.repeat(of_block, np.diff(A.indptr), axis=0)
+    entries = rows[:, :, None] * A.data * of_block[A.indices][:, None, :]
+    return sparse.bsr_array((entries, A.indices, A.indptr), shape=A.shape)
 
 
 def _held(A: sparse.bsr_array) -> HostArray:
@@ -235,27 +270,42 @@ def _held(A: sparse.bsr_array) -> HostArray:
 
 
 def _make_hierarchy(A: sparse.bsr_array, rigid_motions) -> _Hierarchy:
-    """Smoothed aggregation; what is held moves with nothing."""
+    """Smoothed aggregation; what is held moves with nothing.
+
+    Of the scaled matrix: a polynomial smooths what is soft beside stiff parts, or moves
+    with a large rigid body, no better than the largest eigenvalue allows.
+    """
     from pyamg import smoothed_aggregation_solver
 
-    held = _held(A)
+    diagonal, held = A.diagonal(), _held(A)
+    if np.any(diagonal < 0.0):
+        raise _NegativeCurvature
+    if np.any(diagonal == 0.0):
+        raise np.linalg.LinAlgError
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = _scaled(A, scale)
     with _global_random_numbers():
         levels = smoothed_aggregation_solver(
-            A,
-            B=np.where(held[:, None], 0.0, rigid_motions),
+            scaled,
+            B=np.where(held[:, None], 0.0, rigid_motions) / scale[:, None],
             symmetry="symmetric",
             smooth="jacobi",
             presmoother=_SMOOTHER,
             postsmoother=_SMOOTHER,
             improve_candidates=None,
-            max_coarse=500,
+            max_coarse=100,
         )
-    return _Hierarchy(A.indices, A.data, held, levels.aspreconditioner())
+    # Where the coarsest matrix has a negative eigenvalue, so has this one; and where it
+    # has none, the cycle is positive definite.
+    coarse = np.linalg.eigvalsh(levels.levels[-1].A.toarray())
+    if coarse[0] < -_ROUNDING * coarse[-1]:
+        raise _NegativeCurvature
+    return _Hierarchy(scale, scaled, held, _Rescaled(levels.aspreconditioner(), scale))
 
 
 @contextmanager
 def _global_random_numbers() -> Iterator[None]:
-    """For pyamg to estimate spectral radii by; the same, and the user's untouched."""
+    """The same ones for pyamg's spectral radii each time; then the user's go on."""
     before = np.random.get_state()  # noqa: NPY002
     np.random.seed(0)  # noqa: NPY002
     try:
@@ -264,19 +314,23 @@ def _global_random_numbers() -> Iterator[None]:
         np.random.set_state(before)  # noqa: NPY002
 
 
-def _solve_all(
-    A: sparse.bsr_array, hierarchy: _Hierarchy, rhs: Float[HostArray, "n_rhs n_dof"]
+def _solve_with(
+    hierarchy: _Hierarchy, A: sparse.bsr_array, rhs: Float[HostArray, "n_rhs n_dof"]
 ) -> tuple[Float[HostArray, "n_rhs n_dof"], bool]:
     """Solutions by rows, and whether all are accurate.
 
     The residual of a slender body is never below its rounding, |A| |x| eps, which can
-    be a multiple of what the iterations aim at; a direct solver leaves as much.
+    be a multiple of what the iterations aim at; a direct solver leaves as much. Where
+    it is a notable part of the right-hand side, the matrix is singular.
     """
     cycle = hierarchy.cycle
+    if not np.any(rhs):
+        _solve(A, cycle, np.ones_like(rhs[0]))  # may meet a negative curvature
+        return rhs, True
     x = np.stack([_solve(A, cycle, b) if np.any(b) else b for b in rhs])
     norm = lambda rows: np.linalg.norm(rows, axis=1)
-    rounding = np.finfo(x.dtype).eps * norm((abs(A) @ np.abs(x).T).T)
-    aim = np.maximum(_RTOL * norm(rhs), rounding)
+    rounding = np.finfo(x.dtype).eps * norm(np.abs(x) @ abs(A))
+    aim = np.clip(rounding, _RTOL * norm(rhs), _LARGEST_RESIDUAL * norm(rhs))
     return x, bool(np.all(norm(rhs - (A @ x.T).T) <= 10.0 * aim))
 
 
@@ -285,9 +339,15 @@ def _solve(
 ) -> Float[HostArray, " n_dof"]:
     """Conjugate gradients from a random guess whose residual is of the size of b."""
     noise = np.random.default_rng(0).standard_normal(b.size)
-    guess = cycle @ (noise * (np.linalg.norm(b) / np.linalg.norm(noise)))
-    settings = {"rtol": _RTOL, "atol": 0.0, "maxiter": _MAX_ITERATIONS}
-    return cg(_Positive(A), b, guess, M=cycle, **settings)[0]
+    size = np.linalg.norm(b)
+    guess = cycle @ (noise * (size / np.linalg.norm(noise)))
+    settings = {"M": cycle, "rtol": 0.0, "atol": _RTOL * size}
+    x, _ = cg(_Positive(A), b, guess, maxiter=_MAX_ITERATIONS, **settings)
+    left = b - A @ x
+    if np.linalg.norm(left) > 10.0 * _RTOL * size:
+        # The rounding of the guess is still in it.
+        x += cg(_Positive(A), left, maxiter=_MAX_CORRECTIONS, **settings)[0]
+    return x
 
 
 def rigid_motions(mechanism: Mechanism) -> Float[HostArray, "n_dof 6"]:

@@ -87,6 +87,6 @@ def _check_threads(name: str, backend: str) -> None:
     threads = int(told) if told.isdigit() else available_cores()
     if backend == "cpu" and threads < 2:
         raise ValueError(
-            f"solver={name!r} is called back from JAX, which needs two threads for "
-            f"that and has {threads}: set PJRT_NPROC=2 before Python starts."
+            f"The solver {name!r} is called back from JAX, which needs two threads "
+            f"for that and has {threads}: set PJRT_NPROC=2 before Python starts."
         )
