@@ -26,6 +26,7 @@ _PACKAGES = (
     "mkl",
     "felupe",
     "pypardiso",
+    "pyamg",
 )
 
 
