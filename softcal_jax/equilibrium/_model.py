@@ -186,7 +186,7 @@ def build_model(
             default is the one of the platform; "pardiso-host", the default where JAX
             computes on a GPU (extra `gpu`); "multigrid", conjugate gradients on the
             host for large bulky bodies (extra `multigrid`), which needs a potential and
-            stable states; or "auto": multigrid from 60 000 unknowns on where there is
+            stable states; or "auto": multigrid from 80 000 unknowns on where there is
             a potential, which solves an equilibrium of a bulky body sooner then
             (`python -m benchmarks run growth`), and the default otherwise. Each further
             right-hand side, of sensitivities, takes multigrid as long as the first one.

@@ -17,7 +17,7 @@ _ON_CPU = {"pardiso": Pardiso, "klu": Klu}
 _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
 _NAMES = ["auto", "klu", "multigrid", "pardiso", "pardiso-host"]
 
-ITERATIVE_FROM = 60_000
+ITERATIVE_FROM = 80_000
 """Unknowns from which on "auto" takes multigrid (`python -m benchmarks run growth`)."""
 
 
