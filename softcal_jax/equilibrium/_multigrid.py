@@ -27,7 +27,7 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 _RTOL = 1e-10
 """Residual at which the iterations end, relative to the right-hand side [-]."""
 
-_MAX_ITERATIONS = 500
+_MAX_ITERATIONS = 2000
 
 _MAX_CORRECTIONS = 20
 """Iterations at most that take out what rounding has left."""
