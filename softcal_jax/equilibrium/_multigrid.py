@@ -41,12 +41,11 @@ _ROUNDING = 1e-12
 _SIMILAR = 0.03
 """Change of a matrix, by its Frobenius norm, with which a hierarchy still serves [-].
 
-That of the last steps of Newton's method: the iterations then are some more, and take
-less time than a new hierarchy.
+That of the tangents in the last steps of Newton's method; the iterations may be more.
 """
 
 _SMOOTHER = ("chebyshev", {"degree": 2})
-"""A polynomial of the matrix: a product with it takes half of a Gauss-Seidel sweep."""
+"""A polynomial of the matrix, by products with it alone."""
 
 
 class Blocks(eqx.Module):
