@@ -189,7 +189,7 @@ def _material(model: Model) -> Float[Array, "n_tets 3"]:
 
 
 def _fields_of(problem: CalibrationProblem, z):
-    return _material(problem.space.apply(problem.model, z))
+    return _material(problem.space.model_at(problem.model, z))
 
 
 _fields = eqx.filter_jit(_fields_of)
@@ -203,13 +203,13 @@ _internal_force = eqx.filter_jit(internal_force)
 
 @eqx.filter_jit
 def _static(problem: CalibrationProblem, lane: ConfigurationArrays, z):
-    model = problem.space.apply(problem.model, z)
+    model = problem.space.model_at(problem.model, z)
     return solve_equilibrium(model, lane, settings=problem.newton)
 
 
 @eqx.filter_jit
 def _gradient(problem: CalibrationProblem, lane: ConfigurationArrays, z):
-    model, rest = problem.space.apply(problem.model, z), at_rest(problem)[0]
+    model, rest = problem.space.model_at(problem.model, z), at_rest(problem)[0]
     response = equilibrium_response(
         model, lane, rest, problem.space, z, newton=problem.newton, precise=True
     )
@@ -224,5 +224,5 @@ def _gradient(problem: CalibrationProblem, lane: ConfigurationArrays, z):
 def _force(problem: CalibrationProblem, lane: ConfigurationArrays, z) -> float:
     """Norm of the internal forces in equilibrium, those on the ground included [N]."""
     u = _static(problem, lane, z).displacement
-    model = problem.space.apply(problem.model, z)
+    model = problem.space.model_at(problem.model, z)
     return float(jnp.linalg.norm(_internal_force(model, u)))

@@ -96,7 +96,7 @@ def evaluation_seconds(measured: MeasuredBeam, n: int, repeats: int) -> list[flo
 
 def one_call_and_many(measured: MeasuredBeam, n: int) -> dict[str, list[float]]:
     """Times of one vmapped solve of n lanes, and of n solves [s]."""
-    model = measured.problem.space.apply(measured.problem.model, measured.target)
+    model = measured.problem.space.model_at(measured.problem.model, measured.target)
     lanes = loaded(measured, n).configurations
     singles = [first_lane(_from(lanes, i)) for i in range(n)]
     batched = eqx.filter_jit(

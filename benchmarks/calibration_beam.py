@@ -218,7 +218,7 @@ def parts_of_a_step(measured: MeasuredBeam) -> tuple[dict[str, list[float]], int
     """
     problem, z = measured.problem, measured.target
     pose = jax.tree.map(lambda leaf: leaf[0], problem.configurations)
-    model = problem.space.apply(problem.model, z)
+    model = problem.space.model_at(problem.model, z)
     solve = eqx.filter_jit(lambda model, pose: solve_equilibrium(model, pose))
     evaluation = eqx.filter_jit(energy_and_force)
     alone = eqx.filter_jit(

@@ -124,7 +124,7 @@ def one_size(size: Size) -> tuple[dict[str, Figure], dict[str, list[float]]]:
     u, z = solution.displacement, space.start()
     response = eqx.filter_jit(
         lambda model, lane, u, z: equilibrium_response(
-            space.apply(model, z), lane, u, space, z, newton=NewtonSettings()
+            model, lane, u, space, z, newton=NewtonSettings()
         )
     )
     steps = int(response(model, lane, u, z).equilibrium.steps)
@@ -168,7 +168,7 @@ def _case(size: Size) -> tuple[Model, ParameterSpace, ConfigurationArrays]:
         "weight", [Support("x_min")], (0.0, 0.0, -GRAVITY), markers=Markers(names, at)
     )
     model = BEAM.model(size.cells)
-    model = space.apply(model, space.start())
+    model = space.model_at(model, space.start())
     return model, space, first_lane(configuration_arrays(model.mesh, [weight]))
 
 

@@ -47,8 +47,9 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.fields import ControlPointParameters, ParameterSpace
-from softcal_jax.identifiability import conditioning, energy_compliance
+from softcal_jax.identifiability import conditioning
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
+from softcal_jax.sensitivity import energy_compliance
 
 FIELDS = {
     "E_l, theta": ("E_l", "theta"),
@@ -151,7 +152,7 @@ def all_markers(
 @eqx.filter_jit
 def _compliances(problem: CalibrationProblem, z):
     solution, _ = simulate(problem, z, at_rest(problem))
-    model = problem.space.apply(problem.model, z)
+    model = problem.model
     lane = lambda c, u: energy_compliance(model, c, u, problem.space, z)
     return jax.vmap(lane)(problem.configurations, solution.displacement)
 

@@ -1,6 +1,7 @@
 """Names that a user types: units of length, and what is said of a misspelt one."""
 
 import difflib
+import zlib
 from collections.abc import Iterable
 
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
@@ -20,3 +21,12 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     listed = ", ".join(map(repr, names)) or "none"
     hint = suggestion(name, names)
     return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")
+
+
+def name_key(name: str) -> int:
+    """Turn a name into an integer, its CRC-32, since arrays hold no text.
+
+    One compiled program then serves configurations of any names, and a parameter that
+    belongs to some of them finds them in every batch.
+    """
+    return zlib.crc32(name.encode())

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -77,14 +78,10 @@ def build_problem(
                 "`markers` and `measured`, or `effectors` with measured values."
             )
     space = as_space(parameters)
-    check_parameters(model, space)
+    arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
+    check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], arrays))
     warn_if_locking(model, space)
-    return CalibrationProblem(
-        model,
-        space,
-        configuration_arrays(model.mesh, configurations, model.mechanism),
-        newton or NewtonSettings(),
-    )
+    return CalibrationProblem(model, space, arrays, newton or NewtonSettings())
 
 
 def calibrate(
@@ -163,7 +160,7 @@ def calibrate(
         state = descend(evaluate, settings, state, journal.note)
         after = state.evaluation
         fits = configuration_fits(
-            problem.space.apply(model, state.z),
+            problem.space.model_at(model, state.z),
             configurations,
             "calibration",
             before.effectors,
@@ -251,7 +248,7 @@ def _predict(
         for lane, c in enumerate(validation)
         if lane not in lanes
     ]
-    model = problem.space.apply(problem.model, z)
+    model = problem.space.model_at(problem.model, z)
     fits = configuration_fits(
         model,
         validation,
@@ -285,7 +282,7 @@ def _result(
         configurations=fits,
         history=tuple(history),
         space=problem.space,
-        model=problem.space.apply(problem.model, state.z),
+        model=problem.space.model_at(problem.model, state.z),
         z=state.z,
         W_ep=np.asarray(state.evaluation.W_ep),
         settings=settings,

@@ -93,8 +93,11 @@ def simulate(
     Returns:
         Solutions and effectors, one lane per configuration.
     """
-    model = problem.space.apply(problem.model, z)
-    return simulate_model(model, problem.configurations, guess, problem.newton)
+    configurations = jax.vmap(lambda c: problem.space.apply(problem.model, c, z)[1])(
+        problem.configurations
+    )
+    model = problem.space.model_at(problem.model, z)
+    return simulate_model(model, configurations, guess, problem.newton)
 
 
 def simulate_model(
@@ -103,7 +106,7 @@ def simulate_model(
     guess: Float[Array, "n_c n_points 3"],
     newton: NewtonSettings,
 ) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-    """The same for a model as it is.
+    """Solve and read model and configurations as they are.
 
     Args:
         model: The body.
@@ -160,9 +163,8 @@ def evaluate_lane(
         precise: Whether the compliances are exact, for one more Newton step; otherwise
             they are off by the way of the last.
     """
-    model = problem.space.apply(problem.model, z)
     response = equilibrium_response(
-        model,
+        problem.model,
         configuration,
         guess,
         problem.space,
@@ -171,7 +173,7 @@ def evaluate_lane(
         before=before,
         precise=precise,
     )
-    return Lane(response, _effectors(model, configuration, response.equilibrium))
+    return Lane(response, response.effectors)
 
 
 def stacked(
@@ -242,7 +244,7 @@ def first_guess(
         problem: The calibration.
         z: Scaled parameters [-].
     """
-    model = problem.space.apply(problem.model, z)
+    model = problem.space.model_at(problem.model, z)
     return chained_guess(model, problem.configurations, problem.newton)
 
 

@@ -1,15 +1,17 @@
 """Measurements made by the model itself, to test a calibration before any are taken."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax.calibration._problem import chained_guess, simulate_model
 from softcal_jax.configurations import (
     Configuration,
+    ConfigurationArrays,
     configuration_arrays,
     effector_rows,
     measured_as,
@@ -60,9 +62,13 @@ def synthetic_measurements(
             f"Parameters: {', '.join(space.names)}."
         )
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    robot = space.apply(model, z)
     return simulated_measurements(
-        robot, configurations, noise=noise, seed=seed, newton=newton
+        space.model_at(model, z),
+        configurations,
+        noise=noise,
+        seed=seed,
+        newton=newton,
+        change=lambda c: space.apply(model, c, z)[1],
     )
 
 
@@ -74,6 +80,7 @@ def simulated_measurements(
     seed: int = 0,
     newton: NewtonSettings | None = None,
     first: Model | None = None,
+    change: Callable[[ConfigurationArrays], ConfigurationArrays] | None = None,
 ) -> tuple[Configuration, ...]:
     """Configurations with the measurements that a model gives as it is.
 
@@ -85,6 +92,8 @@ def simulated_measurements(
         newton: Settings of the equilibrium.
         first: A model of the same mesh and mechanism whose equilibria are easier to
             find and lie near: its states are the guesses.
+        change: What is different about each configuration when it is measured, like
+            an offset of the recording; nothing by default.
 
     Returns:
         The configurations, measured.
@@ -96,6 +105,7 @@ def simulated_measurements(
     mesh, mechanism = model.mesh, model.mechanism
     posed = [measured_at_rest(c, mesh, mechanism) for c in configurations]
     arrays = configuration_arrays(mesh, posed, mechanism)
+    arrays = arrays if change is None else jax.vmap(change)(arrays)
     newton = newton or NewtonSettings()
     guess = _chained_guess(first or model, arrays, newton)
     solution, effectors = _simulate_model(model, arrays, guess, newton)

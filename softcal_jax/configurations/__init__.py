@@ -14,6 +14,8 @@ from softcal_jax.configurations._arrays import (
     ActuationArrays,
     ConfigurationArrays,
     EffectorArrays,
+    RecordingBase,
+    Springs,
 )
 from softcal_jax.configurations._body_effectors import BodyAngle, BodyFrame, Centroid
 from softcal_jax.configurations._configuration import (
@@ -68,7 +70,9 @@ __all__ = [
     "NodalForces",
     "PointForce",
     "PoseTable",
+    "RecordingBase",
     "Registration",
+    "Springs",
     "Support",
     "SupportReaction",
     "SurfaceForce",

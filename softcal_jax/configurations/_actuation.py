@@ -88,7 +88,7 @@ def actuation_arrays(
                 "pi: angles are in radians (np.deg2rad turns degrees into them)."
             )
         by_displacement[a], value[a] = imposed, asked.value
-    return ActuationArrays(by_displacement, value)
+    return ActuationArrays(by_displacement, value, np.ones_like(value), actuators.names)
 
 
 def body_state_arrays(

@@ -1,12 +1,42 @@
 """Configurations as arrays: what the solver sees, one lane per configuration."""
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.bodies import BodyStateArrays
+from softcal_jax.bodies import BodyStateArrays, rotation_matrix
 
 AnyArray = Array | HostArray
 """On the host while a configuration is put together, then on the device."""
+
+
+class RecordingBase(eqx.Module):
+    """How far the frame in which poses were recorded is off the frame of the mesh.
+
+    A reading of a point at x is c + R (x - c) + translation about the centre c of the
+    mesh, and R precedes the turn of a body: the markers of a recording, or the base of
+    a tracker, stand off as one.
+
+    Attributes:
+        translation: Its offset [m]; 0 unless it is a parameter.
+        rotation: Rotation vector of R, likewise [rad].
+    """
+
+    translation: Float[AnyArray, "*batch 3"]
+    rotation: Float[AnyArray, "*batch 3"]
+
+    def point(
+        self, x: Float[Array, "n 3"], centre: Float[Array, "3"]
+    ) -> Float[Array, "n 3"]:
+        """Readings of points at positions x [m]."""
+        R = rotation_matrix(jnp.asarray(self.rotation))
+        turned = jnp.sum(R[None] * (x - centre[None])[:, None, :], axis=2)
+        return turned + (centre + jnp.asarray(self.translation))[None]
+
+    def turn(self, R: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
+        """Readings of orientations R, as matrices [-]."""
+        base = rotation_matrix(jnp.asarray(self.rotation))
+        return jnp.sum(base[None, :, :, None] * R[:, None, :, :], axis=2)
 
 
 class EffectorArrays(eqx.Module):
@@ -29,6 +59,7 @@ class EffectorArrays(eqx.Module):
         reaction_weights: 1 for each of them, 0 for padding.
         measured: Measured values, or goals, of all rows.
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured.
+        base: How far the frame of the recording is off that of the mesh.
     """
 
     nodes: Int[AnyArray, "*batch n_points n_carriers"]
@@ -42,6 +73,7 @@ class EffectorArrays(eqx.Module):
     reaction_weights: Float[AnyArray, "*batch n_reactions n_carriers"]
     measured: Float[AnyArray, "*batch n_rows 3"]
     inverse_std: Float[AnyArray, "*batch n_rows 3"]
+    base: RecordingBase
 
     @property
     def has_forces(self) -> bool:
@@ -60,10 +92,42 @@ class ActuationArrays(eqx.Module):
     Attributes:
         by_displacement: Whether its displacement delta_a is imposed, or its force.
         value: delta_a or lambda_a at full load, in the units of the actuator.
+        force_factor: What an imposed force is multiplied by [-]; 1 unless it is a
+            parameter, for a force that is only roughly known.
+        names: Names of the actuators.
     """
 
     by_displacement: Bool[AnyArray, "*batch n_a"]
     value: Float[AnyArray, "*batch n_a"]
+    force_factor: Float[AnyArray, "*batch n_a"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def forces(self) -> Float[Array, " n_a"]:
+        """Forces lambda_a at full load where they are imposed, 0 elsewhere."""
+        given = jnp.asarray(self.force_factor) * jnp.asarray(self.value)
+        return jnp.where(jnp.asarray(self.by_displacement), 0.0, given)
+
+
+class Springs(eqx.Module):
+    """Elastic supports: springs between nodes and the places where they are held.
+
+    Attributes:
+        area: Area that each node has in each support, along its axes [m2].
+        stiffness: Force per area and displacement of each support [N/m3].
+        rest: Displacement at full load at which they exert no force [m].
+        names: Groups of the supports.
+    """
+
+    area: Float[AnyArray, "*batch n_springs n_points 3"]
+    stiffness: Float[AnyArray, "*batch n_springs"]
+    rest: Float[AnyArray, "*batch n_points 3"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def coefficients(self) -> Float[Array, "n_points 3"]:
+        """Stiffness of the spring on each coordinate of each node [N/m]."""
+        by_support = jnp.asarray(self.stiffness)[:, None, None]
+        return jnp.sum(by_support * jnp.asarray(self.area), axis=0)
 
 
 class ConfigurationArrays(eqx.Module):
@@ -72,19 +136,49 @@ class ConfigurationArrays(eqx.Module):
     The nodes are those of the mesh, then those of the frames of the rigid bodies.
 
     Attributes:
+        key: `name_key` of the configuration and of its recording: arrays hold no text.
         fixed: Which coordinates are held.
         imposed: Their displacement, at full load [m].
+        springs: The elastic supports.
         force: Dead nodal forces [N].
-        gravity: Acceleration of gravity [m/s2].
+        load_factor: What these are multiplied by [-]; 1 unless it is a parameter.
+        gravity: Acceleration of gravity as stated [m/s2].
+        tilt: Angles by which it is off, about two axes across it [rad]; 0 unless they
+            are parameters. See `acceleration`.
         bodies: What the rigid bodies do.
         actuation: What is asked of the actuators.
         effectors: The measured points.
     """
 
+    key: Int[AnyArray, "*batch 2"]
     fixed: Bool[AnyArray, "*batch n_points 3"]
     imposed: Float[AnyArray, "*batch n_points 3"]
+    springs: Springs
     force: Float[AnyArray, "*batch n_points 3"]
+    load_factor: Float[AnyArray, "*batch"]
     gravity: Float[AnyArray, "*batch 3"]
+    tilt: Float[AnyArray, "*batch 2"]
     bodies: BodyStateArrays
     actuation: ActuationArrays
     effectors: EffectorArrays
+
+    @property
+    def acceleration(self) -> Float[Array, "3"]:
+        """Gravity after its tilt [m/s2].
+
+        The first axis of the tilt is the axis of the mesh that is farthest from
+        gravity, made perpendicular to it; the second is perpendicular to both.
+        """
+        g, tilt = jnp.asarray(self.gravity), jnp.asarray(self.tilt)
+        square = jnp.sum(g * g)
+        start = jnp.eye(3)[jnp.argmin(jnp.abs(g))]
+        first = start - g * jnp.sum(start * g) / jnp.where(square > 0.0, square, 1.0)
+        first = first / jnp.linalg.norm(first)
+        second = jnp.cross(g, first) / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))
+        R = rotation_matrix(tilt[0] * first + tilt[1] * second)
+        return jnp.sum(R * g[None, :], axis=1)
+
+    @property
+    def dead_loads(self) -> Float[Array, "n_points 3"]:
+        """Dead nodal forces with their factor [N]."""
+        return jnp.asarray(self.load_factor) * jnp.asarray(self.force)

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._names import name_key
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
 from softcal_jax.configurations._actuation import (
@@ -16,7 +17,11 @@ from softcal_jax.configurations._actuation import (
     actuation_arrays,
     body_state_arrays,
 )
-from softcal_jax.configurations._arrays import ConfigurationArrays, EffectorArrays
+from softcal_jax.configurations._arrays import (
+    ConfigurationArrays,
+    EffectorArrays,
+    Springs,
+)
 from softcal_jax.configurations._body_effectors import BodyFrame, Centroid
 from softcal_jax.configurations._carriers import carriers
 from softcal_jax.configurations._effector import AbstractEffector
@@ -68,6 +73,9 @@ class Configuration(eqx.Module):
             "hinged", or a `BodyState`; the others are free.
         actuation: What is asked of actuators, by name: `ImposedForce` or
             `ImposedDisplacement`. Of the others nothing: no force; a motor at zero.
+        recording: Name of the recording that its measured values are from; what is off
+            in one recording, like its frame, is shared by all its configurations. By
+            default each configuration is a recording of its own.
     """
 
     name: str
@@ -81,6 +89,7 @@ class Configuration(eqx.Module):
     effectors: tuple[AbstractEffector, ...] = eqx.field(converter=tuple, default=())
     bodies: BodyStates = eqx.field(default_factory=dict)
     actuation: Actuation = eqx.field(default_factory=dict)
+    recording: str | None = None
 
     @property
     def is_measured(self) -> bool:
@@ -138,8 +147,10 @@ def configuration_arrays(
         if names.count(name) > 1:
             raise ValueError(f"configuration {name!r} is named more than once.")
     rows = [effector_rows(mesh, c, mechanism) for c in configurations]
+    supports = [support for c in configurations for support in c.supports]
+    springs = tuple(dict.fromkeys(s.name for s in supports if s.stiffness is not None))
     lanes = [
-        _lane(mesh, mechanism, c, effectors)
+        _lane(mesh, mechanism, c, springs, effectors)
         for c, effectors in zip(configurations, stack_effectors(rows), strict=True)
     ]
     # Not jnp.asarray, which compiles a program for every shape.
@@ -147,12 +158,17 @@ def configuration_arrays(
 
 
 def _lane(
-    mesh: TetMesh, mechanism: Mechanism, c: Configuration, effectors: EffectorArrays
+    mesh: TetMesh,
+    mechanism: Mechanism,
+    c: Configuration,
+    springs: tuple[str, ...],
+    effectors: EffectorArrays,
 ) -> ConfigurationArrays:
-    fixed = np.zeros((mesh.n_nodes, 3), bool)
-    imposed = np.zeros((mesh.n_nodes, 3))
+    fixed, sprung = np.zeros((2, mesh.n_nodes, 3), bool)
+    imposed, rest = np.zeros((2, mesh.n_nodes, 3))
     for support in c.supports:
-        support.apply(mesh, fixed, imposed)
+        rigid = support.stiffness is None
+        support.apply(mesh, *((fixed, imposed) if rigid else (sprung, rest)))
     _check_apart(mesh, mechanism, fixed, c.name)
     bodies = body_state_arrays(mechanism, c.bodies, c.name)
     actuation = actuation_arrays(mechanism, c.actuation, c.name)
@@ -163,19 +179,40 @@ def _lane(
     for name, k in _motors(mechanism):
         by_angle = actuation.by_displacement[mechanism.actuators.names.index(name)]
         kind[k] = KINDS.index("held" if by_angle else "hinged")
-    _check_held(mesh, mechanism, fixed, kind, c)
+    _check_held(mesh, mechanism, fixed | sprung, kind, c)
     # Nodes of the bodies' frames come after those of the mesh.
     more = len(mechanism.points) - mesh.n_nodes
     all_nodes = lambda a: np.concatenate([a, np.zeros((more, 3), a.dtype)])
     return ConfigurationArrays(
-        all_nodes(fixed),
-        all_nodes(imposed),
-        all_nodes(force),
-        np.asarray(c.gravity, float),
-        bodies,
-        actuation,
-        effectors,
+        key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
+        fixed=all_nodes(fixed),
+        imposed=all_nodes(imposed),
+        springs=_springs(mesh, c, springs, all_nodes(rest)),
+        force=all_nodes(force),
+        load_factor=np.ones(()),
+        gravity=np.asarray(c.gravity, float),
+        tilt=np.zeros(2),
+        bodies=bodies,
+        actuation=actuation,
+        effectors=effectors,
     )
+
+
+def _springs(mesh: TetMesh, c: Configuration, names: tuple[str, ...], rest) -> Springs:
+    """The elastic supports of a configuration, among those of the whole batch."""
+    area, stiffness = np.zeros((len(names), *rest.shape)), np.zeros(len(names))
+    for support in c.supports:
+        if support.stiffness is None:
+            continue
+        s = names.index(support.name)
+        if stiffness[s] > 0.0:
+            raise ValueError(
+                f"configuration {c.name!r}: the group {support.name!r} has two "
+                "supports with a stiffness; give one for all of its axes."
+            )
+        area[s, : mesh.n_nodes] = support.areas(mesh)
+        stiffness[s] = support.stiffness
+    return Springs(area, stiffness, rest, names)
 
 
 def _check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 
 from softcal_jax._typing import HostArray
-from softcal_jax.configurations._arrays import EffectorArrays
+from softcal_jax.configurations._arrays import EffectorArrays, RecordingBase
 from softcal_jax.configurations._effector import EffectorRow, Quantity
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
@@ -85,17 +85,18 @@ def _stack(
         for end, quantity in zip(ends, QUANTITIES, strict=True)
     )
     return EffectorArrays(
-        nodes[points],
-        weights[points],
-        index[turns, 0],
-        reference[turns],
-        index[scalars],
-        axis[scalars],
-        index[forces, 0],
-        nodes[reactions],
-        weights[reactions],
-        measured,
-        inverse_std,
+        nodes=nodes[points],
+        weights=weights[points],
+        turn_body=index[turns, 0],
+        turn_reference=reference[turns],
+        scalar_index=index[scalars],
+        scalar_axis=axis[scalars],
+        force_actuator=index[forces, 0],
+        reaction_nodes=nodes[reactions],
+        reaction_weights=weights[reactions],
+        measured=measured,
+        inverse_std=inverse_std,
+        base=RecordingBase(np.zeros(3), np.zeros(3)),
     )
 
 

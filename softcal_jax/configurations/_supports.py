@@ -5,7 +5,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.configurations._axes import parse_axes
-from softcal_jax.mesh import TetMesh, node_indices
+from softcal_jax.mesh import TetMesh, node_indices, surface_shares
 
 
 class Support(eqx.Module):
@@ -15,14 +15,24 @@ class Support(eqx.Module):
         where: Name of a node or surface group, or node indices.
         axes: The held axes: "xyz" clamps, "z" lets the nodes slide in x and y.
         displacement: Imposed displacement of the held axes [m].
+        stiffness: Of a support that gives way, like a clamp of rubber: force per area
+            and displacement [N/m3], on a surface group. Rigid by default.
     """
 
     where: str | Int[HostArray, " n"]
     axes: str = "xyz"
     displacement: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    stiffness: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of its group; "support" where it has none."""
+        return self.where if isinstance(self.where, str) else "support"
 
     def __check_init__(self):
         parse_axes(self.axes)
+        if self.stiffness is not None:
+            self._check_stiffness()
         if np.shape(self.displacement) != (3,) or not np.all(
             np.isfinite(self.displacement)
         ):
@@ -55,3 +65,26 @@ class Support(eqx.Module):
                 )
             fixed[nodes, axis] = True
             imposed[nodes, axis] = self.displacement[axis]
+
+    def _check_stiffness(self) -> None:
+        if not (np.isfinite(self.stiffness) and self.stiffness > 0.0):
+            raise ValueError(
+                f"stiffness of the support {self.name!r} must be positive and finite "
+                f"[N/m3], got {self.stiffness!r}; leave it out for a rigid support."
+            )
+        if not isinstance(self.where, str):
+            raise ValueError(
+                "a support with a stiffness needs the name of a surface group, whose "
+                "area it acts on; got node indices."
+            )
+
+    def areas(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
+        """Area that each node of an elastic support has, along its axes [m2].
+
+        Raises:
+            ValueError: If the group is not a surface.
+        """
+        areas = np.zeros((mesh.n_nodes, 3))
+        shares = surface_shares(mesh, mesh.faces(str(self.where)))
+        areas[:, parse_axes(self.axes)] = shares[:, None]
+        return areas

@@ -1,8 +1,11 @@
 """How effectors and actuators follow what is asked of the actuators (Eqs. 4, 5)."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
@@ -11,8 +14,10 @@ from softcal_jax.equilibrium import (
     Model,
     actuator_forces,
     effector_values,
-    implicit_response,
+    input_rows,
+    linearise,
     residual,
+    sensitivity,
 )
 
 
@@ -61,19 +66,18 @@ class ActuatorCompliance(eqx.Module):
 def actuator_state(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
 ) -> ActuatorState:
-    """Effectors and actuators at an equilibrium.
+    """Read effectors and actuators at an equilibrium.
 
     Args:
         model: The model.
         configuration: One configuration.
         solution: Its equilibrium.
     """
-    u, lambda_a = solution.displacement, solution.multipliers
+    return _state(model, configuration, solution.displacement, solution.multipliers)
+
+
+def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a):
     unbalanced = residual(model, configuration, u, lambda_a)
-    return _state(model, configuration, u, lambda_a, unbalanced)
-
-
-def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a, unbalanced):
     x = jnp.asarray(model.mechanism.points) + u
     return ActuatorState(
         effector_values(model, configuration, u, lambda_a, unbalanced),
@@ -107,32 +111,37 @@ def actuator_compliance(
     """
     value = jnp.asarray(configuration.actuation.value)
     u, lambda_a = solution.displacement, solution.multipliers
-    unbalanced = residual(model, configuration, u, lambda_a)
-    no_model = jax.tree.map(lambda _: None, model)
-    no_change = jax.tree.map(lambda _: None, configuration)
+    shapes = jax.eval_shape(_state, model, configuration, u, lambda_a)
+    ends = np.cumsum([leaf.size for leaf in jax.tree.leaves(shapes)])[:-1]
 
-    def along(unit):
-        t_configuration = eqx.tree_at(
-            lambda c: c.actuation.value, no_change, unit, is_leaf=lambda x: x is None
-        )
-        d = implicit_response(model, configuration, solution, no_model, t_configuration)
-        state = lambda value, *solved: _state(
-            model, with_inputs(configuration, value), *solved
-        )
-        _, d_state = jax.jvp(state, (value, u, lambda_a, unbalanced), (unit, *d))
-        return d_state, d.displacement
+    def readings(model, configuration, u, lambda_a):
+        state = _state(model, configuration, u, lambda_a)
+        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(state)])
 
-    changed, du = jax.vmap(along, out_axes=(-1, 0))(jnp.eye(value.size))
-    state = _state(model, configuration, u, lambda_a, unbalanced)
-    W_ea = changed.effectors.reshape(-1, value.size)
+    def row(unit):
+        of = lambda function, value: function(model, with_inputs(configuration, value))
+        along = lambda function: jax.jvp(partial(of, function), (value,), (unit,))[1]
+        return input_rows(model, configuration, u, lambda_a, along, readings)
+
+    rows = jax.vmap(row)(jnp.eye(value.size))
+    found = sensitivity(linearise(model, configuration, u, lambda_a), rows, readings)
+    ok = found.ok & solution.converged
+    or_nan = lambda a: jnp.where(ok, a, jnp.nan)
+    W_ea, forces, displacements = jnp.split(or_nan(found.W_ep), ends)
+    assert found.displacement is not None
     actuators = model.mechanism.actuators
     by_displacement = jnp.asarray(configuration.actuation.by_displacement)
-    stands_still = jnp.diag(changed.displacements) == 0.0
+    stands_still = jnp.diag(displacements) == 0.0
     slack = by_displacement & jnp.asarray(actuators.unilateral) & stands_still
     acts = ~slack & jnp.asarray(actuators.has_displacement)
-    W_aa = _force_compliance(changed.forces, changed.displacements, acts)
     return ActuatorCompliance(
-        state, W_ea, changed.forces, changed.displacements, W_aa, slack, du
+        state=_state(model, configuration, u, lambda_a),
+        W_ea=W_ea,
+        by_force=forces,
+        by_displacement=displacements,
+        W_aa=_force_compliance(forces, displacements, acts),
+        slack=slack,
+        displacement=or_nan(found.displacement),
     )
 
 

@@ -20,7 +20,13 @@ from softcal_jax.equilibrium._effectors import (
 )
 from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linear_solver import LinearSolution
-from softcal_jax.equilibrium._linearisation import factor_solve, residual, solved_forces
+from softcal_jax.equilibrium._linearisation import (
+    Linearisation,
+    factor_solve,
+    linearise,
+    residual,
+    solved_forces,
+)
 from softcal_jax.equilibrium._model import Model, build_model
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._problem import external_force
@@ -31,30 +37,39 @@ from softcal_jax.equilibrium._robot_state import (
     RobotState,
     robot_states,
 )
-from softcal_jax.equilibrium._solve import (
-    EquilibriumSolution,
-    ImplicitResponse,
-    check_converged,
-    implicit_response,
-    solve_equilibrium,
+from softcal_jax.equilibrium._sensitivity import (
+    AdjointRows,
+    InputRows,
+    Readings,
+    Sensitivity,
+    adjoint_rows,
+    input_rows,
+    sensitivity,
 )
+from softcal_jax.equilibrium._solution import EquilibriumSolution, check_converged
+from softcal_jax.equilibrium._solve import solve_equilibrium
 from softcal_jax.equilibrium._workers import Workers, program_key, usable_cores
 
 __all__ = [
     "RESULTS",
     "ActuatorState",
+    "AdjointRows",
     "BodyPlace",
     "Continuation",
     "EquilibriumSolution",
-    "ImplicitResponse",
+    "InputRows",
     "LinearSolution",
+    "Linearisation",
     "Model",
     "NewtonSettings",
     "Reaction",
+    "Readings",
     "RobotState",
+    "Sensitivity",
     "Workers",
     "actuator_forces",
     "add_weighted",
+    "adjoint_rows",
     "build_model",
     "check_converged",
     "continue_equilibrium",
@@ -66,13 +81,15 @@ __all__ = [
     "factor_solve",
     "field_forces",
     "gravity_load",
-    "implicit_response",
+    "input_rows",
     "internal_force",
     "lane_by_lane",
+    "linearise",
     "marker_positions",
     "program_key",
     "residual",
     "robot_states",
+    "sensitivity",
     "solve_equilibrium",
     "solved_forces",
     "strain_energy",

@@ -63,12 +63,6 @@ def among_all(
     return none.at[..., with_multiplier(model)].set(values, unique_indices=True)
 
 
-def imposed_forces(actuation: ActuationArrays) -> Float[Array, " n_a"]:
-    """Forces lambda_a at full load where they are imposed, 0 elsewhere."""
-    by_displacement = jnp.asarray(actuation.by_displacement)
-    return jnp.where(by_displacement, 0.0, jnp.asarray(actuation.value))
-
-
 def add_curvature(
     model: Model,
     values: Float[Array, " nnz"],

@@ -5,7 +5,6 @@ or two full Newton steps reach it. The tangent of the last one then serves twice
 the Newton step, and for the right-hand sides of the sensitivities.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -14,9 +13,8 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._actuation import System
 from softcal_jax.equilibrium._element import is_mixed
-from softcal_jax.equilibrium._linearisation import factor_solve
+from softcal_jax.equilibrium._linearisation import Linearisation, linearise
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings, newton
 from softcal_jax.equilibrium._problem import (
@@ -25,9 +23,9 @@ from softcal_jax.equilibrium._problem import (
     Point,
     evaluate,
     external_force,
-    product,
 )
-from softcal_jax.equilibrium._solve import EquilibriumSolution, as_solution
+from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._solve import as_solution
 
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which a guess was not good."""
@@ -51,26 +49,17 @@ SHORT = 1e-3
 Newton's method is at home there, and the tangent without it is quicker.
 """
 
-SAME_MATRIX = 1e-6
-"""Largest relative residual with which a solution is one of the given matrix [-]."""
-
-RightHandSides = Callable[
-    [Float[Array, "n_points 3"]], Float[Array, "n_rhs n_points 3"]
-]
-
 
 class Continuation(NamedTuple):
-    """An equilibrium, and further solutions with its tangent.
+    """An equilibrium, and the linear system there.
 
     Attributes:
         equilibrium: The equilibrium.
-        x: K^-1 times the right-hand sides, zero on held nodes [m].
-        ok: Whether `x` exists.
+        linearisation: The system, on the factors of the last Newton step if possible.
     """
 
     equilibrium: EquilibriumSolution
-    x: Float[Array, "n_rhs n_points 3"]
-    ok: Bool[Array, ""]
+    linearisation: Linearisation
 
 
 class _Quick(NamedTuple):
@@ -88,8 +77,6 @@ class _Quick(NamedTuple):
     direction: Direction
     chord: Bool[Array, ""]
     arrived: Bool[Array, ""]
-    x: Float[Array, "n_rhs n_points 3"]
-    ok: Bool[Array, ""]
     step: Int[Array, ""]
     robust: Bool[Array, ""]
     done: Bool[Array, ""]
@@ -99,14 +86,12 @@ def continue_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
     guess: Float[Array, "n_points 3"],
-    right_hand_sides: RightHandSides,
     *,
     settings: NewtonSettings,
     before: Float[Array, "n_points 3"] | None = None,
     precise: bool | Bool[Array, ""] = False,
-    transpose: bool = False,
 ) -> Continuation:
-    """Equilibrium near a guess, and K^-1 of further right-hand sides.
+    """Find the equilibrium near a guess, and keep its last factors for sensitivities.
 
     Full Newton steps are taken as long as each brings the residual down, the body is
     stable and no tet inverted; otherwise `solve_equilibrium` starts again with all its
@@ -120,16 +105,14 @@ def continue_equilibrium(
         model: The body.
         configuration: One configuration.
         guess: Displacement close to the equilibrium [m].
-        right_hand_sides: Nodal forces as a function of the displacement [N].
         settings: Settings of Newton's method, for the careful solve.
         before: Displacement of an equilibrium from which the guess was extrapolated, to
             first order; it spares a Newton step of a slender body [m].
         precise: Whether one more Newton step is taken, so that the tangent is that of
             the equilibrium.
-        transpose: Take K^-T for the right-hand sides, for an adjoint.
 
     Returns:
-        The equilibrium and the solutions.
+        The equilibrium and the linear system.
     """
     if not model.solver.counts_negative or is_mixed(
         model.formulation, model.weights.shape[1]
@@ -138,18 +121,21 @@ def continue_equilibrium(
         # eigenvalues of a non-symmetric tangent either); or, in a nearly incompressible
         # body, it hardly ever converges.
         solution = as_solution(newton(model, configuration, guess, settings))
-        solved = factor_solve(
-            model,
-            configuration,
-            solution.displacement,
-            right_hand_sides(solution.displacement),
-            transpose=transpose,
-        )
-        return Continuation(solution, solved.x, solved.ok)
+        u, lambda_a = solution.displacement, solution.multipliers
+        return Continuation(solution, linearise(model, configuration, u, lambda_a))
     tabulated = model.tabulated()
-    body = _Body(tabulated, configuration, right_hand_sides, settings, precise)
+    body = _Body(tabulated, configuration, settings, precise)
     state = jax.lax.while_loop(lambda s: ~s.done, body.step, body.start(guess, before))
-    return Continuation(state.solution, state.x, state.ok)
+    u, lambda_a = state.solution.displacement, state.solution.multipliers
+    linearisation = Linearisation(
+        unknowns=body.problem.unknowns(jnp.ones((), guess.dtype)),
+        u=u,
+        lambda_a=lambda_a,
+        system=state.direction.system,
+        regular=state.direction.ok,
+        factorized=True,
+    )
+    return Continuation(state.solution, linearisation)
 
 
 class _Body(NamedTuple):
@@ -157,7 +143,6 @@ class _Body(NamedTuple):
 
     model: Model
     configuration: ConfigurationArrays
-    right_hand_sides: RightHandSides
     settings: NewtonSettings
     precise: bool | Bool[Array, ""]
 
@@ -194,7 +179,6 @@ class _Body(NamedTuple):
             at.min_det_F,
             count,
         )
-        n_rhs = jax.eval_shape(self.right_hand_sides, at.u).shape
         no = jnp.zeros((), bool)
         before = at.u if before is None else before
         before = jnp.where(self.residual(at, lambda_a) <= SHORT, at.u, before)
@@ -206,8 +190,6 @@ class _Body(NamedTuple):
             lambda_a,
             jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), none),
             no,
-            no,
-            jnp.zeros(n_rhs, guess.dtype),
             no,
             count,
             ~usable,
@@ -287,12 +269,6 @@ class _Body(NamedTuple):
         pick = lambda a, b: jnp.where(taken, a, b)
         solution = jax.tree.map(pick, quick, solution)
         done = was_careful | last
-        x, ok = jax.lax.cond(
-            done,
-            lambda u: self.further(direction.system, u, direction.ok),
-            lambda u: (s.x, s.ok),
-            solution.displacement,
-        )
         return _Quick(
             solution,
             jax.tree.map(pick, new, at),
@@ -301,39 +277,7 @@ class _Body(NamedTuple):
             direction,
             chord,
             arrived,
-            x,
-            ok,
             n_newton,
             ~was_careful & ~arrived & ~contracts,
             done,
         )
-
-    def further(self, system: System, u, regular):
-        """The further solutions, once the equilibrium is there."""
-        unknowns = self.problem.unknowns(jnp.ones((), u.dtype))
-        fixed = unknowns.fixed()
-        free = lambda f: jnp.where(fixed, 0.0, unknowns.gather(u, f))
-        b = jax.vmap(free)(self.right_hand_sides(u))
-        ok = regular & jnp.all(jnp.isfinite(b))
-        solve = lambda: self.solve_again(system, b)
-        x = jax.lax.cond(ok, solve, lambda: jnp.zeros_like(b))
-        return jax.vmap(lambda d: unknowns.scatter(u, d))(x), ok
-
-    def solve_again(self, system: System, b: Float[Array, "n_rhs n_dof"]):
-        """Solutions on the factors of the last Newton step.
-
-        PARDISO keeps its factors in a place that other programs may write to in
-        between; a mixture of all right-hand sides tells, in one product. Then the
-        matrix is factorized again. So it is where actuators' displacements are imposed.
-        """
-        solver, values = self.model.solver, system.values
-        n_m = system.active.size
-        again = lambda: system.solve(self.model, b, jnp.zeros((len(b), n_m))).x
-        if n_m > 0:
-            return again()
-        x = solver.solve_again(values, b)
-        size = jnp.linalg.norm(b, axis=1)
-        mix = jnp.where(size > 0.0, 1.0 / size, 0.0)[:, None]
-        gap = product(solver.sparsity, values, jnp.sum(mix * x, axis=0))
-        gap = jnp.linalg.norm(gap - jnp.sum(mix * b, axis=0))
-        return jax.lax.cond(gap <= SAME_MATRIX, lambda: x, again)

@@ -9,7 +9,7 @@ from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
 from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._solve import EquilibriumSolution
+from softcal_jax.equilibrium._solution import EquilibriumSolution
 from softcal_jax.equilibrium._unknowns import Unknowns
 
 
@@ -52,7 +52,9 @@ def effector_positions(
     """
     x = actuation.positions(model, u)
     weights = jnp.asarray(effectors.weights)
-    rows = [jnp.sum(weights[:, :, None] * x[effectors.nodes], axis=1)]
+    points = jnp.sum(weights[:, :, None] * x[effectors.nodes], axis=1)
+    centre = jnp.mean(jnp.asarray(model.mesh.points), axis=0)
+    rows = [effectors.base.point(points, centre)]
     if effectors.only_points:
         return rows[0]
     bodies = model.mechanism.bodies
@@ -60,7 +62,8 @@ def effector_positions(
     if bodies.n_bodies > 0:
         rotation = frames_at(bodies, x[model.mesh.n_nodes :]).rotation
         reference = jnp.asarray(effectors.turn_reference)
-        rows.append(jax.vmap(_turn)(rotation[effectors.turn_body], reference))
+        seen = effectors.base.turn(rotation[effectors.turn_body])
+        rows.append(jax.vmap(_turn)(seen, reference))
     else:
         rotation = jnp.broadcast_to(jnp.eye(3)[None], (1, 3, 3))
     if n_scalars > 0:
@@ -129,7 +132,7 @@ def actuator_forces(
     Of a motor whose angle is imposed: the torque with which it holds its body.
     It takes what `effector_values` takes.
     """
-    forces = actuation.imposed_forces(configuration.actuation)
+    forces = configuration.actuation.forces
     if unbalanced is None:
         unbalanced = residual(model, configuration, u, multipliers)
     if multipliers is None:

@@ -1,11 +1,12 @@
 """The linear system at a known equilibrium, and what is out of balance there."""
 
-from typing import NamedTuple
+from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._assembly import internal_force, tangent_values
@@ -19,8 +20,10 @@ from softcal_jax.equilibrium._problem import (
     mask_supports,
     product,
 )
-from softcal_jax.equilibrium._sparsity import Sparsity
 from softcal_jax.equilibrium._unknowns import Unknowns
+
+SAME_MATRIX = 1e-6
+"""Largest relative residual with which a solution is one of the given matrix [-]."""
 
 
 def residual(
@@ -29,7 +32,7 @@ def residual(
     u: Float[Array, "n_points 3"],
     lambda_a: Float[Array, " n_a"] | None = None,
 ) -> Float[Array, "n_points 3"]:
-    """Out-of-balance force f - f_ext - H_a^T lambda_a on all nodes [N]; Eq. (1).
+    """Compute the out-of-balance force f - f_ext - H_a^T lambda_a [N]; Eq. (1).
 
     Zero on free coordinates at equilibrium; on held ones it is the reaction, the force
     of the support on the body. Summed over a rigid body it is zero, or what holds it.
@@ -61,45 +64,174 @@ def _at(model: Model, configuration: ConfigurationArrays, u):
 def solved_forces(
     model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
 ) -> Float[Array, " n_a"]:
-    """Forces of actuators whose displacement is imposed, at an equilibrium."""
+    """Find the forces of actuators with imposed displacement, at an equilibrium."""
     at, problem = _at(model, configuration, u)
     return problem.estimated_forces(at, jnp.ones((), u.dtype))
 
 
-class Linearisation(NamedTuple):
-    """The bordered system at an equilibrium.
+class Linearisation(eqx.Module):
+    """The bordered system at an equilibrium, with its solver.
 
     Attributes:
-        unknowns: The unknowns at full load.
+        unknowns: The unknowns at full load, with model and configuration.
+        u: Displacement at the equilibrium [m].
+        lambda_a: Forces of actuators whose displacement is imposed.
         system: The matrix.
-        full: Tangent over all nodes, the actuators' forces included.
-        pattern: Its pattern.
+        regular: Whether it could be factorized, as far as is known.
+        factorized: Whether the solver may still have the factors of this matrix.
     """
 
     unknowns: Unknowns
+    u: Float[Array, "n_points 3"]
+    lambda_a: Float[Array, " n_a"]
     system: actuation.System
-    full: Float[Array, " nnz"]
-    pattern: Sparsity
+    regular: Bool[Array, ""]
+    factorized: bool = eqx.field(static=True, default=False)
 
-    def free(self, u, forces):
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self.unknowns.model
+
+    @property
+    def configuration(self) -> ConfigurationArrays:
+        """The configuration."""
+        return self.unknowns.configuration
+
+    def free(self, forces: Float[Array, "n_points 3"]) -> Float[Array, " n_dof"]:
         """Forces on the free unknowns, 0 on the others [N]."""
-        gathered = self.unknowns.gather(u, forces)
+        gathered = self.unknowns.gather(self.u, forces)
         return jnp.where(self.unknowns.fixed(), 0.0, gathered)
 
-    def stiffness(self, du):
-        """Change of the forces on all nodes in a small displacement [N]."""
-        return product(self.pattern, self.full, du.ravel()).reshape(du.shape)
+    def scatter(self, x: Float[Array, "n n_dof"]) -> Float[Array, "n n_points 3"]:
+        """Displacements of all nodes in steps of the unknowns [m]."""
+        return jax.vmap(lambda d: self.unknowns.scatter(self.u, d))(x)
+
+    def solve(
+        self,
+        force: Float[Array, "n n_dof"],
+        gap: Float[Array, "n n_m"],
+        *,
+        transpose: bool = False,
+    ) -> actuation.Bordered:
+        """Solve for several right-hand sides, by one factorization at most.
+
+        Args:
+            force: Forces on the free unknowns, 0 on the others [N].
+            gap: How far the imposed displacements have to go.
+            transpose: Solve with the transposed matrix.
+
+        Returns:
+            The solutions; not ok, and zero, where there are none.
+        """
+        if not self.factorized:
+            return _solve(self.model, self.system, force, gap, transpose=transpose)
+        solve = partial(self.system.solve, self.model, transpose=transpose)
+        ok = self.regular & jnp.all(jnp.isfinite(force)) & jnp.all(jnp.isfinite(gap))
+        zeros = jax.tree.map(
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
+            jax.eval_shape(solve, force, gap),
+        )
+        again = lambda: self._on_last_factors(solve, force, gap)
+        return jax.lax.cond(ok, again, lambda: zeros)
+
+    def _on_last_factors(self, solve, force, gap) -> actuation.Bordered:
+        """Solve on the factors of the last Newton step.
+
+        PARDISO keeps its factors in a place that other programs may write to in
+        between; a mixture of all right-hand sides tells, in one product. Then the
+        matrix is factorized again. So it is where actuators' displacements are imposed.
+        """
+        if gap.shape[1] > 0:
+            return solve(force, gap)
+        solver, values = self.model.solver, self.system.values
+        x = solver.solve_again(values, force)
+        size = jnp.linalg.norm(force, axis=1)
+        mix = jnp.where(size > 0.0, 1.0 / size, 0.0)[:, None]
+        off = product(solver.sparsity, values, jnp.sum(mix * x, axis=0))
+        off = jnp.linalg.norm(off - jnp.sum(mix * force, axis=0))
+        found = actuation.Bordered(
+            x=x,
+            lambda_a=gap,
+            W_aa=jnp.zeros((0, 0)),
+            n_negative=jnp.full((), -1, jnp.int32),
+            ok=jnp.ones((), bool),
+        )
+        anew = lambda: solve(force, gap)
+        return jax.lax.cond(off <= SAME_MATRIX, lambda: found, anew)
+
+
+def _solve(
+    model: Model,
+    system: actuation.System,
+    force: Float[Array, "n n_dof"],
+    gap: Float[Array, "n n_m"],
+    *,
+    transpose: bool,
+) -> actuation.Bordered:
+    """Solve the bordered system; linear in the right-hand sides for autodiff, too."""
+    n_dof, n_m = force.shape[1], gap.shape[1]
+    values, H_a, active = system
+    if transpose and model.solver.sparsity.mirror is not None:
+        values = values[model.solver.sparsity.mirror]
+    # An array without entries would make JAX 0.10.2 lose the solver's call.
+    join = lambda x, lam: jnp.concatenate([x, lam], axis=1) if n_m > 0 else x
+
+    def matvec(v):
+        x, lam = v[:, :n_dof], v[:, n_dof:]
+        out = jax.vmap(lambda d: product(model.solver.sparsity, values, d))(x)
+        if n_m == 0:
+            return out
+        acting = jnp.where(active[None], lam, 0.0)
+        out = out - jnp.sum(acting[:, :, None] * H_a[None], axis=1)
+        closed = -jnp.sum(H_a[None] * x[:, None], axis=2)
+        return join(out, jnp.where(active[None], closed, lam))
+
+    def solve(_, b, *, transpose):
+        below = b[:, n_dof:]
+        wanted = jnp.where(active[None], -below, 0.0) if n_m > 0 else below
+        found = system.solve(model, b[:, :n_dof], wanted, transpose=transpose)
+        lam = jnp.where(active[None], found.lambda_a, below) if n_m > 0 else below
+        return join(found.x, lam), (found.W_aa, found.n_negative, found.ok)
+
+    x, (W_aa, n_negative, ok) = jax.lax.custom_linear_solve(
+        matvec,
+        join(force, jnp.where(active[None], -gap, 0.0)),
+        partial(solve, transpose=transpose),
+        transpose_solve=partial(solve, transpose=not transpose),
+        symmetric=model.conservative,
+        has_aux=True,
+    )
+    return actuation.Bordered(
+        x=x[:, :n_dof],
+        lambda_a=x[:, n_dof:],
+        W_aa=W_aa,
+        n_negative=n_negative,
+        ok=ok,
+    )
 
 
 def linearise(
-    model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+    lambda_a: Float[Array, " n_a"] | None = None,
 ) -> Linearisation:
-    """Tangent and actuator rows at an equilibrium displacement."""
+    """Assemble the tangent and the actuator rows at an equilibrium.
+
+    Args:
+        model: The model.
+        configuration: One configuration.
+        u: Displacement at the equilibrium [m].
+        lambda_a: Forces of actuators whose displacement is imposed; found from the
+            balance by default.
+    """
     one = jnp.ones((), u.dtype)
     at, problem = _at(model, configuration, u)
-    lambda_a = jnp.zeros_like(at.delta_a)
-    if problem.has_multipliers:
-        lambda_a = problem.estimated_forces(at, one)
+    if lambda_a is None:
+        lambda_a = jnp.zeros_like(at.delta_a)
+        if problem.has_multipliers:
+            lambda_a = problem.estimated_forces(at, one)
     g, rows = problem.unbalanced(at, lambda_a, one)
     full = actuation.add_curvature(
         model, tangent_values(model, u), u, problem.all_forces(lambda_a, one)
@@ -110,7 +242,13 @@ def linearise(
     which = problem.with_multiplier
     H_a = problem.rows_on_unknowns(u, one, rows[which])
     system = actuation.System(masked, H_a, problem.taut(at, one)[which])
-    return Linearisation(unknowns, system, full, model.pattern)
+    return Linearisation(
+        unknowns=unknowns,
+        u=u,
+        lambda_a=lambda_a,
+        system=system,
+        regular=jnp.ones((), bool),
+    )
 
 
 def factor_solve(
@@ -137,8 +275,6 @@ def factor_solve(
         Displacements of all nodes, zero on held ones [m].
     """
     lin = linearise(model, configuration, u)
-    forces = jax.vmap(lambda f: lin.free(u, f))(rhs)
     gap = jnp.zeros((rhs.shape[0], lin.system.active.size))
-    solved = lin.system.solve(model, forces, gap, transpose=transpose)
-    x = jax.vmap(lambda d: lin.unknowns.scatter(u, d))(solved.x)
-    return LinearSolution(x, solved.n_negative, solved.ok)
+    solved = lin.solve(jax.vmap(lin.free)(rhs), gap, transpose=transpose)
+    return LinearSolution(lin.scatter(solved.x), solved.n_negative, solved.ok)

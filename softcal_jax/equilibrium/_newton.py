@@ -18,7 +18,6 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._problem import (
     Direction,
@@ -135,7 +134,7 @@ class NewtonLoop:
         work = load * f_ext * at.u
         value, scale = at.energy - jnp.sum(work), at.energy_scale
         scale = scale + jnp.sum(jnp.abs(work))
-        forces = actuation.imposed_forces(self.body.configuration.actuation)
+        forces = self.body.configuration.actuation.forces
         of_actuators = load * forces * at.delta_a
         value = value - jnp.sum(of_actuators)
         return value, scale + jnp.sum(jnp.abs(of_actuators))

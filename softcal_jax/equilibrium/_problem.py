@@ -32,8 +32,7 @@ def external_force(
     model: Model, configuration: ConfigurationArrays
 ) -> Float[Array, "n_points 3"]:
     """Dead loads and weight as nodal forces, f_ext(p) [N]."""
-    weight = gravity_load(model, jnp.asarray(configuration.gravity))
-    return jnp.asarray(configuration.force) + weight
+    return configuration.dead_loads + gravity_load(model, configuration.acceleration)
 
 
 def product(sparsity, values, v):
@@ -160,7 +159,7 @@ class EquilibriumProblem:
 
     def all_forces(self, lambda_a, load) -> Float[Array, " n_a"]:
         """Forces of all actuators at a share of the load."""
-        imposed = actuation.imposed_forces(self.configuration.actuation)
+        imposed = self.configuration.actuation.forces
         return jnp.where(self.by_multiplier(), lambda_a, load * imposed)
 
     def dilatation(self, theta, u, du):

@@ -1,15 +1,26 @@
 """Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
+from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import SetupParameter, motor_zero, mounting
+from softcal_jax.fields._setup import SetupParameter
+from softcal_jax.fields._setup_parameters import (
+    actuator_factor,
+    clamp_stiffness,
+    gravity_tilt,
+    load_factor,
+    motor_zero,
+    mounting,
+    recording_offset,
+)
 from softcal_jax.fields._space import Entry, ParameterSpace, Pin, as_space, check_names
 from softcal_jax.fields._spread import ControlPointParameters
 from softcal_jax.fields._unnamed import unnamed
 from softcal_jax.fields._validation import check_parameters
 
 __all__ = [
+    "AbstractEntry",
     "ControlPointParameters",
     "ControlPoints",
     "Entry",
@@ -17,13 +28,18 @@ __all__ = [
     "ParameterSpace",
     "Pin",
     "SetupParameter",
+    "actuator_factor",
     "as_space",
     "check_names",
     "check_parameters",
+    "clamp_stiffness",
     "find_field",
+    "gravity_tilt",
     "idw_weights",
+    "load_factor",
     "motor_zero",
     "mounting",
+    "recording_offset",
     "set_field",
     "unnamed",
 ]

@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import SetupParameter
+from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._spread import ControlPointParameters
 
-Entries = tuple[Parameter | ControlPointParameters | SetupParameter, ...]
+Entries = tuple[AbstractEntry, ...]
 
 
 class FadingAxis(NamedTuple):

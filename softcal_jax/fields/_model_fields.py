@@ -7,9 +7,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._typing import Float
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import PointValues, is_point_values
 
 
@@ -66,6 +67,13 @@ def _in_region(model: Any, old: Any, value: PointValues, region: str | None):
         everywhere = jnp.broadcast_to(per_tet[:, None], shape)
     tets = model.mesh.tets_of(region)
     return PointValues(everywhere.at[tets].set(value.values))
+
+
+def region_tets(mesh: Any, region: str | None) -> HostArray:
+    """Indices of the tets of a region; of all without one."""
+    if region is None:
+        return np.arange(mesh.n_tets)
+    return np.asarray(mesh.tets_of(region))
 
 
 def find_field(model: Any, field: str):

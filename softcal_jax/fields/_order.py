@@ -7,11 +7,11 @@ import numpy as np
 
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
+from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._spread import ControlPointParameters
 
-Entries = tuple[Parameter | ControlPointParameters | SetupParameter, ...]
+Entries = tuple[AbstractEntry, ...]
 
 
 class Term(NamedTuple):

@@ -1,6 +1,7 @@
 """One unknown number: its bounds, its scaling S and where it enters the model."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import equinox as eqx
@@ -8,14 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, is_traced
-from softcal_jax.fields._model_fields import set_field
+from softcal_jax.fields._entry import AbstractEntry
+from softcal_jax.fields._model_fields import find_field, set_field
+from softcal_jax.materials import is_point_values
 
 
 def _number(value) -> Float[Array, ""]:
     return jnp.asarray(value, float)
 
 
-class Parameter(eqx.Module):
+class Parameter(AbstractEntry):
     """One unknown constant of the model.
 
     Attributes:
@@ -125,6 +128,37 @@ class Parameter(eqx.Module):
         """Value of a scaled coordinate: p = exp z, or p = S z."""
         return jnp.exp(z) if self.scale == "log" else z * self.unit_step
 
-    def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
-        """The model with the value of this parameter, out of those of all."""
-        return set_field(model, self.field, values[self.name], self.region)
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The field that it sets."""
+        return (self.field,)
+
+    @property
+    def label(self) -> str:
+        """Its name."""
+        return self.name
+
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Set its field to one value in its region."""
+        value = values[self.name]
+        return set_field(model, self.field, value, self.region), configuration
+
+    def check(self, model: Any) -> None:
+        """Raise ValueError if it would flatten constants that differ over the body."""
+        value = find_field(model, self.field)(model)
+        values = np.asarray(value.values if is_point_values(value) else value)
+        if self.region is None and values.ndim and np.ptp(values) > 0:
+            raise ValueError(
+                f"parameter {self.name!r} would give the whole body one value of "
+                f"{self.field}, which now lies between {values.min():g} and "
+                f"{values.max():g}. Name the tet group it is for in `region`."
+            )
+
+    def renamed(
+        self, points: Mapping[str, str], names: Mapping[str, str]
+    ) -> "Parameter":
+        """The same parameter with another name."""
+        del points
+        return replace(self, name=names[self.name])

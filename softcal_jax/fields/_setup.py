@@ -1,141 +1,233 @@
-"""Errors of the setup as parameters: zeros of motors, places of mountings."""
+"""What is only roughly known of setup, loads and recordings, as parameters (Sec. VII).
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+An error of the setup that is no parameter ends up in the moduli, where residuals need
+not show it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from operator import attrgetter
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
-import numpy as np
-from jaxtyping import ArrayLike
+import jax.numpy as jnp
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import name_key, unknown_name
 from softcal_jax._typing import Array, Float
+from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._parameters import Parameter
 
+Scope = Literal["configuration", "recording"]
+_SCOPES: tuple[Scope, ...] = ("configuration", "recording")
 
-class SetupParameter(eqx.Module):
-    """One unknown of how the robot was set up, calibrated together with its material.
+XYZ = ("x", "y", "z")
 
-    The paper asks for this decoupling in Sec. VII: an error of the setup that is no
-    parameter ends up in the moduli.
+
+class Quantity(NamedTuple):
+    """An array of the model, or of its configurations, whose entries can be unknown.
 
     Attributes:
-        kind: "motor_zero", what a motor adds to its angle [rad]; or "mounting", a
-            coordinate of the translation that mounts a rigid body [m].
-        of: The motor, or the rigid body.
-        parameter: Name, start, bounds, scaling and prior; of a linear scale. Its
-            `field` is not looked at.
-        axis: Coordinate of a mounting, "x", "y" or "z".
+        path: Dotted path of the array.
+        of_configuration: Whether configurations hold it, or the model.
+        noun: What its first axis counts, like "motor"; empty if it counts nothing.
+        names: Names along the first axis, from the model or the configuration.
+        components: Names along the last axis; empty for one number.
+        scales: Scales that a parameter of it may have.
+    """
+
+    path: str
+    of_configuration: bool
+    noun: str = ""
+    names: Callable[[Any], Sequence[str]] = lambda _: ()
+    components: tuple[str, ...] = ()
+    scales: tuple[str, ...] = ("linear",)
+
+
+def _motors(model: Any) -> list[str]:
+    """Names of all actuators, empty for those that are no motor."""
+    actuators = model.mechanism.actuators
+    both = zip(actuators.names, actuators.motor_body, strict=True)
+    return [name if body >= 0 else "" for name, body in both]
+
+
+QUANTITIES = {
+    "motor_zero": Quantity(
+        "mechanism.motor_zero", of_configuration=False, noun="motor", names=_motors
+    ),
+    "mounting": Quantity(
+        "mechanism.bodies.mounting_translation",
+        of_configuration=False,
+        noun="rigid body",
+        names=attrgetter("mechanism.bodies.names"),
+        components=XYZ,
+    ),
+    "gravity_tilt": Quantity(
+        "tilt", of_configuration=True, components=("first", "second")
+    ),
+    "load_factor": Quantity(
+        "load_factor", of_configuration=True, scales=("linear", "log")
+    ),
+    "actuator_factor": Quantity(
+        "actuation.force_factor",
+        of_configuration=True,
+        noun="actuator",
+        names=attrgetter("actuation.names"),
+        scales=("linear", "log"),
+    ),
+    "recording_offset": Quantity(
+        "effectors.base.translation", of_configuration=True, components=XYZ
+    ),
+    "recording_turn": Quantity(
+        "effectors.base.rotation", of_configuration=True, components=XYZ
+    ),
+    "clamp_stiffness": Quantity(
+        "springs.stiffness",
+        of_configuration=True,
+        noun="support with a stiffness",
+        names=attrgetter("springs.names"),
+        scales=("log", "linear"),
+    ),
+}
+"""Kinds of parameters that set one entry of an array: one line for a new kind."""
+
+
+def _as_tuple(parameters: Parameter | Sequence[Parameter]) -> tuple[Parameter, ...]:
+    return (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
+
+
+class SetupParameter(AbstractEntry):
+    """One unknown of the setup, the loads or the recordings.
+
+    It is calibrated together with the material: the paper asks for this decoupling in
+    Sec. VII. `motor_zero`, `mounting`, `gravity_tilt`, `load_factor`,
+    `actuator_factor`, `recording_offset` and `clamp_stiffness` make them.
+
+    Attributes:
+        kind: One of `QUANTITIES`.
+        of: What it belongs to, like the motor; empty where it belongs to nothing.
+        parameters: The unknown: name, start, bounds, scaling and prior; its `field` is
+            not looked at. One for each name in `each`, where there are any.
+        axis: Component of a quantity that has several, like "x"; empty otherwise.
+        each: Configurations or recordings that have an unknown each; those not named
+            keep what they state. Empty for one unknown common to all.
+        by: What `each` names, "configuration" or "recording".
     """
 
     kind: str = eqx.field(static=True)
     of: str = eqx.field(static=True)
-    parameter: Parameter
-    axis: str = eqx.field(static=True, default="x")
+    parameters: tuple[Parameter, ...] = eqx.field(converter=_as_tuple)
+    axis: str = eqx.field(static=True, default="")
+    each: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
+    by: Scope = eqx.field(static=True, default="recording")
 
     def __check_init__(self):
-        if self.kind not in ("motor_zero", "mounting"):
+        if self.kind not in QUANTITIES:
+            raise unknown_name("kind of a setup parameter", self.kind, QUANTITIES)
+        quantity, what = self.quantity, f"parameter {self.label!r}"
+        quoted = lambda names: " or ".join(f'"{name}"' for name in names)
+        if quantity.components and self.axis not in quantity.components:
             raise ValueError(
-                f'kind must be "motor_zero" or "mounting", got {self.kind!r}.'
+                f"{what}: axis must be {quoted(quantity.components)}, got "
+                f"{self.axis!r}."
             )
-        if self.axis not in ("x", "y", "z"):
-            raise ValueError(f'axis must be "x", "y" or "z", got {self.axis!r}.')
-        if self.parameter.scale != "linear":
+        if self.axis and not quantity.components:
             raise ValueError(
-                f"parameter {self.parameter.name!r} of the setup needs "
-                'scale="linear": zero is a value that it may have.'
+                f"{what}: {self.kind} is one number and has no axis, got {self.axis!r}."
             )
+        if self.parameters[0].scale not in quantity.scales:
+            raise ValueError(
+                f"{what} of the setup needs scale={quoted(quantity.scales)}: zero is a "
+                "value that it may have."
+            )
+        self._check_scope(what)
+
+    def _check_scope(self, what: str) -> None:
+        if self.by not in _SCOPES:
+            raise ValueError(
+                f'{what}: by must be "configuration" or "recording", got {self.by!r}.'
+            )
+        if self.each and not self.quantity.of_configuration:
+            raise ValueError(
+                f"{what}: {self.kind} belongs to the robot, which all configurations "
+                "share; leave `each` out."
+            )
+        if len(self.parameters) != max(1, len(self.each)):
+            raise ValueError(
+                f"{what}: {len(self.parameters)} unknowns were given, expected one for "
+                f"each {self.by} named ({', '.join(self.each) or 'none'}), or one for "
+                "all."
+            )
+        for name in self.each:
+            if self.each.count(name) > 1:
+                raise ValueError(f"{what}: {name!r} stands twice in `each`.")
 
     @property
-    def field(self) -> str:
-        """What it sets, for messages."""
-        return self.kind
+    def quantity(self) -> Quantity:
+        """What it sets."""
+        return QUANTITIES[self.kind]
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The unknown that it adds."""
-        return (self.parameter,)
+    def fields(self) -> tuple[str, ...]:
+        """None: it sets no field of the law."""
+        return ()
+
+    @property
+    def region(self) -> None:
+        """None: it belongs to no tets."""
+        return None
+
+    @property
+    def label(self) -> str:
+        """Names of its unknowns."""
+        return ", ".join(parameter.name for parameter in self.parameters)
 
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
-        mechanism = model.mechanism
-        if self.kind == "mounting":
-            known, kind = mechanism.bodies.names, "rigid body"
+        if not self.quantity.of_configuration:
+            self._index(model)
+
+    def _index(self, owner: Any) -> tuple[int, ...]:
+        """Where its entry stands in the array.
+
+        Raises:
+            ValueError: If model or configuration do not have what it belongs to.
+        """
+        quantity, index = self.quantity, ()
+        if quantity.noun:
+            names = list(quantity.names(owner))
+            known = [name for name in names if name]
+            if self.of not in known:
+                what = f"{quantity.noun} of parameter {self.label!r}"
+                raise unknown_name(what, self.of, known)
+            index = (names.index(self.of),)
+        if quantity.components:
+            index += (quantity.components.index(self.axis),)
+        return index
+
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Set its entry, in configurations that it does not belong to as it was."""
+        of_configuration = self.quantity.of_configuration
+        owner = configuration if of_configuration else model
+        if owner is None:
+            return model, configuration
+        where = attrgetter(self.quantity.path)
+        old, index = jnp.asarray(where(owner)), self._index(owner)
+        new = old[index]
+        if self.each:
+            own = configuration.key[_SCOPES.index(self.by)]
+            for name, parameter in zip(self.each, self.parameters, strict=True):
+                new = jnp.where(own == name_key(name), values[parameter.name], new)
         else:
-            actuators = mechanism.actuators
-            motors = zip(actuators.names, actuators.motor_body, strict=True)
-            known, kind = [name for name, body in motors if body >= 0], "motor"
-        if self.of not in known:
-            what = f"{kind} of parameter {self.parameter.name!r}"
-            raise unknown_name(what, self.of, known)
+            new = values[self.parameters[0].name]
+        owner = eqx.tree_at(where, owner, old.at[index].set(new))
+        return (model, owner) if of_configuration else (owner, configuration)
 
-    def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
-        """The model with the value of this parameter, out of those of all."""
-        value, mechanism = values[self.parameter.name], model.mechanism
-        if self.kind == "motor_zero":
-            a = mechanism.actuators.names.index(self.of)
-            zeros = mechanism.motor_zero.at[a].set(value)
-            return eqx.tree_at(lambda m: m.mechanism.motor_zero, model, zeros)
-        k = mechanism.bodies.names.index(self.of)
-        moved = mechanism.bodies.mounting_translation.at[k, "xyz".index(self.axis)]
-        return eqx.tree_at(
-            lambda m: m.mechanism.bodies.mounting_translation, model, moved.set(value)
-        )
-
-
-def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupParameter:
-    """The zero error of a motor as a parameter.
-
-    Args:
-        motor: Name of the motor.
-        limit: Largest error looked for [rad].
-        prior_std: Its standard deviation before any data [rad]; None if not known.
-    """
-    what = f"zero of {motor}"
-    parameter = Parameter(
-        what,
-        "motor_zero",
-        0.0,
-        -limit,
-        limit,
-        scale="linear",
-        S=limit,
-        unit="rad",
-        prior_std=prior_std,
-    )
-    return SetupParameter("motor_zero", motor, parameter)
-
-
-def mounting(
-    body: str,
-    nominal: Float[ArrayLike, "3"] | Sequence[float],
-    *,
-    limit: float,
-    prior_std: float | None,
-) -> tuple[SetupParameter, ...]:
-    """The three coordinates of the mounting of a rigid body as parameters.
-
-    Args:
-        body: Name of the body.
-        nominal: Translation that it should have [m].
-        limit: Largest error looked for, per axis [m].
-        prior_std: Its standard deviation before any data [m]; None if not known.
-    """
-    return tuple(
-        SetupParameter(
-            "mounting",
-            body,
-            Parameter(
-                f"mounting {axis} of {body}",
-                "mounting",
-                float(value),
-                float(value) - limit,
-                float(value) + limit,
-                scale="linear",
-                S=limit,
-                unit="m",
-                prior_std=prior_std,
-            ),
-            axis,
-        )
-        for axis, value in zip(("x", "y", "z"), np.asarray(nominal), strict=True)
-    )
+    def renamed(
+        self, points: Mapping[str, str], names: Mapping[str, str]
+    ) -> "SetupParameter":
+        """The same unknowns with other names."""
+        del points
+        own = tuple(replace(q, name=names[q.name], unit="") for q in self.parameters)
+        return replace(self, parameters=own)

@@ -5,16 +5,17 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.fields._axes import AxisChart
 from softcal_jax.fields._cores import fading_axes
+from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._order import axis_columns, order_terms
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._spread import ControlPointParameters
 
-Entry = Parameter | ControlPointParameters | SetupParameter
+Entry = AbstractEntry
 
 
 def _as_pairs(order: Iterable[Sequence[str]]) -> tuple[tuple[str, str], ...]:
@@ -45,7 +46,7 @@ class Pin(eqx.Module):
     """A parameter that is drawn to a value, whatever is known of it before.
 
     Attributes:
-        column: Number of the parameter.
+        column: Index of the parameter.
         value: Its scaled value [-].
         weight: 1 / how far it may be off, scaled [-].
     """
@@ -216,26 +217,72 @@ class ParameterSpace(eqx.Module):
         terms = order_terms(self.entries, self.order)
         return [(small.name, large.name) for small, large in terms]
 
-    def apply(self, model: Any, z: Float[Array, " n_p"]) -> Any:
-        """The model with the values of scaled coordinates.
+    def apply(
+        self, model: Any, configuration: Any, z: Float[Array, " n_p"]
+    ) -> tuple[Any, Any]:
+        """Set the values of scaled coordinates in a model and a configuration.
 
         Args:
-            model: Anything with `law`, `density` and `mesh`.
-            z: Scaled coordinates.
+            model: Anything with `law`, `density`, `mesh` and `mechanism`.
+            configuration: Arrays of one configuration; None where only the model is
+                wanted.
+            z: Scaled coordinates [-].
 
         Returns:
-            The model, with the fields of the law or the density replaced.
+            Both, with what the parameters set; setting it again changes nothing.
 
         Raises:
-            ValueError: If a field or a region does not exist, or a field is not unique.
+            ValueError: If one of them does not have what a parameter sets.
         """
-        p = self.from_scaled(z)
-        values = {name: p[i] for i, name in enumerate(self.names)}
+        none = np.zeros(0, int)
+        return self.apply_partly(model, configuration, z, none, z[none])
+
+    def apply_partly(
+        self,
+        model: Any,
+        configuration: Any,
+        z: Float[Array, " n_p"],
+        columns: Int[HostArray, " n"],
+        own: Float[Array, " n"],
+    ) -> tuple[Any, Any]:
+        """Do the same with some coordinates given apart, for derivatives by them alone.
+
+        Args:
+            model: As for `apply`.
+            configuration: As for `apply`.
+            z: Scaled coordinates [-].
+            columns: Indices of those that are given apart.
+            own: Their values, in place of those in `z` [-].
+        """
+        parameters = self.parameters
+        scaled = {q.name: z[i] for i, q in enumerate(parameters)}
+        scaled |= {parameters[i].name: own[k] for k, i in enumerate(columns)}
+        values = {q.name: q.from_scaled(scaled[q.name]) for q in parameters}
         for entry in self.entries:
-            model = entry.apply(model, values)
+            model, configuration = entry.apply(model, configuration, values)
         for axis in fading_axes(self.entries, self.axes):
             model = axis.apply(model, values)
-        return model
+        return model, configuration
+
+    def model_at(self, model: Any, z: Float[Array, " n_p"]) -> Any:
+        """Set the values of scaled coordinates in a model, whatever its configuration.
+
+        Args:
+            model: Anything with `law`, `density`, `mesh` and `mechanism`.
+            z: Scaled coordinates [-].
+        """
+        return self.apply(model, None, z)[0]
+
+    @property
+    def field_names(self) -> tuple[str, ...]:
+        """Fields of the law, or the density, that parameters set."""
+        names = [name for entry in self.entries for name in entry.fields]
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def sets_fields(self) -> tuple[bool, ...]:
+        """Whether each parameter sets such fields and nothing else."""
+        return tuple(bool(e.fields) for e in self.entries for _ in e.parameters)
 
 
 def as_space(
@@ -244,7 +291,7 @@ def as_space(
     """A parameter space of one parameter or several."""
     if isinstance(parameters, ParameterSpace):
         return parameters
-    if isinstance(parameters, Parameter | ControlPointParameters | SetupParameter):
+    if isinstance(parameters, AbstractEntry):
         return ParameterSpace((parameters,))
     return ParameterSpace(tuple(parameters))
 

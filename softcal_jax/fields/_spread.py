@@ -11,7 +11,8 @@ from jaxtyping import ArrayLike
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
-from softcal_jax.fields._model_fields import set_field
+from softcal_jax.fields._entry import AbstractEntry
+from softcal_jax.fields._model_fields import region_tets, set_field
 from softcal_jax.fields._parameters import Parameter
 from softcal_jax.materials import PointValues
 from softcal_jax.mesh import TetMesh
@@ -22,7 +23,7 @@ Sampling = Literal["centroids", "quadrature"]
 PER_CONTROL_POINT = "one for all control points or one for each"
 
 
-class ControlPointParameters(eqx.Module):
+class ControlPointParameters(AbstractEntry):
     """One unknown per control point, spread over the body as a field of the law.
 
     p(X) = sum_j w_j(X) p_j with the inverse-distance weights w_j, paper Sec. IV.A.
@@ -273,15 +274,100 @@ class ControlPointParameters(eqx.Module):
         points = self.points(mesh)
         return self.control_points.weights(points.reshape(-1, 3)), points.shape[:-1]
 
-    def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
-        """The model with this field, from the values of all parameters."""
-        return self.set_on(model, self.evaluate(model.mesh, values))
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The field that it sets."""
+        return (self.field,)
+
+    @property
+    def label(self) -> str:
+        """Its field and control points."""
+        return f"{self.field} of {', '.join(self.control_points.names)}"
+
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Spread the values of its control points over the field."""
+        return self.set_on(model, self.evaluate(model.mesh, values)), configuration
 
     def set_on(self, model: Any, field: Float[Array, "..."]) -> Any:
         """The model with values of this field, as `evaluate` gives them."""
         if self.sampling == "quadrature":
             return set_field(model, self.field, PointValues(field), self.region)
         return set_field(model, self.field, field, self.region)
+
+    def check(self, model: Any) -> None:
+        """Raise ValueError unless every control point lies near the body and acts."""
+        if self.sampling == "quadrature" and self.field == "density":
+            raise ValueError(
+                'density is one number per tet: give sampling="centroids" for it.'
+            )
+        points, mesh = self.control_points, model.mesh
+        tets = mesh.tets[region_tets(mesh, self.region)]
+        nodes = mesh.points[np.unique(tets)][:, points.columns]
+        diagonal = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+        reach = 0.1 * diagonal if points.max_distance is None else points.max_distance
+        # Nodes stand for the body: inside a coarse tet none is near.
+        edges = mesh.points[mesh.tets[:, :4]][:, :, points.columns]
+        coarse = float(np.max(np.linalg.norm(np.ptp(edges, axis=1), axis=1)))
+        positions = np.asarray(points.positions)[:, points.columns]
+        for name, x in zip(points.names, positions, strict=True):
+            distance = float(np.min(np.linalg.norm(nodes - x, axis=1)))
+            if distance > max(reach, 0.5 * coarse):
+                where = "the body" if self.region is None else f"{self.region!r}"
+                raise ValueError(
+                    f"control point {name!r} of {self.field} lies {distance:.3g} m "
+                    f"from {where}, more than max_distance, {reach:.3g} m. Check its "
+                    "unit and frame, or raise max_distance."
+                )
+        self._check_weights(mesh)
+
+    def _check_weights(self, mesh: TetMesh) -> None:
+        """Raise unless every control point is the nearest somewhere."""
+        points = self.control_points
+        sampled = np.asarray(self.points(mesh)).reshape(-1, 3)
+        strongest = np.asarray(points.weights(sampled)).max(axis=0)
+        why = f"has others nearer, and nearest is {points.nearest}"
+        remedy = "Raise `nearest`"
+        if points.nearest is None:
+            why = f"is nearer to others, with power {points.power:g}"
+            remedy = "Lower `power`"
+        for name, weight in zip(points.names, strongest, strict=True):
+            if weight == 0.0 and name not in self.fixed:
+                raise ValueError(
+                    f"control point {name!r} of {self.field} acts on no tet: every "
+                    f"tet {why}. {remedy}, or move it."
+                )
+
+    def renamed(
+        self, points: Mapping[str, str], names: Mapping[str, str]
+    ) -> "ControlPointParameters":
+        """The same field with other names, and without its unit."""
+        at = self.control_points
+        return ControlPointParameters(
+            self.field,
+            ControlPoints(
+                at.positions,
+                names=[points[name] for name in at.names],
+                power=at.power,
+                nearest=at.nearest,
+                axes=at.axes,
+                max_distance=at.max_distance,
+            ),
+            start=self.start,
+            lower=self.lower,
+            upper=self.upper,
+            scale=self.scale,
+            S=self.S,
+            region=self.region,
+            interpolation=self.interpolation,
+            sampling=self.sampling,
+            fixed={points[name]: value for name, value in self.fixed.items()},
+            tied={points[name]: names[other] for name, other in self.tied},
+            max_step=self.max_step,
+            prior_std=self.prior_std,
+            core=self.core,
+        )
 
 
 _LOST = 1e-20

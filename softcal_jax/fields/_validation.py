@@ -8,20 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import HostArray
-from softcal_jax.fields._model_fields import find_field
-from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import SetupParameter
-from softcal_jax.fields._space import Entry, ParameterSpace
-from softcal_jax.fields._spread import ControlPointParameters
+from softcal_jax.fields._model_fields import find_field, region_tets
+from softcal_jax.fields._space import ParameterSpace
 from softcal_jax.materials import is_point_values
 
 
-def check_parameters(model: Any, space: ParameterSpace) -> None:
+def check_parameters(
+    model: Any, space: ParameterSpace, configuration: Any = None
+) -> None:
     """Raise unless every parameter sets something of its own, within sound bounds.
 
     Args:
-        model: Anything with `law`, `density` and `mesh`, on the host.
+        model: Anything with `law`, `density`, `mesh` and `mechanism`, on the host.
         space: The parameters.
+        configuration: Arrays of one configuration, where there are any: what
+            parameters set in it is then looked at, too.
 
     Raises:
         ValueError: If a field or region does not exist, two parameters set the same
@@ -29,30 +30,13 @@ def check_parameters(model: Any, space: ParameterSpace) -> None:
             the body, a control point lies far from what it acts on or acts on no tet,
             the start breaks the order, or a bound is outside the range of the material.
     """
-    owners: dict[str, HostArray] = {}
-    for number, entry in enumerate(space.entries):
-        if isinstance(entry, SetupParameter):
-            entry.check(model)
-            continue
-        if isinstance(entry, ControlPointParameters):
-            _check_control_points(model, entry)
-        else:
-            _check_not_flattened(model, entry)
-        find_field(model, entry.field)
-        owner = owners.setdefault(entry.field, np.full(model.mesh.n_tets, -1))
-        tets = _tets(model, entry)
-        taken = tets[owner[tets] >= 0]
-        if taken.size:
-            other = space.entries[owner[taken[0]]]
-            raise ValueError(
-                f"parameters {_label(other)!r} and {_label(entry)!r} both set "
-                f"{entry.field} of tet {taken[0]}: give them regions that do not "
-                "overlap."
-            )
-        owner[tets] = number
+    for entry in space.entries:
+        entry.check(model)
+    _check_overlaps(model, space)
+    _check_effects(model, space, configuration)
     _check_order(space)
     for side, z in (("lower", space.lower()), ("upper", space.upper())):
-        applied = space.apply(model, z)
+        applied = space.model_at(model, z)
         try:
             for law in _laws(applied.law):
                 _check_constants(law)
@@ -64,67 +48,58 @@ def check_parameters(model: Any, space: ParameterSpace) -> None:
             ) from (error)
 
 
-def _label(entry: Entry) -> str:
-    if isinstance(entry, Parameter):
-        return entry.name
-    if isinstance(entry, SetupParameter):
-        return entry.parameter.name
-    return f"{entry.field} of {', '.join(entry.control_points.names)}"
+def _check_overlaps(model: Any, space: ParameterSpace) -> None:
+    """Raise if two entries set a field of the same tet."""
+    owners: dict[str, HostArray] = {}
+    for i, entry in enumerate(space.entries):
+        for field in entry.fields:
+            find_field(model, field)
+            owner = owners.setdefault(field, np.full(model.mesh.n_tets, -1))
+            tets = region_tets(model.mesh, entry.region)
+            taken = tets[owner[tets] >= 0]
+            if taken.size:
+                other = space.entries[owner[taken[0]]]
+                raise ValueError(
+                    f"parameters {other.label!r} and {entry.label!r} both set {field} "
+                    f"of tet {taken[0]}: give them regions that do not overlap."
+                )
+            owner[tets] = i
 
 
-def _tets(model: Any, entry: Parameter | ControlPointParameters) -> HostArray:
-    if entry.region is None:
-        return np.arange(model.mesh.n_tets)
-    return np.asarray(model.mesh.tets_of(entry.region))
+def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> None:
+    """Raise if an entry sets nothing, or more than the fields that it names.
 
-
-def _check_not_flattened(model: Any, parameter: Parameter) -> None:
-    value = find_field(model, parameter.field)(model)
-    values = np.asarray(value.values if is_point_values(value) else value)
-    if parameter.region is None and values.ndim and np.ptp(values) > 0:
-        raise ValueError(
-            f"parameter {parameter.name!r} would give the whole body one value of "
-            f"{parameter.field}, which now lies between {values.min():g} and "
-            f"{values.max():g}. Name the tet group it is for in `region`."
-        )
-
-
-def _check_control_points(model: Any, entry: ControlPointParameters) -> None:
-    """Raise unless every control point lies near the body and acts on it."""
-    points, mesh = entry.control_points, model.mesh
-    if entry.sampling == "quadrature" and entry.field == "density":
-        raise ValueError(
-            'density is one number per tet: give sampling="centroids" for it.'
-        )
-    nodes = mesh.points[np.unique(mesh.tets[_tets(model, entry)])][:, points.columns]
-    diagonal = float(np.linalg.norm(np.ptp(nodes, axis=0)))
-    reach = 0.1 * diagonal if points.max_distance is None else points.max_distance
-    # Nodes stand for the body: inside a coarse tet none is near.
-    edges = mesh.points[mesh.tets[:, :4]][:, :, points.columns]
-    coarse = float(np.max(np.linalg.norm(np.ptp(edges, axis=1), axis=1)))
-    positions = np.asarray(points.positions)[:, points.columns]
-    for name, x in zip(points.names, positions, strict=True):
-        distance = float(np.min(np.linalg.norm(nodes - x, axis=1)))
-        if distance > max(reach, 0.5 * coarse):
-            where = "the body" if entry.region is None else f"{entry.region!r}"
+    Sensitivities follow from `apply` by autodiff, but those of fields take a shorter
+    way that sees nothing else. What an entry leaves alone stays the same object.
+    """
+    p = space.from_scaled(space.start())
+    values = dict(zip(space.names, p, strict=True))
+    for entry in space.entries:
+        changed = entry.apply(model, configuration, values)
+        found = _differences((model, configuration), changed)
+        own = {"[0]." + find_field(model, name).path for name in entry.fields}
+        if not found and configuration is not None:
             raise ValueError(
-                f"control point {name!r} of {entry.field} lies {distance:.3g} m from "
-                f"{where}, more than max_distance, {reach:.3g} m. Check its unit and "
-                "frame, or raise max_distance."
+                f"parameter {entry.label!r} sets nothing in the model or in a "
+                f"configuration: {type(entry).__name__}.apply must return them changed."
             )
-    sampled = np.asarray(entry.points(mesh)).reshape(-1, 3)
-    strongest = np.asarray(points.weights(sampled)).max(axis=0)
-    for name, weight in zip(points.names, strongest, strict=True):
-        if weight == 0.0 and name not in entry.fixed:
-            why = f"has others nearer, and nearest is {points.nearest}"
-            remedy = "Raise `nearest`"
-            if points.nearest is None:
-                why = f"is nearer to others, with power {points.power:g}"
-                remedy = "Lower `power`"
+        if own and not found <= own:
             raise ValueError(
-                f"control point {name!r} of {entry.field} acts on no tet: every tet "
-                f"{why}. {remedy}, or move it."
+                f"parameter {entry.label!r} sets {', '.join(sorted(found - own))} "
+                f"beside its fields: let {type(entry).__name__}.fields be empty."
             )
+
+
+def _differences(old: Any, new: Any) -> set[str]:
+    """Paths of the arrays that are other objects, field values as a whole."""
+    paths = lambda tree: {
+        jax.tree_util.keystr(path): leaf
+        for path, leaf in jax.tree_util.tree_leaves_with_path(
+            tree, is_leaf=is_point_values
+        )
+    }
+    before, after = paths(old), paths(new)
+    return {path for path, leaf in after.items() if before.get(path) is not leaf}
 
 
 def _check_order(space: ParameterSpace) -> None:

@@ -1,10 +1,6 @@
 """What the data can tell about the parameters, and what to measure next (Sec. V)."""
 
 from softcal_jax.identifiability._assessment import Assessment, assess
-from softcal_jax.identifiability._compliances import (
-    EnergyCompliance,
-    energy_compliance,
-)
 from softcal_jax.identifiability._conditioning import Conditioning, conditioning
 from softcal_jax.identifiability._design import Design, greedy_design
 from softcal_jax.identifiability._directions import Direction
@@ -25,7 +21,6 @@ __all__ = [
     "Conditioning",
     "Design",
     "Direction",
-    "EnergyCompliance",
     "Gain",
     "Identifiability",
     "ParameterOutlook",
@@ -34,7 +29,6 @@ __all__ = [
     "Verdict",
     "assess",
     "conditioning",
-    "energy_compliance",
     "greedy_design",
     "identifiability",
     "identify",

@@ -32,10 +32,7 @@ from softcal_jax.fields import (
     as_space,
     check_parameters,
 )
-from softcal_jax.identifiability._compliances import (
-    EnergyCompliance,
-    energy_compliance,
-)
+from softcal_jax.sensitivity import EnergyCompliance, energy_compliance
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
 AnyVector = Array | HostArray
@@ -78,8 +75,7 @@ def _solve(
     problem: CalibrationProblem, z: Float[Array, " n_p"]
 ) -> tuple[EquilibriumSolution, EnergyCompliance]:
     solution, _ = simulate(problem, z, first_guess(problem, z))
-    model = problem.space.apply(problem.model, z)
-    lane = lambda c, u: energy_compliance(model, c, u, problem.space, z)
+    lane = lambda c, u: energy_compliance(problem.model, c, u, problem.space, z)
     return solution, jax.vmap(lane)(problem.configurations, solution.displacement)
 
 
@@ -115,9 +111,9 @@ def survey(
     if noise is not None and not 0.0 < noise < np.inf:
         raise ValueError(f"noise must be positive and finite [m], got {noise:g}.")
     space = as_space(parameters)
-    check_parameters(model, space)
     z = _scaled_values(space, at)
     if not configurations:
+        check_parameters(model, space)
         return Survey(space, z, ())
     mesh, mechanism = model.mesh, model.mechanism
     # One without effectors sees nothing, which is a verdict and no error.
@@ -126,6 +122,7 @@ def survey(
         for c in configurations
     ]
     arrays = configuration_arrays(mesh, posed, mechanism)
+    check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], arrays))
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     solution, compliance = _solve(without_names(problem), z)
     names = tuple(c.name for c in configurations)

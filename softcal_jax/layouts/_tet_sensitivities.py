@@ -1,12 +1,10 @@
 """How the effectors follow a field that changes in one tet, for all tets at once."""
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
@@ -20,28 +18,20 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
+    adjoint_rows,
     check_converged,
-    factor_solve,
-    residual,
+    effector_values,
+    linearise,
     solve_equilibrium,
 )
-from softcal_jax.fields import find_field, set_field
-from softcal_jax.materials import PointValues, is_point_values
-from softcal_jax.sensitivity import effector_rows
+from softcal_jax.fields import find_field
+from softcal_jax.sensitivity import adjoint_of_tets
 
 
 class _Lane(NamedTuple):
     solution: EquilibriumSolution
     rows: Float[Array, "*batch n_fields n_e n_tets"]
     ok: Bool[Array, "*batch"]
-
-
-def _shifted(model: Model, field: str, shift: Float[Array, " n_tets"]) -> Model:
-    """The model with a field raised by one number per tet."""
-    old: Any = find_field(model, field)(model)
-    if is_point_values(old):
-        return set_field(model, field, PointValues(old.values + shift[:, None]))
-    return set_field(model, field, jnp.broadcast_to(old, shift.shape) + shift)
 
 
 @eqx.filter_jit
@@ -51,22 +41,13 @@ def _solve(
     fields: tuple[str, ...],
     newton: NewtonSettings,
 ) -> _Lane:
-    zero = jnp.zeros(model.mesh.n_tets)
-
     def lane(c: ConfigurationArrays) -> _Lane:
         solution = solve_equilibrium(model, c, settings=newton)
-        u = solution.displacement
-        H_e = effector_rows(model, c.effectors, u)
-        solved = factor_solve(model, c, u, H_e, transpose=True)
-
-        def of_field(field: str) -> Float[Array, "n_e n_tets"]:
-            shifted = partial(_shifted, model, field)
-            force = lambda shift: -residual(shifted(shift), c, u, solution.multipliers)
-            _, pull_back = jax.vjp(force, zero)
-            # One row at a time: each holds the work of a whole assembly.
-            return jax.lax.map(lambda row: pull_back(row)[0], solved.x)
-
-        return _Lane(solution, jnp.stack([of_field(f) for f in fields]), solved.ok)
+        u, lambda_a = solution.displacement, solution.multipliers
+        lin = linearise(model, c, u, lambda_a)
+        adjoint = adjoint_rows(lin, effector_values)
+        rows = adjoint_of_tets(lin, fields, adjoint.state)
+        return _Lane(solution, rows, adjoint.ok)
 
     return jax.lax.map(lane, arrays)
 
@@ -82,8 +63,7 @@ def tet_sensitivities(
 
     Eq. (9) for the finest layout there is, one control point per tet, by the adjoint
     side: the rows W_e = K^-T H_e^T are solved for once per configuration, on one
-    factorization, and dx_e/df = -W_e dR/df is one reverse sweep per row, however many
-    tets there are.
+    factorization, and one pass over the tets tells the forces of their fields.
 
     Args:
         model: The body, with the fields where they are differentiated.

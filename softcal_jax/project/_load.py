@@ -58,7 +58,7 @@ def load_project(
     if space is not None:
         with at(path, "parameters"):
             check_parameters(model, space)
-            model = space.apply(model, space.start())
+            model = space.model_at(model, space.start())
     poses, candidates = _poses(path, table, model)
     of_role = lambda role: tuple(
         pose.configuration

@@ -137,7 +137,7 @@ def parallel_robot(
         for k, row in enumerate(angles, start=1)
     )
     space = control_space(geometry, prior, setup)
-    start = space.apply(model, space.start())
+    start = space.model_at(model, space.start())
     return ParallelRobot(
         start,
         space,

@@ -1,29 +1,32 @@
-"""Sensitivities of effectors to parameters (paper Eqs. 4 to 9)."""
+"""Sensitivities of effectors to parameters (paper Eqs. 7 to 9)."""
 
 from softcal_jax.sensitivity._compliance import (
     Compliance,
-    effector_compliance,
-    effector_rows,
+    EnergyCompliance,
+    energy_compliance,
     parameter_compliance,
-    parameter_forces,
 )
 from softcal_jax.sensitivity._derivative_check import (
     DerivativeCheck,
     check_parameter_derivatives,
 )
 from softcal_jax.sensitivity._response import Response, equilibrium_response
-from softcal_jax.sensitivity._setup import setup_columns, setup_displacements
+from softcal_jax.sensitivity._rows import (
+    adjoint_of_tets,
+    parameter_forces,
+    parameter_rows,
+)
 
 __all__ = [
     "Compliance",
     "DerivativeCheck",
+    "EnergyCompliance",
     "Response",
+    "adjoint_of_tets",
     "check_parameter_derivatives",
-    "effector_compliance",
-    "effector_rows",
+    "energy_compliance",
     "equilibrium_response",
     "parameter_compliance",
     "parameter_forces",
-    "setup_columns",
-    "setup_displacements",
+    "parameter_rows",
 ]

@@ -8,7 +8,7 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.sensitivity._compliance import parameter_forces
+from softcal_jax.sensitivity._rows import parameter_forces
 
 
 class DerivativeCheck(eqx.Module):

@@ -11,19 +11,12 @@ from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
     continue_equilibrium,
+    effector_values,
     lane_by_lane,
+    sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.sensitivity._compliance import (
-    effector_compliance,
-    effector_rows,
-    parameter_forces,
-)
-from softcal_jax.sensitivity._setup import (
-    setup_columns,
-    setup_compliance,
-    setup_displacements,
-)
+from softcal_jax.sensitivity._rows import parameter_rows
 
 FEW_PARAMETERS = 12
 """Up to here the direct side is taken even where the adjoint one needs fewer solves.
@@ -38,12 +31,14 @@ class Response(NamedTuple):
 
     Attributes:
         equilibrium: The equilibrium.
-        W_ep: Change of each effector coordinate per unit of lambda_p [m].
+        effectors: Effector coordinates there.
+        W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
         displacement: dx/dz by rows [m]; None from the adjoint side.
         ok: False if there is no equilibrium or no tangent; W_ep is then zero.
     """
 
     equilibrium: EquilibriumSolution
+    effectors: Float[Array, "*batch n_rows 3"]
     W_ep: Float[Array, "*batch n_e n_p"]
     displacement: Float[Array, "*batch n_p n_points 3"] | None
     ok: Bool[Array, "*batch"]
@@ -60,13 +55,13 @@ def equilibrium_response(
     before: Float[Array, "n_points 3"] | None = None,
     precise: bool | Bool[Array, ""] = False,
 ) -> Response:
-    """Equilibrium near a guess and W_ep = H_e K^-1 H_p^T there, paper Eq. (9).
+    """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
 
     What `solve_equilibrium` and `parameter_compliance` give one after the other, with
     one factorization less: W_ep is solved for on the factor of the last Newton step.
 
     Args:
-        model: The body with the parameters of `z` applied.
+        model: The body.
         configuration: One configuration with its effectors; `vmap` runs the
             configurations one after the other, each to its own end.
         guess: Displacement close to the equilibrium [m].
@@ -79,53 +74,32 @@ def equilibrium_response(
             the way of the last.
 
     Returns:
-        Equilibrium and compliance, effector coordinates in the order effector, axis.
+        Equilibrium, effectors and compliance, coordinates in the order effector, axis.
     """
 
     @lane_by_lane
     def lane(model, configuration, guess, before, precise, space, z):
-        effectors = configuration.effectors
-        setup = setup_columns(space)
-        n_e, n_p = effectors.measured.size, z.shape[0]
-        if n_p <= max(n_e, FEW_PARAMETERS) or effectors.has_forces:
-            forces = lambda u: parameter_forces(model, configuration, u, space, z)
-            done = continue_equilibrium(
-                model,
-                configuration,
-                guess,
-                forces,
-                settings=newton,
-                before=before,
-                precise=precise,
-            )
-            ok = done.ok & done.equilibrium.converged
-            x = jnp.where(ok, done.x, 0.0)
-            u = done.equilibrium.displacement
-            if setup:
-                moved = setup_displacements(model, configuration, u, space, z)
-                x = x.at[jnp.asarray(setup)].set(jnp.where(ok, moved, 0.0))
-            W = effector_compliance(model, configuration, u, x, space, z)
-            W = jnp.where(ok, W, 0.0)
-            return Response(done.equilibrium, W, x, ok)
-        rows = lambda u: effector_rows(model, effectors, u)
-        done = continue_equilibrium(
-            model,
-            configuration,
-            guess,
-            rows,
-            settings=newton,
-            before=before,
-            precise=precise,
-            transpose=True,
+        model, configuration = space.apply(model, configuration, z)
+        equilibrium, linearisation = continue_equilibrium(
+            model, configuration, guess, settings=newton, before=before, precise=precise
         )
-        u = done.equilibrium.displacement
-        H_p = parameter_forces(model, configuration, u, space, z)
-        ok = done.ok & done.equilibrium.converged
-        W = jnp.sum(done.x[:, None] * H_p[None], axis=(2, 3))
-        if setup:
-            by_setup = setup_compliance(model, configuration, u, space, z, rows(u))
-            W = W.at[:, jnp.asarray(setup)].set(by_setup)
-        return Response(done.equilibrium, jnp.where(ok, W, 0.0), None, ok)
+        rows = parameter_rows(linearisation, space, z)
+        most = max(configuration.effectors.measured.size, FEW_PARAMETERS)
+        found = sensitivity(
+            linearisation, rows, effector_values, adjoint=z.shape[0] > most
+        )
+        ok = found.ok & equilibrium.converged
+        or_zero = lambda a: None if a is None else jnp.where(ok, a, 0.0)
+        effectors = effector_values(
+            model, configuration, equilibrium.displacement, equilibrium.multipliers
+        )
+        return Response(
+            equilibrium,
+            effectors,
+            or_zero(found.W_ep),
+            or_zero(found.displacement),
+            ok,
+        )
 
     before = guess if before is None else before
     precise = jnp.asarray(precise)

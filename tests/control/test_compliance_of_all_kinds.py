@@ -232,7 +232,9 @@ def test_parameters_move_all_effectors_as_W_ep_says(drive):
     W = W.reshape(*state.effectors.shape, -1)
 
     def effectors(z):
-        return solved(SPACE.apply(block(), z), lane, lane.actuation.value)[1].effectors
+        return solved(SPACE.model_at(block(), z), lane, lane.actuation.value)[
+            1
+        ].effectors
 
     error = []
     for h in (0.04, 0.02):

@@ -134,11 +134,11 @@ def both_ways(lane, z):
     """W_ep, and the derivative of the solved effectors along each parameter."""
 
     def values(z):
-        model = SPACE.apply(MODEL, z)
+        model = SPACE.model_at(MODEL, z)
         solution = solve_equilibrium(model, lane, settings=TIGHT)
         return effector_values(model, lane, solution.displacement).ravel()
 
-    model = SPACE.apply(MODEL, z)
+    model = SPACE.model_at(MODEL, z)
     solution = solve_equilibrium(model, lane, settings=TIGHT)
     W = parameter_compliance(model, lane, solution.displacement, SPACE, z)
     slopes = [jax.jvp(values, (z,), (dz,))[1] for dz in jnp.eye(z.shape[0])]

@@ -118,7 +118,7 @@ def test_direct_and_adjoint_compliances_are_the_implicit_derivative():
 
     @jax.jit
     def compliances(z):
-        changed = SPACE.apply(model, z)
+        changed = SPACE.model_at(model, z)
 
         def one(c, u):
             both = ("direct", "adjoint")
@@ -135,7 +135,7 @@ def test_direct_and_adjoint_compliances_are_the_implicit_derivative():
 
     @jax.jit
     def effectors(z):
-        changed = SPACE.apply(model, z)
+        changed = SPACE.model_at(model, z)
 
         def one(c):
             u = solve_equilibrium(changed, c, settings=TIGHT).displacement

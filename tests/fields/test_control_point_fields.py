@@ -170,7 +170,7 @@ def test_tied_across_two_regions_and_two_fields(model):
     second = modulus(far, field="E_l", region="rest", tied={"t": "E_t of root"})
     space = ParameterSpace((first, second))
     assert space.names == ["E_t of root", "E_l of r"]
-    elastic = space.apply(body, jnp.log(jnp.array([700.0, 200.0]))).law.elasticity
+    elastic = space.model_at(body, jnp.log(jnp.array([700.0, 200.0]))).law.elasticity
     rest = np.delete(np.arange(12), 4)
     np.testing.assert_allclose(elastic.E_t[4], 700.0, rtol=1e-13)
     np.testing.assert_array_equal(elastic.E_t[rest], 1000.0)
@@ -189,7 +189,7 @@ def test_tied_to_a_single_parameter():
 
 def test_density_is_spread_too(model):
     entry = modulus(field="density")
-    body = ParameterSpace((entry,)).apply(model, jnp.log(jnp.array([300.0, 900.0])))
+    body = ParameterSpace((entry,)).model_at(model, jnp.log(jnp.array([300.0, 900.0])))
     np.testing.assert_allclose(
         body.density, by_hand(CENTROIDS, [300.0, 900.0]), rtol=1e-13
     )
@@ -243,7 +243,9 @@ def test_quadrature_sampling_sets_point_values_in_its_region():
     mesh = beam(*SIZE, (2, 1, 1), order=2).with_tet_group("one", [4])
     body = build_model(mesh, law(np.linspace(1000.0, 2100.0, 12)), density=1000.0)
     entry = modulus(region="one", sampling="quadrature")
-    changed = ParameterSpace((entry,)).apply(body, jnp.log(jnp.array([300.0, 900.0])))
+    changed = ParameterSpace((entry,)).model_at(
+        body, jnp.log(jnp.array([300.0, 900.0]))
+    )
     E_t = changed.law.elasticity.E_t
     assert isinstance(E_t, PointValues)
     expected = np.repeat(np.linspace(1000.0, 2100.0, 12)[:, None], 4, axis=1)

@@ -59,7 +59,7 @@ def scaled(space, E_t, E_l, degrees):
 
 def fields(model, space, z):
     """E_t, E_l and theta of each tet."""
-    found = space.apply(model, z).law.elasticity
+    found = space.model_at(model, z).law.elasticity
     return jnp.stack([found.E_t, found.E_l, found.fibre.theta])
 
 
@@ -126,7 +126,7 @@ def test_derivatives_meet_differences_at_second_order(model):
     z += 1e-2
 
     def size(z):
-        found = faded.apply(model, z).law.elasticity
+        found = faded.model_at(model, z).law.elasticity
         return jnp.sum(jnp.sin(found.E_t.values / 300.0)) + jnp.sum(
             jnp.cos(found.E_l.values / 100.0)
         )

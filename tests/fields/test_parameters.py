@@ -31,7 +31,7 @@ def test_linear_scale_steps_by_S_or_by_the_range():
 
 def test_apply_sets_the_field_of_the_whole_body(model):
     space = ParameterSpace((Parameter("E", "E", 2e5, 1e5, 1e6),))
-    changed = space.apply(model, jnp.log(jnp.array([5e5])))
+    changed = space.model_at(model, jnp.log(jnp.array([5e5])))
     np.testing.assert_allclose(changed.law.elasticity.E, 5e5, rtol=1e-14)
     np.testing.assert_array_equal(changed.law.elasticity.nu, 0.3)
 
@@ -40,7 +40,7 @@ def test_apply_sets_a_region_and_leaves_the_rest(model):
     space = ParameterSpace(
         (Parameter("rho", "density", 900.0, 1.0, 5e3, region="tip", unit="kg/m3"),)
     )
-    density = np.asarray(space.apply(model, space.start()).density)
+    density = np.asarray(space.model_at(model, space.start()).density)
     np.testing.assert_allclose(density[6:], 900.0, rtol=1e-14)
     np.testing.assert_array_equal(density[:6], 1000.0)
 
@@ -55,7 +55,7 @@ def test_apply_passes_derivatives_to_every_parameter(model):
     )
 
     def fields(z):
-        changed = space.apply(model, z)
+        changed = space.model_at(model, z)
         law = changed.law.elasticity
         return jnp.stack([law.E, law.nu, changed.density])
 

@@ -91,7 +91,7 @@ def test_fields_on_the_mesh_are_the_same():
         ]
     )  # fmt: skip
     z = named.start()
-    ours, theirs = (s.apply(model, z) for s in (unnamed(named), named))
+    ours, theirs = (s.model_at(model, z) for s in (unnamed(named), named))
     for leaf, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_array_equal(leaf, other)
 

@@ -26,7 +26,8 @@ from softcal_jax.calibration import at_rest, build_problem, evaluate
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import external_force, solve_equilibrium, strain_energy
 from softcal_jax.fields import Parameter
-from softcal_jax.identifiability import energy_compliance, identify
+from softcal_jax.identifiability import identify
+from softcal_jax.sensitivity import energy_compliance
 
 START = SPACE.start()
 
@@ -46,21 +47,21 @@ def lanes():
 
 @jax.jit
 def solved(model, lane, z):
-    changed = SPACE.apply(model, z)
+    changed = SPACE.model_at(model, z)
     return solve_equilibrium(changed, lane, settings=TIGHT).displacement
 
 
 @jax.jit
 def potential(model, lane, z, u):
     """Pi = strain energy - f_ext . u [J]."""
-    changed = SPACE.apply(model, z)
+    changed = SPACE.model_at(model, z)
     load = jnp.sum(external_force(changed, lane) * u)
     return jnp.sum(strain_energy(changed, u)) - load
 
 
 @jax.jit
 def compliance(model, lane, z, u):
-    return energy_compliance(SPACE.apply(model, z), lane, u, SPACE, z)
+    return energy_compliance(model, lane, u, SPACE, z)
 
 
 def lane_of(lanes, index):

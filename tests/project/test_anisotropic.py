@@ -108,7 +108,7 @@ def test_the_example_is_the_beam_of_the_paper():
         assert mine.periodic == theirs.periodic
     z = beam.space.to_scaled(jnp.asarray([beam.target[n] for n in beam.space.names]))
     mine, theirs = (
-        p.apply(m, z)
+        p.model_at(m, z)
         for p, m in ((project.space, project.model), (beam.space, beam.model))
     )
     for name in ("E_t", "E_l"):

@@ -56,7 +56,7 @@ def body():
 
 @jax.jit
 def solved(z, model, lanes):
-    changed = SPACE.apply(model, z)
+    changed = SPACE.model_at(model, z)
 
     def lane(c):
         solution = solve_equilibrium(changed, c, settings=TIGHT)
@@ -67,7 +67,7 @@ def solved(z, model, lanes):
 
 @jax.jit
 def compliances(z, model, lanes, u):
-    changed = SPACE.apply(model, z)
+    changed = SPACE.model_at(model, z)
 
     def lane(c, u):
         one = lambda method: parameter_compliance(

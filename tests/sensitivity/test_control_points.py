@@ -78,7 +78,7 @@ def solved(z, space, model, lane):
     """Displacements at several z, and the markers there."""
 
     def one(z):
-        changed = space.apply(model, z)
+        changed = space.model_at(model, z)
         solution = solve_equilibrium(changed, lane, settings=TIGHT)
         return solution.displacement, marker_positions(changed, lane, solution).ravel()
 
@@ -87,7 +87,7 @@ def solved(z, space, model, lane):
 
 @jax.jit
 def compliances(z, space, model, lane, u):
-    changed = space.apply(model, z)
+    changed = space.model_at(model, z)
     one = lambda method, derivative: parameter_compliance(
         changed, lane, u, space, z, method=method, derivative=derivative
     )

@@ -105,7 +105,7 @@ def case(name) -> Case:
 
 @partial(jax.jit, static_argnames="one")
 def respond(case, z, guess, one=False):
-    model = case.space.apply(case.model, z)
+    model = case.model
     each = lambda c, u: equilibrium_response(
         model, c, u, case.space, z, newton=NewtonSettings()
     )
@@ -114,7 +114,7 @@ def respond(case, z, guess, one=False):
 
 @jax.jit
 def reference(case, z):
-    model = case.space.apply(case.model, z)
+    model = case.space.model_at(case.model, z)
 
     def lane(c):
         u = solve_equilibrium(model, c, settings=TIGHT).displacement
@@ -206,7 +206,7 @@ def test_adjoint_side_without_a_potential_needs_the_transposed_tangent():
     """With the tangent itself W_ep is 0.2 % off."""
     c, z = case("no potential"), values("no potential")
     u, W, _ = found("no potential")
-    model, lane = c.space.apply(c.model, z), jax.tree.map(lambda a: a[1], c.lanes)
+    model, lane = c.space.model_at(c.model, z), jax.tree.map(lambda a: a[1], c.lanes)
     done = parameter_compliance(model, lane, u[1], c.space, z, method="adjoint")
     # Two ways through one factorization: rounding of the solve.
     np.testing.assert_allclose(

@@ -1,0 +1,73 @@
+"""What every entry of a parameter space is to the rest: one method that applies it."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+
+from softcal_jax._typing import Array, Float
+
+if TYPE_CHECKING:  # a parameter is an entry itself
+    from softcal_jax.fields._parameters import Parameter
+
+
+class AbstractEntry(eqx.Module):
+    """One or several unknowns, and what they set in a model and its configurations.
+
+    `apply` is all that sensitivities need: they follow from it by autodiff. A new kind
+    of parameter is a subclass, or a line in `fields._setup.QUANTITIES` where it sets
+    an array that the model or the configurations already have.
+
+    Attributes:
+        parameters: The unknowns that it adds.
+        region: Tet group in which it sets fields; None for the whole body.
+    """
+
+    parameters: eqx.AbstractVar[tuple["Parameter", ...]]
+    region: eqx.AbstractVar[str | None]
+
+    @property
+    @abstractmethod
+    def fields(self) -> tuple[str, ...]:
+        """Fields of the law, or the density, if it sets these and nothing else.
+
+        One pass over the tets then tells the forces of all unknowns of a field. Empty
+        for an entry that sets anything else; `check_parameters` holds it to its word.
+        """
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """How messages call it."""
+
+    @abstractmethod
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Set the values of its unknowns; traceable and differentiable.
+
+        Args:
+            model: Anything with `law`, `density`, `mesh` and `mechanism`.
+            configuration: Arrays of one configuration; None where only the model is
+                wanted.
+            values: Values of all parameters by name, in SI units.
+
+        Returns:
+            Model and configuration, changed where the entry sets something.
+        """
+
+    @abstractmethod
+    def check(self, model: Any) -> None:
+        """Raise ValueError unless the model has what the entry sets."""
+
+    @abstractmethod
+    def renamed(
+        self, points: Mapping[str, str], names: Mapping[str, str]
+    ) -> "AbstractEntry":
+        """The same entry with other names.
+
+        Args:
+            points: New names of control points.
+            names: New names of parameters.
+        """
