@@ -8,19 +8,19 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import _actuation as actuation
-from softcal_jax.equilibrium._assembly import internal_force, tangent_values
+from softcal_jax.equilibrium._assembly import tangent_values
+from softcal_jax.equilibrium._balance import (
+    actuator_loads,
+    deform,
+    estimated_forces,
+    rows_on_free,
+    taut,
+    unbalanced,
+)
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._newton import NewtonSettings
-from softcal_jax.equilibrium._problem import (
-    EquilibriumProblem,
-    Point,
-    external_force,
-    mask_supports,
-    product,
-)
-from softcal_jax.equilibrium._sparsity import Sparsity
-from softcal_jax.equilibrium._unknowns import Unknowns
+from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._sparsity import Sparsity, mask_supports, product
 
 
 def residual(
@@ -41,50 +41,37 @@ def residual(
         lambda_a: Forces of the actuators whose displacement is imposed; found from the
             balance by default, which holds at equilibrium.
     """
-    at, problem = _at(model, configuration, u)
-    one = jnp.ones((), u.dtype)
+    posed, at = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
-        lambda_a = problem.estimated_forces(at, one)
-    return problem.unbalanced(at, lambda_a, one)[0]
-
-
-def _at(model: Model, configuration: ConfigurationArrays, u):
-    """A point without its energy, which costs as much as its force and is not asked."""
-    f_ext = external_force(model, configuration)
-    problem = EquilibriumProblem(model, configuration, f_ext, NewtonSettings().rtol)
-    unknown = jnp.full((), jnp.nan, u.dtype)
-    delta_a = actuation.displacements(model, u)
-    force = internal_force(model, u)
-    return Point(u, unknown, unknown, force, delta_a, unknown), problem
+        lambda_a = estimated_forces(posed, at)
+    return unbalanced(posed, at, lambda_a)[0]
 
 
 def solved_forces(
     model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
 ) -> Float[Array, " n_a"]:
     """Forces of actuators whose displacement is imposed, at an equilibrium."""
-    at, problem = _at(model, configuration, u)
-    return problem.estimated_forces(at, jnp.ones((), u.dtype))
+    return estimated_forces(Posed.of(model, configuration), deform(model, u))
 
 
 class Linearisation(NamedTuple):
     """The bordered system at an equilibrium.
 
     Attributes:
-        unknowns: The unknowns at full load.
+        posed: The configuration at full load.
         system: The matrix.
         full: Tangent over all nodes, the actuators' forces included.
         pattern: Its pattern.
     """
 
-    unknowns: Unknowns
+    posed: Posed
     system: actuation.System
     full: Float[Array, " nnz"]
     pattern: Sparsity
 
     def free(self, u, forces):
         """Forces on the free unknowns, 0 on the others [N]."""
-        gathered = self.unknowns.gather(u, forces)
-        return jnp.where(self.unknowns.fixed(), 0.0, gathered)
+        return self.posed.on_free(u, forces)
 
     def stiffness(self, du):
         """Change of the forces on all nodes in a small displacement [N]."""
@@ -95,22 +82,20 @@ def linearise(
     model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
 ) -> Linearisation:
     """Tangent and actuator rows at an equilibrium displacement."""
-    one = jnp.ones((), u.dtype)
-    at, problem = _at(model, configuration, u)
+    posed, at = Posed.of(model, configuration), deform(model, u)
+    which = actuation.with_multiplier(model)
     lambda_a = jnp.zeros_like(at.delta_a)
-    if problem.has_multipliers:
-        lambda_a = problem.estimated_forces(at, one)
-    g, rows = problem.unbalanced(at, lambda_a, one)
+    if which.size > 0:
+        lambda_a = estimated_forces(posed, at)
+    g, rows = unbalanced(posed, at, lambda_a)
     full = actuation.add_curvature(
-        model, tangent_values(model, u), u, problem.all_forces(lambda_a, one)
+        model, tangent_values(model, u), u, actuator_loads(posed, lambda_a)
     )
-    unknowns = problem.unknowns(one)
-    reduced = unknowns.reduce(u, full, g)
-    masked, _ = mask_supports(model.solver.sparsity, reduced, unknowns.fixed())
-    which = problem.with_multiplier
-    H_a = problem.rows_on_unknowns(u, one, rows[which])
-    system = actuation.System(masked, H_a, problem.taut(at, one)[which])
-    return Linearisation(unknowns, system, full, model.pattern)
+    reduced = posed.reduce(u, full, g)
+    masked, _ = mask_supports(model.solver.sparsity, reduced, posed.fixed())
+    H_a = rows_on_free(posed, u, rows[which])
+    system = actuation.System(masked, H_a, taut(posed, at)[which])
+    return Linearisation(posed, system, full, model.pattern)
 
 
 def factor_solve(
@@ -140,5 +125,5 @@ def factor_solve(
     forces = jax.vmap(lambda f: lin.free(u, f))(rhs)
     gap = jnp.zeros((rhs.shape[0], lin.system.active.size))
     solved = lin.system.solve(model, forces, gap, transpose=transpose)
-    x = jax.vmap(lambda d: lin.unknowns.scatter(u, d))(solved.x)
+    x = jax.vmap(lambda d: lin.posed.scatter(u, d))(solved.x)
     return LinearSolution(x, solved.n_negative, solved.ok)

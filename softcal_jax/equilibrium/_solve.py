@@ -16,10 +16,8 @@ from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linearisation import linearise, residual
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState, newton
-from softcal_jax.equilibrium._problem import (
-    product,
-)
-from softcal_jax.equilibrium._unknowns import Unknowns
+from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._sparsity import product
 
 
 class EquilibriumSolution(eqx.Module):
@@ -71,27 +69,26 @@ def as_solution(state: NewtonState) -> EquilibriumSolution:
     carried = state.done & (state.load_ok >= 1.0)
     return EquilibriumSolution(
         # Where there is no equilibrium, no displacement may pass for one.
-        jnp.where(carried, state.at.u, jnp.nan),
-        jnp.where(carried, state.lambda_a, jnp.nan),
-        state.result,
-        state.step,
-        state.load_steps,
-        state.load_ok,
-        state.residual,
-        state.at.min_det_F,
-        state.n_negative,
+        displacement=jnp.where(carried, state.at.u, jnp.nan),
+        multipliers=jnp.where(carried, state.lambda_a, jnp.nan),
+        result=state.result,
+        steps=state.step,
+        load_steps=state.load_steps,
+        load_reached=state.load_ok,
+        residual=state.residual,
+        min_det_F=state.at.min_det_F,
+        n_negative=state.n_negative,
     )
 
 
 def _held_at(model, configuration, u):
     """Where held nodes are at full load, as a function of what holds them [m]."""
-    return Unknowns(model, configuration, jnp.ones((), u.dtype)).held_at(u)
+    return Posed.of(model, configuration).held_at(u)
 
 
 def _on_unknowns(model, configuration, u, forces):
     """Forces on the unknowns at full load [N]."""
-    unknowns = Unknowns(model, configuration, jnp.ones((), u.dtype))
-    return unknowns.gather(u, forces)
+    return Posed.of(model, configuration).gather(u, forces)
 
 
 def _gap(model, configuration, u):
@@ -176,11 +173,11 @@ def implicit_response(
     r = residual(model, configuration, u, lambda_a)
     dr = dR + lin.stiffness(du_held)
     _, dr = eqx.filter_jvp(_on_unknowns, (*inputs, u, r), (*t_inputs, du_held, dr))
-    force = jnp.where(lin.unknowns.fixed(), 0.0, -dr)
+    force = jnp.where(lin.posed.fixed(), 0.0, -dr)
     dgap = dgap[actuation.with_multiplier(model)]
     dx, d_lambda = _solve_implicitly(model, lin.system, force, dgap)
     d_lambda = actuation.among_all(model, d_lambda)
-    du = du_held + lin.unknowns.scatter(u, dx)
+    du = du_held + lin.posed.scatter(u, dx)
     # Where there is no equilibrium there is no derivative of it.
     du = jnp.where(solution.converged, du, jnp.nan)
     if d_lambda.size > 0:
