@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from softcal_jax import Model
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import energy_and_force, tangent_values
-from softcal_jax.equilibrium._problem import mask_supports
+from softcal_jax.equilibrium._sparsity import mask_supports
 
 
 def parts(

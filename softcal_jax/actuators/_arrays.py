@@ -98,11 +98,13 @@ def actuator_arrays(
         for same in by_type.values()
     )
     return ActuatorArrays(
-        groups,
-        _contributions(groups, jnp.asarray(points), len(names)),
-        names,
-        tuple(actuator.kind for actuator in actuators),
-        tuple(bodies[a.body] if isinstance(a, Motor) else -1 for a in actuators),
+        groups=groups,
+        rest=_contributions(groups, jnp.asarray(points), len(names)),
+        names=names,
+        kinds=tuple(actuator.kind for actuator in actuators),
+        motor_body=tuple(
+            bodies[a.body] if isinstance(a, Motor) else -1 for a in actuators
+        ),
     )
 
 

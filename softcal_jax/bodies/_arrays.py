@@ -62,7 +62,7 @@ class BodyArrays(eqx.Module):
         """Weights on the frame nodes of a body for points fixed on it [-].
 
         Args:
-            body: Its number.
+            body: Its index.
             points: Where they are at rest [m].
         """
         return _affine(self.origin[body], self.axes[body], self.length, points)
@@ -113,19 +113,24 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
         for b, o, a in zip(bodies, origins, axes, strict=True)
     ]
     counts = [len(n) for n in nodes]
+    mountings = [b.mounting for b in bodies]
     return BodyArrays(
-        np.concatenate([np.zeros(0, int), *nodes]).astype(np.int32),
-        np.repeat(np.arange(len(bodies)), counts).astype(np.int32),
-        np.concatenate([np.zeros((0, 4)), *weights]),
-        stacked(origins, 3),
-        stacked(axes, 3, 3),
-        _owners(bodies, names),
-        jnp.asarray(stacked([b.mounting.translation for b in bodies], 3)),
-        jnp.asarray(stacked([b.mounting.rotation_vector for b in bodies], 3)),
-        jnp.asarray(stacked([b.mass for b in bodies])),
-        stacked(centres, 4),
-        length,
-        names,
+        attached=np.concatenate([np.zeros(0, int), *nodes]).astype(np.int32),
+        body=np.repeat(np.arange(len(bodies)), counts).astype(np.int32),
+        weights=np.concatenate([np.zeros((0, 4)), *weights]),
+        origin=stacked(origins, 3),
+        axes=stacked(axes, 3, 3),
+        owner=_owners(bodies, names),
+        mounting_translation=jnp.asarray(
+            stacked([m.translation for m in mountings], 3)
+        ),
+        mounting_rotation=jnp.asarray(
+            stacked([m.rotation_vector for m in mountings], 3)
+        ),
+        mass=jnp.asarray(stacked([b.mass for b in bodies])),
+        mass_weights=stacked(centres, 4),
+        length=length,
+        names=names,
     )
 
 

@@ -29,7 +29,7 @@ from softcal_jax.equilibrium._linearisation import (
 )
 from softcal_jax.equilibrium._model import Model, build_model
 from softcal_jax.equilibrium._newton import NewtonSettings
-from softcal_jax.equilibrium._problem import external_force
+from softcal_jax.equilibrium._posed import external_force
 from softcal_jax.equilibrium._robot_state import (
     ActuatorState,
     BodyPlace,

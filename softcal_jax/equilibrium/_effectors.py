@@ -9,8 +9,8 @@ from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
 from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
-from softcal_jax.equilibrium._unknowns import Unknowns
 
 
 def effector_values(
@@ -140,8 +140,7 @@ def actuator_forces(
     forces = jnp.where(
         actuation.by_multiplier(model, configuration.actuation), multipliers, forces
     )
-    unknowns = Unknowns(model, configuration, jnp.ones((), u.dtype))
-    gathered = unknowns.gather(u, unbalanced)
+    gathered = Posed.of(model, configuration).gather(u, unbalanced)
     for a, body in enumerate(model.mechanism.actuators.motor_body):
         if body >= 0:
             # The last entry of the wrench, per metre at the end of the frame's axis.
@@ -172,6 +171,8 @@ def effector_forces(
         none = jnp.zeros_like(value)
         rows.append(jnp.stack([value, none, none], axis=1))
     weights = jnp.asarray(effectors.reaction_weights)
-    held = unbalanced[effectors.reaction_nodes]
+    # What springs hold is balanced, and a reaction of the ground all the same.
+    ground = unbalanced - Posed.of(model, configuration).spring_force(u)
+    held = ground[effectors.reaction_nodes]
     rows.append(jnp.sum(weights[:, :, None] * held, axis=1))
     return jnp.concatenate(rows)

@@ -9,18 +9,19 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import _actuation as actuation
-from softcal_jax.equilibrium._assembly import internal_force, tangent_values
+from softcal_jax.equilibrium._assembly import tangent_values
+from softcal_jax.equilibrium._balance import (
+    add_boundary_stiffness,
+    deform,
+    estimated_forces,
+    rows_on_free,
+    taut,
+    unbalanced,
+)
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._newton import NewtonSettings
-from softcal_jax.equilibrium._problem import (
-    EquilibriumProblem,
-    Point,
-    external_force,
-    mask_supports,
-    product,
-)
-from softcal_jax.equilibrium._unknowns import Unknowns
+from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._sparsity import mask_supports, product
 
 SAME_MATRIX = 1e-6
 """Largest relative residual with which a solution is one of the given matrix [-]."""
@@ -44,36 +45,24 @@ def residual(
         lambda_a: Forces of the actuators whose displacement is imposed; found from the
             balance by default, which holds at equilibrium.
     """
-    at, problem = _at(model, configuration, u)
-    one = jnp.ones((), u.dtype)
+    posed, at = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
-        lambda_a = problem.estimated_forces(at, one)
-    return problem.unbalanced(at, lambda_a, one)[0]
-
-
-def _at(model: Model, configuration: ConfigurationArrays, u):
-    """A point without its energy, which costs as much as its force and is not asked."""
-    f_ext = external_force(model, configuration)
-    problem = EquilibriumProblem(model, configuration, f_ext, NewtonSettings().rtol)
-    unknown = jnp.full((), jnp.nan, u.dtype)
-    delta_a = actuation.displacements(model, u)
-    force = internal_force(model, u)
-    return Point(u, unknown, unknown, force, delta_a, unknown), problem
+        lambda_a = estimated_forces(posed, at)
+    return unbalanced(posed, at, lambda_a)[0]
 
 
 def solved_forces(
     model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
 ) -> Float[Array, " n_a"]:
     """Find the forces of actuators with imposed displacement, at an equilibrium."""
-    at, problem = _at(model, configuration, u)
-    return problem.estimated_forces(at, jnp.ones((), u.dtype))
+    return estimated_forces(Posed.of(model, configuration), deform(model, u))
 
 
 class Linearisation(eqx.Module):
     """The bordered system at an equilibrium, with its solver.
 
     Attributes:
-        unknowns: The unknowns at full load, with model and configuration.
+        posed: Model and configuration at full load.
         u: Displacement at the equilibrium [m].
         lambda_a: Forces of actuators whose displacement is imposed.
         system: The matrix.
@@ -81,7 +70,7 @@ class Linearisation(eqx.Module):
         factorized: Whether the solver may still have the factors of this matrix.
     """
 
-    unknowns: Unknowns
+    posed: Posed
     u: Float[Array, "n_points 3"]
     lambda_a: Float[Array, " n_a"]
     system: actuation.System
@@ -91,21 +80,20 @@ class Linearisation(eqx.Module):
     @property
     def model(self) -> Model:
         """The model."""
-        return self.unknowns.model
+        return self.posed.model
 
     @property
     def configuration(self) -> ConfigurationArrays:
         """The configuration."""
-        return self.unknowns.configuration
+        return self.posed.configuration
 
     def free(self, forces: Float[Array, "n_points 3"]) -> Float[Array, " n_dof"]:
         """Forces on the free unknowns, 0 on the others [N]."""
-        gathered = self.unknowns.gather(self.u, forces)
-        return jnp.where(self.unknowns.fixed(), 0.0, gathered)
+        return self.posed.on_free(self.u, forces)
 
     def scatter(self, x: Float[Array, "n n_dof"]) -> Float[Array, "n n_points 3"]:
         """Displacements of all nodes in steps of the unknowns [m]."""
-        return jax.vmap(lambda d: self.unknowns.scatter(self.u, d))(x)
+        return jax.vmap(lambda d: self.posed.scatter(self.u, d))(x)
 
     def solve(
         self,
@@ -139,8 +127,9 @@ class Linearisation(eqx.Module):
         """Solve on the factors of the last Newton step.
 
         PARDISO keeps its factors in a place that other programs may write to in
-        between; a mixture of all right-hand sides tells, in one product. Then the
-        matrix is factorized again. So it is where actuators' displacements are imposed.
+        between; one product with a mixture of all solutions shows whether they did.
+        The matrix is then factorized again, and so it is where displacements of
+        actuators are imposed.
         """
         if gap.shape[1] > 0:
             return solve(force, gap)
@@ -226,24 +215,20 @@ def linearise(
         lambda_a: Forces of actuators whose displacement is imposed; found from the
             balance by default.
     """
-    one = jnp.ones((), u.dtype)
-    at, problem = _at(model, configuration, u)
+    posed, at = Posed.of(model, configuration), deform(model, u)
+    which = actuation.with_multiplier(model)
     if lambda_a is None:
         lambda_a = jnp.zeros_like(at.delta_a)
-        if problem.has_multipliers:
-            lambda_a = problem.estimated_forces(at, one)
-    g, rows = problem.unbalanced(at, lambda_a, one)
-    full = actuation.add_curvature(
-        model, tangent_values(model, u), u, problem.all_forces(lambda_a, one)
-    )
-    unknowns = problem.unknowns(one)
-    reduced = unknowns.reduce(u, full, g)
-    masked, _ = mask_supports(model.solver.sparsity, reduced, unknowns.fixed())
-    which = problem.with_multiplier
-    H_a = problem.rows_on_unknowns(u, one, rows[which])
-    system = actuation.System(masked, H_a, problem.taut(at, one)[which])
+        if which.size > 0:
+            lambda_a = estimated_forces(posed, at)
+    g, rows = unbalanced(posed, at, lambda_a)
+    values = add_boundary_stiffness(posed, tangent_values(model, u), u, lambda_a)
+    reduced = posed.reduce(u, values, g)
+    masked, _ = mask_supports(model.solver.sparsity, reduced, posed.fixed())
+    H_a = rows_on_free(posed, u, rows[which])
+    system = actuation.System(masked, H_a, taut(posed, at)[which])
     return Linearisation(
-        unknowns=unknowns,
+        posed=posed,
         u=u,
         lambda_a=lambda_a,
         system=system,

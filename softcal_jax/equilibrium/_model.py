@@ -236,21 +236,21 @@ def build_model(
     _, w_load = _shape_gradients_at(mesh, degree=2 if n_en == 4 else 4)
     node_volumes = w_load @ shape_functions(rule.barycentric, n_en)
     return Model(
-        mesh,
-        law,
-        density,
-        mechanism,
-        jnp.asarray(blocked(dN)),
-        jnp.asarray(blocked(w)),
-        jnp.asarray(active.reshape(n_blocks, block), float),
-        jnp.asarray(blocked(mesh.tets.astype(np.int32))),
-        jnp.asarray(blocked(destinations(pattern, mesh.tets).T)),
-        jnp.asarray(node_volumes),
-        pattern,
-        tuple(destinations(pattern, nodes) for nodes in curved),
-        reduction,
-        choose_solver(solver, unknowns, mechanism),
-        chosen,
+        mesh=mesh,
+        law=law,
+        density=density,
+        mechanism=mechanism,
+        shape_gradients=jnp.asarray(blocked(dN)),
+        weights=jnp.asarray(blocked(w)),
+        active=jnp.asarray(active.reshape(n_blocks, block), float),
+        nodes=jnp.asarray(blocked(mesh.tets.astype(np.int32))),
+        destination=jnp.asarray(blocked(destinations(pattern, mesh.tets).T)),
+        node_volumes=jnp.asarray(node_volumes),
+        pattern=pattern,
+        curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
+        reduction=reduction,
+        solver=choose_solver(solver, unknowns, mechanism),
+        formulation=chosen,
     )
 
 

@@ -4,8 +4,6 @@ Minimises Pi(x) = sum_e V_e psi(F_e) - t (f_ext . u + lambda_a . delta_a) over t
 unknowns, while the load factor t goes from 0 to 1 (paper Eqs. 1-3; equilibrium is a
 minimum of Pi when forces are imposed). One state machine in one `while_loop`: an
 iteration is a Newton step, and the end of a load step, or its failure, only changes t.
-Where no potential exists, or the equilibrium is a saddle because displacements of
-actuators are imposed, the line search is on the norm of the residual.
 """
 
 from dataclasses import dataclass
@@ -18,14 +16,20 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._problem import (
-    Direction,
-    EquilibriumProblem,
+from softcal_jax.equilibrium import _actuation as actuation
+from softcal_jax.equilibrium._balance import (
     Point,
+    at_rest,
+    by_multiplier,
+    estimated_forces,
     evaluate,
-    external_force,
+    merit,
+    relative,
 )
+from softcal_jax.equilibrium._direction import dilatation, newton_direction
+from softcal_jax.equilibrium._line_search import always_potential, line_search
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._posed import Posed
 
 _NEAR = 1e-3
 """Residual, in internal forces, of a state whose tangent is that of the next one."""
@@ -92,26 +96,22 @@ class NewtonState(NamedTuple):
     done: Bool[Array, ""]
 
 
-class _Trial(NamedTuple):
-    """A point along a Newton step."""
-
-    at: Point
-    lambda_a: Float[Array, " n_a"]
-    merit: Float[Array, ""]
-    good: Bool[Array, ""]
-
-
 @dataclass(frozen=True, eq=False)  # JAX caches its methods by identity
 class NewtonLoop:
-    """The iterations of one configuration."""
+    """Newton's method for a configuration.
 
-    body: EquilibriumProblem
+    Attributes:
+        posed: The configuration, at full load.
+        settings: The settings.
+    """
+
+    posed: Posed
     settings: NewtonSettings
 
     @property
     def model(self) -> Model:
         """The model."""
-        return self.body.model
+        return self.posed.model
 
     def strict(self, s: NewtonState):
         """Whether only steps that lower Pi are taken."""
@@ -120,152 +120,53 @@ class NewtonLoop:
             return jnp.ones((), bool)
         return s.increment < self.settings.strict_below
 
-    @property
-    def _always_potential(self) -> bool:
-        return self.model.conservative and not self.body.has_multipliers
-
     def remembered(self, merit):
         """Norm of a residual, kept only where the line search may need it."""
-        return None if self._always_potential else jnp.asarray(merit)
-
-    def potential(self, at: Point, load):
-        """Pi at a point, and the scale of its rounding [J]."""
-        f_ext = self.body.f_ext
-        work = load * f_ext * at.u
-        value, scale = at.energy - jnp.sum(work), at.energy_scale
-        scale = scale + jnp.sum(jnp.abs(work))
-        forces = self.body.configuration.actuation.forces
-        of_actuators = load * forces * at.delta_a
-        value = value - jnp.sum(of_actuators)
-        return value, scale + jnp.sum(jnp.abs(of_actuators))
-
-    def lower_potential(self, s: NewtonState, direction: Direction):
-        """Test of a trial step: whether Pi has gone down enough (Armijo)."""
-        before, scale = self.potential(s.at, s.load)
-        slope, d = direction.slope, direction.d
-
-        def test(alpha, at, lambda_a, merit):
-            del merit
-            new, new_scale = self.potential(at, s.load)
-            armijo = new <= before + 1e-4 * alpha * slope
-            # Near the solution Pi changes by less than its own rounding, and the slope
-            # decides (approximate Wolfe condition of Hager and Zhang, SIAM J. Optim.
-            # 16, 2005).
-            g, _ = self.body.unbalanced(at, lambda_a, s.load)
-            slope_new = jnp.sum(self.body.on_unknowns(at.u, s.load, g) * d)
-            flat = (slope_new <= 0.8 * jnp.abs(slope)) & (
-                new <= before + 1e-6 * (scale + new_scale)
-            )
-            return armijo | flat
-
-        return test
-
-    def lower_residual(self, s: NewtonState, direction: Direction):
-        """Test of a trial step: whether the residual has gone down enough.
-
-        Below the larger of the last two, which a Newton direction always can (Grippo,
-        Lampariello and Lucidi, SIAM J. Numer. Anal. 23, 1986), and the first step of a
-        load step is free: a rotation that the step completes only to first order
-        stretches a slender body, so its residual rises by orders of magnitude and
-        falls again one step later. Monotone descent creeps already under own weight.
-        """
-        assert s.merit_before is not None
-        now = self.body.merit(s.at, direction.lambda_a, s.load, direction.gap_stiffness)
-        reference = jnp.maximum(s.merit_before, now)
-
-        def test(alpha, at, lambda_a, merit):
-            del at, lambda_a
-            return merit <= (1.0 - 1e-4 * alpha) * reference
-
-        return test
-
-    def lower(self, s: NewtonState, direction: Direction):
-        """The test that suits what is imposed."""
-        if not self.model.conservative:
-            return self.lower_residual(s, direction)
-        if self._always_potential:
-            return self.lower_potential(s, direction)
-        saddle = jnp.any(self.body.by_multiplier())
-        residual = self.lower_residual(s, direction)
-        potential = self.lower_potential(s, direction)
-
-        def test(alpha, at, lambda_a, merit):
-            return jnp.where(
-                saddle,
-                residual(alpha, at, lambda_a, merit),
-                potential(alpha, at, lambda_a, merit),
-            )
-
-        return test
-
-    def line_search(self, s: NewtonState, direction: Direction) -> _Trial:
-        """Backtrack until the step passes the test and all is finite.
-
-        Full steps are taken first, downhill or not: the first step of a large rotation
-        always raises Pi, and of a nearly incompressible body by orders of magnitude; a
-        strict search then creeps. They are only trusted
-        when they end in a stable state; see `step`.
-        """
-        lower, moving = self.lower(s, direction), direction.moving
-
-        def trial(alpha):
-            u = self.body.unknowns(s.load).swing(s.at.u, alpha * direction.d)
-            at = evaluate(self.model, u)
-            lambda_a = direction.lambda_a + alpha * direction.d_lambda
-            merit = self.body.merit(at, lambda_a, s.load, direction.gap_stiffness)
-            enough = lower(alpha, at, lambda_a, merit)
-            # Some laws survive a tet turned inside out, and then hardly find back. A
-            # support that goes too far is cut short like a load.
-            inside_out = (at.min_det_F <= 0.0) & (s.at.min_det_F > 0.0)
-            inside_out = inside_out & (~moving | ~self.strict(s))
-            good = (enough | moving | ~self.strict(s)) & at.finite & ~inside_out
-            return _Trial(at, lambda_a, merit, good)
-
-        def keep_trying(carry):
-            _, backtracks, tried = carry
-            return ~tried.good & (backtracks < self.settings.max_backtracks) & ~moving
-
-        def halve(carry):
-            alpha, backtracks, _ = carry
-            return 0.5 * alpha, backtracks + 1, trial(0.5 * alpha)
-
-        start = (direction.reach, 0, trial(direction.reach))
-        return jax.lax.while_loop(keep_trying, halve, start)[2]
+        return None if always_potential(self.model) else jnp.asarray(merit)
 
     def step(self, s: NewtonState) -> NewtonState:
         """One Newton iteration, and what follows from it for the load."""
-        direction = self.body.direction(
-            s.at, s.theta, s.lambda_a, s.load, self.strict(s)
+        posed, strict = self.posed.at_load(s.load), self.strict(s)
+        direction = newton_direction(
+            posed, s.at.deformed, s.lambda_a, theta=s.theta, strict=strict
         )
+        factor = direction.factor
         downhill = jnp.ones((), bool)
         if self.model.conservative:  # otherwise it always points down the residual
-            saddle = jnp.any(self.body.by_multiplier())
-            downhill = direction.moving | (direction.slope <= 0.0) | ~self.strict(s)
-            downhill = downhill | saddle
-        tried = self.line_search(s, direction)
-        good = tried.good & direction.ok & downhill
-        residual = self.body.relative(
-            tried.merit, tried.at, tried.lambda_a, s.load, direction.stiffness
+            saddle = jnp.any(by_multiplier(posed))
+            downhill = direction.moving | (direction.slope <= 0.0) | ~strict | saddle
+        tried = line_search(
+            posed,
+            s.at,
+            direction,
+            strict=strict,
+            merit_before=s.merit_before,
+            max_backtracks=self.settings.max_backtracks,
+        )
+        good = tried.good & factor.ok & downhill
+        rtol = self.settings.rtol
+        residual = relative(
+            posed, tried.at.deformed, tried.merit, factor.stiffness, rtol
         )
         residual = jnp.where(good, residual, jnp.inf)
         before_step = s.residual
         s = s._replace(
             step=s.step + 1,
             step_in_load=s.step_in_load + 1,
-            n_negative=direction.n_negative,
-            any_singular=~direction.ok,
+            n_negative=factor.n_negative,
+            any_singular=~factor.ok,
             # A singular tangent gives no step; the ones before it tell why.
-            turned=jnp.where(direction.ok, tried.at.min_det_F <= 0.0, s.turned),
+            turned=jnp.where(factor.ok, tried.at.min_det_F <= 0.0, s.turned),
         )
-        before = self.body.merit(
-            s.at, direction.lambda_a, s.load, direction.gap_stiffness
+        before = merit(
+            posed, s.at.deformed, direction.step.lambda_a, factor.gap_stiffness
         )
         # Where one step went all the way, as in a strut under an axial force, the
-        # tangent was that of another state: look at that of this one, and stay.
-        near = before <= _NEAR * jnp.linalg.norm(tried.at.force)
-        near = near | (direction.n_negative < 0)
-        stay = (s.residual <= self.settings.rtol) & (s.step_in_load > 1)
-        good, near = good | (stay & direction.ok), near | stay
+        # tangent was that of another state: factorize once more at this one, and stay.
+        near = before <= _NEAR * jnp.linalg.norm(tried.at.deformed.force)
+        near = near | (factor.n_negative < 0)
+        stay = (s.residual <= rtol) & (s.step_in_load > 1)
+        good, near = good | (stay & factor.ok), near | stay
         residual = jnp.where(stay, s.residual, residual)
         tried = _select(stay, tried._replace(at=s.at, lambda_a=s.lambda_a), tried)
         u, du = s.at.u, tried.at.u - s.at.u
@@ -274,12 +175,12 @@ class NewtonLoop:
             lambda_a=tried.lambda_a,
             merit_before=self.remembered(before),
             residual=residual,
-            theta=self.body.dilatation(s.theta, u, du),
+            theta=dilatation(self.model, s.theta, u, du),
         )
-        settled = residual <= self.settings.rtol
+        settled = residual <= rtol
         astray = settled & near & self.suspicious(s, tried.at.min_det_F)
         good, converged = good & ~astray, settled & near & ~astray
-        # A step that is closing in is not cut short of its end.
+        # Do not cut the load while the residual still falls tenfold.
         closing = residual < 0.1 * before_step
         out_of_steps = s.step_in_load >= self.settings.max_steps_per_load
         failed = ~good | (~settled & out_of_steps & ~closing)
@@ -329,7 +230,7 @@ class NewtonLoop:
         why = RESULTS.where(s.turned, RESULTS.inverted, why)
         return s._replace(
             at=evaluate(self.model, s.u_ok),
-            theta=self.body.dilatation(s.theta, s.u_ok, jnp.zeros_like(s.u_ok)),
+            theta=dilatation(self.model, s.theta, s.u_ok, jnp.zeros_like(s.u_ok)),
             lambda_a=s.lambda_ok,
             load=s.load_ok + increment,
             increment=increment,
@@ -342,22 +243,20 @@ class NewtonLoop:
     def start(self, u0: Float[Array, "n_points 3"]) -> NewtonState:
         """State before the first iteration, at full load."""
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
-        rest, count = jnp.zeros_like(u0), jnp.zeros((), jnp.int32)
-        guess = evaluate(self.model, self.body.unknowns(one).rigid(u0))
+        rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
+        guess = evaluate(self.model, self.posed.rigid(u0))
         # A guess with inverted tets or infinite energy is worth less than rest.
         usable = guess.finite & (guess.min_det_F > 0.0)
-        none = jnp.zeros(self.model.mechanism.n_actuators)
-        delta_a = none - self.model.mechanism.motor_zero
-        at = _select(usable, guess, Point(rest, zero, zero, rest, delta_a, one))
-        lambda_a = none
-        if self.body.has_multipliers:
+        at = _select(usable, guess, rest)
+        lambda_a = none = jnp.zeros(self.model.mechanism.n_actuators)
+        if actuation.with_multiplier(self.model).size > 0:
             warm = jnp.any(at.u != 0.0)
-            lambda_a = jnp.where(warm, self.body.estimated_forces(at, one), 0.0)
+            lambda_a = jnp.where(warm, estimated_forces(self.posed, at.deformed), 0.0)
         state = NewtonState(
             at=at,
             theta=zero,
             lambda_a=lambda_a,
-            u_ok=rest,
+            u_ok=rest.u,
             lambda_ok=none,
             load=one,
             load_ok=zero,
@@ -373,7 +272,7 @@ class NewtonLoop:
             result=RESULTS.max_steps,
             done=jnp.zeros((), bool),
         )
-        return state._replace(theta=self.body.dilatation(zero, at.u, rest))
+        return state._replace(theta=dilatation(self.model, zero, at.u, rest.u))
 
 
 def newton(
@@ -387,10 +286,7 @@ def newton(
     A guess that does not lead to the solution at full load is dropped, and load
     stepping begins from rest.
     """
-    model = model.tabulated()
-    f_ext = external_force(model, configuration)
-    body = EquilibriumProblem(model, configuration, f_ext, settings.rtol)
-    loop = NewtonLoop(body, settings)
+    loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
     keep_going = lambda s: ~s.done & (s.step < settings.max_steps)
     return jax.lax.while_loop(keep_going, loop.step, loop.start(u0))
 

@@ -1,7 +1,7 @@
 """The tangent in the unknowns of free nodes and rigid bodies.
 
 Nodes of a body move with it, du = G d, so its tangent is G^T K G and a part from the
-turning of forces (`geometric_stiffness`). K is assembled over all nodes first; here its
+turning of forces (`Posed.reduce`). K is assembled over all nodes first; here its
 entries go to their places. Rows of nodes that belong to bodies stay, empty, so that
 node i always has the unknowns 3 i to 3 i + 2.
 """
@@ -28,14 +28,14 @@ class Reduction(eqx.Module):
         kept: Entries between free nodes.
         kept_at: Where they go.
         mixed: Blocks between a free and a rigid node.
-        mixed_rigid: Number, in `rigid`, of the latter.
+        mixed_rigid: Index in `rigid` of the latter.
         mixed_at: Where they go.
         mixed_below_at: Where their transposes go, if the matrix is not symmetric.
         mixed_below: Blocks between a rigid and a free node, likewise.
         inner: Blocks between two rigid nodes.
-        inner_first: Numbers of the first of these.
-        inner_second: Numbers of the second.
-        bodies: Entries of the matrix of all bodies that the pattern has.
+        inner_first: Indices in `rigid` of the first of these.
+        inner_second: Indices in `rigid` of the second.
+        bodies: Entries of the matrix between bodies that the pattern has.
         bodies_at: Where they go.
     """
 
@@ -74,13 +74,13 @@ def build_reduction(
         n_bodies: Number of bodies.
     """
     n_nodes = full.n_dof // 3
-    number = np.full(n_nodes, -1)
-    number[rigid] = np.arange(rigid.size)
+    index = np.full(n_nodes, -1)
+    index[rigid] = np.arange(rigid.size)
     a, b = _ordered_pairs(cliques, n_nodes)
-    mixed = (number[a] < 0) & (number[b] >= 0)
-    inner = (number[a] >= 0) & (number[b] >= 0)
-    first, second = number[a[inner]], number[b[inner]]
-    free_row, body_column = a[mixed], owner[number[b[mixed]]]
+    mixed = (index[a] < 0) & (index[b] >= 0)
+    inner = (index[a] >= 0) & (index[b] >= 0)
+    first, second = index[a[inner]], index[b[inner]]
+    free_row, body_column = a[mixed], owner[index[b[mixed]]]
     body_rows = lambda k: 3 * n_nodes + 6 * k[:, None] + np.arange(6)
     rows = np.broadcast_to(_node_rows(free_row)[:, :, None], (mixed.sum(), 3, 6))
     columns = np.broadcast_to(body_rows(body_column)[:, None, :], rows.shape)
@@ -95,7 +95,7 @@ def build_reduction(
     k, m = coupled // n_bodies, coupled % n_bodies
     body_row = np.broadcast_to(body_rows(k)[:, :, None], (k.size, 6, 6))
     body_col = np.broadcast_to(body_rows(m)[:, None, :], body_row.shape)
-    free = (number[full.rows // 3] < 0) & (number[full.indices // 3] < 0)
+    free = (index[full.rows // 3] < 0) & (index[full.indices // 3] < 0)
     kept = np.flatnonzero(free)
     n_dof = 3 * n_nodes + 6 * n_bodies
     all_rows = [full.rows[kept], rows.ravel(), columns.ravel(), body_row.ravel()]
@@ -114,26 +114,24 @@ def build_reduction(
     flat = np.ravel_multi_index(
         (body_row - 3 * n_nodes, body_col - 3 * n_nodes), (6 * n_bodies, 6 * n_bodies)
     )
+    transposed = lambda block: np.swapaxes(block[below[mixed]], 1, 2)
     return Reduction(
-        full,
-        reduced,
-        rigid.astype(np.int32),
-        owner.astype(np.int32),
-        kept.astype(np.int32),
-        reduced.positions(full.rows[kept], full.indices[kept]),
-        _blocks(full, a[mixed], b[mixed]),
-        number[b[mixed]].astype(np.int32),
-        reduced.positions(rows, columns),
-        _blocks(full, b[below], a[below]),
-        reduced.positions(
-            np.swapaxes(columns[below[mixed]], 1, 2),
-            np.swapaxes(rows[below[mixed]], 1, 2),
-        ),
-        _blocks(full, a[inner], b[inner]),
-        first.astype(np.int32),
-        second.astype(np.int32),
-        flat[in_pattern].astype(np.int32),
-        reduced.positions(body_row[in_pattern], body_col[in_pattern]),
+        full=full,
+        reduced=reduced,
+        rigid=rigid.astype(np.int32),
+        owner=owner.astype(np.int32),
+        kept=kept.astype(np.int32),
+        kept_at=reduced.positions(full.rows[kept], full.indices[kept]),
+        mixed=_blocks(full, a[mixed], b[mixed]),
+        mixed_rigid=index[b[mixed]].astype(np.int32),
+        mixed_at=reduced.positions(rows, columns),
+        mixed_below=_blocks(full, b[below], a[below]),
+        mixed_below_at=reduced.positions(transposed(columns), transposed(rows)),
+        inner=_blocks(full, a[inner], b[inner]),
+        inner_first=first.astype(np.int32),
+        inner_second=second.astype(np.int32),
+        bodies=flat[in_pattern].astype(np.int32),
+        bodies_at=reduced.positions(body_row[in_pattern], body_col[in_pattern]),
     )
 
 

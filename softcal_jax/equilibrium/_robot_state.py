@@ -77,7 +77,7 @@ class Reaction(eqx.Module):
 
 
 class RobotState(eqx.Module):
-    """What is beside the soft body at equilibrium.
+    """Rigid bodies, actuators and reactions at an equilibrium.
 
     Attributes:
         bodies: The rigid bodies.
@@ -94,7 +94,7 @@ class RobotState(eqx.Module):
 
 
 class _Balance(eqx.Module):
-    """What has to be computed from the balance of forces, for one configuration."""
+    """What follows from the balance of forces of one configuration."""
 
     unbalanced: Float[Array, "n_points 3"]
     forces: Float[Array, " n_a"]
@@ -188,11 +188,11 @@ def _bodies(
         moved = u[model.mesh.n_nodes + 4 * k]
         places.append(
             BodyPlace(
-                bodies.names[k],
-                kind,
-                bodies.origin[k] + moved,
-                moved,
-                Rotation.from_matrix(rotation[k]).as_rotvec(),
+                name=bodies.names[k],
+                state=kind,
+                position=bodies.origin[k] + moved,
+                translation=moved,
+                rotation_vector=Rotation.from_matrix(rotation[k]).as_rotvec(),
             )
         )
     return tuple(places)
@@ -202,6 +202,7 @@ def _actuators(
     model: Model, lane: ConfigurationArrays, found: _Balance
 ) -> tuple[ActuatorState, ...]:
     actuators = model.mechanism.actuators
+    by_displacement = lane.actuation.by_displacement
     states = []
     for a, (name, kind) in enumerate(
         zip(actuators.names, actuators.kinds, strict=True)
@@ -209,13 +210,13 @@ def _actuators(
         unit = kind.displacement_unit
         states.append(
             ActuatorState(
-                name,
-                kind.noun,
-                "displacement" if lane.actuation.by_displacement[a] else "force",
-                float(found.forces[a]),
-                kind.force_unit,
-                None if unit is None else float(found.displacements[a]),
-                unit,
+                name=name,
+                kind=kind.noun,
+                imposed="displacement" if by_displacement[a] else "force",
+                force=float(found.forces[a]),
+                force_unit=kind.force_unit,
+                displacement=None if unit is None else float(found.displacements[a]),
+                displacement_unit=unit,
             )
         )
     return tuple(states)

@@ -17,7 +17,7 @@ from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._linearisation import Linearisation, residual
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._unknowns import Unknowns
+from softcal_jax.equilibrium._posed import Posed
 
 OfInputs = Callable[[Model, ConfigurationArrays], Float[Array, "..."]]
 Readings = Callable[
@@ -66,15 +66,13 @@ def input_rows(
     """
 
     def held(model, configuration):
-        one = jnp.ones((), u.dtype)
-        return Unknowns(model, configuration, one).held_at(u)
+        return Posed.of(model, configuration).held_at(u)
 
     def balance(model, configuration):
         there = held(model, configuration)
         forces = residual(model, configuration, there, lambda_a)
         # The arm of a force changes, too, where the mounting of a tied body does.
-        unknowns = Unknowns(model, configuration, jnp.ones((), u.dtype))
-        return unknowns.gather(there, forces)
+        return Posed.of(model, configuration).gather(there, forces)
 
     def gap(model, configuration):
         wanted = jnp.asarray(configuration.actuation.value)
@@ -85,7 +83,7 @@ def input_rows(
         there = held(model, configuration)
         return readings(model, configuration, there, lambda_a).ravel()
 
-    fixed = Unknowns(model, configuration, jnp.ones((), u.dtype)).fixed()
+    fixed = Posed.of(model, configuration).fixed()
     which = actuation.with_multiplier(model)
     return InputRows(
         force=jnp.where(fixed, 0.0, -along(balance)),

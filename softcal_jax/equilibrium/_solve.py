@@ -27,15 +27,15 @@ def as_solution(state: NewtonState) -> EquilibriumSolution:
     carried = state.done & (state.load_ok >= 1.0)
     return EquilibriumSolution(
         # Where there is no equilibrium, no displacement may pass for one.
-        jnp.where(carried, state.at.u, jnp.nan),
-        jnp.where(carried, state.lambda_a, jnp.nan),
-        state.result,
-        state.step,
-        state.load_steps,
-        state.load_ok,
-        state.residual,
-        state.at.min_det_F,
-        state.n_negative,
+        displacement=jnp.where(carried, state.at.u, jnp.nan),
+        multipliers=jnp.where(carried, state.lambda_a, jnp.nan),
+        result=state.result,
+        steps=state.step,
+        load_steps=state.load_steps,
+        load_reached=state.load_ok,
+        residual=state.residual,
+        min_det_F=state.at.min_det_F,
+        n_negative=state.n_negative,
     )
 
 

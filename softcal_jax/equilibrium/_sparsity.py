@@ -8,9 +8,10 @@ one symbolic analysis and one compiled program.
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 
 
 class Sparsity(eqx.Module):
@@ -123,13 +124,14 @@ def from_entries(
     keys = rows.astype(np.int64) * n_dof + columns
     keys = np.unique(keys[rows <= columns] if symmetric else keys)
     rows, indices = keys // n_dof, keys % n_dof
+    # Sorted by column, the entries stand in the order of the transpose.
+    mirror = None if symmetric else np.lexsort((rows, indices)).astype(np.int32)
     return Sparsity(
-        np.searchsorted(rows, np.arange(n_dof + 1)).astype(np.int32),
-        indices.astype(np.int32),
-        rows.astype(np.int32),
-        np.searchsorted(keys, np.arange(n_dof) * (n_dof + 1)).astype(np.int32),
-        # Sorted by column, the entries stand in the order of the transpose.
-        None if symmetric else np.lexsort((rows, indices)).astype(np.int32),
+        indptr=np.searchsorted(rows, np.arange(n_dof + 1)).astype(np.int32),
+        indices=indices.astype(np.int32),
+        rows=rows.astype(np.int32),
+        diagonal=np.searchsorted(keys, np.arange(n_dof) * (n_dof + 1)).astype(np.int32),
+        mirror=mirror,
     )
 
 
@@ -146,3 +148,31 @@ def destinations(
     dof = (3 * nodes[:, :, None] + np.arange(3)).reshape(n, 3 * m)
     p, q = element_entries(m, sparsity.symmetric)
     return sparsity.positions(dof[:, p].T, dof[:, q].T)
+
+
+def product(
+    sparsity: Sparsity, values: Float[Array, " nnz"], v: Float[Array, " n_dof"]
+) -> Float[Array, " n_dof"]:
+    """K v, for a K that is kept in the entries of its pattern."""
+    rows, cols = sparsity.rows, sparsity.indices
+    if not sparsity.symmetric:
+        return jnp.zeros_like(v).at[rows].add(values * v[cols])
+    lower = jnp.where(rows == cols, 0.0, values)
+    upper = jnp.zeros_like(v).at[rows].add(values * v[cols])
+    return upper.at[cols].add(lower * v[rows])
+
+
+def mask_supports(
+    sparsity: Sparsity, values: Float[Array, " nnz"], fixed: Bool[Array, " n_dof"]
+) -> tuple[Float[Array, " nnz"], Float[Array, ""]]:
+    """Make the rows and columns of held unknowns those of the identity, scaled.
+
+    Returns:
+        The entries, and the scale: the mean stiffness of an unknown [N/m].
+    """
+    held = fixed[sparsity.rows] | fixed[sparsity.indices]
+    diagonal = values[sparsity.diagonal]
+    # The mean stiffness, not 1, keeps the matrix well scaled in any unit.
+    scale = jnp.mean(jnp.abs(diagonal))
+    on_diagonal = jnp.where(fixed, scale, diagonal)
+    return jnp.where(held, 0.0, values).at[sparsity.diagonal].set(on_diagonal), scale

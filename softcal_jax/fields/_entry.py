@@ -18,14 +18,12 @@ class AbstractEntry(eqx.Module):
     `apply` is all that sensitivities need: they follow from it by autodiff. A new kind
     of parameter is a subclass, or a line in `fields._setup.QUANTITIES` where it sets
     an array that the model or the configurations already have.
-
-    Attributes:
-        parameters: The unknowns that it adds.
-        region: Tet group in which it sets fields; None for the whole body.
     """
 
-    parameters: eqx.AbstractVar[tuple["Parameter", ...]]
-    region: eqx.AbstractVar[str | None]
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple["Parameter", ...]:
+        """The unknowns that it adds."""
 
     @property
     @abstractmethod
@@ -35,6 +33,11 @@ class AbstractEntry(eqx.Module):
         One pass over the tets then tells the forces of all unknowns of a field. Empty
         for an entry that sets anything else; `check_parameters` holds it to its word.
         """
+
+    @property
+    @abstractmethod
+    def tet_group(self) -> str | None:
+        """Tet group in which it sets fields; None for the whole body."""
 
     @property
     @abstractmethod

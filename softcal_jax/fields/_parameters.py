@@ -134,6 +134,11 @@ class Parameter(AbstractEntry):
         return (self.field,)
 
     @property
+    def tet_group(self) -> str | None:
+        """The region that it sets the field in."""
+        return self.region
+
+    @property
     def label(self) -> str:
         """Its name."""
         return self.name

@@ -105,7 +105,7 @@ class SetupParameter(AbstractEntry):
     Attributes:
         kind: One of `QUANTITIES`.
         of: What it belongs to, like the motor; empty where it belongs to nothing.
-        parameters: The unknown: name, start, bounds, scaling and prior; its `field` is
+        unknowns: The unknown: name, start, bounds, scaling and prior; its `field` is
             not looked at. One for each name in `each`, where there are any.
         axis: Component of a quantity that has several, like "x"; empty otherwise.
         each: Configurations or recordings that have an unknown each; those not named
@@ -115,7 +115,7 @@ class SetupParameter(AbstractEntry):
 
     kind: str = eqx.field(static=True)
     of: str = eqx.field(static=True)
-    parameters: tuple[Parameter, ...] = eqx.field(converter=_as_tuple)
+    unknowns: tuple[Parameter, ...] = eqx.field(converter=_as_tuple)
     axis: str = eqx.field(static=True, default="")
     each: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
     by: Scope = eqx.field(static=True, default="recording")
@@ -172,9 +172,14 @@ class SetupParameter(AbstractEntry):
         return ()
 
     @property
-    def region(self) -> None:
+    def tet_group(self) -> None:
         """None: it belongs to no tets."""
         return None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its unknowns."""
+        return self.unknowns
 
     @property
     def label(self) -> str:
@@ -230,4 +235,4 @@ class SetupParameter(AbstractEntry):
         """The same unknowns with other names."""
         del points
         own = tuple(replace(q, name=names[q.name], unit="") for q in self.parameters)
-        return replace(self, parameters=own)
+        return replace(self, unknowns=own)

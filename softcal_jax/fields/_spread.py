@@ -280,6 +280,11 @@ class ControlPointParameters(AbstractEntry):
         return (self.field,)
 
     @property
+    def tet_group(self) -> str | None:
+        """The region that it sets the field in."""
+        return self.region
+
+    @property
     def label(self) -> str:
         """Its field and control points."""
         return f"{self.field} of {', '.join(self.control_points.names)}"

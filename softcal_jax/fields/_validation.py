@@ -55,7 +55,7 @@ def _check_overlaps(model: Any, space: ParameterSpace) -> None:
         for field in entry.fields:
             find_field(model, field)
             owner = owners.setdefault(field, np.full(model.mesh.n_tets, -1))
-            tets = region_tets(model.mesh, entry.region)
+            tets = region_tets(model.mesh, entry.tet_group)
             taken = tets[owner[tets] >= 0]
             if taken.size:
                 other = space.entries[owner[taken[0]]]

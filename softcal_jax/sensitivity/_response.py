@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
@@ -89,16 +90,18 @@ def equilibrium_response(
             linearisation, rows, effector_values, adjoint=z.shape[0] > most
         )
         ok = found.ok & equilibrium.converged
-        or_zero = lambda a: None if a is None else jnp.where(ok, a, 0.0)
+        W_ep, displacement = jax.tree.map(
+            lambda a: jnp.where(ok, a, 0.0), (found.W_ep, found.displacement)
+        )
         effectors = effector_values(
             model, configuration, equilibrium.displacement, equilibrium.multipliers
         )
         return Response(
-            equilibrium,
-            effectors,
-            or_zero(found.W_ep),
-            or_zero(found.displacement),
-            ok,
+            equilibrium=equilibrium,
+            effectors=effectors,
+            W_ep=W_ep,
+            displacement=displacement,
+            ok=ok,
         )
 
     before = guess if before is None else before

@@ -36,7 +36,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
     tangent_values,
 )
-from softcal_jax.equilibrium._problem import product
+from softcal_jax.equilibrium._sparsity import product
 from softcal_jax.materials import (
     ClassicalCorotational,
     Corotational,

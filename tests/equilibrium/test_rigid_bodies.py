@@ -30,8 +30,8 @@ from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.equilibrium import build_model, residual, strain_energy
 from softcal_jax.equilibrium._linearisation import linearise
-from softcal_jax.equilibrium._problem import product
-from softcal_jax.equilibrium._unknowns import Unknowns
+from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._sparsity import product
 from softcal_jax.materials import NeoHookean
 
 YOUNG, DENSITY, GRAVITY = 3e5, 1000.0, np.array([1.0, 2.0, -9.0])
@@ -147,8 +147,8 @@ def test_hinged_body_only_turns_about_its_mounted_axis():
 def wrenches(model, lane, u):
     """Out-of-balance force and moment of each body, and on each free node."""
     r = residual(model, lane, u)
-    unknowns = Unknowns(model, lane, jnp.ones(()))
-    gathered = unknowns.gather(u, r)
+    robot = Posed.of(model, lane)
+    gathered = robot.gather(u, r)
     return gathered[: u.size].reshape(u.shape), gathered[u.size :].reshape(-1, 6)
 
 
@@ -207,11 +207,11 @@ class Terms(NamedTuple):
 @jax.jit
 def along(model, lane, u, d, t):
     """Pi, its slope and its curvature at a share t of the step d."""
-    unknowns = Unknowns(model, lane, jnp.ones(()))
-    d = jnp.where(unknowns.fixed(), 0.0, d)
-    v = unknowns.move(u, t * d)
+    robot = Posed.of(model, lane)
+    d = jnp.where(robot.fixed(), 0.0, d)
+    v = robot.move(u, t * d)
     pi = jnp.sum(strain_energy(model, v)) - jnp.sum(lane.force * v)
-    slope = jnp.vdot(unknowns.gather(v, residual(model, lane, v)), d)
+    slope = jnp.vdot(robot.gather(v, residual(model, lane, v)), d)
     values = linearise(model, lane, v).system.values
     curvature = jnp.vdot(d, product(model.solver.sparsity, values, d))
     return Terms(pi, slope, curvature)
@@ -228,9 +228,9 @@ def test_reduced_forces_and_tangent_are_the_derivatives_of_the_potential(root, t
     kinds = kinds.at[0].set(("free", "hinged", "held").index(root))
     force = 0.5 * jr.normal(keys[0], lane.force.shape)
     lane = eqx.tree_at(lambda c: (c.force, c.bodies.kind), lane, (force, kinds))
-    unknowns = Unknowns(MODEL, lane, jnp.ones(()))
+    robot = Posed.of(MODEL, lane)
     d0 = 1e-3 * jr.normal(keys[1], (MODEL.n_dof,))
-    u = unknowns.move(jnp.zeros((MODEL.n_points, 3)), d0)
+    u = robot.move(jnp.zeros((MODEL.n_points, 3)), d0)
     for key in keys[2:]:
         d = 1e-3 * jr.normal(key, (MODEL.n_dof,))
         exact = along(MODEL, lane, u, d, 0.0)

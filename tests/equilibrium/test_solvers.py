@@ -32,7 +32,7 @@ from softcal_jax.equilibrium._linear_solver import (
     Pardiso,
     _work,
 )
-from softcal_jax.equilibrium._problem import mask_supports
+from softcal_jax.equilibrium._sparsity import mask_supports
 from softcal_jax.materials import (
     Corotational,
     Isotropic,

@@ -1,8 +1,9 @@
-"""Unknowns of equilibrium: three per node, six per rigid body.
+"""A configuration of a model at a share of its load, and its unknowns.
 
-A state is the displacement u of all nodes, those of bodies and their frames among them.
-A step d of the unknowns moves it: free nodes by d, the nodes of a body by the exact
-rigid motion of its twist, and what is held to where it is held.
+The unknowns are three per node and six per rigid body. A state is the displacement u
+of all nodes, those of bodies and their frames among them. A step d of the unknowns
+moves it: free nodes by d, the nodes of a body by the exact rigid motion of its twist,
+and what is held to where it is held.
 """
 
 from typing import NamedTuple
@@ -23,61 +24,91 @@ from softcal_jax.bodies import (
     rotation_matrix,
 )
 from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium._assembly import gravity_load
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._reduction import reduce_values
 
 _UNMOVED = 1e-12
-"""Share of a body's frame below which a distance to where it is held is rounding."""
+"""Distance to where a body is held, in sizes of its frame, that is only rounding."""
 
 
-def body_states(model: Model, configuration: ConfigurationArrays) -> BodyStateArrays:
-    """What the configuration does with the bodies, its motors included.
-
-    A motor whose angle is imposed holds its body there; one whose torque is imposed
-    leaves it on the hinge.
-    """
-    mechanism = model.mechanism
-    state = configuration.bodies
-    actuation = configuration.actuation
-    kind, rotation = jnp.asarray(state.kind), jnp.asarray(state.rotation)
-    translation = jnp.asarray(state.translation)
-    third = mounted_axes(mechanism.bodies, jnp.ones(()))[:, 2]
-    for a, body in enumerate(mechanism.actuators.motor_body):
-        if body >= 0:
-            by_angle = actuation.by_displacement[a]
-            angle = actuation.value[a] + mechanism.motor_zero[a]
-            there = jnp.where(by_angle, KINDS.index("held"), KINDS.index("hinged"))
-            kind = kind.at[body].set(there.astype(kind.dtype))
-            turned = jnp.where(by_angle, angle, 0.0) * third[body]
-            rotation = rotation.at[body].set(turned)
-    return BodyStateArrays(kind, translation, rotation)
+def external_force(
+    model: Model, configuration: ConfigurationArrays
+) -> Float[Array, "n_points 3"]:
+    """Dead loads and weight as nodal forces, f_ext(p) [N]."""
+    return configuration.dead_loads + gravity_load(model, configuration.acceleration)
 
 
-class Unknowns(NamedTuple):
-    """The unknowns of one configuration at one state.
+class Posed(NamedTuple):
+    """One configuration of a model under a share of its load; make it by `of`.
 
     Attributes:
         model: The model.
-        configuration: Its supports and what it does with the bodies.
+        configuration: Its supports, loads, and what it does with bodies and actuators.
+        f_ext: External forces at full load [N].
         load: Share of the load that is applied [-].
     """
 
     model: Model
     configuration: ConfigurationArrays
+    f_ext: Float[Array, "n_points 3"]
     load: Float[Array, ""]
+
+    @classmethod
+    def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
+        """A configuration of a model at full load."""
+        f_ext = external_force(model, configuration)
+        return cls(model, configuration, f_ext, jnp.ones((), f_ext.dtype))
+
+    def at_load(self, load: Float[Array, ""]) -> "Posed":
+        """The same configuration under another share of its load."""
+        return self._replace(load=load)
 
     @property
     def _has_bodies(self) -> bool:
         return self.model.reduction is not None
 
+    def spring_force(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+        """Forces of the nodes on the springs of elastic supports [N]."""
+        springs = self.configuration.springs
+        if not springs.names:
+            return jnp.zeros_like(u)
+        stretch = u - self.load * jnp.asarray(springs.rest)
+        return springs.coefficients() * stretch
+
+    def spring_energy(self, u: Float[Array, "n_points 3"]) -> Float[Array, ""]:
+        """Energy of the springs of elastic supports [J]."""
+        stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)
+        return 0.5 * jnp.sum(self.spring_force(u) * stretch)
+
+    def body_states(self) -> BodyStateArrays:
+        """What the configuration does with the bodies, its motors included.
+
+        A motor whose angle is imposed holds its body there; one whose torque is imposed
+        leaves it on the hinge.
+        """
+        mechanism = self.model.mechanism
+        state, actuation = self.configuration.bodies, self.configuration.actuation
+        kind, rotation = jnp.asarray(state.kind), jnp.asarray(state.rotation)
+        third = mounted_axes(mechanism.bodies, jnp.ones(()))[:, 2]
+        for a, body in enumerate(mechanism.actuators.motor_body):
+            if body >= 0:
+                by_angle = actuation.by_displacement[a]
+                angle = actuation.value[a] + mechanism.motor_zero[a]
+                there = jnp.where(by_angle, KINDS.index("held"), KINDS.index("hinged"))
+                kind = kind.at[body].set(there.astype(kind.dtype))
+                turned = jnp.where(by_angle, angle, 0.0) * third[body]
+                rotation = rotation.at[body].set(turned)
+        return BodyStateArrays(kind, jnp.asarray(state.translation), rotation)
+
     def fixed(self) -> Bool[Array, " n_dof"]:
-        """Which of them are held, or belong to a body."""
+        """Which of them are not free: held, or of a node that belongs to a body."""
         held = jnp.asarray(self.configuration.fixed)
         plan = self.model.reduction
         if plan is None:
             return held.ravel()
         bodies = self.model.mechanism.bodies
-        twists = blocked(body_states(self.model, self.configuration), bodies)
+        twists = blocked(self.body_states(), bodies)
         return jnp.concatenate([held.at[plan.rigid].set(True).ravel(), twists.ravel()])
 
     def gather(
@@ -98,6 +129,12 @@ class Unknowns(NamedTuple):
         free = forces.at[plan.rigid].set(0.0, unique_indices=True)
         return jnp.concatenate([free.ravel(), wrench.ravel()])
 
+    def on_free(
+        self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
+    ) -> Float[Array, " n_dof"]:
+        """Forces on the free unknowns, 0 on the others; takes what `gather` takes."""
+        return jnp.where(self.fixed(), 0.0, self.gather(u, forces))
+
     def scatter(
         self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
     ) -> Float[Array, "n_points 3"]:
@@ -110,7 +147,7 @@ class Unknowns(NamedTuple):
         return free.at[plan.rigid].set(along, unique_indices=True)
 
     def rigid(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
-        """The displacement with every body rigid again, as its frame has it [m].
+        """Make every body rigid again, placed as its frame is [m].
 
         For guesses: a linear prediction stretches what turns.
         """
@@ -121,14 +158,14 @@ class Unknowns(NamedTuple):
     ) -> Float[Array, "n_points 3"]:
         """Displacement after a step of the unknowns [m].
 
-        Bodies move rigidly and stay so. Whatever is held goes to where it is held at
-        this load; a step has supported nodes already in it.
+        Bodies move rigidly and stay so. Held bodies go to where they are held at this
+        load; the step of supported nodes is already part of d.
         """
         plan = self.model.reduction
         if plan is None:
             return u + d.reshape(u.shape)
         bodies = self.model.mechanism.bodies
-        states = body_states(self.model, self.configuration)
+        states = self.body_states()
         twists = d[u.size :].reshape(-1, 6)
         frames = place(bodies, states, self.load, self._frames(u), twists)
         return self._with_bodies(u + d[: u.size].reshape(u.shape), frames)
@@ -136,15 +173,15 @@ class Unknowns(NamedTuple):
     def swing(
         self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
     ) -> Float[Array, "n_points 3"]:
-        """As `move`, but a robot that hangs on one hinge alone turns about it as one.
+        """As `move`, but turn a robot that hangs on one hinge alone as a whole.
 
-        The nodes of a body that turns by d go straight on in `move`, which stretches
-        what is stiff by far more than weight and torque do work.
+        In `move`, free nodes follow a turn of the hinge along straight lines, which
+        stretches stiff parts by far more energy than the work of weight and torque.
         """
         if not self._has_bodies:
             return self.move(u, d)
         bodies, points = self.model.mechanism.bodies, self.model.mechanism.points
-        kind = body_states(self.model, self.configuration).kind
+        kind = self.body_states().kind
         own = bodies.owner == jnp.arange(bodies.n_bodies, dtype=jnp.int32)
         hinged = own & (kind == KINDS.index("hinged"))
         held = jnp.any(own & (kind == KINDS.index("held")))
@@ -199,7 +236,8 @@ class Unknowns(NamedTuple):
             u: Displacement [m].
             values: Tangent over all nodes.
             unbalanced: Out-of-balance forces, internal minus external: those on the
-                nodes of a body turn with it, or rather do not, and resist the twist.
+                nodes of a body keep their direction when it turns, so that their
+                moment changes [N].
         """
         plan = self.model.reduction
         if plan is None:

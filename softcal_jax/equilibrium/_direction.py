@@ -1,0 +1,206 @@
+"""The Newton step of a posed model."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax.bodies import KINDS
+from softcal_jax.equilibrium import _actuation as actuation
+from softcal_jax.equilibrium._assembly import (
+    mixed_tangent,
+    predicted_dilatation,
+    tangent_values,
+)
+from softcal_jax.equilibrium._balance import (
+    Deformed,
+    add_boundary_stiffness,
+    by_multiplier,
+    gap,
+    rows_on_free,
+    unbalanced,
+)
+from softcal_jax.equilibrium._element import is_mixed
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._sparsity import mask_supports, product
+
+_LARGEST_TURN = 0.5
+"""Turn of a body on a hinge beyond which a Newton step says nothing [rad]."""
+
+
+class Factor(NamedTuple):
+    """A factorized tangent, and what its factorization told.
+
+    Attributes:
+        system: The matrix.
+        stiffness: Mean stiffness of an unknown [N/m].
+        gap_stiffness: Force per displacement of each actuator whose displacement is
+            imposed.
+        n_negative: Negative eigenvalues, see `Bordered`.
+        ok: Whether solutions with it exist.
+    """
+
+    system: actuation.System
+    stiffness: Float[Array, ""]
+    gap_stiffness: Float[Array, " n_a"]
+    n_negative: Int[Array, ""]
+    ok: Bool[Array, ""]
+
+    @classmethod
+    def none(cls, model: Model) -> "Factor":
+        """No factor yet, and not ok: for the state of a loop before its first one."""
+        n_m, real = actuation.with_multiplier(model).size, jnp.zeros(())
+        system = actuation.System(
+            jnp.zeros(model.solver.sparsity.nnz),
+            jnp.zeros((n_m, model.n_dof)),
+            jnp.zeros(n_m, bool),
+        )
+        return cls(
+            system=system,
+            stiffness=real,
+            gap_stiffness=jnp.zeros(model.mechanism.n_actuators),
+            n_negative=jnp.zeros((), jnp.int32),
+            ok=jnp.zeros((), bool),
+        )
+
+
+class Step(NamedTuple):
+    """A step of the unknowns and of the actuators' forces.
+
+    Attributes:
+        d: Step of the unknowns, held ones included [m].
+        lambda_a: Forces before the step of actuators whose displacement is imposed; a
+            cable found to be slack has none.
+        d_lambda: Their step.
+    """
+
+    d: Float[Array, " n_dof"]
+    lambda_a: Float[Array, " n_a"]
+    d_lambda: Float[Array, " n_a"]
+
+
+class Direction(NamedTuple):
+    """A Newton step, and how far it may go.
+
+    Attributes:
+        step: The whole step.
+        slope: Out-of-balance force times the step [J].
+        moving: Whether something held still has to move.
+        reach: Longest share of the step that is worth trying [-].
+        factor: The tangent.
+    """
+
+    step: Step
+    slope: Float[Array, ""]
+    moving: Bool[Array, ""]
+    reach: Float[Array, ""]
+    factor: Factor
+
+
+def has_volume_unknowns(model: Model) -> bool:
+    """Whether the volume ratios are unknowns of the Newton step."""
+    return is_mixed(model.formulation, model.weights.shape[1])
+
+
+def dilatation(model: Model, theta, u, du):
+    """Volume ratios after a step; nothing to do in the displacement formulation."""
+    return predicted_dilatation(model, u, du) if has_volume_unknowns(model) else theta
+
+
+def newton_direction(
+    posed: Posed,
+    at: Deformed,
+    lambda_a: Float[Array, " n_a"],
+    *,
+    theta=None,
+    strict=None,
+    before: Float[Array, "n_points 3"] | None = None,
+) -> Direction:
+    """Newton step at a deformed state.
+
+    Args:
+        posed: The configuration, under a share of its load.
+        at: The deformed state.
+        lambda_a: Forces of the actuators.
+        theta: Volume ratios, in the mixed formulation alone.
+        strict: Whether only steps that lower the potential are taken, likewise.
+        before: Displacement where a step to the point began, if its tangent shall
+            have the stress that the step foresaw; see `tangent_values` [m].
+    """
+    model, u = posed.model, at.u
+    fixed, held_step = posed.fixed(), posed.imposed(u)
+    moving = jnp.any(held_step != 0.0)
+    to_go, active = gap(posed, at, lambda_a, jnp.ones(()))
+    # The force of a slack cable is gone before the step.
+    lambda_a = jnp.where(active, lambda_a, 0.0)
+    if has_volume_unknowns(model):
+        at_u = dilatation(model, theta, u, jnp.zeros_like(u))
+        values, force = mixed_tangent(model, u, jnp.where(strict, at_u, theta))
+    else:
+        values, force = tangent_values(model, u, before), at.force
+    g, rows = unbalanced(posed, at, lambda_a)
+    values = add_boundary_stiffness(posed, values, u, lambda_a)
+    # What is held and still has to move pulls on the rest: - K du_held.
+    pull = jax.lax.cond(
+        moving,
+        lambda: product(model.pattern, values, held_step.ravel()),
+        lambda: jnp.zeros_like(held_step.ravel()),
+    )
+    reduced = posed.reduce(u, values, g)
+    masked, stiffness = mask_supports(model.solver.sparsity, reduced, fixed)
+    g_newton = g + (force - at.force)
+    rhs = -posed.gather(u, g_newton + pull.reshape(u.shape))
+    which = actuation.with_multiplier(model)
+    H_a = rows_on_free(posed, u, rows[which])
+    on_held = jnp.sum(rows[which] * held_step[None], axis=(1, 2))
+    system = actuation.System(masked, H_a, active[which])
+    rhs = jnp.where(fixed, 0.0, rhs)
+    solved = system.solve(model, rhs[None], (to_go[which] - on_held)[None])
+    d = solved.x[0]
+    slope = jnp.sum(posed.on_free(u, g) * d)
+    supports = jnp.where(jnp.asarray(posed.configuration.fixed), held_step, 0.0)
+    sign, reach = _on_hinges(posed, d[u.size :], slope, moving)
+    d_lambda = actuation.among_all(model, solved.lambda_a[0])
+    compliance = jnp.abs(jnp.diag(solved.W_aa))
+    tiny = jnp.finfo(u.dtype).tiny
+    # Of slack cables, too: a step that tightens one leaves a gap to close.
+    stiff = actuation.among_all(model, 1.0 / jnp.maximum(compliance, tiny))
+    factor = Factor(
+        system=system,
+        stiffness=stiffness,
+        gap_stiffness=jnp.where(by_multiplier(posed), stiff, 0.0),
+        n_negative=solved.n_negative,
+        ok=solved.ok,
+    )
+    return Direction(
+        step=Step(
+            d=(sign * d).at[: u.size].add(supports.ravel()),
+            lambda_a=lambda_a,
+            d_lambda=sign * d_lambda,
+        ),
+        slope=sign * slope,
+        moving=moving,
+        reach=reach,
+        factor=factor,
+    )
+
+
+def _on_hinges(posed: Posed, twists, slope, moving):
+    """Sign of a step, and its reach, where a body turns freely on a hinge.
+
+    Only weight and a torque may hold it: its stiffness against turning is next to
+    nothing at rest, and of either sign. Newton's step would then turn it many times
+    round, or up to where it balances on its head.
+    """
+    one, model = jnp.ones(()), posed.model
+    if model.reduction is None:
+        return one, one
+    hinged = (posed.body_states().kind == KINDS.index("hinged")) & ~moving
+    turns = jnp.abs(twists.reshape(-1, 6)[:, 5]) / model.mechanism.bodies.length
+    largest = jnp.max(jnp.where(hinged, turns, 0.0))
+    uphill = jnp.any(hinged) & (slope > 0.0) & ~jnp.any(by_multiplier(posed))
+    uphill = uphill & model.conservative
+    reach = _LARGEST_TURN / jnp.maximum(largest, _LARGEST_TURN)
+    return jnp.where(uphill, -one, one), reach
