@@ -68,6 +68,8 @@ class Linearisation(eqx.Module):
         system: The matrix.
         regular: Whether it could be factorized, as far as is known.
         factorized: Whether the solver may still have the factors of this matrix.
+        differentiable: Whether solutions are to be linear in their right-hand sides for
+            autodiff, too; they are then nan, not flagged, where there are none.
     """
 
     posed: Posed
@@ -76,6 +78,7 @@ class Linearisation(eqx.Module):
     system: actuation.System
     regular: Bool[Array, ""]
     factorized: bool = eqx.field(static=True, default=False)
+    differentiable: bool = eqx.field(static=True, default=False)
 
     @property
     def model(self) -> Model:
@@ -112,9 +115,11 @@ class Linearisation(eqx.Module):
         Returns:
             The solutions; not ok, and zero, where there are none.
         """
-        if not self.factorized:
-            return _solve(self.model, self.system, force, gap, transpose=transpose)
         solve = partial(self.system.solve, self.model, transpose=transpose)
+        if self.differentiable:
+            return _solve_linearly(self.model, self.system, force, gap)
+        if not self.factorized:
+            return solve(force, gap)
         ok = self.regular & jnp.all(jnp.isfinite(force)) & jnp.all(jnp.isfinite(gap))
         zeros = jax.tree.map(
             lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
@@ -150,19 +155,15 @@ class Linearisation(eqx.Module):
         return jax.lax.cond(off <= SAME_MATRIX, lambda: found, anew)
 
 
-def _solve(
+def _solve_linearly(
     model: Model,
     system: actuation.System,
     force: Float[Array, "n n_dof"],
     gap: Float[Array, "n n_m"],
-    *,
-    transpose: bool,
 ) -> actuation.Bordered:
-    """Solve the bordered system; linear in the right-hand sides for autodiff, too."""
+    """Solve the bordered system in a way that autodiff can transpose."""
     n_dof, n_m = force.shape[1], gap.shape[1]
     values, H_a, active = system
-    if transpose and model.solver.sparsity.mirror is not None:
-        values = values[model.solver.sparsity.mirror]
     # An array without entries would make JAX 0.10.2 lose the solver's call.
     join = lambda x, lam: jnp.concatenate([x, lam], axis=1) if n_m > 0 else x
 
@@ -176,27 +177,27 @@ def _solve(
         closed = -jnp.sum(H_a[None] * x[:, None], axis=2)
         return join(out, jnp.where(active[None], closed, lam))
 
-    def solve(_, b, *, transpose):
+    def solve(_, b, *, transpose=False):
         below = b[:, n_dof:]
         wanted = jnp.where(active[None], -below, 0.0) if n_m > 0 else below
         found = system.solve(model, b[:, :n_dof], wanted, transpose=transpose)
         lam = jnp.where(active[None], found.lambda_a, below) if n_m > 0 else below
-        return join(found.x, lam), (found.W_aa, found.n_negative, found.ok)
+        # A derivative that does not exist must not pass for zero.
+        return jnp.where(found.ok, join(found.x, lam), jnp.nan)
 
-    x, (W_aa, n_negative, ok) = jax.lax.custom_linear_solve(
+    x = jax.lax.custom_linear_solve(
         matvec,
         join(force, jnp.where(active[None], -gap, 0.0)),
-        partial(solve, transpose=transpose),
-        transpose_solve=partial(solve, transpose=not transpose),
+        solve,
+        transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
-        has_aux=True,
     )
     return actuation.Bordered(
         x=x[:, :n_dof],
         lambda_a=x[:, n_dof:],
-        W_aa=W_aa,
-        n_negative=n_negative,
-        ok=ok,
+        W_aa=jnp.full((n_m, n_m), jnp.nan),
+        n_negative=jnp.full((), -1, jnp.int32),
+        ok=jnp.ones((), bool),
     )
 
 
@@ -205,6 +206,8 @@ def linearise(
     configuration: ConfigurationArrays,
     u: Float[Array, "n_points 3"],
     lambda_a: Float[Array, " n_a"] | None = None,
+    *,
+    differentiable: bool = False,
 ) -> Linearisation:
     """Assemble the tangent and the actuator rows at an equilibrium.
 
@@ -214,6 +217,7 @@ def linearise(
         u: Displacement at the equilibrium [m].
         lambda_a: Forces of actuators whose displacement is imposed; found from the
             balance by default.
+        differentiable: See `Linearisation`.
     """
     posed, at = Posed.of(model, configuration), deform(model, u)
     which = actuation.with_multiplier(model)
@@ -233,6 +237,7 @@ def linearise(
         lambda_a=lambda_a,
         system=system,
         regular=jnp.ones((), bool),
+        differentiable=differentiable,
     )
 
 

@@ -63,9 +63,10 @@ def _equilibrium_jvp(primals, tangents, *, settings):
 
     rows = input_rows(model, configuration, u, lambda_a, along)
     rows = jax.tree.map(lambda row: row[None], rows)
-    d = sensitivity(linearise(model, configuration, u, lambda_a), rows)
+    lin = linearise(model, configuration, u, lambda_a, differentiable=True)
+    d = sensitivity(lin, rows)
     # Where there is no equilibrium there is no derivative of it.
-    or_nan = lambda a: jnp.where(solution.converged & d.ok, a[0], jnp.nan)
+    or_nan = lambda a: jnp.where(solution.converged, a[0], jnp.nan)
     none = jax.tree.map(lambda _: None, solution)
     return solution, eqx.tree_at(
         lambda s: (s.displacement, s.multipliers),

@@ -127,5 +127,5 @@ def test_bad_input():
         SetupParameter("motor_zero", "m", Parameter("zero", "", 1.0, 0.5, 2.0))
     with pytest.raises(ValueError, match=r"unknown kind of a setup parameter 'zero'"):
         SetupParameter("zero", "m", SPACE.parameters[1])
-    with pytest.raises(ValueError, match=r'axis must be "x", "y" or "z", got \'w\''):
+    with pytest.raises(ValueError, match=r'axis must be "x" or "y" or "z", got \'w\''):
         SetupParameter("mounting", "base", SPACE.parameters[2], "w")

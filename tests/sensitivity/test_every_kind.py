@@ -1,0 +1,258 @@
+"""Every kind of parameter, by the one function that makes sensitivities of it.
+
+The reference is the equilibrium to rounding at other values: differences of it, whose
+error falls at second order. A kind that `QUANTITIES` has and this file does not fails.
+"""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.actuators import Cable, Guide, Motor
+from softcal_jax.bodies import RigidBody, hinge_axes
+from softcal_jax.configurations import (
+    ActuatorForce,
+    BodyFrame,
+    Configuration,
+    ImposedDisplacement,
+    ImposedForce,
+    Markers,
+    Support,
+    SupportReaction,
+    SurfaceForce,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    build_model,
+    effector_values,
+    solve_equilibrium,
+)
+from softcal_jax.fields import (
+    AbstractEntry,
+    Parameter,
+    ParameterSpace,
+    SetupParameter,
+    actuator_factor,
+    check_parameters,
+    clamp_stiffness,
+    gravity_tilt,
+    load_factor,
+    motor_zero,
+    mounting,
+    recording_offset,
+)
+from softcal_jax.fields._setup import QUANTITIES
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+from softcal_jax.sensitivity import (
+    check_parameter_derivatives,
+    energy_compliance,
+    parameter_compliance,
+)
+
+MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
+MODEL = build_model(
+    MESH,
+    Corotational(Isotropic(5e5, 0.3)),
+    density=1000.0,
+    bodies=[RigidBody("base", "x_min", axes=hinge_axes((0, 1, 0)))],
+    actuators=[
+        Motor("m", "base"),
+        Cable("c", [Guide((0.0, 0.01, 0.06), "ground"), (0.07, 0.01, 0.015)]),
+    ],
+)
+MARKERS = Markers(("a", "b"), [[0.06, 0.01, 0.01], [0.09, 0.01, 0.02]])
+POSE = Configuration(
+    "pose",
+    Support("x_max", "xz", (0.0, 0.0, 1e-3), stiffness=2e6),
+    loads=SurfaceForce("z_max", (0.0, 0.05, -0.1)),
+    markers=MARKERS,
+    measured=MARKERS.positions,
+    effectors=(
+        BodyFrame("sensor", "base"),
+        ActuatorForce("torque", "m", 0.0),
+        SupportReaction("reaction", "x_max", (0.0, 0.0, 0.0)),
+    ),
+    actuation={"m": ImposedDisplacement(0.2), "c": ImposedForce(0.5)},
+    recording="tuesday",
+)
+KNOWN = {"prior_std": None}
+SPACE = ParameterSpace(
+    (
+        Parameter("E", "E", 5e5, 1e5, 2e6),
+        Parameter("rho", "density", 1e3, 1e2, 1e4),
+        motor_zero("m", limit=0.2, **KNOWN),
+        *mounting("base", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
+        *gravity_tilt(limit=0.3, **KNOWN),
+        load_factor(each=["pose", "another"], by="configuration", **KNOWN),
+        actuator_factor("c", **KNOWN),
+        *recording_offset(limit=5e-3, turn_limit=0.2, each=["tuesday"], **KNOWN),
+        clamp_stiffness("x_max", 2e6, **KNOWN),
+    )
+)
+LANES = configuration_arrays(MESH, [POSE], MODEL.mechanism)
+LANE = jax.tree.map(lambda leaf: leaf[0], LANES)
+ELSEWHERE = SPACE.names.index("factor of loads in another")
+
+
+def point():
+    """Values that are not the nominal ones, where derivatives may vanish."""
+    away = np.linspace(0.1, 0.3, len(SPACE.names))
+    return SPACE.start() + jnp.asarray(away)
+
+
+@jax.jit
+def values(z):
+    model, lane = SPACE.apply(MODEL, LANE, z)
+    found = solve_equilibrium(model, lane, settings=NewtonSettings(rtol=1e-12))
+    u = found.displacement
+    return effector_values(model, lane, u, found.multipliers).ravel(), u
+
+
+@partial(jax.jit, static_argnames="method")
+def compliance(z, u, method):
+    return parameter_compliance(MODEL, LANE, u, SPACE, z, method=method)
+
+
+@cache
+def direct():
+    z = point()
+    return compliance(z, values(z)[1], "direct")
+
+
+def test_all_kinds_are_here():
+    own = {e.kind for e in SPACE.entries if isinstance(e, SetupParameter)}
+    assert own == set(QUANTITIES)
+
+
+def test_sensitivities_meet_differences_at_second_order():
+    z, W = point(), np.asarray(direct().W_ep)
+    errors = []
+    for h in (0.3, 0.1):
+        columns = [
+            (values(z + h * d)[0] - values(z - h * d)[0]) / (2.0 * h)
+            for d in jnp.eye(len(z))
+        ]
+        errors.append(np.abs(np.stack(columns, axis=1) - W).max(axis=0))
+    size = np.abs(W).max(axis=0)
+    assert size[ELSEWHERE] == 0.0  # a factor of a pose that is not here
+    for i, name in enumerate(SPACE.names):
+        if i == ELSEWHERE:
+            continue
+        assert size[i] > 1e-6, f"{name} has no effect"
+        if name.startswith("offset"):  # a reading is linear in it: rounding
+            assert errors[1][i] < 1e-12
+        else:
+            # A third of the step leaves a ninth of the error.
+            assert 8.0 < errors[0][i] / errors[1][i] < 10.0, name
+
+
+def test_direct_and_adjoint_side_agree():
+    """Two ways through one factorization: rounding of the solve."""
+    z = point()
+    adjoint = compliance(z, values(z)[1], "adjoint")
+    W = np.asarray(direct().W_ep)
+    scale = np.abs(W).max(axis=0) + (np.arange(len(z)) == ELSEWHERE)
+    assert np.max(np.abs(adjoint.W_ep - W) / scale) < 1e-8
+    assert adjoint.displacement is None
+
+
+def test_forward_equals_reverse():
+    """Of the equilibrium itself, differentiated by JAX through every kind."""
+    z = point()
+    tangent = jnp.asarray(np.random.default_rng(0).normal(size=len(z)))
+    forward = jax.jit(lambda z, t: jax.jvp(lambda z: values(z)[0], (z,), (t,))[1])
+    reverse = jax.jit(lambda z, c: jax.vjp(lambda z: values(z)[0], z)[1](c)[0])
+    e_dot = forward(z, tangent)
+    np.testing.assert_allclose(
+        e_dot, direct().W_ep @ tangent, rtol=0, atol=1e-8 * np.abs(e_dot).max()
+    )
+    cotangent = jnp.asarray(np.random.default_rng(1).normal(size=e_dot.size))
+    np.testing.assert_allclose(
+        jnp.vdot(reverse(z, cotangent), tangent), jnp.vdot(cotangent, e_dot), rtol=1e-8
+    )
+
+
+def test_energy_compliance_is_symmetric_and_positive():
+    z = point()
+    u = values(z)[1]
+    found = jax.jit(lambda z, u: energy_compliance(MODEL, LANE, u, SPACE, z))(z, u)
+    assert bool(found.ok)
+    np.testing.assert_array_equal(found.W_pp, found.W_pp.T)
+    assert np.linalg.eigvalsh(found.W_pp[:2, :2]).min() > 0.0
+    np.testing.assert_allclose(found.W_ep, direct().W_ep, rtol=1e-8, atol=1e-12)
+
+
+def test_finite_differences_of_the_paper_show_second_order_for_forces():
+    """H_p itself, at a fixed state; moduli on a log scale, density, loads, tilt."""
+    z = point()
+    checked = check_parameter_derivatives(
+        MODEL, LANE, values(z)[1], SPACE, z, steps=(1e-1, 3e-2, 1e-2)
+    )
+    for name in ("E", "rho", "first tilt of gravity", "factor of c"):
+        assert abs(checked.orders[SPACE.names.index(name)] - 2.0) < 0.05, name
+
+
+class Forgotten(AbstractEntry):
+    """A kind whose author forgot what it sets; `lie` has it claim a field."""
+
+    own: Parameter
+    lie: bool = False
+
+    @property
+    def parameters(self):
+        return (self.own,)
+
+    @property
+    def fields(self):
+        return ("E",) if self.lie else ()
+
+    @property
+    def tet_group(self):
+        return None
+
+    @property
+    def label(self):
+        return self.own.name
+
+    def apply(self, model, configuration, values):
+        if self.lie:
+            return gravity_tilt(**KNOWN)[0].apply(
+                model, configuration, {"first tilt of gravity": values[self.own.name]}
+            )
+        return model, configuration
+
+    def check(self, model):
+        pass
+
+    def renamed(self, points, names):
+        return self
+
+
+@pytest.mark.parametrize(
+    ("lie", "message"),
+    [
+        (False, r"'mine' sets nothing in the model or in a configuration"),
+        (True, r"'mine' sets \[1\]\.tilt beside its fields"),
+    ],
+)
+def test_a_forgotten_kind_fails_loudly(lie, message):
+    entry = Forgotten(Parameter("mine", "", 0.1, 0.0, 1.0, scale="linear"), lie)
+    with pytest.raises(ValueError, match=message):
+        check_parameters(MODEL, ParameterSpace((entry,)), LANE)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (actuator_factor("d", **KNOWN), r"actuator of parameter 'factor of d'.*'c'"),
+        (clamp_stiffness("z_min", 1e6, **KNOWN), r"support with a stiffness.*'x_max'"),
+    ],
+)
+def test_what_no_configuration_has_is_refused(entry, message):
+    with pytest.raises(ValueError, match=message):
+        check_parameters(MODEL, ParameterSpace((entry,)), LANE)
