@@ -10,8 +10,8 @@ from softcal_jax.bodies import BodyArrays
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     EffectorRow,
+    index_of,
     inverse_std,
-    number_of,
     one_value,
     optional_point,
     three_values,
@@ -43,7 +43,7 @@ class ActuatorDisplacement(AbstractEffector):
         """Its single coordinate."""
         del mesh
         actuators = mechanism.actuators
-        a = number_of(self.actuator, actuators.names, "actuator", self.name)
+        a = index_of(self.actuator, actuators.names, "actuator", self.name)
         unit = actuators.kinds[a].displacement_unit
         if unit is None:
             raise ValueError(
@@ -52,7 +52,7 @@ class ActuatorDisplacement(AbstractEffector):
             )
         weight = inverse_std(self.name, "std", self.std, unit)
         values = one_value(self.measured, weight, self.name, unit)
-        return (EffectorRow("scalar", unit, *values, about=(a, -1)),)
+        return (EffectorRow(self.name, "scalar", unit, *values, about=(a, -1)),)
 
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
@@ -81,11 +81,11 @@ class ActuatorForce(AbstractEffector):
         """Its single coordinate."""
         del mesh
         actuators = mechanism.actuators
-        a = number_of(self.actuator, actuators.names, "actuator", self.name)
+        a = index_of(self.actuator, actuators.names, "actuator", self.name)
         unit = actuators.kinds[a].force_unit
         weight = inverse_std(self.name, "std", self.std, unit)
         values = one_value(self.measured, weight, self.name, unit)
-        return (EffectorRow("force", unit, *values, about=(a, 0)),)
+        return (EffectorRow(self.name, "force", unit, *values, about=(a, 0)),)
 
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
@@ -121,7 +121,11 @@ class SupportReaction(AbstractEffector):
         nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
         weight = inverse_std(self.name, "std", self.std, "N")
         values = three_values(self.measured, weight, self.name, "N")
-        return (EffectorRow("reaction", "N", *values, nodes, np.ones(nodes.size)),)
+        ones = np.ones(nodes.size)
+        row = EffectorRow(
+            self.name, "reaction", "N", *values, nodes=nodes, weights=ones
+        )
+        return (row,)
 
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism

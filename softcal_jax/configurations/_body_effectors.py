@@ -13,8 +13,8 @@ from softcal_jax.bodies import Pose
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     EffectorRow,
+    index_of,
     inverse_std,
-    number_of,
     one_value,
     optional_point,
     three_values,
@@ -55,7 +55,7 @@ class BodyFrame(AbstractEffector):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Its position, then its orientation."""
         bodies = mechanism.bodies
-        k = number_of(self.body, bodies.names, "rigid body", self.name)
+        k = index_of(self.body, bodies.names, "rigid body", self.name)
         point = bodies.origin[k] if self.point is None else self.point
         weight = inverse_std(self.name, "std", self.std, "m")
         weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
@@ -66,18 +66,20 @@ class BodyFrame(AbstractEffector):
             reference = self.measured.matrix
         return (
             EffectorRow(
-                "point",
-                "m",
-                measured,
-                np.full(3, seen * weight),
-                nodes.astype(np.int32),
-                bodies.at(k, point[None])[0],
+                name=self.name,
+                quantity="point",
+                unit="m",
+                measured=measured,
+                inverse_std=np.full(3, seen * weight),
+                nodes=nodes.astype(np.int32),
+                weights=bodies.at(k, point[None])[0],
             ),
             EffectorRow(
-                "turn",
-                "rad",
-                np.zeros(3) if seen else np.full(3, np.nan),
-                np.full(3, seen * weight_angle),
+                name=self.name,
+                quantity="turn",
+                unit="rad",
+                measured=np.zeros(3) if seen else np.full(3, np.nan),
+                inverse_std=np.full(3, seen * weight_angle),
                 about=(k, 0),
                 reference=reference,
             ),
@@ -115,8 +117,15 @@ class Centroid(AbstractEffector):
         nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
         weight = inverse_std(self.name, "std", self.std, "m")
         values = three_values(self.measured, weight, self.name, "m")
-        equal = np.full(nodes.size, 1.0 / nodes.size)
-        return (EffectorRow("point", "m", *values, nodes.astype(np.int32), equal),)
+        row = EffectorRow(
+            self.name,
+            "point",
+            "m",
+            *values,
+            nodes=nodes.astype(np.int32),
+            weights=np.full(nodes.size, 1.0 / nodes.size),
+        )
+        return (row,)
 
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
@@ -151,8 +160,8 @@ class BodyAngle(AbstractEffector):
         del mesh
         names = mechanism.bodies.names
         pair = (
-            number_of(self.body, names, "rigid body", self.name),
-            number_of(self.other, names, "rigid body", self.name),
+            index_of(self.body, names, "rigid body", self.name),
+            index_of(self.other, names, "rigid body", self.name),
         )
         length = np.linalg.norm(self.axis)
         if self.axis.shape != (3,) or not (np.isfinite(length) and length > 0.0):
@@ -162,7 +171,10 @@ class BodyAngle(AbstractEffector):
             )
         weight = inverse_std(self.name, "std", self.std, self.unit)
         values = one_value(self.measured, weight, self.name, self.unit)
-        row = EffectorRow("scalar", "rad", *values, about=pair, axis=self.axis / length)
+        axis = self.axis / length
+        row = EffectorRow(
+            self.name, "scalar", self.unit, *values, about=pair, axis=axis
+        )
         return (row,)
 
     def measured_as(

@@ -5,7 +5,7 @@ Each is a sensor where it has a measured value, and what control brings to a goa
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
@@ -19,22 +19,27 @@ from softcal_jax.mesh import TetMesh
 Quantity = Literal["point", "turn", "scalar", "force", "reaction"]
 """What a row of three effector coordinates is computed from."""
 
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+"""Rows are stacked in this order."""
+
 
 class EffectorRow(NamedTuple):
     """Up to three coordinates of an effector, as the solver sees them.
 
     Attributes:
+        name: Name of the marker or effector.
         quantity: What they are.
         unit: Their unit.
         measured: Measured values, or goals; NaN where there is none.
         inverse_std: 1 / standard deviation; 0 for a coordinate that does not count.
         nodes: Nodes that carry a point, or hold a reaction.
         weights: Their weights [-].
-        about: Numbers of the bodies or the actuator that it is about.
+        about: Indices of the bodies, or of the actuator, that it is about.
         axis: Axis of an angle, in the frame of the mesh [-].
         reference: Orientation that turns are counted from, as a matrix [-].
     """
 
+    name: str
     quantity: Quantity
     unit: str
     measured: Float[HostArray, "3"]
@@ -140,14 +145,17 @@ def three_values(
     return Values(value, np.full(3, weight))
 
 
-def number_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
-    """Number of what an effector is about, out of a list of names.
+def index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
+    """Find what an effector is about in a list of names.
 
     Args:
         wanted: Its name.
         names: All names.
         kind: What it is, for messages.
         owner: Name of the effector.
+
+    Returns:
+        Its index in the list.
 
     Raises:
         ValueError: If it is not in the list.

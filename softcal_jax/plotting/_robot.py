@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
-from softcal_jax.calibration import ConfigurationFit
+from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.export import readable_values
 from softcal_jax.plotting._annotations import halo
@@ -56,18 +56,18 @@ class SensorFrame(NamedTuple):
     is_measured: bool = False
 
 
-def sensor_frames(fit: ConfigurationFit) -> list[SensorFrame]:
-    """Measured and simulated poses of the 6-D sensors of a calibrated configuration."""
+def sensor_frames(result: ConfigurationResult) -> list[SensorFrame]:
+    """Measured and simulated poses of the 6-D sensors of a configuration."""
+    points = {point.name: point for point in result.points}
     frames = []
-    for effector in fit.others:
-        if effector.reference is None or effector.name not in fit.marker_names:
+    for turn in result.turns:
+        if turn.name not in points:
             continue
-        i = fit.marker_names.index(effector.name)
-        R = effector.reference
-        simulated = Rotation.from_rotvec(effector.after).as_matrix() @ R
-        if fit.seen[i].any():
-            frames.append(SensorFrame(fit.measured[i], R, True))
-        frames.append(SensorFrame(fit.after[i], simulated))
+        point, R = points[turn.name], turn.reference
+        if turn.seen.any():
+            frames.append(SensorFrame(point.measured, R, True))
+        simulated = Rotation.from_rotvec(turn.simulated).as_matrix() @ R
+        frames.append(SensorFrame(point.simulated, simulated))
     return frames
 
 
