@@ -102,8 +102,8 @@ def configuration_results(
         configurations,
         lanes.arrays,
         solution,
-        role,
-        lambda i: tuple(
+        role=role,
+        effectors=lambda i: tuple(
             replace(e, simulated_before=e.among(first[i]), simulated=e.among(last[i]))
             for e in lanes.effectors[i]
         ),
@@ -142,10 +142,15 @@ def simulation_result(
         values = np.asarray(compute(model, lane, own.displacement, own.multipliers))
         return tuple(replace(e, simulated=e.among(values)) for e in records)
 
-    return SimulationResult(
+    found = _results(
         model,
-        _results(model, configurations, arrays, solution, "simulation", effectors),
+        configurations,
+        arrays,
+        solution,
+        role="simulation",
+        effectors=effectors,
     )
+    return SimulationResult(model, found)
 
 
 _effector_values = eqx.filter_jit(effector_values)
@@ -165,6 +170,7 @@ def _results(
     configurations: Sequence[Configuration],
     arrays: ConfigurationArrays,
     solution: EquilibriumSolution,
+    *,
     role: Literal["calibration", "validation", "simulation"],
     effectors: Callable[[int], tuple[EffectorRecord, ...]],
 ) -> tuple[ConfigurationResult, ...]:

@@ -23,7 +23,11 @@ from softcal_jax.configurations._configuration import (
     configuration_arrays,
     configuration_lanes,
 )
-from softcal_jax.configurations._effector import AbstractEffector
+from softcal_jax.configurations._effector import (
+    AbstractEffector,
+    AbstractScalar,
+    AbstractVector,
+)
 from softcal_jax.configurations._effector_record import EffectorRecord
 from softcal_jax.configurations._loads import (
     AbstractLoad,
@@ -48,6 +52,8 @@ __all__ = [
     "STANDARD_GRAVITY",
     "AbstractEffector",
     "AbstractLoad",
+    "AbstractScalar",
+    "AbstractVector",
     "ActuationArrays",
     "ActuatorDisplacement",
     "ActuatorForce",

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -12,12 +11,14 @@ from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations._effector import (
     AbstractEffector,
+    AbstractScalar,
+    AbstractVector,
     EffectorRow,
     index_of,
     inverse_std,
-    one_value,
     optional_point,
-    three_values,
+    scalar_rows,
+    vector_rows,
 )
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh, named_nodes
@@ -94,7 +95,7 @@ class BodyFrame(AbstractEffector):
         return replace(self, measured=Pose(values[0] - point, values[1]))
 
 
-class Centroid(AbstractEffector):
+class Centroid(AbstractVector):
     """Mean position of a group of nodes.
 
     Attributes:
@@ -115,27 +116,17 @@ class Centroid(AbstractEffector):
         """Its position."""
         del mechanism
         nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
-        weight = inverse_std(self.name, "std", self.std, "m")
-        values = three_values(self.measured, weight, self.name, "m")
         row = EffectorRow(
-            self.name,
-            "point",
-            "m",
-            *values,
+            name=self.name,
+            quantity="point",
+            unit="m",
             nodes=nodes.astype(np.int32),
             weights=np.full(nodes.size, 1.0 / nodes.size),
         )
-        return (row,)
-
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "Centroid":
-        """With a position [m]."""
-        del mechanism
-        return replace(self, measured=values[0])
+        return vector_rows(row, self.measured, self.std)
 
 
-class BodyAngle(AbstractEffector):
+class BodyAngle(AbstractScalar):
     """Angle by which one rigid body has turned against another.
 
     Attributes:
@@ -153,7 +144,6 @@ class BodyAngle(AbstractEffector):
     axis: Float[HostArray, "3"] = eqx.field(converter=_point)
     measured: float | None = None
     std: float = 1e-2
-    unit: ClassVar[str] = "rad"
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Its single coordinate."""
@@ -169,17 +159,6 @@ class BodyAngle(AbstractEffector):
                 f"axis of effector {self.name!r} must be three finite numbers, not all "
                 f"zero, got {self.axis}."
             )
-        weight = inverse_std(self.name, "std", self.std, self.unit)
-        values = one_value(self.measured, weight, self.name, self.unit)
         axis = self.axis / length
-        row = EffectorRow(
-            self.name, "scalar", self.unit, *values, about=pair, axis=axis
-        )
-        return (row,)
-
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "BodyAngle":
-        """With an angle [rad]."""
-        del mechanism
-        return replace(self, measured=float(values[0, 0]))
+        row = EffectorRow(self.name, "scalar", "rad", about=pair, axis=axis)
+        return scalar_rows(row, self.measured, self.std)

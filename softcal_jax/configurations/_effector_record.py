@@ -9,14 +9,10 @@ from jaxtyping import ArrayLike
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations._effector import EffectorRow, Quantity
 
-WIDTH: dict[Quantity, int] = {
-    "point": 3,
-    "turn": 3,
-    "scalar": 1,
-    "force": 1,
-    "reaction": 3,
-}
-"""Coordinates of a row; the rest of its three are padding."""
+
+def _width(quantity: Quantity) -> int:
+    """How many of the three coordinates of a row count; the rest is padding."""
+    return 1 if quantity in ("scalar", "force") else 3
 
 
 class EffectorRecord(eqx.Module):
@@ -72,7 +68,7 @@ class EffectorRecord(eqx.Module):
 
     def among(self, rows: Float[ArrayLike, "n_rows 3"]) -> Float[HostArray, " k"]:
         """Pick its coordinates among those of all rows of a configuration."""
-        return np.asarray(rows)[self.index, : WIDTH[self.quantity]]
+        return np.asarray(rows)[self.index, : _width(self.quantity)].copy()
 
 
 def effector_records(
@@ -89,7 +85,7 @@ def effector_records(
     """
     records = []
     for row, index in zip(rows, indices, strict=True):
-        width, is_point = WIDTH[row.quantity], row.quantity == "point"
+        width, is_point = _width(row.quantity), row.quantity == "point"
         weight, nothing = row.inverse_std[:width], np.full(width, np.nan)
         seen = weight > 0.0
         records.append(

@@ -11,9 +11,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import (
     AbstractEffector,
-    ActuatorDisplacement,
-    ActuatorForce,
-    BodyAngle,
+    AbstractScalar,
     BodyFrame,
     Configuration,
     ConfigurationLanes,
@@ -22,9 +20,6 @@ from softcal_jax.configurations import (
 Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
 """Of a `BodyFrame` a pose from rest, of a point or a reaction three numbers, of a
 length, volume, angle or force one number; in SI units and radians."""
-
-SINGLE = (ActuatorDisplacement, ActuatorForce, BodyAngle)
-"""Effectors of one coordinate."""
 
 
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
@@ -76,7 +71,7 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
                 "has 6 coordinates."
             )
         return replace(effector, measured=goal)
-    if isinstance(effector, SINGLE):
+    if isinstance(effector, AbstractScalar):
         value = float(_numbers(what, goal, 1)[0])
         return replace(effector, measured=value)
     return replace(effector, measured=_numbers(what, goal, 3))  # type: ignore[call-arg]

@@ -199,12 +199,12 @@ def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
         state = _step(problem, of_program, state)
         records.append(
             StepRecord(
-                float(state.last_step),
-                float(state.cost),
-                float(state.violation),
-                float(state.kkt_residual),
-                int(state.newton_steps),
-                bool(state.accepted),
+                size=float(state.last_step),
+                cost=float(state.cost),
+                violation=float(state.violation),
+                kkt_residual=float(state.kkt_residual),
+                newton_steps=int(state.newton_steps),
+                accepted=bool(state.accepted),
             )
         )
     return _result(command, state, outcome, tuple(records))
@@ -238,14 +238,14 @@ def _result(
     of_actuators = state.compliance.state
     by_name = lambda values: dict(zip(names, map(float, values), strict=True))
     return InverseResult(
-        outcome,
-        configuration,
-        state.solution,
-        _goal_fits(command, np.asarray(of_actuators.effectors)),
-        by_name(of_actuators.forces),
-        by_name(of_actuators.displacements),
-        _active(problem, state),
-        records,
+        outcome=outcome,
+        configuration=configuration,
+        solution=state.solution,
+        goals=_goal_fits(command, np.asarray(of_actuators.effectors)),
+        forces=by_name(of_actuators.forces),
+        displacements=by_name(of_actuators.displacements),
+        active_limits=_active(problem, state),
+        steps=records,
     )
 
 

@@ -102,16 +102,13 @@ def _pieces(model: Model, state: RobotState) -> _Pieces:
         ),
     ]
     none = np.full(len(origins), -1)
+    vertex_owner = np.concatenate([none, after.point_owner])
     return _Pieces(
-        np.concatenate(points),
-        np.concatenate(displacement),
-        after.arrows,
-        cells,
-        [
-            np.concatenate([none, after.point_owner]),
-            after.segment_owner,
-            after.face_owner,
-        ],
+        points=np.concatenate(points),
+        displacement=np.concatenate(displacement),
+        arrows=after.arrows,
+        cells=cells,
+        owners=[vertex_owner, after.segment_owner, after.face_owner],
     )
 
 

@@ -145,7 +145,9 @@ def render_body(
     width = _WIDTH - _SIDE
     scale, height = _fit_body(view.width, view.height, width)
     largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
-    pixels = body_image(model, u, view, width, height, scale, largest)
+    pixels = body_image(
+        model, u, view, size=(width, height), scale=scale, largest_mm=largest
+    )
 
     top = _TOP + (annotations.WARNING_HEIGHT if warning else 0)
     total = height + top + _BOTTOM

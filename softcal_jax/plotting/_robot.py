@@ -124,7 +124,7 @@ def draw_robot(axes: "matplotlib.axes.Axes", view: View, picture: RobotPicture) 
         places = [
             _draw_wall(axes, view, picture, a),
             _draw_cable(axes, view, geometry, a, slack=actuator.force == 0.0),
-            _draw_point(axes, view, geometry, a, actuator),
+            _draw_point(axes, view, picture, a),
         ]
         place = next((p for p in places if p is not None), None)
         if place is not None:
@@ -179,7 +179,8 @@ def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
     return view.project(corners.reshape(-1, 3).mean(axis=0)[None])[0]
 
 
-def _draw_point(axes, view: View, geometry: ActuatorGeometry, a: int, actuator):
+def _draw_point(axes, view: View, picture: RobotPicture, a: int):
+    geometry, actuator = picture.geometry, picture.state.actuators[a]
     own = np.flatnonzero(geometry.point_owner == a)
     if not own.size:
         return None
