@@ -8,16 +8,14 @@ import numpy as np
 
 from softcal_jax import (
     Configuration,
-    Model,
     NeoHookean,
     Support,
     beam,
     build_model,
-    configuration_arrays,
     solve_equilibrium,
 )
-from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import EquilibriumSolution
+from softcal_jax.configurations import ConfigurationArrays, configuration_arrays
+from softcal_jax.equilibrium import EquilibriumSolution, Model
 from softcal_jax.equilibrium._element import Formulation
 
 GRAVITY = 9.81

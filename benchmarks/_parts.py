@@ -6,9 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from softcal_jax import Model
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import energy_and_force, tangent_values
+from softcal_jax.equilibrium import Model, energy_and_force, tangent_values
 from softcal_jax.equilibrium._sparsity import mask_supports
 
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from benchmarks._cantilever import nearest
 from benchmarks._paper import CELLS, STD, Cells, MeasuredBeam, parameter_errors
-from softcal_jax import Model, StVenantKirchhoff
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
@@ -27,11 +26,13 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
+    Model,
     NewtonSettings,
     effector_values,
     internal_force,
     solve_equilibrium,
 )
+from softcal_jax.materials import StVenantKirchhoff
 from softcal_jax.robots import anisotropic_beam
 from softcal_jax.sensitivity import equilibrium_response
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax.calibration import CalibrationResult, ConfigurationFit, calibrate
+from softcal_jax.calibration import CalibrationResult, ConfigurationResult, calibrate
 from softcal_jax.configurations import Configuration
 from softcal_jax.robots import (
     PRIOR,
@@ -79,7 +79,7 @@ def calibrated(robot: ParallelRobot, measured: Measured) -> CalibrationResult:
     )
 
 
-def fits_of(result: CalibrationResult, role: str) -> list[ConfigurationFit]:
+def fits_of(result: CalibrationResult, role: str) -> list[ConfigurationResult]:
     """The poses that were fitted, or those that were only predicted."""
     return [fit for fit in result.configurations if fit.role == role]
 
@@ -101,7 +101,7 @@ QUANTITIES = (
 """What is compared: name, unit, error before and after."""
 
 
-def reductions(fits: Sequence[ConfigurationFit]) -> tuple[float, ...]:
+def reductions(fits: Sequence[ConfigurationResult]) -> tuple[float, ...]:
     """Reduction of the mean error of position and of orientation [percent]."""
     total = lambda error: float(np.sum([error(fit) for fit in fits]))
     return tuple(

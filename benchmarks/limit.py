@@ -31,13 +31,14 @@ from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms
 from benchmarks.calibration_beam import STARTS
 from benchmarks.static_beam import BEAM
-from softcal_jax import Configuration, Markers, Model, Support
+from softcal_jax import Configuration, Markers, Support
 from softcal_jax.calibration import FROM_ANYWHERE, CalibrationState, random_starts
 from softcal_jax.calibration._descent import descend, from_rest
 from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._state import initial_state
 from softcal_jax.configurations import ConfigurationArrays, configuration_arrays
 from softcal_jax.equilibrium import (
+    Model,
     NewtonSettings,
     Workers,
     factor_solve,

@@ -21,7 +21,7 @@ from benchmarks._robot import (
     reductions,
     values_of,
 )
-from softcal_jax.calibration import CalibrationResult, ConfigurationFit
+from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.fields import ControlPointParameters
 from softcal_jax.plotting import plot_fibres
 from softcal_jax.robots import ParallelRobot
@@ -93,7 +93,7 @@ def _errors(results: Sequence[CalibrationResult]) -> dict[str, Figure]:
     return figures
 
 
-def _mean(fits: Sequence[ConfigurationFit], error) -> float:
+def _mean(fits: Sequence[ConfigurationResult], error) -> float:
     return float(np.mean([error(fit) for fit in fits]))
 
 
@@ -110,7 +110,7 @@ def _table(title: str, results: Sequence[CalibrationResult]) -> Table:
     return Table(f"Mean errors of the effector. {title}", columns, rows)
 
 
-def _row(name: str, fits: Sequence[ConfigurationFit]) -> list[str]:
+def _row(name: str, fits: Sequence[ConfigurationResult]) -> list[str]:
     cells = [name]
     for (_, _, *errors), reduced in zip(QUANTITIES, reductions(fits), strict=True):
         cells += [*(f"{_mean(fits, error):.2f}" for error in errors), f"{reduced:.0f}"]

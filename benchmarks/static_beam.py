@@ -30,7 +30,7 @@ from benchmarks._felupe import FelupeBeam, Solver, linear_solvers, tuned_solvers
 from benchmarks._parts import parts
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms, ratio, run_process
-from softcal_jax import Model
+from softcal_jax.equilibrium import Model
 
 BEAM = Beam((0.1, 0.02, 0.02), E=3e5, nu=0.4)
 TOL = 1e-8

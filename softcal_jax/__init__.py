@@ -1,204 +1,117 @@
 """Calibrate the finite-element model of a soft robot from a few measured poses.
 
-The packages follow the method step by step: `mesh`, `bodies`, `elements`, `materials`,
-`fields`, `actuators`, `configurations`, `equilibrium`, `sensitivity`, `calibration`,
-`identifiability`, `control`, `layouts`. What a script needs most stands here as well.
+Here stands what a notebook needs. The rest is in the packages, which follow the method
+step by step: `mesh`, `materials`, `fields`, `bodies`, `actuators`, `configurations`,
+`equilibrium`, `sensitivity`, `calibration`, `identifiability`, `control`, `layouts`.
 """
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from softcal_jax import (
-    actuators,
-    bodies,
-    calibration,
-    configurations,
-    control,
-    elements,
-    equilibrium,
-    fields,
-    identifiability,
-    layouts,
-    materials,
-    mesh,
-    sensitivity,
-)
 from softcal_jax._compilation_cache import use_compilation_cache
-from softcal_jax.actuators import (
-    Cable,
-    Chamber,
-    ForceActuator,
-    Guide,
-    Motor,
-    SurfaceForceActuator,
-    SurfacePressure,
-)
-from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
+from softcal_jax.actuators import Cable, Chamber, Guide, Motor
+from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import (
-    CalibrationResult,
-    CalibrationSettings,
-    LowerCostFound,
-    build_problem,
     calibrate,
-    multi_start,
     profile_intervals,
     simulated_measurements,
     synthetic_measurements,
 )
 from softcal_jax.configurations import (
     ActuatorDisplacement,
-    ActuatorForce,
-    BodyAngle,
     BodyFrame,
-    Centroid,
     Configuration,
     EdgeForce,
     ImposedDisplacement,
     ImposedForce,
     Markers,
-    NodalForces,
-    PointForce,
     Support,
-    SupportReaction,
-    SurfaceForce,
-    SurfaceTraction,
-    configuration_arrays,
-    read_polhemus,
+    read_markers,
     read_poses,
     register,
 )
-from softcal_jax.control import follow_trajectory, sample_workspace, solve_inverse
-from softcal_jax.equilibrium import (
-    RESULTS,
-    Model,
-    NewtonSettings,
-    actuator_forces,
-    build_model,
-    check_converged,
-    effector_values,
-    marker_positions,
-    solve_equilibrium,
-)
+from softcal_jax.control import solve_inverse
+from softcal_jax.equilibrium import build_model, solve_equilibrium
 from softcal_jax.fields import (
     ControlPointParameters,
     ControlPoints,
     Parameter,
     ParameterSpace,
-    SetupParameter,
-    motor_zero,
-    mounting,
-    set_field,
 )
 from softcal_jax.identifiability import assess, identify, rank_configurations
-from softcal_jax.layouts import compare_layouts, place_control_points
 from softcal_jax.materials import (
-    AbstractLaw,
-    ClassicalCorotational,
     Corotational,
     Fibre,
-    FibreReinforced,
     Isotropic,
     NeoHookean,
     ReducedTransverseIsotropic,
-    StVenantKirchhoff,
-    TransverseIsotropic,
 )
-from softcal_jax.mesh import TetMesh, beam, read_mesh, select_nodes, to_quadratic
+from softcal_jax.mesh import beam, read_mesh, select_nodes
+
+if TYPE_CHECKING:
+    from softcal_jax.project import load_project
+    from softcal_jax.report import write_results
 
 __version__ = version("softcal-jax")
 
+_ON_DEMAND = {
+    "load_project": "softcal_jax.project",
+    "write_results": "softcal_jax.report",
+}
+"""What is imported when it is first asked for: its packages take long to load."""
+
 __all__ = [
-    "RESULTS",
-    "AbstractLaw",
     "ActuatorDisplacement",
-    "ActuatorForce",
-    "BodyAngle",
     "BodyFrame",
-    "BodyState",
     "Cable",
-    "CalibrationResult",
-    "CalibrationSettings",
-    "Centroid",
     "Chamber",
-    "ClassicalCorotational",
     "Configuration",
     "ControlPointParameters",
     "ControlPoints",
     "Corotational",
     "EdgeForce",
     "Fibre",
-    "FibreReinforced",
-    "ForceActuator",
     "Guide",
     "ImposedDisplacement",
     "ImposedForce",
     "Isotropic",
-    "LowerCostFound",
     "Markers",
-    "Model",
     "Motor",
     "NeoHookean",
-    "NewtonSettings",
-    "NodalForces",
     "Parameter",
     "ParameterSpace",
-    "PointForce",
     "Pose",
     "ReducedTransverseIsotropic",
     "RigidBody",
-    "SetupParameter",
-    "StVenantKirchhoff",
     "Support",
-    "SupportReaction",
-    "SurfaceForce",
-    "SurfaceForceActuator",
-    "SurfacePressure",
-    "SurfaceTraction",
-    "TetMesh",
-    "TransverseIsotropic",
-    "actuator_forces",
-    "actuators",
     "assess",
     "beam",
-    "bodies",
     "build_model",
-    "build_problem",
     "calibrate",
-    "calibration",
-    "check_converged",
-    "compare_layouts",
-    "configuration_arrays",
-    "configurations",
-    "control",
-    "effector_values",
-    "elements",
-    "equilibrium",
-    "fields",
-    "follow_trajectory",
-    "hinge_axes",
-    "identifiability",
     "identify",
-    "layouts",
-    "marker_positions",
-    "materials",
-    "mesh",
-    "motor_zero",
-    "mounting",
-    "multi_start",
-    "place_control_points",
+    "load_project",
     "profile_intervals",
     "rank_configurations",
+    "read_markers",
     "read_mesh",
-    "read_polhemus",
     "read_poses",
     "register",
-    "sample_workspace",
     "select_nodes",
-    "sensitivity",
-    "set_field",
     "simulated_measurements",
     "solve_equilibrium",
     "solve_inverse",
     "synthetic_measurements",
-    "to_quadratic",
     "use_compilation_cache",
+    "write_results",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ON_DEMAND:
+        return getattr(import_module(_ON_DEMAND[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_ON_DEMAND})

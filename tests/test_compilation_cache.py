@@ -122,7 +122,7 @@ json.dump(
         "E": result.value("E"),
         "solver": result.model.solver.name,
         "cost": [entry.cost for entry in result.history],
-        "predicted": result.configurations[1].after.tolist(),
+        "predicted": result.configurations[1].points[0].simulated.tolist(),
     },
     sys.stdout,
 )

@@ -1,6 +1,8 @@
 """The direction of imports: a package knows only those above it in this list."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -93,3 +95,28 @@ def test_every_public_name_exists():
         assert all(hasattr(package, name) for name in names)
         assert len(set(names)) == len(names)
         assert not any(name.startswith("_") for name in names)
+
+
+def test_the_top_level_is_short():
+    """What a notebook needs; the rest is imported from its package."""
+    names = softcal_jax.__all__
+    assert all(
+        hasattr(softcal_jax, name) and name in dir(softcal_jax) for name in names
+    )
+    assert names == sorted(names)
+    assert len(names) <= 45
+    with pytest.raises(AttributeError, match="no attribute 'load_projects'"):
+        softcal_jax.load_projects  # noqa: B018
+
+
+def test_importing_the_package_reads_no_project_files():
+    """Pydantic and pint take most of a second, which only `load_project` needs."""
+    code = (
+        "import sys, softcal_jax; "
+        "print({'pydantic', 'pint', 'softcal_jax.report'} & set(sys.modules)); "
+        "softcal_jax.load_project, softcal_jax.write_results"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "set()"

@@ -11,15 +11,14 @@ from export.handmade import (
     make_fit,
     make_ranking,
     make_result,
-    make_simulation,
-    replaced,
+    make_simulation_result,
+    nowhere_before,
     small_model,
 )
 from matplotlib.image import imread
 from rich.console import Console
 
 from softcal_jax.calibration import ParameterEstimate, ParameterInterval
-from softcal_jax.export import simulation_dict
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
 from softcal_jax.plotting import rendering_problem
@@ -143,12 +142,11 @@ class TestWholeOrNotAtAll:
         assert (tmp_path / "old" / "result.json").read_text() == before
 
     def test_a_simulation_too(self, tmp_path, monkeypatch):
-        model = small_model()
-        arguments = (model, *make_simulation(model, (True,)))
-        write_simulation(*arguments, tmp_path / "out")
+        result = make_simulation_result(small_model(), (True,))
+        write_simulation(result, tmp_path / "out")
         with pytest.raises(FileExistsError, match="--force"):
-            write_simulation(*arguments, tmp_path / "out")
-        write_simulation(*arguments, tmp_path / "out", force=True)
+            write_simulation(result, tmp_path / "out")
+        write_simulation(result, tmp_path / "out", force=True)
         assert names(tmp_path / "out") == ["lane_0.vtu", "simulation.json"]
 
         def fail(*args, **kwargs):
@@ -156,15 +154,14 @@ class TestWholeOrNotAtAll:
 
         monkeypatch.setattr(_write, "write_json", fail)
         with pytest.raises(OSError, match="disk full"):
-            write_simulation(*arguments, tmp_path / "new")
+            write_simulation(result, tmp_path / "new")
         assert names(tmp_path) == ["out"]
 
 
 @needs_opengl
 def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
-    model = small_model()
-    configurations, solution = make_simulation(model, (True, False, True))
-    write_simulation(model, configurations, solution, tmp_path / "out", name="poses")
+    result = make_simulation_result(small_model(), (True, False, True))
+    write_simulation(result, tmp_path / "out", name="poses")
     assert names(tmp_path / "out") == [
         "lane_0.png",
         "lane_0.vtu",
@@ -340,11 +337,10 @@ def test_names_are_no_markup():
 
 
 def test_simulation_table():
-    model = small_model()
-    data = simulation_dict(model, *make_simulation(model))
+    result = make_simulation_result(small_model())
     rows = [
         [cell.strip() for cell in line.strip("│").split("│")]
-        for line in printed(simulation_table(data)).splitlines()
+        for line in printed(simulation_table(result)).splitlines()
         if line.startswith("│")
     ]
     assert rows[0] == ["lane 0", f"{np.hypot(20, 4):.2f} mm", "4", "converged"]
@@ -375,9 +371,7 @@ def test_nothing_is_written_to_the_terminal(tmp_path, capfd):
 @pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
 def test_no_equilibrium_is_said_instead_of_nan(tmp_path):
     """A pose that only the start parameters cannot hold: the rest is there."""
-    fit = make_fit(small_model().mesh)
-    nowhere = np.full(fit.before.shape, np.nan)
-    result = make_result(fits=[replaced(fit, before=nowhere, error_before=nowhere)])
+    result = make_result(fits=[nowhere_before(make_fit(small_model().mesh))])
     table = printed(summary_table(result))
     (droop,) = [line for line in table.splitlines() if "droop" in line]
     assert [cell.strip() for cell in droop.split("│")[3:5]] == ["-", "1.00 mm"]

@@ -17,8 +17,8 @@ from robot_project import write_robot_project
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.actuators import actuator_geometry
-from softcal_jax.calibration import EffectorFit
 from softcal_jax.cli import main
+from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import (
     ActuatorState,
     BodyPlace,
@@ -204,23 +204,31 @@ def test_the_geometry_follows_the_displacement(robot):
     )
 
 
+def record(name, quantity, unit, *, measured, before, after):
+    """An effector that is no point."""
+    measured, before, after = (np.array(v, float) for v in (measured, before, after))
+    return EffectorRecord(
+        name=name,
+        quantity=quantity,
+        unit=unit,
+        index=0,
+        measured=measured,
+        std=np.ones_like(measured),
+        reference=np.eye(3),
+        at_rest=np.full_like(measured, np.nan),
+        simulated_before=before,
+        simulated=after,
+    )
+
+
 def fit_with_robot():
     """A handmade fit with an orientation, a length, a body and a cable."""
     fit = make_fit(small_model().mesh)
-    turn = EffectorFit(
-        "left",
-        "rad",
-        np.zeros(3),
-        np.array([0.0, 0.0, 0.2]),
-        np.array([0.0, 0.0, 0.1]),
-        np.array([0.0, 0.0, 0.2]),
-        np.array([0.0, 0.0, 0.1]),
-        True,
-        np.eye(3),
+    turn = record(
+        "left", "turn", "rad", measured=3 * [0.0], before=[0, 0, 0.2], after=[0, 0, 0.1]
     )
-    one = lambda value: np.array([value])
-    length = EffectorFit(
-        "length", "m", one(2e-3), one(5e-3), one(3e-3), one(3e-3), one(1e-3), False
+    length = record(
+        "length", "scalar", "m", measured=[2e-3], before=[5e-3], after=[3e-3]
     )
     state = RobotState(
         (BodyPlace("plate", "free", np.ones(3), np.zeros(3), np.zeros(3)),),
@@ -228,7 +236,8 @@ def fit_with_robot():
         (Reaction("x_min", np.array([-1.5, 0.0, 1e-12])),),
         np.zeros((4, 3)),
     )
-    return dataclasses.replace(fit, others=(turn, length), robot=state)
+    effectors = (*fit.points, turn, length)
+    return dataclasses.replace(fit, effectors=effectors, robot=state)
 
 
 def test_a_calibration_shows_them():
@@ -246,15 +255,15 @@ def test_a_calibration_shows_them():
 
 
 def test_effectors_and_robot_as_csv(tmp_path):
-    data = result_dict(make_result(fits=[fit_with_robot()]))
-    json.dumps(data, allow_nan=False)
-    write_effectors_csv(tmp_path / "e.csv", data)
+    fits = [fit_with_robot()]
+    json.dumps(result_dict(make_result(fits=fits)), allow_nan=False)
+    write_effectors_csv(tmp_path / "e.csv", fits)
     with (tmp_path / "e.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [r["coordinate"] for r in rows] == ["turn_x", "turn_y", "turn_z", "value"]
     assert rows[2]["simulated_before"] == "0.2"
     assert (rows[3]["measured"], rows[3]["simulated"]) == ("0.002", "0.003")
-    write_robot_csv(tmp_path / "r.csv", data)
+    write_robot_csv(tmp_path / "r.csv", fits)
     with (tmp_path / "r.csv").open(newline="") as file:
         parts = [row["part"] for row in csv.DictReader(file)]
     assert parts == 9 * ["rigid body"] + 2 * ["actuator"] + 3 * ["reaction"]
@@ -263,18 +272,7 @@ def test_effectors_and_robot_as_csv(tmp_path):
 def test_a_fit_of_lengths_alone_shows_its_cost(tmp_path):
     """No marker, no distance: neither a table nor a curve of zeros."""
     fit = fit_with_robot()
-    nothing = np.zeros((0, 3))
-    fit = dataclasses.replace(
-        fit,
-        marker_names=(),
-        measured=nothing,
-        seen=np.zeros((0, 3), bool),
-        at_rest=nothing,
-        before=nothing,
-        after=nothing,
-        error_before=nothing,
-        error_after=nothing,
-    )
+    fit = dataclasses.replace(fit, effectors=fit.others)
     result = make_result(fits=[fit])
     console = Console(width=100, file=io.StringIO())
     console.print(summary_table(result))

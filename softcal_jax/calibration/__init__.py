@@ -5,6 +5,11 @@ from softcal_jax.calibration._calibrate import (
     calibrate,
 )
 from softcal_jax.calibration._clock import Clock
+from softcal_jax.calibration._configuration_result import (
+    ConfigurationResult,
+    SimulationResult,
+)
+from softcal_jax.calibration._fits import simulation_result
 from softcal_jax.calibration._intervals import profile_intervals
 from softcal_jax.calibration._levenberg_marquardt import levenberg_marquardt
 from softcal_jax.calibration._notes import CalibrationWarning, fit_notes
@@ -22,8 +27,6 @@ from softcal_jax.calibration._proposal import KKT_TOLERANCE, propose
 from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
     CalibrationResult,
-    ConfigurationFit,
-    EffectorFit,
     HistoryEntry,
     ParameterEstimate,
     ParameterInterval,
@@ -58,8 +61,7 @@ __all__ = [
     "CalibrationState",
     "CalibrationWarning",
     "Clock",
-    "ConfigurationFit",
-    "EffectorFit",
+    "ConfigurationResult",
     "Evaluation",
     "HistoryEntry",
     "LowerCostFound",
@@ -69,6 +71,7 @@ __all__ = [
     "ParameterInterval",
     "QPStep",
     "Run",
+    "SimulationResult",
     "Uncertainty",
     "at_rest",
     "bounded_step",
@@ -89,6 +92,7 @@ __all__ = [
     "run_starts",
     "simulate",
     "simulated_measurements",
+    "simulation_result",
     "synthetic_measurements",
     "uncertainty",
     "with_measured",

@@ -14,7 +14,7 @@ from softcal_jax.calibration._checkpoint import Journal, resumed_state
 from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._descent import descend, from_rest
 from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._fits import configuration_fits, parameter_estimates
+from softcal_jax.calibration._fits import configuration_results, parameter_estimates
 from softcal_jax.calibration._notes import (
     fit_notes,
     mesh_notes,
@@ -40,7 +40,11 @@ from softcal_jax.calibration._state import (
     initial_state,
 )
 from softcal_jax.calibration._uncertainty import uncertainty
-from softcal_jax.configurations import Configuration, configuration_arrays
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationLanes,
+    configuration_lanes,
+)
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
 from softcal_jax.fields import (
     Entry,
@@ -70,7 +74,16 @@ def build_problem(
     Raises:
         ValueError: If a configuration has no measurement, or a parameter no field.
     """
-    configurations = as_sequence(configurations)
+    return _build(model, parameters, as_sequence(configurations), newton)[0]
+
+
+def _build(
+    model: Model,
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+    configurations: Sequence[Configuration],
+    newton: NewtonSettings | None,
+) -> tuple[CalibrationProblem, ConfigurationLanes]:
+    """The calibration as arrays, and what the effectors of its configurations are."""
     for configuration in configurations:
         if not configuration.is_measured:
             raise ValueError(
@@ -78,10 +91,11 @@ def build_problem(
                 "`markers` and `measured`, or `effectors` with measured values."
             )
     space = as_space(parameters)
-    arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
-    check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], arrays))
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], lanes.arrays))
     warn_if_locking(model, space)
-    return CalibrationProblem(model, space, arrays, newton or NewtonSettings())
+    newton = newton or NewtonSettings()
+    return CalibrationProblem(model, space, lanes.arrays, newton), lanes
 
 
 def calibrate(
@@ -140,11 +154,9 @@ def calibrate(
     settings = settings or CalibrationSettings()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
-    problem = build_problem(model, parameters, configurations, newton)
+    problem, lanes = _build(model, parameters, configurations, newton)
     # Built now, so that a wrong held-out configuration is found before the fit.
-    held_out = (
-        build_problem(model, parameters, validation, newton) if validation else None
-    )
+    held_out = _build(model, parameters, validation, newton) if validation else None
     _check_names(configurations, validation)
     warn_if_too_few_data(problem)
 
@@ -159,18 +171,21 @@ def calibrate(
         state, search = _begin(evaluate, settings, start, before, journal, starts, seed)
         state = descend(evaluate, settings, state, journal.note)
         after = state.evaluation
-        fits = configuration_fits(
+        fits = configuration_results(
             problem.space.model_at(model, state.z),
             configurations,
-            "calibration",
-            before.effectors,
-            after.effectors,
-            after.equilibrium,
+            lanes,
+            role="calibration",
+            before=before.effectors,
+            after=after.effectors,
+            solution=after.equilibrium,
         )
         missing: tuple[str, ...] = ()
         if held_out is not None:
-            predict = Evaluator(held_out, workers)
-            predicted, missing = _predict(predict, validation, start, state.z)
+            predict = Evaluator(held_out[0], workers)
+            predicted, missing = _predict(
+                predict, validation, held_out[1], start, state.z
+            )
             fits += predicted
     notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
     result = _result(
@@ -225,6 +240,7 @@ def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):
 def _predict(
     evaluate: Evaluator,
     validation,
+    lanes: ConfigurationLanes,
     start: Float[Array, " n_p"],
     z: Float[Array, " n_p"],
 ):
@@ -241,22 +257,22 @@ def _predict(
     # A pose that only the start parameters cannot hold has no "before".
     held = first.equilibrium.converged[:, None, None]
     before = jnp.where(held, first.effectors, jnp.nan)
-    lanes = np.flatnonzero(np.asarray(last.equilibrium.converged))
+    ok = np.asarray(last.equilibrium.converged)
     notes = [
         f"{c.name} is not predicted: with the calibrated parameters it has no "
         "equilibrium. `softcal simulate` or `solve_equilibrium` tells why."
         for lane, c in enumerate(validation)
-        if lane not in lanes
+        if not ok[lane]
     ]
     model = problem.space.model_at(problem.model, z)
-    fits = configuration_fits(
+    fits = configuration_results(
         model,
         validation,
-        "validation",
-        before,
-        last.effectors,
-        last.equilibrium,
-        lanes.tolist(),
+        lanes,
+        role="validation",
+        before=before,
+        after=last.effectors,
+        solution=last.equilibrium,
     )
     return fits, tuple(notes)
 

@@ -1,6 +1,7 @@
-"""Estimates and fits of a calibration, from its last state."""
+"""Results of a calibration or a simulation, from the last state of the solver."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -9,23 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._result import (
-    ConfigurationFit,
-    EffectorFit,
-    ParameterEstimate,
+from softcal_jax.calibration._configuration_result import (
+    ConfigurationResult,
+    SimulationResult,
 )
+from softcal_jax.calibration._result import ParameterEstimate
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.configurations import (
     Configuration,
-    NamedRow,
-    configuration_arrays,
-    effector_rows,
-    row_numbers,
+    ConfigurationArrays,
+    ConfigurationLanes,
+    EffectorRecord,
+    configuration_lanes,
 )
 from softcal_jax.equilibrium import (
+    RESULTS,
     EquilibriumSolution,
     Model,
-    effector_positions,
+    effector_values,
     robot_states,
 )
 from softcal_jax.fields import ParameterSpace
@@ -57,110 +59,136 @@ def parameter_estimates(
         slope = values[i] if log else float(parameter.unit_step)
         estimates.append(
             ParameterEstimate(
-                parameter.name,
-                float(values[i]),
-                float(slope * std[i]),
-                float(before[i]),
-                float(parameter.lower),
-                float(parameter.upper),
-                parameter.unit,
-                bool(spread.at_bound[i]),
+                name=parameter.name,
+                value=float(values[i]),
+                standard_error=float(slope * std[i]),
+                start=float(before[i]),
+                lower=float(parameter.lower),
+                upper=float(parameter.upper),
+                unit=parameter.unit,
+                at_bound=bool(spread.at_bound[i]),
             )
         )
     return tuple(estimates)
 
 
-def configuration_fits(
+def configuration_results(
     model: Model,
     configurations: Sequence[Configuration],
+    lanes: ConfigurationLanes,
+    *,
     role: Literal["calibration", "validation"],
     before: Float[Array, "n_c n_rows 3"],
     after: Float[Array, "n_c n_rows 3"],
     solution: EquilibriumSolution,
-    lanes: Sequence[int] | None = None,
-) -> tuple[ConfigurationFit, ...]:
-    """Measured and simulated effectors of configurations, with both sets of parameters.
+) -> tuple[ConfigurationResult, ...]:
+    """Describe configurations that were fitted or predicted.
 
     Args:
         model: The model with the calibrated parameters.
         configurations: The configurations of a batch.
+        lanes: The batch.
         role: Fitted, or only predicted.
         before: Simulated effector coordinates with the start parameters.
         after: The same with the calibrated parameters.
         solution: Equilibria with the calibrated parameters.
-        lanes: Which of them to report; all by default.
 
     Returns:
-        One entry per configuration.
+        One entry per configuration that has an equilibrium.
     """
-    mesh, mechanism = model.mesh, model.mechanism
-    rows = [effector_rows(mesh, c, mechanism) for c in configurations]
-    rest = jnp.zeros((model.n_points, 3))
-    arrays = configuration_arrays(mesh, configurations, mechanism)
-    at_rest = _effectors_at(model, arrays.effectors, rest)
-    states = robot_states(model, configurations, solution)
-    fits = []
-    for lane, (c, numbers) in enumerate(
-        zip(configurations, row_numbers(rows), strict=True)
-    ):
-        if lanes is not None and lane not in lanes:
-            continue
-        named = rows[lane]
-        points = [i for i, (_, row) in enumerate(named) if row.quantity == "point"]
-        take = lambda e, which, lane=lane, n=numbers: np.asarray(e[lane])[
-            [n[i] for i in which]
-        ].reshape(-1, 3)
-        own = [named[i].row for i in points]
-        measured = np.array([row.measured for row in own]).reshape(-1, 3)
-        seen = np.array([row.inverse_std > 0.0 for row in own]).reshape(-1, 3)
-        first, last = take(before, points), take(after, points)
-        others = tuple(
-            _effector_fit(named[i], take(before, [i])[0], take(after, [i])[0])
-            for i in range(len(named))
-            if i not in points
+    first, last = np.asarray(before), np.asarray(after)
+    found = _results(
+        model,
+        configurations,
+        lanes.arrays,
+        solution,
+        role=role,
+        effectors=lambda i: tuple(
+            replace(e, simulated_before=e.among(first[i]), simulated=e.among(last[i]))
+            for e in lanes.effectors[i]
+        ),
+    )
+    return tuple(result for result in found if result.converged)
+
+
+def simulation_result(
+    model: Model,
+    configurations: Sequence[Configuration],
+    solution: EquilibriumSolution,
+) -> SimulationResult:
+    """Describe a forward simulation.
+
+    Args:
+        model: The model.
+        configurations: What was simulated; what was measured of them does not count,
+            and turns are counted from rest.
+        solution: Their equilibria, one lane per configuration.
+
+    Returns:
+        The result; configurations without an equilibrium say why.
+    """
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    reference = lambda arrays: arrays.effectors.turn_reference
+    from_rest = jnp.broadcast_to(jnp.eye(3), reference(lanes.arrays).shape)
+    arrays = eqx.tree_at(reference, lanes.arrays, from_rest)
+
+    def effectors(i: int) -> tuple[EffectorRecord, ...]:
+        records = tuple(_unmeasured(record) for record in lanes.effectors[i])
+        lane, own = jax.tree.map(lambda leaf: leaf[i], (arrays, solution))
+        if not (records and own.converged):
+            return records
+        # Rows of positions are cheap enough to need no compiling.
+        compute = _effector_values if lane.effectors.has_forces else effector_values
+        values = np.asarray(compute(model, lane, own.displacement, own.multipliers))
+        return tuple(replace(e, simulated=e.among(values)) for e in records)
+
+    found = _results(
+        model,
+        configurations,
+        arrays,
+        solution,
+        role="simulation",
+        effectors=effectors,
+    )
+    return SimulationResult(model, found)
+
+
+_effector_values = eqx.filter_jit(effector_values)
+
+
+def _unmeasured(record: EffectorRecord) -> EffectorRecord:
+    return replace(
+        record,
+        measured=np.full_like(record.measured, np.nan),
+        std=np.full_like(record.std, np.inf),
+        reference=np.eye(3),
+    )
+
+
+def _results(
+    model: Model,
+    configurations: Sequence[Configuration],
+    arrays: ConfigurationArrays,
+    solution: EquilibriumSolution,
+    *,
+    role: Literal["calibration", "validation", "simulation"],
+    effectors: Callable[[int], tuple[EffectorRecord, ...]],
+) -> tuple[ConfigurationResult, ...]:
+    """Describe every configuration of a batch, its effectors by their index."""
+    states = robot_states(model, configurations, solution, arrays)
+    return tuple(
+        ConfigurationResult(
+            name=configuration.name,
+            role=role,
+            converged=bool(solution.converged[i]),
+            outcome=RESULTS[jax.tree.map(lambda leaf, i=i: leaf[i], solution.result)],
+            effectors=effectors(i),
+            displacement=np.asarray(solution.displacement[i])[: model.mesh.n_nodes],
+            newton_steps=int(solution.steps[i]),
+            load_steps=int(solution.load_steps[i]),
+            residual=float(solution.residual[i]),
+            min_det_F=float(solution.min_det_F[i]),
+            robot=states[i],
         )
-        fits.append(
-            ConfigurationFit(
-                c.name,
-                role,
-                tuple(named[i].name for i in points),
-                measured,
-                seen,
-                take(at_rest, points),
-                first,
-                last,
-                np.where(seen, first - measured, 0.0),
-                np.where(seen, last - measured, 0.0),
-                np.asarray(solution.displacement[lane])[: mesh.n_nodes],
-                int(solution.steps[lane]),
-                float(solution.residual[lane]),
-                float(solution.min_det_F[lane]),
-                others,
-                states[lane],
-            )
-        )
-    return tuple(fits)
-
-
-@eqx.filter_jit
-def _effectors_at(model: Model, effectors, u):
-    """Effectors of all configurations at one displacement."""
-    return jax.vmap(lambda e: effector_positions(model, e, u))(effectors)
-
-
-def _effector_fit(named: NamedRow, before, after) -> EffectorFit:
-    name, row = named
-    seen = row.inverse_std > 0.0
-    width = 3 if row.quantity in ("turn", "reaction") else 1
-    cut = lambda value: np.asarray(value)[:width]
-    return EffectorFit(
-        name,
-        row.unit,
-        cut(row.measured),
-        cut(before),
-        cut(after),
-        cut(np.where(seen, before - row.measured, 0.0)),
-        cut(np.where(seen, after - row.measured, 0.0)),
-        row.quantity == "turn",
-        row.reference if row.quantity == "turn" else None,
+        for i, configuration in enumerate(configurations)
     )

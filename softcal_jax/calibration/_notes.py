@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._result import ConfigurationFit
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model
@@ -51,7 +51,7 @@ def fit_notes(
     return notes
 
 
-def misfit_notes(fits: Sequence[ConfigurationFit]) -> list[str]:
+def misfit_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
     """Configurations that the calibrated model does not explain."""
     notes = []
     for fit in fits:

@@ -5,16 +5,13 @@ from typing import Literal
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
+from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._starts import MultiStartResult
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
-from softcal_jax.equilibrium import (
-    Model,
-    NewtonSettings,
-    RobotState,
-)
+from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import ParameterSpace
 
 
@@ -122,124 +119,6 @@ class HistoryEntry(eqx.Module):
         return f"step {self.step}: rms {1e3 * self.rms:.3f} mm, {values}{refused}"
 
 
-class EffectorFit(eqx.Module):
-    """Measured and simulated values of an effector that is no point.
-
-    Attributes:
-        name: Its name.
-        unit: Unit of its values.
-        measured: Measured values; a turn is counted from the measured orientation.
-        before: Simulated values with the start parameters; NaN without equilibrium.
-        after: Simulated values with the calibrated parameters; likewise.
-        error_before: Simulated minus measured, 0 where not measured.
-        error_after: The same after calibration.
-        is_turn: Whether it is the orientation of a rigid body.
-        reference: Of a turn, the orientation that it is counted from, as a matrix [-].
-    """
-
-    name: str
-    unit: str
-    measured: Float[HostArray, " k"]
-    before: Float[HostArray, " k"]
-    after: Float[HostArray, " k"]
-    error_before: Float[HostArray, " k"]
-    error_after: Float[HostArray, " k"]
-    is_turn: bool
-    reference: Float[HostArray, "3 3"] | None = None
-
-
-class ConfigurationFit(eqx.Module):
-    """Measured and simulated effectors of one configuration.
-
-    Points, markers before all, stand in arrays; `others` holds the rest.
-
-    Attributes:
-        name: Name of the configuration.
-        role: Whether it was fitted, or only predicted.
-        marker_names: Names of the markers.
-        measured: Measured positions [m].
-        seen: Which of their coordinates were measured; the others are NaN, or numbers
-            that mean nothing.
-        at_rest: Marker positions on the undeformed mesh [m].
-        before: Simulated positions with the start parameters; NaN if these have no
-            equilibrium [m].
-        after: Simulated positions with the calibrated parameters; likewise [m].
-        error_before: Simulated minus measured, 0 where not measured [m].
-        error_after: The same after calibration [m].
-        displacement: Nodal displacement after calibration [m].
-        newton_steps: Newton iterations of the last equilibrium.
-        residual: Its relative residual [-].
-        min_det_F: Its smallest det F [-].
-        others: Effectors that are no points: orientations, lengths, angles, forces.
-        robot: Rigid bodies, actuators and reactions after calibration; None for a body
-            without rigid bodies and actuators.
-    """
-
-    name: str
-    role: Literal["calibration", "validation"]
-    marker_names: tuple[str, ...]
-    measured: Float[HostArray, "n_markers 3"]
-    seen: Bool[HostArray, "n_markers 3"]
-    at_rest: Float[HostArray, "n_markers 3"]
-    before: Float[HostArray, "n_markers 3"]
-    after: Float[HostArray, "n_markers 3"]
-    error_before: Float[HostArray, "n_markers 3"]
-    error_after: Float[HostArray, "n_markers 3"]
-    displacement: Float[HostArray, "n_nodes 3"]
-    newton_steps: int
-    residual: float
-    min_det_F: float
-    others: tuple[EffectorFit, ...] = ()
-    robot: RobotState | None = None
-
-    @property
-    def turn_before(self) -> float:
-        """Root mean square angle between simulated and measured orientations [rad].
-
-        With the start parameters; NaN without an orientation or an equilibrium.
-        """
-        return _rms_turn([e.error_before for e in self.others if e.is_turn])
-
-    @property
-    def turn_after(self) -> float:
-        """The same after calibration [rad]."""
-        return _rms_turn([e.error_after for e in self.others if e.is_turn])
-
-    @property
-    def rms_before(self) -> float:
-        """Root mean square of the marker distances with the start parameters [m].
-
-        NaN if there is no equilibrium with them.
-        """
-        return _rms(self.error_before)
-
-    @property
-    def rms_after(self) -> float:
-        """Root mean square of the marker distances after calibration [m].
-
-        NaN if there is no equilibrium.
-        """
-        return _rms(self.error_after)
-
-    @property
-    def motion(self) -> float:
-        """Root mean square of how far the markers moved from rest [m].
-
-        Over the measured coordinates, like the distances.
-        """
-        return _rms(np.where(self.seen, self.measured - self.at_rest, 0.0))
-
-
-def _rms(distances: Float[HostArray, "n_markers 3"]) -> float:
-    if len(distances) == 0:
-        return float("nan")
-    return float(np.sqrt(np.mean(np.sum(distances**2, axis=1))))
-
-
-def _rms_turn(errors: list[Float[HostArray, "3"]]) -> float:
-    return _rms(np.array(errors).reshape(-1, 3))
-
-
 class CalibrationResult(eqx.Module):
     """Outcome of a calibration.
 
@@ -264,7 +143,7 @@ class CalibrationResult(eqx.Module):
     converged: bool
     parameters: tuple[ParameterEstimate, ...]
     uncertainty: Uncertainty
-    configurations: tuple[ConfigurationFit, ...]
+    configurations: tuple[ConfigurationResult, ...]
     history: tuple[HistoryEntry, ...]
     space: ParameterSpace
     model: Model

@@ -12,11 +12,9 @@ from softcal_jax.calibration._problem import chained_guess, simulate_model
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
-    configuration_arrays,
-    effector_rows,
+    configuration_lanes,
     measured_as,
     measured_at_rest,
-    row_numbers,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import ParameterSpace
@@ -104,22 +102,26 @@ def simulated_measurements(
     """
     mesh, mechanism = model.mesh, model.mechanism
     posed = [measured_at_rest(c, mesh, mechanism) for c in configurations]
-    arrays = configuration_arrays(mesh, posed, mechanism)
+    arrays, records = configuration_lanes(mesh, posed, mechanism)
     arrays = arrays if change is None else jax.vmap(change)(arrays)
     newton = newton or NewtonSettings()
     guess = _chained_guess(first or model, arrays, newton)
     solution, effectors = _simulate_model(model, arrays, guess, newton)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
-    rows = [effector_rows(mesh, c, mechanism) for c in posed]
     measured = []
-    for c, own, numbers, values in zip(
-        configurations, rows, row_numbers(rows), np.asarray(effectors), strict=True
+    for c, own, values, inverse_std in zip(
+        configurations,
+        records,
+        np.asarray(effectors),
+        np.asarray(arrays.effectors.inverse_std),
+        strict=True,
     ):
-        e = values[numbers]
+        rows = [record.index for record in own]
+        e = values[rows]
         if noise:
-            inverse_std = np.array([row.inverse_std for _, row in own])
-            std = np.where(inverse_std > 0.0, 1.0 / np.maximum(inverse_std, 1e-300), 0)
+            weight = inverse_std[rows]
+            std = np.where(weight > 0.0, 1.0 / np.maximum(weight, 1e-300), 0)
             e = e + std * random.standard_normal(e.shape)
         measured.append(measured_as(c, e, mesh, mechanism))
     return tuple(measured)

@@ -23,7 +23,7 @@ from softcal_jax.cli._shared import (
 if TYPE_CHECKING:
     from softcal_jax.calibration import (
         CalibrationResult,
-        ConfigurationFit,
+        ConfigurationResult,
         HistoryEntry,
     )
     from softcal_jax.fields import Parameter
@@ -61,6 +61,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     """Fits a project, predicts what was held out, and writes the results."""
     check_folder(args)
     from softcal_jax import report
+    from softcal_jax.identifiability import assess
 
     project = load(path, show)
     with bad_input():
@@ -76,6 +77,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         )
     show.lap("solve")
     show.split("solve", "compile", result.timing_s["compile"])
+    assessment = assess(result)
 
     def write(result: "CalibrationResult", *, force: bool) -> Path:
         show.now("writing results and pictures")
@@ -85,6 +87,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
                 args.output,
                 name=project.name,
                 force=force,
+                assessment=assessment,
                 timing_s=dict(show.laps),
             )
         show.lap("results and pictures")
@@ -99,7 +102,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         show.lap("intervals")
         where = write(result, force=True)
     show.line()
-    show.line(report.summary_table(result))
+    show.line(report.summary_table(result, assessment))
     _print_held_out(result, show)
     print_end(where, show)
     if not result.converged:
@@ -116,8 +119,8 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     Those without an equilibrium are named at the end, after the others are written.
     """
     check_folder(args)
-    from softcal_jax import export, report
-    from softcal_jax.calibration import Clock
+    from softcal_jax import report
+    from softcal_jax.calibration import Clock, simulation_result
     from softcal_jax.equilibrium import check_converged
 
     project = load(args.project, show)
@@ -130,10 +133,9 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
 
     show.now("writing results and pictures")
     with bad_input():
+        result = simulation_result(project.model, project.configurations, solution)
         where = report.write_simulation(
-            project.model,
-            project.configurations,
-            solution,
+            result,
             args.output,
             name=project.name,
             force=args.force,
@@ -141,8 +143,7 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
         )
     show.lap("results and pictures")
     show.line()
-    data = export.simulation_dict(project.model, project.configurations, solution)
-    show.line(report.simulation_table(data))
+    show.line(report.simulation_table(result))
     print_end(where, show)
     with no_equilibrium("The results hold the others, if any."):
         check_converged(solution, names)
@@ -219,15 +220,15 @@ def _print_held_out(result: "CalibrationResult", show: Display) -> None:
                 show.line(f"Held-out error, {fit.name}: {found}.")
 
 
-def _held_out_errors(fit: "ConfigurationFit") -> str:
+def _held_out_errors(fit: "ConfigurationResult") -> str:
     """Distances of markers and angles of orientations, where there are any."""
     texts = []
-    if fit.marker_names:
-        n = len(fit.marker_names)
+    if fit.points:
+        n = len(fit.points)
         percent = (
-            f", {100 * fit.rms_after / fit.motion:.1f} % of how far they moved "
+            f", {100 * fit.rms_share:.1f} % of how far they moved "
             f"({1e3 * fit.motion:.1f} mm)"
-            if fit.motion > 0.0
+            if math.isfinite(fit.rms_share)
             else ""
         )
         texts.append(

@@ -21,13 +21,16 @@ from softcal_jax.configurations._body_effectors import BodyAngle, BodyFrame, Cen
 from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY,
     Configuration,
+    ConfigurationLanes,
     configuration_arrays,
-    effector_rows,
-    measured_as,
-    measured_at_rest,
+    configuration_lanes,
 )
-from softcal_jax.configurations._effector import AbstractEffector
-from softcal_jax.configurations._effector_arrays import NamedRow, row_numbers
+from softcal_jax.configurations._effector import (
+    AbstractEffector,
+    AbstractScalar,
+    AbstractVector,
+)
+from softcal_jax.configurations._effector_record import EffectorRecord
 from softcal_jax.configurations._loads import (
     AbstractLoad,
     EdgeForce,
@@ -37,6 +40,7 @@ from softcal_jax.configurations._loads import (
     SurfaceTraction,
 )
 from softcal_jax.configurations._markers import Markers
+from softcal_jax.configurations._measured import measured_as, measured_at_rest
 from softcal_jax.configurations._measurements import MarkerTable, read_markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._pose_averages import AveragedPose, average_poses
@@ -50,6 +54,8 @@ __all__ = [
     "STANDARD_GRAVITY",
     "AbstractEffector",
     "AbstractLoad",
+    "AbstractScalar",
+    "AbstractVector",
     "ActuationArrays",
     "ActuatorDisplacement",
     "ActuatorForce",
@@ -59,14 +65,15 @@ __all__ = [
     "Centroid",
     "Configuration",
     "ConfigurationArrays",
+    "ConfigurationLanes",
     "EdgeForce",
     "EffectorArrays",
+    "EffectorRecord",
     "ImposedDisplacement",
     "ImposedForce",
     "MarkerTable",
     "Markers",
     "Mechanism",
-    "NamedRow",
     "NodalForces",
     "PointForce",
     "PoseTable",
@@ -82,7 +89,7 @@ __all__ = [
     "average_poses",
     "build_mechanism",
     "configuration_arrays",
-    "effector_rows",
+    "configuration_lanes",
     "in_frame",
     "measured_as",
     "measured_at_rest",
@@ -90,5 +97,4 @@ __all__ = [
     "read_polhemus",
     "read_poses",
     "register",
-    "row_numbers",
 ]

@@ -1,26 +1,24 @@
 """Effectors of actuators and supports: lengths, volumes, forces, reactions."""
 
-from dataclasses import replace
-
 import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.bodies import BodyArrays
 from softcal_jax.configurations._effector import (
-    AbstractEffector,
+    AbstractScalar,
+    AbstractVector,
     EffectorRow,
-    inverse_std,
-    number_of,
-    one_value,
+    index_of,
     optional_point,
-    three_values,
+    scalar_rows,
+    vector_rows,
 )
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh, named_nodes
 
 
-class ActuatorDisplacement(AbstractEffector):
+class ActuatorDisplacement(AbstractScalar):
     """Displacement delta_a of an actuator: length of a cable, volume of a chamber.
 
     Of a motor it is what its encoder shows and what `ImposedDisplacement` asks for: the
@@ -43,26 +41,18 @@ class ActuatorDisplacement(AbstractEffector):
         """Its single coordinate."""
         del mesh
         actuators = mechanism.actuators
-        a = number_of(self.actuator, actuators.names, "actuator", self.name)
+        a = index_of(self.actuator, actuators.names, "actuator", self.name)
         unit = actuators.kinds[a].displacement_unit
         if unit is None:
             raise ValueError(
                 f"effector {self.name!r}: {actuators.kinds[a].noun} {self.actuator!r} "
                 "has no displacement; use ActuatorForce."
             )
-        weight = inverse_std(self.name, "std", self.std, unit)
-        values = one_value(self.measured, weight, self.name, unit)
-        return (EffectorRow("scalar", unit, *values, about=(a, -1)),)
-
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "ActuatorDisplacement":
-        """With a displacement."""
-        del mechanism
-        return replace(self, measured=float(values[0, 0]))
+        row = EffectorRow(self.name, "scalar", unit, about=(a, -1))
+        return scalar_rows(row, self.measured, self.std)
 
 
-class ActuatorForce(AbstractEffector):
+class ActuatorForce(AbstractScalar):
     """Force lambda_a of an actuator: tension, pressure, reaction torque of a motor.
 
     Attributes:
@@ -81,21 +71,13 @@ class ActuatorForce(AbstractEffector):
         """Its single coordinate."""
         del mesh
         actuators = mechanism.actuators
-        a = number_of(self.actuator, actuators.names, "actuator", self.name)
+        a = index_of(self.actuator, actuators.names, "actuator", self.name)
         unit = actuators.kinds[a].force_unit
-        weight = inverse_std(self.name, "std", self.std, unit)
-        values = one_value(self.measured, weight, self.name, unit)
-        return (EffectorRow("force", unit, *values, about=(a, 0)),)
-
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "ActuatorForce":
-        """With a force."""
-        del mechanism
-        return replace(self, measured=float(values[0, 0]))
+        row = EffectorRow(self.name, "force", unit, about=(a, 0))
+        return scalar_rows(row, self.measured, self.std)
 
 
-class SupportReaction(AbstractEffector):
+class SupportReaction(AbstractVector):
     """Force with which the ground holds a group of nodes: a load cell under a clamp.
 
     A rigid body among them is held as a whole: its own mass, what pulls at it, and
@@ -119,16 +101,9 @@ class SupportReaction(AbstractEffector):
         """Its three coordinates."""
         nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
         nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
-        weight = inverse_std(self.name, "std", self.std, "N")
-        values = three_values(self.measured, weight, self.name, "N")
-        return (EffectorRow("reaction", "N", *values, nodes, np.ones(nodes.size)),)
-
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "SupportReaction":
-        """With a force [N]."""
-        del mechanism
-        return replace(self, measured=values[0])
+        ones = np.ones(nodes.size)
+        row = EffectorRow(self.name, "reaction", "N", nodes=nodes, weights=ones)
+        return vector_rows(row, self.measured, self.std)
 
 
 def _with_bodies(

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -12,12 +11,14 @@ from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations._effector import (
     AbstractEffector,
+    AbstractScalar,
+    AbstractVector,
     EffectorRow,
+    index_of,
     inverse_std,
-    number_of,
-    one_value,
     optional_point,
-    three_values,
+    scalar_rows,
+    vector_rows,
 )
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh, named_nodes
@@ -55,7 +56,7 @@ class BodyFrame(AbstractEffector):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Its position, then its orientation."""
         bodies = mechanism.bodies
-        k = number_of(self.body, bodies.names, "rigid body", self.name)
+        k = index_of(self.body, bodies.names, "rigid body", self.name)
         point = bodies.origin[k] if self.point is None else self.point
         weight = inverse_std(self.name, "std", self.std, "m")
         weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
@@ -66,18 +67,20 @@ class BodyFrame(AbstractEffector):
             reference = self.measured.matrix
         return (
             EffectorRow(
-                "point",
-                "m",
-                measured,
-                np.full(3, seen * weight),
-                nodes.astype(np.int32),
-                bodies.at(k, point[None])[0],
+                name=self.name,
+                quantity="point",
+                unit="m",
+                measured=measured,
+                inverse_std=np.full(3, seen * weight),
+                nodes=nodes.astype(np.int32),
+                weights=bodies.at(k, point[None])[0],
             ),
             EffectorRow(
-                "turn",
-                "rad",
-                np.zeros(3) if seen else np.full(3, np.nan),
-                np.full(3, seen * weight_angle),
+                name=self.name,
+                quantity="turn",
+                unit="rad",
+                measured=np.zeros(3) if seen else np.full(3, np.nan),
+                inverse_std=np.full(3, seen * weight_angle),
                 about=(k, 0),
                 reference=reference,
             ),
@@ -92,7 +95,7 @@ class BodyFrame(AbstractEffector):
         return replace(self, measured=Pose(values[0] - point, values[1]))
 
 
-class Centroid(AbstractEffector):
+class Centroid(AbstractVector):
     """Mean position of a group of nodes.
 
     Attributes:
@@ -113,20 +116,17 @@ class Centroid(AbstractEffector):
         """Its position."""
         del mechanism
         nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
-        weight = inverse_std(self.name, "std", self.std, "m")
-        values = three_values(self.measured, weight, self.name, "m")
-        equal = np.full(nodes.size, 1.0 / nodes.size)
-        return (EffectorRow("point", "m", *values, nodes.astype(np.int32), equal),)
-
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "Centroid":
-        """With a position [m]."""
-        del mechanism
-        return replace(self, measured=values[0])
+        row = EffectorRow(
+            name=self.name,
+            quantity="point",
+            unit="m",
+            nodes=nodes.astype(np.int32),
+            weights=np.full(nodes.size, 1.0 / nodes.size),
+        )
+        return vector_rows(row, self.measured, self.std)
 
 
-class BodyAngle(AbstractEffector):
+class BodyAngle(AbstractScalar):
     """Angle by which one rigid body has turned against another.
 
     Attributes:
@@ -144,15 +144,14 @@ class BodyAngle(AbstractEffector):
     axis: Float[HostArray, "3"] = eqx.field(converter=_point)
     measured: float | None = None
     std: float = 1e-2
-    unit: ClassVar[str] = "rad"
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Its single coordinate."""
         del mesh
         names = mechanism.bodies.names
         pair = (
-            number_of(self.body, names, "rigid body", self.name),
-            number_of(self.other, names, "rigid body", self.name),
+            index_of(self.body, names, "rigid body", self.name),
+            index_of(self.other, names, "rigid body", self.name),
         )
         length = np.linalg.norm(self.axis)
         if self.axis.shape != (3,) or not (np.isfinite(length) and length > 0.0):
@@ -160,14 +159,6 @@ class BodyAngle(AbstractEffector):
                 f"axis of effector {self.name!r} must be three finite numbers, not all "
                 f"zero, got {self.axis}."
             )
-        weight = inverse_std(self.name, "std", self.std, self.unit)
-        values = one_value(self.measured, weight, self.name, self.unit)
-        row = EffectorRow("scalar", "rad", *values, about=pair, axis=self.axis / length)
-        return (row,)
-
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "BodyAngle":
-        """With an angle [rad]."""
-        del mechanism
-        return replace(self, measured=float(values[0, 0]))
+        axis = self.axis / length
+        row = EffectorRow(self.name, "scalar", "rad", about=pair, axis=axis)
+        return scalar_rows(row, self.measured, self.std)

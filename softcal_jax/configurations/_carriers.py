@@ -28,14 +28,14 @@ def carriers(
         return list(zip(at.nodes, at.weights, strict=True))
     volume = _nodal_volumes(mesh)
     return [
-        _patch(mesh, volume, foot, position, markers.base_radius, name)
+        _patch(mesh, volume, foot, position, radius=markers.base_radius, name=name)
         for foot, position, name in zip(
             at.foot, markers.positions, markers.names, strict=True
         )
     ]
 
 
-def _patch(mesh, volume, foot, position, radius, name):
+def _patch(mesh, volume, foot, position, *, radius, name):
     """Weights of the affine motion fitted to the nodes within a radius of the foot."""
     nodes = np.flatnonzero(np.linalg.norm(mesh.points - foot, axis=1) <= radius)
     share = np.sqrt(volume[nodes])

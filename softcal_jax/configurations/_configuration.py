@@ -1,7 +1,7 @@
 """One posed robot: how it is held and loaded, and what was measured on it."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,12 +24,13 @@ from softcal_jax.configurations._arrays import (
 )
 from softcal_jax.configurations._body_effectors import BodyFrame, Centroid
 from softcal_jax.configurations._carriers import carriers
-from softcal_jax.configurations._effector import AbstractEffector
+from softcal_jax.configurations._effector import AbstractEffector, EffectorRow
 from softcal_jax.configurations._effector_arrays import (
-    NamedRow,
     marker_rows,
+    row_indices,
     stack_effectors,
 )
+from softcal_jax.configurations._effector_record import EffectorRecord, effector_records
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
@@ -119,6 +120,18 @@ class Configuration(eqx.Module):
             self.markers.check_measured(self.measured, self.name)
 
 
+class ConfigurationLanes(NamedTuple):
+    """Configurations as the solver sees them, and what their effectors are.
+
+    Attributes:
+        arrays: Arrays with a leading axis, one lane per configuration.
+        effectors: The effectors of each configuration: markers, then the others.
+    """
+
+    arrays: ConfigurationArrays
+    effectors: tuple[tuple[EffectorRecord, ...], ...]
+
+
 def configuration_arrays(
     mesh: TetMesh,
     configurations: Sequence[Configuration],
@@ -126,13 +139,28 @@ def configuration_arrays(
 ) -> ConfigurationArrays:
     """Stack configurations of one mesh into the batch that is solved at once.
 
+    It takes what `configuration_lanes` takes.
+
+    Returns:
+        Arrays with a leading axis, one lane per configuration.
+    """
+    return configuration_lanes(mesh, configurations, mechanism).arrays
+
+
+def configuration_lanes(
+    mesh: TetMesh,
+    configurations: Sequence[Configuration],
+    mechanism: Mechanism | None = None,
+) -> ConfigurationLanes:
+    """Stack configurations of one mesh, and describe their effectors.
+
     Args:
         mesh: The mesh that all of them share.
         configurations: At least one; they may differ in everything but the mesh.
         mechanism: Rigid bodies and actuators of the model; none by default.
 
     Returns:
-        Arrays with a leading axis, one lane per configuration.
+        The batch that is solved at once, and the records of its effectors.
 
     Raises:
         ValueError: If there is none, names repeat, nothing is held, a group, body or
@@ -149,12 +177,19 @@ def configuration_arrays(
     rows = [effector_rows(mesh, c, mechanism) for c in configurations]
     supports = [support for c in configurations for support in c.supports]
     springs = tuple(dict.fromkeys(s.name for s in supports if s.stiffness is not None))
+    indices = row_indices(rows)
+    stacked = stack_effectors(rows, indices)
     lanes = [
         _lane(mesh, mechanism, c, springs, effectors)
-        for c, effectors in zip(configurations, stack_effectors(rows), strict=True)
+        for c, effectors in zip(configurations, stacked, strict=True)
     ]
     # Not jnp.asarray, which compiles a program for every shape.
-    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
+    arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
+    records = [
+        effector_records(own, at, mechanism.points)
+        for own, at in zip(rows, indices, strict=True)
+    ]
+    return ConfigurationLanes(arrays, tuple(records))
 
 
 def _lane(
@@ -232,7 +267,7 @@ def _check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:
 
 def effector_rows(
     mesh: TetMesh, c: Configuration, mechanism: Mechanism
-) -> list[NamedRow]:
+) -> list[EffectorRow]:
     """Rows of effector coordinates of a configuration: its markers, then the others.
 
     Args:
@@ -252,7 +287,7 @@ def effector_rows(
         ) from error
     rows = marker_rows(c, carried)
     for effector in c.effectors:
-        if effector.name in [name for name, _ in rows]:
+        if effector.name in [row.name for row in rows]:
             raise ValueError(
                 f"effector {effector.name!r} of configuration {c.name!r} has the name "
                 "of another one."
@@ -261,57 +296,8 @@ def effector_rows(
             found = effector.rows(mesh, mechanism)
         except ValueError as error:
             raise ValueError(f"configuration {c.name!r}: {error}") from error
-        rows += [NamedRow(effector.name, row) for row in found]
+        rows += found
     return rows
-
-
-def measured_as(
-    c: Configuration,
-    values: Float[HostArray, "n 3"],
-    mesh: TetMesh,
-    mechanism: Mechanism,
-) -> Configuration:
-    """A configuration with other measured values.
-
-    Args:
-        c: The configuration.
-        values: Values of its rows, as `effector_rows` lists them; turns from rest.
-        mesh: The mesh.
-        mechanism: Rigid bodies and actuators of the model.
-    """
-    n_markers = 0 if c.markers is None else len(c.markers.names)
-    used, effectors = n_markers, []
-    for effector in c.effectors:
-        n = len(effector.rows(mesh, mechanism))
-        effectors.append(effector.measured_as(values[used : used + n], mechanism))
-        used += n
-    measured = None if c.markers is None else values[:n_markers]
-    return replace(c, measured=measured, effectors=tuple(effectors))
-
-
-def measured_at_rest(
-    c: Configuration, mesh: TetMesh, mechanism: Mechanism
-) -> Configuration:
-    """A configuration whose effectors all count, with values that mean nothing.
-
-    Args:
-        c: The configuration.
-        mesh: The mesh.
-        mechanism: Rigid bodies and actuators of the model.
-
-    Raises:
-        ValueError: If it has neither markers nor other effectors.
-    """
-    if c.markers is None and not c.effectors:
-        raise ValueError(
-            f"configuration {c.name!r} has no markers and no other effectors: it sees "
-            "nothing."
-        )
-    rows = effector_rows(mesh, c, mechanism)
-    rest = np.zeros((len(rows), 3))
-    if c.markers is not None:
-        rest[: len(c.markers.names)] = c.markers.positions
-    return measured_as(c, rest, mesh, mechanism)
 
 
 def _check_held(

@@ -67,7 +67,7 @@ def read_table(
     source = str(path)
     if select:
         source += f" ({_listed(select.items())})"
-    return CsvTable(path, header, chosen, key, source)
+    return CsvTable(path=path, header=header, rows=chosen, key=key, source=source)
 
 
 def read_lines(path: Path, key: str) -> list[tuple[int, str]]:

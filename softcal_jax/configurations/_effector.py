@@ -5,7 +5,8 @@ Each is a sensor where it has a measured value, and what control brings to a goa
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from dataclasses import replace
+from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
@@ -19,26 +20,31 @@ from softcal_jax.mesh import TetMesh
 Quantity = Literal["point", "turn", "scalar", "force", "reaction"]
 """What a row of three effector coordinates is computed from."""
 
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+"""Rows are stacked in this order."""
+
 
 class EffectorRow(NamedTuple):
     """Up to three coordinates of an effector, as the solver sees them.
 
     Attributes:
+        name: Name of the marker or effector.
         quantity: What they are.
         unit: Their unit.
         measured: Measured values, or goals; NaN where there is none.
         inverse_std: 1 / standard deviation; 0 for a coordinate that does not count.
         nodes: Nodes that carry a point, or hold a reaction.
         weights: Their weights [-].
-        about: Numbers of the bodies or the actuator that it is about.
+        about: Indices of the bodies, or of the actuator, that it is about.
         axis: Axis of an angle, in the frame of the mesh [-].
         reference: Orientation that turns are counted from, as a matrix [-].
     """
 
+    name: str
     quantity: Quantity
     unit: str
-    measured: Float[HostArray, "3"]
-    inverse_std: Float[HostArray, "3"]
+    measured: Float[HostArray, "3"] = np.full(3, np.nan)
+    inverse_std: Float[HostArray, "3"] = np.zeros(3)
     nodes: Int[HostArray, " n"] = np.zeros(0, np.int32)
     weights: Float[HostArray, " n"] = np.zeros(0)
     about: tuple[int, int] = (0, 0)
@@ -95,59 +101,77 @@ def inverse_std(name: str, what: str, std: float, unit: str) -> float:
     return 1.0 / float(std)
 
 
-class Values(NamedTuple):
-    """Measured values of a row, and their weights; NaN and 0 where there is none."""
+class AbstractScalar(AbstractEffector):
+    """An effector of one coordinate: a length, a volume, an angle, a force."""
 
-    measured: Float[HostArray, "3"]
-    inverse_std: Float[HostArray, "3"]
+    def measured_as(self, values: Float[HostArray, "k 3"], mechanism: Mechanism):
+        """With a value in its unit."""
+        del mechanism
+        return replace(self, measured=float(values[0, 0]))
 
 
-def one_value(value: float | None, weight: float, name: str, unit: str) -> Values:
-    """Measured value and weight of a single number, in a row of three.
+class AbstractVector(AbstractEffector):
+    """An effector of three coordinates: a position, a force."""
+
+    def measured_as(self, values: Float[HostArray, "k 3"], mechanism: Mechanism):
+        """With a position [m] or a force [N]."""
+        del mechanism
+        return replace(self, measured=values[0])
+
+
+def scalar_rows(
+    row: EffectorRow, value: float | None, std: float
+) -> tuple[EffectorRow, ...]:
+    """Give a row of one coordinate its measured value.
 
     Args:
+        row: What the coordinate is.
         value: The value, if there is one.
-        weight: 1 / its standard deviation.
-        name: Name of the effector, for messages.
-        unit: Its unit.
+        std: Its standard deviation.
 
     Raises:
-        ValueError: If the value is not finite.
+        ValueError: If the value is not finite, or `std` not positive.
     """
-    measured, weights = np.full(3, np.nan), np.zeros(3)
-    if value is not None:
-        if not np.isfinite(value):
-            raise ValueError(
-                f"effector {name!r} has the value {value}, expected a finite number "
-                f"[{unit}]; leave out what was not measured."
-            )
-        measured[0], weights[0] = value, weight
-    return Values(measured, weights)
-
-
-def three_values(
-    value: Float[HostArray, "3"] | None, weight: float, name: str, unit: str
-) -> Values:
-    """Measured values and weights of a vector; see `one_value`."""
+    weight = inverse_std(row.name, "std", std, row.unit)
     if value is None:
-        return Values(np.full(3, np.nan), np.zeros(3))
-    if not np.all(np.isfinite(value)):
-        verb = "is at" if unit == "m" else "measured"
+        return (row,)
+    if not np.isfinite(value):
         raise ValueError(
-            f"effector {name!r} {verb} {value}, expected three finite numbers "
-            f"[{unit}]; leave out what was not measured."
+            f"effector {row.name!r} has the value {value}, expected a finite number "
+            f"[{row.unit}]; leave out what was not measured."
         )
-    return Values(value, np.full(3, weight))
+    measured, weights = np.full(3, np.nan), np.zeros(3)
+    measured[0], weights[0] = value, weight
+    return (row._replace(measured=measured, inverse_std=weights),)
 
 
-def number_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
-    """Number of what an effector is about, out of a list of names.
+def vector_rows(
+    row: EffectorRow, value: Float[HostArray, "3"] | None, std: float
+) -> tuple[EffectorRow, ...]:
+    """Give a row of three coordinates its measured values; see `scalar_rows`."""
+    weight = inverse_std(row.name, "std", std, row.unit)
+    if value is None:
+        return (row,)
+    if not np.all(np.isfinite(value)):
+        verb = "is at" if row.unit == "m" else "measured"
+        raise ValueError(
+            f"effector {row.name!r} {verb} {value}, expected three finite numbers "
+            f"[{row.unit}]; leave out what was not measured."
+        )
+    return (row._replace(measured=value, inverse_std=np.full(3, weight)),)
+
+
+def index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
+    """Find what an effector is about in a list of names.
 
     Args:
         wanted: Its name.
         names: All names.
         kind: What it is, for messages.
         owner: Name of the effector.
+
+    Returns:
+        Its index in the list.
 
     Raises:
         ValueError: If it is not in the list.

@@ -73,8 +73,8 @@ def build_mechanism(
     """
     stacked = body_arrays(mesh, bodies)
     points = np.concatenate([mesh.points, stacked.frame_points])
-    numbers = {name: k for k, name in enumerate(stacked.names)}
-    arrays = actuator_arrays(mesh, points, actuators, numbers)
+    index_of = {name: k for k, name in enumerate(stacked.names)}
+    arrays = actuator_arrays(mesh, points, actuators, index_of)
     _check_motors(stacked, arrays)
     zero = jnp.zeros(len(arrays.names))
     return Mechanism(points, stacked, arrays, zero)

@@ -1,5 +1,7 @@
 """Measured poses, and their change of frame."""
 
+from dataclasses import replace
+
 import equinox as eqx
 
 from softcal_jax._names import suggestion
@@ -48,12 +50,12 @@ class PoseTable(eqx.Module):
                 f"{self.source} has no sensor {name!r}.{suggestion(name, known)} "
                 f"It has {', '.join(known)}."
             )
-        return PoseTable(
-            tuple(self.names[i] for i in rows),
-            self.positions[rows],
-            self.rotations[rows],
-            tuple(self.lines[i] for i in rows),
-            self.source,
+        return replace(
+            self,
+            names=(name,) * len(rows),
+            positions=self.positions[rows],
+            rotations=self.rotations[rows],
+            lines=tuple(self.lines[i] for i in rows),
         )
 
 
@@ -81,4 +83,4 @@ def in_frame(
         p = p - R @ sensor.translation
     if base is not None:
         R, p = base.matrix @ R, p @ base.matrix.T + base.translation
-    return PoseTable(table.names, p, R, table.lines, table.source)
+    return replace(table, positions=p, rotations=R)

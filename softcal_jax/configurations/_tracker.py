@@ -78,9 +78,15 @@ def read_poses(
     else:
         remedy = "name the columns azimuth_{unit}, elevation_{unit}, roll_{unit}"
         unit = turn_columns[0].removeprefix("azimuth_")
-        rotations = from_angles(table.path, lines, turns, unit, remedy)
+        rotations = from_angles(table.path, lines, turns, unit=unit, remedy=remedy)
     names = tuple(row.cells["sensor"] for row in table.rows)
-    return PoseTable(names, positions, rotations, lines, table.source)
+    return PoseTable(
+        names=names,
+        positions=positions,
+        rotations=rotations,
+        lines=lines,
+        source=table.source,
+    )
 
 
 def read_polhemus(
@@ -135,12 +141,15 @@ def read_polhemus(
     chosen = [(line, v) for line, v in readings if int(v[0]) in wanted]
     lines = tuple(line for line, _ in chosen)
     values = np.array([v for _, v in chosen])
+    remedy = "give angle_unit={unit!r}"
     return PoseTable(
-        tuple(wanted[int(station)] for station in values[:, 0]),
-        METRES[length_unit] * values[:, 1:4],
-        from_angles(path, lines, values[:, 4:], angle_unit, "give angle_unit={unit!r}"),
-        lines,
-        str(path),
+        names=tuple(wanted[int(station)] for station in values[:, 0]),
+        positions=METRES[length_unit] * values[:, 1:4],
+        rotations=from_angles(
+            path, lines, values[:, 4:], unit=angle_unit, remedy=remedy
+        ),
+        lines=lines,
+        source=str(path),
     )
 
 

@@ -49,6 +49,7 @@ def from_angles(
     path: Path,
     lines: tuple[int, ...],
     angles: Float[HostArray, "n 3"],
+    *,
     unit: str,
     remedy: str,
 ) -> Float[HostArray, "n 3 3"]:

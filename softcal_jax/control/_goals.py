@@ -11,23 +11,15 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import (
     AbstractEffector,
-    ActuatorDisplacement,
-    ActuatorForce,
-    BodyAngle,
+    AbstractScalar,
     BodyFrame,
     Configuration,
-    Mechanism,
-    effector_rows,
-    row_numbers,
+    ConfigurationLanes,
 )
-from softcal_jax.mesh import TetMesh
 
 Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
 """Of a `BodyFrame` a pose from rest, of a point or a reaction three numbers, of a
 length, volume, angle or force one number; in SI units and radians."""
-
-SINGLE = (ActuatorDisplacement, ActuatorForce, BodyAngle)
-"""Effectors of one coordinate."""
 
 
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
@@ -79,7 +71,7 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
                 "has 6 coordinates."
             )
         return replace(effector, measured=goal)
-    if isinstance(effector, SINGLE):
+    if isinstance(effector, AbstractScalar):
         value = float(_numbers(what, goal, 1)[0])
         return replace(effector, measured=value)
     return replace(effector, measured=_numbers(what, goal, 3))  # type: ignore[call-arg]
@@ -101,17 +93,13 @@ def _numbers(what: str, goal: Goal, count: int) -> Float[HostArray, " n"]:
 
 
 def goal_levels(
-    mesh: TetMesh,
-    configuration: Configuration,
-    mechanism: Mechanism,
-    priorities: Mapping[str, int],
+    lanes: ConfigurationLanes, name: str, priorities: Mapping[str, int]
 ) -> Float[HostArray, "n_levels n_rows 3"]:
-    """Weights of all effector coordinates, level by level, the first to be met first.
+    """Weigh all effector coordinates, level by level, the first to be met first.
 
     Args:
-        mesh: The mesh.
-        configuration: Its measured values are the goals.
-        mechanism: Rigid bodies and actuators of the model.
+        lanes: One configuration; its measured values are the goals.
+        name: Its name, for messages.
         priorities: Level of each effector, 1 first; those not named have 1.
 
     Returns:
@@ -122,28 +110,25 @@ def goal_levels(
         ValueError: If no effector has a goal, or a priority is below 1 or of an unknown
             effector.
     """
-    rows = effector_rows(mesh, configuration, mechanism)
-    names = [row.name for row in rows]
-    for name, level in priorities.items():
-        if name not in names:
-            raise unknown_name("effector with a priority", name, names)
+    (records,) = lanes.effectors
+    names = [record.name for record in records]
+    for effector, level in priorities.items():
+        if effector not in names:
+            raise unknown_name("effector with a priority", effector, names)
         if level < 1:
             raise ValueError(
-                f"the priority of effector {name!r} must be 1 (first) or more, got "
+                f"the priority of effector {effector!r} must be 1 (first) or more, got "
                 f"{level}."
             )
-    level_of = np.array([priorities.get(name, 1) for name in names], int)
-    inverse_std = np.array([row.inverse_std for _, row in rows]).reshape(-1, 3)
-    aimed = inverse_std.any(axis=1)
-    if not aimed.any():
+    inverse_std = np.asarray(lanes.arrays.effectors.inverse_std)[0]
+    if not inverse_std.any():
         listed = ", ".join(map(repr, dict.fromkeys(names))) or "none"
         raise ValueError(
-            f"no effector of configuration {configuration.name!r} has a goal: give "
-            f"measured values, or `goals` by name. Effectors: {listed}."
+            f"no effector of configuration {name!r} has a goal: give measured values, "
+            f"or `goals` by name. Effectors: {listed}."
         )
-    levels = np.unique(level_of[aimed])
-    numbers = row_numbers([rows])[0]
-    weights = np.zeros((levels.size, len(rows), 3))
+    level_of = np.ones(len(inverse_std), int)
+    level_of[[r.index for r in records]] = [priorities.get(n, 1) for n in names]
+    levels = np.unique(level_of[inverse_std.any(axis=1)])
     on_level = level_of[None] == levels[:, None]
-    weights[:, numbers] = inverse_std[None] * on_level[:, :, None]
-    return weights
+    return inverse_std[None] * on_level[:, :, None]

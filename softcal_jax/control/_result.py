@@ -6,7 +6,12 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import Configuration, ImposedDisplacement, ImposedForce
+from softcal_jax.configurations import (
+    Configuration,
+    EffectorRecord,
+    ImposedDisplacement,
+    ImposedForce,
+)
 from softcal_jax.control._outcomes import OUTCOMES
 from softcal_jax.equilibrium import EquilibriumSolution
 
@@ -15,20 +20,34 @@ class GoalFit(eqx.Module):
     """One effector with a goal, and how far it is from there.
 
     Attributes:
-        name: Its name.
-        unit: Unit of its coordinates; a frame has a fit in [m] and one in [rad].
+        effector: What it is; its goal is `measured`, and what it reached `simulated`. A
+            frame has a fit of its point [m] and one of its turn [rad].
         priority: Its priority, 1 first.
-        reached: Its coordinates; of a turn the rotation vector from the goal.
-        residual: Reached minus goal, 0 for coordinates without a goal.
-        in_std: The same in units of the standard deviation [-].
     """
 
-    name: str
-    unit: str
+    effector: EffectorRecord
     priority: int
-    reached: Float[HostArray, "3"]
-    residual: Float[HostArray, "3"]
-    in_std: Float[HostArray, "3"]
+
+    @property
+    def name(self) -> str:
+        """Name of the effector."""
+        return self.effector.name
+
+    @property
+    def reached(self) -> Float[HostArray, " k"]:
+        """Its coordinates; of a turn the rotation vector from the goal."""
+        assert self.effector.simulated is not None
+        return self.effector.simulated
+
+    @property
+    def residual(self) -> Float[HostArray, " k"]:
+        """Reached minus goal, 0 for coordinates without a goal."""
+        return self.effector.error(self.reached)
+
+    @property
+    def in_std(self) -> Float[HostArray, " k"]:
+        """The same in units of the standard deviation [-]."""
+        return self.residual / self.effector.std
 
 
 class StepRecord(eqx.Module):
@@ -88,7 +107,7 @@ class InverseResult(eqx.Module):
             worst = max(self.goals, key=lambda fit: np.max(np.abs(fit.in_std)))
             text += (
                 f"; farthest is {worst.name!r}, by "
-                f"{np.linalg.norm(worst.residual):.3g} {worst.unit}"
+                f"{np.linalg.norm(worst.residual):.3g} {worst.effector.unit}"
             )
         if self.active_limits:
             text += f"; {', '.join(self.active_limits)}"
@@ -116,7 +135,7 @@ class TrajectoryResult(eqx.Module):
 
     @property
     def unmet(self) -> tuple[int, ...]:
-        """Numbers of the goals that are not met."""
+        """Indices of the goals that are not met."""
         return tuple(i for i, point in enumerate(self.points) if not point.met)
 
 

@@ -13,9 +13,8 @@ from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import (
     Configuration,
-    configuration_arrays,
-    effector_rows,
-    row_numbers,
+    EffectorRecord,
+    configuration_lanes,
 )
 from softcal_jax.control._decision import ROUNDING
 from softcal_jax.control._goals import Goal, goal_levels, with_goals
@@ -147,6 +146,7 @@ class _Command(NamedTuple):
     """A command as the user gave it, and as arrays."""
 
     configuration: Configuration
+    effectors: tuple[EffectorRecord, ...]
     priorities: Mapping[str, int]
     problem: ControlProblem
     settings: ControlSettings
@@ -165,17 +165,24 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> _Comm
     configuration = with_goals(configuration, {} if goals is None else goals)
     mesh, mechanism = model.mesh, model.mechanism
     allowed = limit_arrays(mechanism, configuration, {} if limits is None else limits)
-    lanes = configuration_arrays(mesh, [configuration], mechanism)
-    arrays = jax.tree.map(lambda leaf: leaf[0], lanes)
+    lanes = configuration_lanes(mesh, [configuration], mechanism)
+    arrays = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
     problem = ControlProblem(
         model,
         arrays,
         jax.tree.map(jnp.asarray, allowed),
         arrays.actuation.value,
-        jnp.asarray(goal_levels(mesh, configuration, mechanism, priorities)),
+        jnp.asarray(goal_levels(lanes, configuration.name, priorities)),
         jnp.asarray(settings.epsilon),
     )
-    return _Command(configuration, priorities, problem, settings)
+    (effectors,) = lanes.effectors
+    return _Command(
+        configuration=configuration,
+        effectors=effectors,
+        priorities=priorities,
+        problem=problem,
+        settings=settings,
+    )
 
 
 def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
@@ -192,12 +199,12 @@ def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
         state = _step(problem, of_program, state)
         records.append(
             StepRecord(
-                float(state.last_step),
-                float(state.cost),
-                float(state.violation),
-                float(state.kkt_residual),
-                int(state.newton_steps),
-                bool(state.accepted),
+                size=float(state.last_step),
+                cost=float(state.cost),
+                violation=float(state.violation),
+                kkt_residual=float(state.kkt_residual),
+                newton_steps=int(state.newton_steps),
+                accepted=bool(state.accepted),
             )
         )
     return _result(command, state, outcome, tuple(records))
@@ -231,14 +238,14 @@ def _result(
     of_actuators = state.compliance.state
     by_name = lambda values: dict(zip(names, map(float, values), strict=True))
     return InverseResult(
-        outcome,
-        configuration,
-        state.solution,
-        _goal_fits(command, np.asarray(of_actuators.effectors)),
-        by_name(of_actuators.forces),
-        by_name(of_actuators.displacements),
-        _active(problem, state),
-        records,
+        outcome=outcome,
+        configuration=configuration,
+        solution=state.solution,
+        goals=_goal_fits(command, np.asarray(of_actuators.effectors)),
+        forces=by_name(of_actuators.forces),
+        displacements=by_name(of_actuators.displacements),
+        active_limits=_active(problem, state),
+        steps=records,
     )
 
 
@@ -265,24 +272,14 @@ def _active(problem: ControlProblem, state: ControlState) -> tuple[str, ...]:
 
 def _goal_fits(command: _Command, reached) -> tuple[GoalFit, ...]:
     """Every effector with a goal, frames in two rows."""
-    model = command.problem.model
-    rows = effector_rows(model.mesh, command.configuration, model.mechanism)
-    fits = []
-    for number, (name, row) in zip(row_numbers([rows])[0], rows, strict=True):
-        if not row.inverse_std.any():
-            continue
-        off = np.where(row.inverse_std > 0.0, reached[number] - row.measured, 0.0)
-        fits.append(
-            GoalFit(
-                name,
-                row.unit,
-                command.priorities.get(name, 1),
-                reached[number],
-                off,
-                off * row.inverse_std,
-            )
+    return tuple(
+        GoalFit(
+            replace(effector, simulated=effector.among(reached)),
+            command.priorities.get(effector.name, 1),
         )
-    return tuple(fits)
+        for effector in command.effectors
+        if effector.seen.any()
+    )
 
 
 def _check(result: InverseResult) -> None:

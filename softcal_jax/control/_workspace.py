@@ -12,11 +12,9 @@ from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.configurations import (
     Configuration,
-    ConfigurationArrays,
+    ConfigurationLanes,
     actuation_arrays,
-    configuration_arrays,
-    effector_rows,
-    row_numbers,
+    configuration_lanes,
 )
 from softcal_jax.control._compliance import actuator_state, with_inputs
 from softcal_jax.equilibrium import (
@@ -85,14 +83,15 @@ def sample_workspace(
             f"inputs need one column for each of {', '.join(names)}, shape (n_samples, "
             f"{len(names)}), got {inputs.shape}."
         )
-    arrays = _lanes(model, configuration, inputs)
+    lanes, asked = _lanes(model, configuration, inputs)
     newton = NewtonSettings() if settings is None else settings
-    solution, values = _sample(model, *arrays, newton)
+    lane = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
+    solution, values = _sample(model, lane, asked, newton)
     converged = np.asarray(solution.converged)
-    rows = effector_rows(model.mesh, configuration, model.mechanism)
     effectors: dict[str, list] = {}
-    for number, (name, _) in zip(row_numbers([rows])[0], rows, strict=True):
-        effectors.setdefault(name, []).append(np.asarray(values)[:, number])
+    for record in lanes.effectors[0]:
+        own = np.asarray(values)[:, record.index]
+        effectors.setdefault(record.name, []).append(own)
     return Workspace(
         inputs,
         names,
@@ -105,11 +104,11 @@ def sample_workspace(
 
 def _lanes(
     model: Model, configuration: Configuration, inputs: Float[HostArray, "n_samples n"]
-) -> tuple[ConfigurationArrays, Float[Array, "n_samples n_a"]]:
+) -> tuple[ConfigurationLanes, Float[Array, "n_samples n_a"]]:
     """One configuration, and the inputs of all actuators for each sample."""
     mechanism = model.mechanism
-    lanes = configuration_arrays(model.mesh, [configuration], mechanism)
-    if lanes.effectors.measured.shape[1] == 0:
+    lanes = configuration_lanes(model.mesh, [configuration], mechanism)
+    if not lanes.effectors[0]:
         raise ValueError(
             f"configuration {configuration.name!r} has no effectors and no markers to "
             "follow."
@@ -125,8 +124,7 @@ def _lanes(
         # Refuses what no actuator can be asked for.
         what = f"{configuration.name}, sample {i}"
         values.append(actuation_arrays(mechanism, asked, what).value)
-    one = jax.tree.map(lambda leaf: leaf[0], lanes)
-    return one, jnp.asarray(np.array(values))
+    return lanes, jnp.asarray(np.array(values))
 
 
 @eqx.filter_jit

@@ -122,6 +122,7 @@ def robot_states(
     model: Model,
     configurations: Sequence[Configuration],
     solution: EquilibriumSolution,
+    arrays: ConfigurationArrays | None = None,
 ) -> tuple[RobotState | None, ...]:
     """Poses of bodies, forces of actuators and reactions at equilibria.
 
@@ -129,6 +130,7 @@ def robot_states(
         model: The model that the equilibria are of.
         configurations: What was solved.
         solution: Their equilibria, one lane per configuration.
+        arrays: The same configurations as arrays, where they have been stacked already.
 
     Returns:
         One entry per configuration; None where there is no equilibrium, and for a
@@ -136,7 +138,8 @@ def robot_states(
     """
     if model.mechanism.bodies.n_bodies + model.mechanism.n_actuators == 0:
         return (None,) * len(configurations)
-    arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
+    if arrays is None:
+        arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
     states = []
     for i, configuration in enumerate(configurations):
         if not bool(solution.converged[i]):

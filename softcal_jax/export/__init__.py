@@ -1,6 +1,11 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
 from softcal_jax._units import Readable, readable_unit
+from softcal_jax.export._csv import (
+    write_effectors_csv,
+    write_markers_csv,
+    write_robot_csv,
+)
 from softcal_jax.export._folder import check_results_folder, results_folder
 from softcal_jax.export._identifiability import (
     assessment_dict,
@@ -8,15 +13,9 @@ from softcal_jax.export._identifiability import (
     outlook_dict,
     starts_dict,
 )
-from softcal_jax.export._json import result_dict, simulation_dict
+from softcal_jax.export._json import result_dict, robot_dict, simulation_dict
 from softcal_jax.export._names import file_stems
-from softcal_jax.export._robot import robot_dict
-from softcal_jax.export._tables import (
-    write_effectors_csv,
-    write_json,
-    write_markers_csv,
-    write_robot_csv,
-)
+from softcal_jax.export._plain import write_json
 from softcal_jax.export._units import readable_estimate, readable_values
 from softcal_jax.export._versions import versions
 from softcal_jax.export._vtu import write_vtu

@@ -1,37 +1,33 @@
 """Results as dictionaries that JSON can hold: markers in mm, the rest in SI."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import CalibrationResult, ConfigurationFit
-from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import (
-    RESULTS,
-    EquilibriumSolution,
-    Model,
-    RobotState,
-    robot_states,
+from softcal_jax.calibration import (
+    CalibrationResult,
+    ConfigurationResult,
+    SimulationResult,
 )
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.export._identifiability import (
     assessment_dict,
     identifiability_dict,
     starts_dict,
 )
 from softcal_jax.export._plain import fields_of, plain
-from softcal_jax.export._robot import robot_dict, simulated_effectors
 from softcal_jax.export._versions import versions
-from softcal_jax.identifiability import assess
+from softcal_jax.identifiability import Assessment, assess
 
 
 def result_dict(
     result: CalibrationResult,
     *,
     name: str = "calibration",
+    assessment: Assessment | None = None,
     timing_s: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """A calibration as a dictionary, the content of `result.json`.
@@ -55,12 +51,13 @@ def result_dict(
     Args:
         result: The calibration.
         name: Its name.
+        assessment: What it may claim, where that is known already.
         timing_s: Wall time of more parts, added to `result.timing_s` [s].
 
     Returns:
         Dictionaries, lists, texts, numbers and None; no NaN and no infinity.
     """
-    found = assess(result)
+    found = assessment or assess(result)
     return plain(
         {
             "format": "softcal_jax.result/1",
@@ -88,9 +85,7 @@ def result_dict(
 
 
 def simulation_dict(
-    model: Model,
-    configurations: Sequence[Configuration],
-    solution: EquilibriumSolution,
+    result: SimulationResult,
     *,
     name: str = "simulation",
     timing_s: Mapping[str, float] | None = None,
@@ -106,79 +101,111 @@ def simulation_dict(
     `outcome` says why.
 
     Args:
-        model: The body.
-        configurations: What was simulated.
-        solution: Their equilibria, one lane per configuration.
-        name: Name of the simulation.
+        result: The simulation.
+        name: Its name.
         timing_s: Wall time per part [s].
 
     Returns:
         Dictionaries, lists, texts, numbers and None; no NaN and no infinity.
     """
-    states = robot_states(model, configurations, solution)
-    effectors = simulated_effectors(model, configurations, solution)
-    lanes = [
-        _lane(
-            configuration,
-            jax.tree.map(lambda leaf, i=i: leaf[i], solution),
-            np.asarray(solution.displacement[i])[: model.mesh.n_nodes],
-            *effectors[i],
-            states[i],
-        )
-        for i, configuration in enumerate(configurations)
-    ]
     return plain(
         {
             "format": "softcal_jax.simulation/1",
             "name": name,
-            "converged": all(lane["converged"] for lane in lanes),
-            "configurations": lanes,
-            "solver": _solver(model),
-            "versions": versions(model),
+            "converged": result.converged,
+            "configurations": [_simulated(c) for c in result.configurations],
+            "solver": _solver(result.model),
+            "versions": versions(result.model),
             "timing_s": dict(timing_s or {}),
         }
     )
 
 
-def _fit(fit: ConfigurationFit) -> dict[str, Any]:
-    motion = fit.motion
-    measured = np.where(fit.seen, fit.measured, np.nan)
-    residual = np.where(fit.seen, fit.error_after, np.nan)
+def _fit(fit: ConfigurationResult) -> dict[str, Any]:
     return {
         "name": fit.name,
         "role": fit.role,
         "rms_before_mm": 1e3 * fit.rms_before,
         "rms_after_mm": 1e3 * fit.rms_after,
-        "motion_mm": 1e3 * motion,
-        "rms_after_percent_of_motion": (
-            100.0 * fit.rms_after / motion if motion > 0.0 else None
-        ),
+        "motion_mm": 1e3 * fit.motion,
+        "rms_after_percent_of_motion": 100.0 * fit.rms_share,
+        **_effectors(fit, "measured", "simulated_before", "simulated", "residual"),
+        "robot": robot_dict(fit.robot),
+        "newton_steps": fit.newton_steps,
+        "residual": fit.residual,
+        "min_det_F": fit.min_det_F,
+    }
+
+
+def _simulated(result: ConfigurationResult) -> dict[str, Any]:
+    largest = 1e3 * result.largest_displacement if result.converged else None
+    return {
+        "name": result.name,
+        "converged": result.converged,
+        "outcome": result.outcome,
+        "newton_steps": result.newton_steps,
+        "load_steps": result.load_steps,
+        "residual": result.residual,
+        "min_det_F": result.min_det_F,
+        "largest_displacement_mm": largest,
+        **_effectors(result, "at_rest", "simulated"),
+        "robot": robot_dict(result.robot),
+    }
+
+
+def _effectors(result: ConfigurationResult, *columns: str) -> dict[str, Any]:
+    """Markers and other points in mm, then the other effectors in SI."""
+
+    def values(effector: EffectorRecord, column: str, factor: float = 1.0):
+        nowhere = column == "simulated" and not result.converged
+        return None if nowhere else factor * getattr(effector, column)
+
+    return {
         "markers": [
             {
-                "name": marker,
-                "measured_mm": 1e3 * measured[i],
-                "simulated_before_mm": 1e3 * fit.before[i],
-                "simulated_mm": 1e3 * fit.after[i],
-                "residual_mm": 1e3 * residual[i],
+                "name": point.name,
+                **{f"{column}_mm": values(point, column, 1e3) for column in columns},
             }
-            for i, marker in enumerate(fit.marker_names)
+            for point in result.points
         ],
         "effectors": [
             {
                 "name": effector.name,
                 "unit": effector.unit,
                 "is_turn": effector.is_turn,
-                "measured": effector.measured,
-                "simulated_before": effector.before,
-                "simulated": effector.after,
-                "residual": effector.error_after,
+                **{c: values(effector, c) for c in columns if c != "at_rest"},
             }
-            for effector in fit.others
+            for effector in result.others
         ],
-        "robot": robot_dict(fit.robot),
-        "newton_steps": fit.newton_steps,
-        "residual": fit.residual,
-        "min_det_F": fit.min_det_F,
+    }
+
+
+def robot_dict(state: RobotState | None) -> dict[str, Any] | None:
+    """Rigid bodies, actuators and reactions: positions in mm, the rest in SI.
+
+    Keys: `rigid_bodies` (`name`, `state`, `position_mm`, `translation_mm`,
+    `rotation_vector`), `actuators` (`name`, `kind`, `imposed`, `force`, `force_unit`,
+    `displacement`, `displacement_unit`), `reactions` (`name`, `force`: of the ground on
+    the robot).
+
+    Args:
+        state: What they do; None if there are none.
+    """
+    if state is None:
+        return None
+    return {
+        "rigid_bodies": [
+            {
+                "name": body.name,
+                "state": body.state,
+                "position_mm": 1e3 * body.position,
+                "translation_mm": 1e3 * body.translation,
+                "rotation_vector": body.rotation_vector,
+            }
+            for body in state.bodies
+        ],
+        "actuators": [fields_of(actuator) for actuator in state.actuators],
+        "reactions": [fields_of(reaction) for reaction in state.reactions],
     }
 
 
@@ -212,30 +239,4 @@ def _uncertainty(result: CalibrationResult) -> dict[str, Any]:
         "chi_squared": spread.chi_squared,
         "covariance": spread.covariance,
         "correlation": correlation,
-    }
-
-
-def _lane(
-    configuration: Configuration,
-    solution: EquilibriumSolution,
-    u: Float[HostArray, "n_nodes 3"],
-    points: list[dict[str, Any]],
-    others: list[dict[str, Any]],
-    robot: RobotState | None,
-) -> dict[str, Any]:
-    ok = bool(solution.converged)
-    return {
-        "name": configuration.name,
-        "converged": ok,
-        "outcome": RESULTS[solution.result],
-        "newton_steps": int(solution.steps),
-        "load_steps": int(solution.load_steps),
-        "residual": float(solution.residual),
-        "min_det_F": float(solution.min_det_F),
-        "largest_displacement_mm": (
-            1e3 * float(np.linalg.norm(u, axis=1).max()) if ok else None
-        ),
-        "markers": points,
-        "effectors": others,
-        "robot": robot_dict(robot),
     }

@@ -22,9 +22,9 @@ def file_stems(names: Sequence[str]) -> list[str]:
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:80]
         stem = stem or "configuration"
-        unique, number = stem, 2
+        unique, copy = stem, 2
         while unique.lower() in taken:
-            unique, number = f"{stem}_{number}", number + 1
+            unique, copy = f"{stem}_{copy}", copy + 1
         taken.add(unique.lower())
         stems.append(unique)
     return stems

@@ -1,8 +1,10 @@
 """Values as JSON holds them."""
 
 import dataclasses
+import json
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -27,3 +29,17 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a dictionary as JSON that every parser reads.
+
+    Args:
+        path: The file.
+        data: What `result_dict` and its like return.
+
+    Raises:
+        ValueError: If it holds a NaN or an infinity, which JSON does not know.
+    """
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")

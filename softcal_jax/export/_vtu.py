@@ -31,7 +31,7 @@ def write_vtu(
     Points are those of the rest shape [m]; "Warp By Vector" with `displacement` shows
     the deformed one. Per tet: `strain_energy_density` [J/m3], `density` [kg/m3] and
     every field of the law under its own name, in SI. Per point `rigid_body`, if there
-    are any: their numbers from 1, 0 for what is soft.
+    are any: their place in the model from 1, 0 for what is soft.
 
     Args:
         path: The file, ending in .vtu.
@@ -65,9 +65,9 @@ def write_vtu(
     bodies = model.mechanism.bodies
     of_bodies = {}
     if bodies.n_bodies:
-        number = np.zeros(mesh.n_nodes)
-        number[bodies.attached] = bodies.body + 1.0
-        of_bodies["rigid_body"] = number
+        owner = np.zeros(mesh.n_nodes)
+        owner[bodies.attached] = bodies.body + 1.0
+        of_bodies["rigid_body"] = owner
     kind = "tetra" if mesh.order == 1 else "tetra10"
     meshio.Mesh(
         mesh.points,

@@ -17,7 +17,7 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     Points are those at rest [m]; "Warp By Vector" with `displacement` shows the state.
     Lines are the segments of cables, faces those of chambers and surface pressures,
     vertices the origins of rigid bodies, then motors and forces. Per cell: `actuator`
-    and `rigid_body` (numbers from 1 in the order of the model, 0 for none), `lambda_a`
+    and `rigid_body` (places in the model from 1, 0 for none), `lambda_a`
     and `delta_a` in SI. Per vertex `arrow`: the axis of a motor or the direction of a
     force; `axis_1` to `axis_3`: axes of a rigid body's frame [-].
 
@@ -39,7 +39,7 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     vectors |= {f"axis_{k + 1}": axes[:, k] for k in range(3)}
     bodies = [np.zeros(len(owner)) for owner in pieces.owners]
     bodies[0][:n_b] = 1 + np.arange(n_b)
-    # What no actuator owns comes first, under the number -1.
+    # What no actuator owns comes first, under the index -1.
     forces = np.array([0.0, *(a.force for a in state.actuators)])
     moves = np.array([0.0, *(a.displacement or 0.0 for a in state.actuators)])
     there = [i for i, (_, nodes) in enumerate(pieces.cells) if len(nodes)]
@@ -102,16 +102,13 @@ def _pieces(model: Model, state: RobotState) -> _Pieces:
         ),
     ]
     none = np.full(len(origins), -1)
+    vertex_owner = np.concatenate([none, after.point_owner])
     return _Pieces(
-        np.concatenate(points),
-        np.concatenate(displacement),
-        after.arrows,
-        cells,
-        [
-            np.concatenate([none, after.point_owner]),
-            after.segment_owner,
-            after.face_owner,
-        ],
+        points=np.concatenate(points),
+        displacement=np.concatenate(displacement),
+        arrows=after.arrows,
+        cells=cells,
+        owners=[vertex_owner, after.segment_owner, after.face_owner],
     )
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import ConfigurationFit
+from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._robot import (
@@ -40,47 +40,64 @@ _MARGIN = 60
 
 def render_configuration(
     model: Model,
-    fit: ConfigurationFit,
+    result: ConfigurationResult,
     path: str | Path,
     *,
-    converged: bool,
+    converged: bool = True,
 ) -> None:
-    """Draw a calibrated configuration with its measured and simulated markers.
+    """Draw a configuration with its simulated, and measured, markers.
 
     Args:
         model: The body.
-        fit: The configuration.
+        result: The configuration, calibrated or simulated.
         path: PNG file.
         converged: Whether the calibration converged; if not, the picture says so.
 
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
     """
-    role = "fitted" if fit.role == "calibration" else "predicted, not fitted"
+    points = result.points
+    # Where a coordinate was not measured, the distance has no part in it.
+    measured = [
+        np.where(p.seen, p.measured, p.simulated) if p.seen.any() else p.measured
+        for p in points
+    ]
+    fitted = result.role != "simulation"
     render_body(
         model,
-        fit.displacement,
+        result.displacement,
         path,
-        title=f"{fit.name} - {fit.role} ({role})",
-        subtitle=_distances(fit),
-        measured=fit.measured,
-        simulated=fit.after,
-        marker_names=fit.marker_names,
+        title=result.name + _ROLES[result.role],
+        subtitle=_distances(result) if fitted else _motion(result),
+        measured=np.array(measured) if points and fitted else None,
+        simulated=np.array([p.simulated for p in points]) if points else None,
+        marker_names=[p.name for p in points],
         warning="" if converged else "NOT CONVERGED: do not use these values",
-        robot=fit.robot,
-        sensors=sensor_frames(fit),
+        robot=result.robot,
+        sensors=sensor_frames(result),
     )
 
 
-def _distances(fit: ConfigurationFit) -> str:
-    if not fit.marker_names:
+_ROLES = {
+    "calibration": " - calibration (fitted)",
+    "validation": " - validation (predicted, not fitted)",
+    "simulation": "",
+}
+
+
+def _motion(result: ConfigurationResult) -> str:
+    return f"simulated; moves by up to {1e3 * result.largest_displacement:.2f} mm"
+
+
+def _distances(fit: ConfigurationResult) -> str:
+    if not fit.points:
         return "no markers"
     missing = math.isnan(fit.rms_before)
     before = "no equilibrium" if missing else f"{1e3 * fit.rms_before:.2f} mm"
     after = f"{1e3 * fit.rms_after:.2f} mm"
     text = f"rms distance of the markers: {before} before, {after} after"
-    if fit.motion > 0.0:
-        text += f" ({100 * fit.rms_after / fit.motion:.1f} % of their motion)"
+    if math.isfinite(fit.rms_share):
+        text += f" ({100 * fit.rms_share:.1f} % of their motion)"
     if math.isfinite(fit.turn_after):
         text += f"; orientations: {math.degrees(fit.turn_after):.2f} deg after"
     return text
@@ -128,7 +145,9 @@ def render_body(
     width = _WIDTH - _SIDE
     scale, height = _fit_body(view.width, view.height, width)
     largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
-    pixels = body_image(model, u, view, width, height, scale, largest)
+    pixels = body_image(
+        model, u, view, size=(width, height), scale=scale, largest_mm=largest
+    )
 
     top = _TOP + (annotations.WARNING_HEIGHT if warning else 0)
     total = height + top + _BOTTOM

@@ -90,7 +90,7 @@ def _steps(result: CalibrationResult) -> list[int]:
 
 def _plot_rms(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
     fitted = [fit for fit in result.configurations if fit.role == "calibration"]
-    if any(fit.marker_names for fit in fitted):
+    if any(fit.points for fit in fitted):
         rms = [1e3 * entry.rms for entry in result.history]
         label, unit = "rms marker\ndistance [mm]", " mm"
     else:  # only lengths, angles or forces were measured

@@ -52,16 +52,19 @@ def plot_fibres(
     Raises:
         ValueError: If there is no panel, or one has not one angle per tet.
     """
-    figure = fibre_figure(mesh, panels, plane, control_points, title)
+    figure = fibre_figure(
+        mesh, panels, plane=plane, control_points=control_points, title=title
+    )
     figure.savefig(path, dpi=_DPI, format="png")
 
 
 def fibre_figure(
     mesh: TetMesh,
     panels: Mapping[str, Float[HostArray, " n_tets"]],
+    *,
     plane: Literal["xy", "xz"],
-    control_points: Float[HostArray, "n_cp 3"] | None,
-    title: str,
+    control_points: Float[HostArray, "n_cp 3"] | None = None,
+    title: str = "",
 ) -> "matplotlib.figure.Figure":
     """The picture; it needs no screen and leaves Matplotlib's state alone."""
     import matplotlib

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
-from softcal_jax.calibration import ConfigurationFit
+from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.export import readable_values
 from softcal_jax.plotting._annotations import halo
@@ -56,18 +56,18 @@ class SensorFrame(NamedTuple):
     is_measured: bool = False
 
 
-def sensor_frames(fit: ConfigurationFit) -> list[SensorFrame]:
-    """Measured and simulated poses of the 6-D sensors of a calibrated configuration."""
+def sensor_frames(result: ConfigurationResult) -> list[SensorFrame]:
+    """Measured and simulated poses of the 6-D sensors of a configuration."""
+    points = {point.name: point for point in result.points}
     frames = []
-    for effector in fit.others:
-        if effector.reference is None or effector.name not in fit.marker_names:
+    for turn in result.turns:
+        if turn.name not in points:
             continue
-        i = fit.marker_names.index(effector.name)
-        R = effector.reference
-        simulated = Rotation.from_rotvec(effector.after).as_matrix() @ R
-        if fit.seen[i].any():
-            frames.append(SensorFrame(fit.measured[i], R, True))
-        frames.append(SensorFrame(fit.after[i], simulated))
+        point, R = points[turn.name], turn.reference
+        if turn.seen.any():
+            frames.append(SensorFrame(point.measured, R, True))
+        simulated = Rotation.from_rotvec(turn.simulated).as_matrix() @ R
+        frames.append(SensorFrame(point.simulated, simulated))
     return frames
 
 
@@ -124,7 +124,7 @@ def draw_robot(axes: "matplotlib.axes.Axes", view: View, picture: RobotPicture) 
         places = [
             _draw_wall(axes, view, picture, a),
             _draw_cable(axes, view, geometry, a, slack=actuator.force == 0.0),
-            _draw_point(axes, view, geometry, a, actuator),
+            _draw_point(axes, view, picture, a),
         ]
         place = next((p for p in places if p is not None), None)
         if place is not None:
@@ -179,7 +179,8 @@ def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
     return view.project(corners.reshape(-1, 3).mean(axis=0)[None])[0]
 
 
-def _draw_point(axes, view: View, geometry: ActuatorGeometry, a: int, actuator):
+def _draw_point(axes, view: View, picture: RobotPicture, a: int):
+    geometry, actuator = picture.geometry, picture.state.actuators[a]
     own = np.flatnonzero(geometry.point_owner == a)
     if not own.size:
         return None

@@ -23,8 +23,8 @@ def body_image(
     model: Model,
     displacement: Float[HostArray, "n_nodes 3"],
     view: View,
-    width: int,
-    height: int,
+    *,
+    size: tuple[int, int],
     scale: float,
     largest_mm: float,
 ) -> Int[HostArray, "height width 3"]:
@@ -34,8 +34,7 @@ def body_image(
         model: The body.
         displacement: Nodal displacement [m].
         view: Where to look from.
-        width: Pixels.
-        height: Pixels.
+        size: Width and height in pixels.
         scale: Pixels per metre.
         largest_mm: Displacement at the top of the colours [mm].
 
@@ -47,6 +46,7 @@ def body_image(
     """
     import pyvista
 
+    width, height = size
     tessellation = tessellate(model.mesh)
     rest = _surface(tessellation, model.mesh.points, np.zeros_like(displacement))
     deformed = _surface(tessellation, model.mesh.points, displacement)

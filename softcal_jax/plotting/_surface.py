@@ -73,14 +73,14 @@ def tessellate(mesh: TetMesh) -> Tessellation:
 
 def _triangles(grid: Int[HostArray, "n_grid 3"]) -> Int[HostArray, "n_local 3"]:
     """Triangles between the grid points of one face."""
-    number = {(int(i), int(j)): k for k, (_, i, j) in enumerate(grid)}
+    index = {(int(i), int(j)): k for k, (_, i, j) in enumerate(grid)}
     found = []
-    for i, j in number:
+    for i, j in index:
         upright = ((i, j), (i + 1, j), (i, j + 1))
         turned = ((i + 1, j), (i + 1, j + 1), (i, j + 1))
         found += [
-            [number[c] for c in corners]
+            [index[c] for c in corners]
             for corners in (upright, turned)
-            if all(c in number for c in corners)
+            if all(c in index for c in corners)
         ]
     return np.array(found)

@@ -73,7 +73,14 @@ def choose_view(
     low, high = flat.min(axis=0), flat.max(axis=0)
     middle = np.stack([right, up, towards], axis=1) @ (0.5 * (low + high))
     width, height, _ = high - low
-    return View(right, up, towards, middle, float(width), float(height))
+    return View(
+        right=right,
+        up=up,
+        towards=towards,
+        centre=middle,
+        width=float(width),
+        height=float(height),
+    )
 
 
 def _main_direction(u: Float[HostArray, "n 3"], negligible: float):

@@ -10,7 +10,7 @@ _LEFT = ("role", "actuator", "rigid body", "state", "of", "effector")
 
 
 def start_table(title: str, first: str, columns: Sequence[str]) -> "rich.table.Table":
-    """A table whose columns of numbers are aligned on the right."""
+    """A table whose columns of figures are aligned on the right."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold")
@@ -25,3 +25,9 @@ def plain_text(text: str, style: str = "") -> Any:
     from rich.text import Text
 
     return Text(text, style=style)
+
+
+def add_row(table: "rich.table.Table", *cells: str | tuple[str, str]) -> None:
+    """Add cells to a table as they stand, some with a style: (text, style)."""
+    pairs = [(cell,) if isinstance(cell, str) else cell for cell in cells]
+    table.add_row(*(plain_text(*pair) for pair in pairs))

@@ -1,115 +1,83 @@
 """Actuators, rigid bodies, reactions and effectors as tables for a terminal."""
 
-import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import ConfigurationResult
+from softcal_jax.configurations import EffectorRecord
 from softcal_jax.export import readable_values
-from softcal_jax.report._cells import plain_text, start_table
+from softcal_jax.report._cells import add_row, start_table
 
 if TYPE_CHECKING:
     import rich.table
 
-Entries = Sequence[Mapping[str, Any]]
+Configurations = Sequence[ConfigurationResult]
 
 
-def robot_tables(entries: Entries) -> list["rich.table.Table"]:
+def robot_tables(configurations: Configurations) -> list["rich.table.Table"]:
     """What actuators, rigid bodies and the ground do; nothing for a body without them.
 
     Args:
-        entries: Configurations of `result_dict` or `simulation_dict`.
+        configurations: Those of a calibration or a simulation.
     """
-    robots = [(e["name"], e["robot"]) for e in entries if e["robot"] is not None]
-    makers = (_actuator_table, _body_table, _reaction_table)
-    return [table for make in makers if (table := make(robots)).row_count]
-
-
-def _actuator_table(robots) -> "rich.table.Table":
-    table = start_table(
+    actuators = start_table(
         "Actuators", "configuration", ["actuator", "force", "displacement"]
     )
-    for name, robot in robots:
-        for own in robot["actuators"]:
-            shown = [
-                "-"
-                if own[key] is None
-                else readable_values([own[key]], own[f"{key}_unit"])
-                for key in ("force", "displacement")
-            ]
-            imposed = own["imposed"] == "displacement"
-            shown[imposed] += " (imposed)"
-            table.add_row(
-                plain_text(name), plain_text(own["name"]), *map(plain_text, shown)
-            )
-    return table
-
-
-def _body_table(robots) -> "rich.table.Table":
     columns = ["rigid body", "state", "moved by", "turned by"]
-    table = start_table("Rigid bodies", "configuration", columns)
-    for name, robot in robots:
-        for body in robot["rigid_bodies"]:
-            moved = 1e-3 * np.linalg.norm(body["translation_mm"])
-            turned = np.linalg.norm(body["rotation_vector"])
-            cells = (name, body["name"], body["state"])
-            table.add_row(
-                *map(plain_text, cells),
-                plain_text(readable_values([float(moved)], "m")),
-                plain_text(readable_values([float(turned)], "rad")),
-            )
-    return table
-
-
-def _reaction_table(robots) -> "rich.table.Table":
+    bodies = start_table("Rigid bodies", "configuration", columns)
     columns = ["of", "force of the ground (x, y, z)"]
-    table = start_table("Reactions", "configuration", columns)
-    for name, robot in robots:
-        for reaction in robot["reactions"]:
-            table.add_row(
-                plain_text(name),
-                plain_text(reaction["name"]),
-                plain_text(readable_values(reaction["force"], "N")),
-            )
-    return table
+    reactions = start_table("Reactions", "configuration", columns)
+    for result in configurations:
+        robot = result.robot
+        if robot is None:
+            continue
+        for own in robot.actuators:
+            shown = [readable_values([own.force], own.force_unit), "-"]
+            if own.displacement is not None and own.displacement_unit is not None:
+                shown[1] = readable_values([own.displacement], own.displacement_unit)
+            shown[own.imposed == "displacement"] += " (imposed)"
+            add_row(actuators, result.name, own.name, *shown)
+        for body in robot.bodies:
+            moved = readable_values([_length(body.translation)], "m")
+            turned = readable_values([_length(body.rotation_vector)], "rad")
+            add_row(bodies, result.name, body.name, body.state, moved, turned)
+        for reaction in robot.reactions:
+            force = readable_values(list(reaction.force), "N")
+            add_row(reactions, result.name, reaction.name, force)
+    return [table for table in (actuators, bodies, reactions) if table.row_count]
 
 
-def effector_table(entries: Entries) -> list["rich.table.Table"]:
+def effector_table(configurations: Configurations) -> list["rich.table.Table"]:
     """Effectors that are no points: measured, before and after, or simulated.
 
     Args:
-        entries: Configurations of `result_dict` or `simulation_dict`.
+        configurations: Those of a calibration or a simulation.
 
     Returns:
         One table, or none where there are no such effectors.
     """
-    keys = {
-        "measured": "measured",
-        "simulated_before": "before",
-        "simulated": "after",
-    }
-    fitted = any("measured" in e for entry in entries for e in entry["effectors"])
-    if not fitted:
-        keys = {"simulated": "simulated"}
-    table = start_table(
-        "Other effectors", "configuration", ["effector", *keys.values()]
-    )
-    for entry in entries:
-        for own in entry["effectors"]:
-            if own["is_turn"] and fitted:
+    fitted = any(result.role != "simulation" for result in configurations)
+    columns = ["measured", "before", "after"] if fitted else ["simulated"]
+    table = start_table("Other effectors", "configuration", ["effector", *columns])
+    for result in configurations:
+        for own in result.others:
+            if own.is_turn and fitted:
                 continue  # they have a table of their own, since errors are what counts
-            table.add_row(
-                plain_text(entry["name"]),
-                plain_text(f"{own['name']}{' (turn)' if own['is_turn'] else ''}"),
-                *(plain_text(_cell(own, key)) for key in keys),
-            )
+            values = [own.measured, own.simulated_before, own.simulated]
+            cells = [_cell(own, value) for value in values[-len(columns) :]]
+            name = f"{own.name}{' (turn)' if own.is_turn else ''}"
+            add_row(table, result.name, name, *cells)
     return [table] if table.row_count else []
 
 
-def _cell(own: Mapping[str, Any], key: str) -> str:
-    values = own[key]
-    if values is None or any(v is None for v in values):
+def _cell(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:
+    if np.isnan(values).any():
         return "-"
-    values = [math.hypot(*values)] if own["is_turn"] else values
-    return readable_values(values, own["unit"])
+    return readable_values([_length(values)] if own.is_turn else list(values), own.unit)
+
+
+def _length(vector: Float[HostArray, "3"]) -> float:
+    return float(np.linalg.norm(vector))

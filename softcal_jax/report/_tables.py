@@ -1,22 +1,18 @@
 """Results as tables for a terminal, printed by `rich`."""
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from softcal_jax.calibration import CalibrationResult
-from softcal_jax.export import (
-    readable_estimate,
-    readable_unit,
-    result_dict,
-)
+from softcal_jax.calibration import CalibrationResult, SimulationResult
+from softcal_jax.export import readable_estimate, readable_unit
 from softcal_jax.identifiability import (
     IDENTIFIABLE_BELOW,
     WEAK_BELOW,
+    Assessment,
     Identifiability,
     assess,
 )
-from softcal_jax.report._cells import plain_text, start_table
+from softcal_jax.report._cells import add_row, start_table
 from softcal_jax.report._robot_tables import effector_table, robot_tables
 
 if TYPE_CHECKING:
@@ -33,11 +29,14 @@ _STYLE = {
 }
 
 
-def summary_table(result: CalibrationResult) -> "rich.console.Group":
+def summary_table(
+    result: CalibrationResult, assessment: Assessment | None = None
+) -> "rich.console.Group":
     """A calibration as tables for the terminal, to be printed by `rich`.
 
     Args:
         result: The calibration.
+        assessment: What it may claim, where that is known already.
 
     Returns:
         Parameters, configurations, identifiability, verdict and notes.
@@ -46,7 +45,7 @@ def summary_table(result: CalibrationResult) -> "rich.console.Group":
     from rich.text import Text
 
     steps = len(result.history) - 1
-    verdict = assess(result)
+    verdict = assessment or assess(result)
     found = verdict.identifiability
     if not result.converged:
         text = f"NOT CONVERGED after {steps} steps: do not use these values."
@@ -58,10 +57,10 @@ def summary_table(result: CalibrationResult) -> "rich.console.Group":
         # What for stands in the tables above and in the notes below.
         text = f"Converged in {steps} steps, but take the values with care."
         head = Text(text, style="bold yellow")
-    entries = result_dict(result)["configurations"]
+    shown = result.configurations
     parts: list[Any] = [_parameter_table(result, found), *_interval_table(result)]
-    parts += _configuration_tables(result, entries)
-    parts += [*effector_table(entries), *robot_tables(entries)]
+    parts += _configuration_tables(result)
+    parts += [*effector_table(shown), *robot_tables(shown)]
     parts += [*_outlook(found), head]
     if result.starts is not None:
         parts.append(Text(str(result.starts)))
@@ -69,11 +68,11 @@ def summary_table(result: CalibrationResult) -> "rich.console.Group":
     return Group(*parts)
 
 
-def simulation_table(data: Mapping[str, Any]) -> "rich.console.Group":
+def simulation_table(result: SimulationResult) -> "rich.console.Group":
     """A forward simulation as tables for the terminal, to be printed by `rich`.
 
     Args:
-        data: What `simulation_dict` returns.
+        result: The simulation.
 
     Returns:
         One line per configuration; one without an equilibrium gives the reason. Then
@@ -85,16 +84,13 @@ def simulation_table(data: Mapping[str, Any]) -> "rich.console.Group":
         "Simulation", "configuration", ["largest displacement", "Newton steps"]
     )
     table.add_column("outcome")
-    for entry in data["configurations"]:
-        largest = entry["largest_displacement_mm"]
-        table.add_row(
-            plain_text(entry["name"]),
-            plain_text("-" if largest is None else f"{largest:.2f} mm"),
-            plain_text(str(entry["newton_steps"])),
-            plain_text(entry["outcome"], "green" if entry["converged"] else "bold red"),
-        )
-    entries = data["configurations"]
-    return Group(table, *effector_table(entries), *robot_tables(entries))
+    shown = result.configurations
+    for own in shown:
+        largest = own.largest_displacement if own.converged else math.nan
+        style = "green" if own.converged else "bold red"
+        steps = str(own.newton_steps)
+        add_row(table, own.name, _distance(largest), steps, (own.outcome, style))
+    return Group(table, *effector_table(shown), *robot_tables(shown))
 
 
 def _parameter_table(
@@ -112,12 +108,8 @@ def _parameter_table(
         bounds = f"{q.lower * factor:.4g} to {q.upper * factor:.4g} {unit}"
         sound = result.converged and not q.at_bound and q.name not in blind
         style = "bold" if sound else "bold red"
-        table.add_row(
-            plain_text(q.name),
-            plain_text(text, style),
-            plain_text(f"{q.start * factor:.4g} {unit}".rstrip()),
-            plain_text(bounds.rstrip()),
-        )
+        start = f"{q.start * factor:.4g} {unit}".rstrip()
+        add_row(table, q.name, (text, style), start, bounds.rstrip())
     return table
 
 
@@ -130,42 +122,26 @@ def _interval_table(result: CalibrationResult) -> list["rich.table.Table"]:
     for interval in result.intervals:
         ends = (interval.lower_end, interval.upper_end)
         style = "bold red" if "not found" in ends else ""
-        table.add_row(plain_text(interval.name), plain_text(str(interval), style))
+        add_row(table, interval.name, (str(interval), style))
     return [table]
 
 
-def _configuration_tables(
-    result: CalibrationResult, entries: Sequence[Mapping[str, Any]]
-) -> list["rich.table.Table"]:
+def _configuration_tables(result: CalibrationResult) -> list["rich.table.Table"]:
     """How far points are off, and by which angle orientations."""
-    points = start_table(
-        "Rms distance of the markers",
-        "configuration",
-        ["role", "before", "after", "moved", "after/moved"],
-    )
-    for entry in entries:
-        percent = entry["rms_after_percent_of_motion"]
-        moved = entry["motion_mm"]
-        points.add_row(
-            plain_text(entry["name"]),
-            plain_text(entry["role"]),
-            plain_text(_distance(entry["rms_before_mm"])),
-            plain_text(_distance(entry["rms_after_mm"]), "bold"),
-            plain_text(_distance(moved)),
-            plain_text("-" if percent is None else f"{percent:.1f} %"),
-        )
-    turns = start_table(
-        "Rms angle of the orientations", "configuration", ["role", "before", "after"]
-    )
+    columns = ["role", "before", "after", "moved", "after/moved"]
+    points = start_table("Rms distance of the markers", "configuration", columns)
+    columns = ["role", "before", "after"]
+    turns = start_table("Rms angle of the orientations", "configuration", columns)
     for fit in result.configurations:
+        before, after, moved = map(
+            _distance, (fit.rms_before, fit.rms_after, fit.motion)
+        )
+        share = "-" if math.isnan(fit.rms_share) else f"{100.0 * fit.rms_share:.1f} %"
+        add_row(points, fit.name, fit.role, before, (after, "bold"), moved, share)
         if math.isfinite(fit.turn_after):
-            turns.add_row(
-                plain_text(fit.name),
-                plain_text(fit.role),
-                plain_text(_angle(fit.turn_before)),
-                plain_text(_angle(fit.turn_after), "bold"),
-            )
-    sees_points = any(fit.marker_names for fit in result.configurations)
+            before, after = _angle(fit.turn_before), _angle(fit.turn_after)
+            add_row(turns, fit.name, fit.role, before, (after, "bold"))
+    sees_points = any(fit.points for fit in result.configurations)
     shown = [points] if sees_points else []
     return shown + ([turns] if turns.row_count else [])
 
@@ -177,11 +153,7 @@ def _outlook(found: Identifiability) -> list[Any]:
     table = start_table("What the data tell", "parameter", ["spread left"])
     table.add_column("verdict")
     for p in found.parameters:
-        table.add_row(
-            plain_text(p.name),
-            plain_text(_percent(p.spread)),
-            plain_text(p.verdict, _STYLE[p.verdict]),
-        )
+        add_row(table, p.name, _percent(p.spread), (p.verdict, _STYLE[p.verdict]))
     legend = (
         f"Spread left by the data, over that of the {found.known}: below "
         f"{_percent(IDENTIFIABLE_BELOW)} identifiable, above {_percent(WEAK_BELOW)} "
@@ -219,5 +191,5 @@ def _angle(radians: float) -> str:
     return "-" if math.isnan(radians) else f"{math.degrees(radians):.2f} deg"
 
 
-def _distance(millimetres: float | None) -> str:
-    return "-" if millimetres is None else f"{millimetres:.2f} mm"
+def _distance(metres: float) -> str:
+    return "-" if math.isnan(metres) else f"{1e3 * metres:.2f} mm"

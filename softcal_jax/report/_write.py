@@ -5,18 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import CalibrationResult
-from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import (
-    EquilibriumSolution,
-    Model,
-    RobotState,
-    robot_states,
+from softcal_jax.calibration import (
+    CalibrationResult,
+    ConfigurationResult,
+    SimulationResult,
 )
+from softcal_jax.equilibrium import Model
 from softcal_jax.export import (
     file_stems,
     outlook_dict,
@@ -30,11 +24,9 @@ from softcal_jax.export import (
     write_robot_vtu,
     write_vtu,
 )
-from softcal_jax.identifiability import Identifiability, Ranking
+from softcal_jax.identifiability import Assessment, Identifiability, Ranking
 from softcal_jax.plotting import (
-    SensorFrame,
     plot_convergence,
-    render_body,
     render_configuration,
     rendering_problem,
 )
@@ -50,6 +42,7 @@ def write_results(
     *,
     name: str = "calibration",
     force: bool = False,
+    assessment: Assessment | None = None,
     timing_s: Mapping[str, float] | None = None,
 ) -> Path:
     """Write a calibration to a folder, whole or not at all.
@@ -66,6 +59,7 @@ def write_results(
         directory: The folder; it must be new or empty, or hold earlier results.
         name: Name of the calibration.
         force: Replace earlier results; files that a user added stay.
+        assessment: What the calibration may claim, where that is known already.
         timing_s: Wall time of more parts, added to those of the result [s].
 
     Returns:
@@ -75,37 +69,33 @@ def write_results(
         FileExistsError: If the folder has something in it, and `force` is off or it is
             not a results folder.
     """
-    data = result_dict(result, name=name, timing_s=timing_s)
-    problem = _picture_problem()
+    data = result_dict(result, name=name, assessment=assessment, timing_s=timing_s)
+    shown, problem = result.configurations, _picture_problem()
     with results_folder(directory, force=force) as folder:
-        files = ["convergence.png", *_write_effectors(folder, data)]
-        files += _write_robot(folder, data)
         plot_convergence(result, folder / "convergence.png", name=name)
-        stems = file_stems([fit.name for fit in result.configurations])
-        for fit, entry, stem in zip(
-            result.configurations, data["configurations"], stems, strict=True
-        ):
-            entry["files"] = [f"{stem}.vtu"]
-            write_vtu(folder / f"{stem}.vtu", result.model, fit.displacement)
-            entry["files"] += _write_robot_vtu(folder, stem, result.model, fit.robot)
-            if problem is None:
-                entry["files"].append(f"{stem}.png")
-                render_configuration(
-                    result.model,
-                    fit,
-                    folder / f"{stem}.png",
-                    converged=result.converged,
-                )
-            files += entry["files"]
+        files = ["convergence.png"]
+        if any(fit.points for fit in shown):
+            write_markers_csv(folder / "markers.csv", shown)
+            files.append("markers.csv")
+        if any(fit.others for fit in shown):
+            write_effectors_csv(folder / "effectors.csv", shown)
+            files.append("effectors.csv")
+        files += _write_robot(folder, shown)
+        files += _write_bodies(
+            folder,
+            result.model,
+            shown,
+            data["configurations"],
+            pictures=problem is None,
+            trusted=result.converged,
+        )
         data["notes"] += [problem] if problem else []
         write_json(folder / "result.json", {**data, "files": files})
     return Path(directory)
 
 
 def write_simulation(
-    model: Model,
-    configurations: Sequence[Configuration],
-    solution: EquilibriumSolution,
+    result: SimulationResult,
     directory: str | Path,
     *,
     name: str = "simulation",
@@ -119,45 +109,27 @@ def write_simulation(
     the reason. Of a robot with rigid bodies or actuators also `robot.csv`.
 
     Args:
-        model: The body.
-        configurations: What was simulated.
-        solution: Their equilibria, one lane per configuration.
-        directory: The folder; it must be new or empty, or hold earlier results.
+        result: The simulation.
+        directory: The folder, as `write_results` takes it; it raises the same.
         name: Name of the simulation.
         force: Replace earlier results; files that a user added stay.
         timing_s: Wall time per part [s].
 
     Returns:
         The folder.
-
-    Raises:
-        FileExistsError: If the folder has something in it, and `force` is off or it is
-            not a results folder.
     """
-    data = simulation_dict(
-        model, configurations, solution, name=name, timing_s=timing_s
-    )
-    problem = _picture_problem()
-    states = robot_states(model, configurations, solution)
+    data = simulation_dict(result, name=name, timing_s=timing_s)
+    shown, problem = result.configurations, _picture_problem()
     with results_folder(directory, force=force) as folder:
-        stems = file_stems([configuration.name for configuration in configurations])
-        for lane, (entry, stem) in enumerate(
-            zip(data["configurations"], stems, strict=True)
-        ):
-            entry["files"] = []
-            if not entry["converged"]:
-                continue
-            u = np.asarray(solution.displacement[lane])[: model.mesh.n_nodes]
-            entry["files"].append(f"{stem}.vtu")
-            write_vtu(folder / f"{stem}.vtu", model, u)
-            entry["files"] += _write_robot_vtu(folder, stem, model, states[lane])
-            if problem is None:
-                entry["files"].append(f"{stem}.png")
-                path = folder / f"{stem}.png"
-                _render_simulated(model, u, entry, states[lane], path)
+        files = _write_bodies(
+            folder,
+            result.model,
+            shown,
+            data["configurations"],
+            pictures=problem is None,
+        )
         data["notes"] = [problem] if problem else []
-        data["files"] = [f for entry in data["configurations"] for f in entry["files"]]
-        data["files"] += _write_robot(folder, data)
+        data["files"] = [*files, *_write_robot(folder, shown)]
         write_json(folder / "simulation.json", data)
     return Path(directory)
 
@@ -179,17 +151,13 @@ def write_identifiability(
     Args:
         found: What the configurations tell; None if there are none.
         ranking: What candidates would add; None if there are none.
-        directory: The folder; it must be new or empty, or hold earlier results.
+        directory: The folder, as `write_results` takes it; it raises the same.
         name: Name of the project.
         force: Replace earlier results; files that a user added stay.
         timing_s: Wall time per part [s].
 
     Returns:
         The folder.
-
-    Raises:
-        FileExistsError: If the folder has something in it, and `force` is off or it is
-            not a results folder.
     """
     data = outlook_dict(found, ranking, name=name, timing_s=timing_s)
     text = "\n\n".join(str(part) for part in (found, ranking) if part is not None)
@@ -200,32 +168,50 @@ def write_identifiability(
     return Path(directory)
 
 
-def _write_effectors(folder: Path, data: Mapping[str, Any]) -> list[str]:
-    """Markers and other points, then the other effectors, if there are any."""
-    files = []
-    writers = {"markers": write_markers_csv, "effectors": write_effectors_csv}
-    for key, write in writers.items():
-        if any(entry[key] for entry in data["configurations"]):
-            write(folder / f"{key}.csv", data)
-            files.append(f"{key}.csv")
-    return files
-
-
-def _write_robot(folder: Path, data: Mapping[str, Any]) -> list[str]:
+def _write_robot(folder: Path, shown: Sequence[ConfigurationResult]) -> list[str]:
     """What rigid bodies, actuators and the ground do, if there are any."""
-    if all(entry["robot"] is None for entry in data["configurations"]):
+    if all(own.robot is None for own in shown):
         return []
-    write_robot_csv(folder / "robot.csv", data)
+    write_robot_csv(folder / "robot.csv", shown)
     return ["robot.csv"]
 
 
-def _write_robot_vtu(
-    folder: Path, stem: str, model: Model, state: RobotState | None
+def _write_bodies(
+    folder: Path,
+    model: Model,
+    shown: Sequence[ConfigurationResult],
+    entries: Sequence[dict[str, Any]],
+    *,
+    pictures: bool,
+    trusted: bool = True,
 ) -> list[str]:
-    if state is None:
-        return []
-    write_robot_vtu(folder / f"{stem}_robot.vtu", model, state)
-    return [f"{stem}_robot.vtu"]
+    """Write .vtu and .png of every equilibrium, and note them in its entry.
+
+    Args:
+        folder: Where they go.
+        model: The model.
+        shown: The configurations.
+        entries: Their dictionaries for JSON, which get their `files`.
+        pictures: Whether this machine can draw.
+        trusted: Whether the parameters may be believed; if not, the pictures say so.
+
+    Returns:
+        All files.
+    """
+    stems = file_stems([own.name for own in shown])
+    for own, entry, stem in zip(shown, entries, stems, strict=True):
+        files = entry["files"] = []
+        if not own.converged:
+            continue
+        files.append(f"{stem}.vtu")
+        write_vtu(folder / files[-1], model, own.displacement)
+        if own.robot is not None:
+            files.append(f"{stem}_robot.vtu")
+            write_robot_vtu(folder / files[-1], model, own.robot)
+        if pictures:
+            files.append(f"{stem}.png")
+            render_configuration(model, own, folder / files[-1], converged=trusted)
+    return [file for entry in entries for file in entry["files"]]
 
 
 def _picture_problem() -> str | None:
@@ -234,37 +220,3 @@ def _picture_problem() -> str | None:
     if problem is not None:
         warnings.warn(problem, PictureWarning, stacklevel=3)
     return problem
-
-
-def _render_simulated(
-    model: Model,
-    u: Float[HostArray, "n_nodes 3"],
-    entry: Mapping[str, Any],
-    state: RobotState | None,
-    path: Path,
-) -> None:
-    markers = [marker["simulated_mm"] for marker in entry["markers"]]
-    render_body(
-        model,
-        u,
-        path,
-        title=entry["name"],
-        subtitle=f"simulated; moves by up to {entry['largest_displacement_mm']:.2f} mm",
-        simulated=1e-3 * np.array(markers) if markers else None,
-        marker_names=[marker["name"] for marker in entry["markers"]],
-        robot=state,
-        sensors=_sensors(entry),
-    )
-
-
-def _sensors(entry: Mapping[str, Any]) -> list[SensorFrame]:
-    """Simulated poses of the 6-D sensors."""
-    points = {m["name"]: 1e-3 * np.array(m["simulated_mm"]) for m in entry["markers"]}
-    return [
-        SensorFrame(
-            points[own["name"]],
-            Rotation.from_rotvec(own["simulated"]).as_matrix(),
-        )
-        for own in entry["effectors"]
-        if own["is_turn"] and own["name"] in points
-    ]

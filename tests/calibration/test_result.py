@@ -2,12 +2,12 @@ import jax.numpy as jnp
 import numpy as np
 from export.handmade import AT_REST, make_simulation, small_model
 
-from softcal_jax.calibration import ConfigurationFit
-from softcal_jax.calibration._fits import configuration_fits
-from softcal_jax.configurations import Configuration, Markers
+from softcal_jax.calibration import ConfigurationResult
+from softcal_jax.calibration._fits import configuration_results
+from softcal_jax.configurations import Configuration, Markers, configuration_lanes
 
 
-def one_fit(before, y) -> ConfigurationFit:
+def one_fit(before, y) -> ConfigurationResult:
     """Markers seen in x and z, 20 mm down; y holds what nobody measured."""
     measured = AT_REST - np.array([0.0, 0.0, 0.02])
     measured[:, 1] = y
@@ -16,16 +16,23 @@ def one_fit(before, y) -> ConfigurationFit:
     model = small_model()
     _, solution = make_simulation(model, (True,))
     after = jnp.asarray(AT_REST)[None]
-    fits = configuration_fits(
-        model, [configuration], "validation", before, after, solution
+    (fit,) = configuration_results(
+        model,
+        [configuration],
+        configuration_lanes(model.mesh, [configuration]),
+        role="validation",
+        before=before,
+        after=after,
+        solution=solution,
     )
-    return fits[0]
+    return fit
 
 
 def test_only_measured_coordinates_count():
     for y in (np.nan, 7.0):
         fit = one_fit(jnp.asarray(AT_REST)[None], y)
-        np.testing.assert_array_equal(fit.seen, [[True, False, True]] * 2)
+        seen = [point.seen for point in fit.points]
+        np.testing.assert_array_equal(seen, [[True, False, True]] * 2)
         np.testing.assert_allclose(fit.motion, 0.02, rtol=1e-12)
         np.testing.assert_allclose(fit.rms_after, 0.02, rtol=1e-12)
 

@@ -1,5 +1,7 @@
 """Results put together by hand: every number in them is known."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,12 +10,18 @@ import numpy as np
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
-    ConfigurationFit,
+    ConfigurationResult,
     HistoryEntry,
     ParameterEstimate,
     Uncertainty,
+    simulation_result,
 )
-from softcal_jax.configurations import Configuration, Markers, Support
+from softcal_jax.configurations import (
+    Configuration,
+    Markers,
+    Support,
+    configuration_lanes,
+)
 from softcal_jax.equilibrium import (
     RESULTS,
     EquilibriumSolution,
@@ -42,27 +50,50 @@ def sag(mesh, tip=0.02):
     return np.stack([-0.2 * tip * s**2, 0.0 * s, -tip * s**2], axis=1)
 
 
-def make_fit(mesh, name="droop", role="calibration", error=(0.001, 0.0, 0.0)):
-    """Markers move down by 20 mm; simulated ones miss by `error`, 4 times as before."""
-    error = np.broadcast_to(np.array(error), AT_REST.shape)
-    measured = AT_REST - np.array([0.0, 0.0, 0.02])
-    return ConfigurationFit(
+def make_fit(
+    mesh, name="droop", role="calibration", error=(0.001, 0.0, 0.0), axes="xyz", y=0.0
+):
+    """Markers move down by 20 mm; simulated ones miss by `error`, 4 times as before.
+
+    On what is not among the `axes` nothing was measured, and y holds another number.
+    """
+    true = AT_REST - np.array([0.0, 0.0, 0.02])
+    measured = true + np.array([0.0, y, 0.0])
+    markers = Markers(("left", "right"), AT_REST, axes=axes)
+    posed = Configuration(name, "x_min", markers=markers, measured=measured)
+    (records,) = configuration_lanes(mesh, [posed]).effectors
+    effectors = tuple(
+        dataclasses.replace(
+            record, simulated_before=row + 4.0 * np.array(error), simulated=row + error
+        )
+        for record, row in zip(records, true, strict=True)
+    )
+    return ConfigurationResult(
         name=name,
         role=role,
-        marker_names=("left", "right"),
-        measured=measured,
-        seen=np.ones(measured.shape, bool),
-        at_rest=AT_REST,
-        before=measured + 4.0 * error,
-        after=measured + error,
-        # As written by a calibration: computed, so that rounding is the real one.
-        error_before=measured + 4.0 * error - measured,
-        error_after=measured + error - measured,
+        converged=True,
+        outcome="converged",
+        effectors=effectors,
         displacement=sag(mesh),
         newton_steps=5,
+        load_steps=1,
         residual=1e-9,
         min_det_F=0.9,
     )
+
+
+def with_points(fit, **changed):
+    """The fit with other values of its markers, by functions of each."""
+    points = (
+        dataclasses.replace(p, **{key: value(p) for key, value in changed.items()})
+        for p in fit.points
+    )
+    return dataclasses.replace(fit, effectors=(*points, *fit.others))
+
+
+def nowhere_before(fit):
+    """The fit of a pose that has no equilibrium with the start parameters."""
+    return with_points(fit, simulated_before=lambda p: np.full_like(p.measured, np.nan))
 
 
 def make_history(rejected=()):
@@ -200,6 +231,11 @@ def make_simulation(model, outcomes=(True, False)):
         n_negative=jnp.zeros(n, int),
     )
     return configurations, solution
+
+
+def make_simulation_result(model, outcomes=(True, False)):
+    """The result of such a simulation."""
+    return simulation_result(model, *make_simulation(model, outcomes))
 
 
 def replaced(result, **changed):

@@ -6,9 +6,10 @@ import pytest
 from export.handmade import (
     make_fit,
     make_result,
-    make_simulation,
-    replaced,
+    make_simulation_result,
+    nowhere_before,
     small_model,
+    with_points,
 )
 
 from softcal_jax.calibration import ParameterInterval, Uncertainty
@@ -94,41 +95,28 @@ def test_markers_are_in_millimetres(data):
 
 
 def test_a_coordinate_that_was_not_measured_is_null_and_counts_for_nothing():
-    fit = make_fit(small_model().mesh)
-    unseen = np.array([False, True, False])
-    fit = replaced(
-        fit,
-        # Of the two lost axes one holds a number that nobody measured.
-        measured=fit.measured + np.array([0.0, 1.0, 0.0]),
-        seen=np.broadcast_to(~unseen, fit.measured.shape),
-        error_after=np.where(unseen, 0.0, fit.error_after),
-    )
-    entry = result_dict(make_result(fits=[fit]))["configurations"][0]
-    marker = entry["markers"][0]
-    assert marker["measured_mm"][1] is None
-    assert marker["residual_mm"][1] is None
-    assert marker["simulated_mm"][1] is not None
-    assert marker["measured_mm"][0] is not None
-    np.testing.assert_allclose(fit.motion, 0.02, rtol=1e-12)
-
-    lost = replaced(fit, measured=np.where(unseen, np.nan, fit.measured))
-    entry = result_dict(make_result(fits=[lost]))["configurations"][0]
-    assert entry["markers"][0]["measured_mm"][1] is None
-    np.testing.assert_allclose(entry["motion_mm"], 20.0, rtol=1e-12)
+    # The lost axis holds a number that nobody measured, or none.
+    for y in (7.0, np.nan):
+        fit = make_fit(small_model().mesh, axes="xz", y=y)
+        entry = result_dict(make_result(fits=[fit]))["configurations"][0]
+        marker = entry["markers"][0]
+        assert marker["measured_mm"][1] is None
+        assert marker["residual_mm"][1] is None
+        assert marker["simulated_mm"][1] is not None
+        assert marker["measured_mm"][0] is not None
+        np.testing.assert_allclose(fit.motion, 0.02, rtol=1e-12)
+        np.testing.assert_allclose(entry["motion_mm"], 20.0, rtol=1e-12)
 
 
 def test_markers_that_did_not_move_have_no_percentage():
-    fit = make_fit(small_model().mesh)
-    fit = replaced(fit, at_rest=fit.measured)
+    fit = with_points(make_fit(small_model().mesh), at_rest=lambda p: p.measured)
     entry = result_dict(make_result(fits=[fit]))["configurations"][0]
     assert entry["motion_mm"] == 0.0
     assert entry["rms_after_percent_of_motion"] is None
 
 
 def test_no_equilibrium_at_the_start_is_null():
-    fit = make_fit(small_model().mesh)
-    nowhere = np.full(fit.before.shape, np.nan)
-    fit = replaced(fit, before=nowhere, error_before=nowhere)
+    fit = nowhere_before(make_fit(small_model().mesh))
     entry = result_dict(make_result(fits=[fit]))["configurations"][0]
     assert entry["rms_before_mm"] is None
     assert entry["markers"][0]["simulated_before_mm"] == [None, None, None]
@@ -179,9 +167,8 @@ def test_not_converged_is_said():
 
 
 def test_simulation_lists_lanes_that_failed_with_the_reason():
-    model = small_model(order=2)
-    configurations, solution = make_simulation(model)
-    data = simulation_dict(model, configurations, solution, name="poses")
+    result = make_simulation_result(small_model(order=2))
+    data = simulation_dict(result, name="poses")
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert (data["name"], data["converged"]) == ("poses", False)
     good, bad = data["configurations"]
@@ -202,8 +189,6 @@ def test_simulation_lists_lanes_that_failed_with_the_reason():
 
 
 def test_a_failed_lane_has_no_marker_positions():
-    model = small_model()
-    configurations, solution = make_simulation(model, (False, True))
-    data = simulation_dict(model, configurations, solution)
+    data = simulation_dict(make_simulation_result(small_model(), (False, True)))
     assert data["configurations"][0]["markers"][0]["simulated_mm"] is None
     assert data["configurations"][0]["markers"][0]["at_rest_mm"] is not None

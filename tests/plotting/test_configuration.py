@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from export.handmade import make_fit, replaced, sag, small_model
+from export.handmade import make_fit, nowhere_before, sag, small_model, with_points
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
@@ -106,10 +106,11 @@ def test_a_marker_that_was_lost_is_left_out(tmp_path):
     """NaN in one of two measured markers: half the red, and no warning."""
     model = small_model()
     fit = make_fit(model.mesh)
-    lost = fit.measured.copy()
+    markers = np.array([point.measured for point in fit.points])
+    lost = markers.copy()
     lost[0, 1] = np.nan
     counts = []
-    for i, measured in enumerate((fit.measured, lost)):
+    for i, measured in enumerate((markers, lost)):
         path = tmp_path / f"{i}.png"
         render_body(
             model,
@@ -117,8 +118,8 @@ def test_a_marker_that_was_lost_is_left_out(tmp_path):
             path,
             title="a",
             measured=measured,
-            simulated=fit.after,
-            marker_names=fit.marker_names,
+            simulated=np.array([point.simulated for point in fit.points]),
+            marker_names=[point.name for point in fit.points],
         )
         red = pixels_of(path, MEASURED)
         counts.append(np.sum(red[:, 0] < imread(path).shape[0] - 130))
@@ -135,11 +136,29 @@ def test_the_body_fits_and_fills_its_part(w, h):
     )
 
 
+def test_markers_seen_along_some_axes_are_drawn(model, tmp_path):
+    """What was not measured is taken from the simulation: no distance along it."""
+    counts = []
+    for axes in ("xyz", "xz", ""):
+        fit = make_fit(model.mesh, axes=axes or "xyz", y=0.0 if axes == "xyz" else 7.0)
+        if not axes:  # nothing was measured at all
+            fit = with_points(
+                fit,
+                measured=lambda p: np.full_like(p.measured, np.nan),
+                std=lambda p: np.full_like(p.std, np.inf),
+            )
+        render_configuration(model, fit, tmp_path / "a.png")
+        red = pixels_of(tmp_path / "a.png", MEASURED)
+        counts.append(np.sum(red[:, 0] < imread(tmp_path / "a.png").shape[0] - 130))
+    assert counts[0] == counts[1] > 50
+    assert counts[2] == 0
+
+
 def test_the_subtitle_says_no_equilibrium_instead_of_nan():
     fit = make_fit(small_model().mesh)
     assert _distances(fit).endswith(
         "4.00 mm before, 1.00 mm after (5.0 % of their motion)"
     )
-    nowhere = np.full(fit.before.shape, np.nan)
-    fit = replaced(fit, error_before=nowhere)
-    assert "no equilibrium before, 1.00 mm after (5.0 %" in _distances(fit)
+    assert "no equilibrium before, 1.00 mm after (5.0 %" in _distances(
+        nowhere_before(fit)
+    )

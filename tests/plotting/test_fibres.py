@@ -19,7 +19,7 @@ def fibres(axes):
 def test_lines_lie_along_the_fibre_at_centroids():
     mesh = beam(*SIZE, (4, 3, 3))
     theta = np.linspace(-1.0, 1.0, len(mesh.tets))
-    figure = fibre_figure(mesh, {"a": theta}, "xz", None, "")
+    figure = fibre_figure(mesh, {"a": theta}, plane="xz")
     lines, layer = fibres(figure.axes[0]), middle_layer(mesh, 1)
     assert len(lines) == len(layer)
     along = lines[:, 1] - lines[:, 0]
@@ -50,7 +50,7 @@ def test_colours_tell_the_angle(largest, limit):
     """Up to 90 degrees the map is cyclic: +90 and -90 are the same axis."""
     mesh = beam(*SIZE, (4, 3, 3))
     theta = np.deg2rad(np.linspace(-largest, largest, len(mesh.tets)))
-    *_, bar = fibre_figure(mesh, {"a": theta}, "xy", None, "").axes
+    *_, bar = fibre_figure(mesh, {"a": theta}, plane="xy").axes
     np.testing.assert_allclose(bar.get_ylim(), (-limit, limit))
     assert bar.get_ylabel() == "fibre angle theta [degrees]"
 
@@ -63,7 +63,9 @@ def test_picture_with_control_points(tmp_path):
     panels = {"a $1$": zero, "b": zero}
     plot_fibres(mesh, panels, path, plane="xy", control_points=points, title="t")
     assert imread(path).shape[1] == 1400
-    first, second, _ = fibre_figure(mesh, panels, "xy", points, "").axes
+    first, second, _ = fibre_figure(
+        mesh, panels, plane="xy", control_points=points
+    ).axes
     assert (first.get_title(), second.get_title()) == ("a $1$", "b")
     marked = [line for line in first.lines if line.get_marker() == "o"]
     np.testing.assert_allclose(marked[0].get_xydata(), [[0, 10], [100, 10]])

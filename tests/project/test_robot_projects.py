@@ -12,7 +12,10 @@ from cable_project import ASKED, FOLDER, POINT, cable_beam, poses
 from scipy.spatial.transform import Rotation
 
 import softcal_jax as sc
+from softcal_jax.actuators import ForceActuator, SurfaceForceActuator, SurfacePressure
+from softcal_jax.bodies import hinge_axes
 from softcal_jax.configurations import (
+    ActuatorForce,
     BodyAngle,
     Centroid,
     SupportReaction,
@@ -42,7 +45,7 @@ def by_hand():
                 "arm",
                 "x_min",
                 origin=[-0.005, 0.01, 0.01],
-                axes=sc.hinge_axes([0, -1, 0]),
+                axes=hinge_axes([0, -1, 0]),
                 mounting=sc.Pose([0, 0, 2 * mm]),
             ),
             sc.RigidBody(
@@ -64,9 +67,9 @@ def by_hand():
             sc.Cable(
                 "left", [sc.Guide((0, 0.01, 0.02), "ground"), (0.045, 0.01, 0.02)]
             ),
-            sc.ForceActuator("push", (0.045, 0.01, 0.02), (0, 0, -1)),
-            sc.SurfaceForceActuator("spread", "z_max", (0, 0, 1)),
-            sc.SurfacePressure("blow", "z_max"),
+            ForceActuator("push", (0.045, 0.01, 0.02), (0, 0, -1)),
+            SurfaceForceActuator("spread", "z_max", (0, 0, 1)),
+            SurfacePressure("blow", "z_max"),
         ],
     )
     sensor = sc.BodyFrame(
@@ -85,7 +88,7 @@ def by_hand():
         BodyAngle("bend", "tip", "arm", (0, 1, 0), 5 * deg, std=deg),
         Centroid("middle", "z_max", [0.03, 0.01, 0.025]),
         eqx.tree_at(lambda e: e.measured, length, -1 * mm, is_leaf=lambda x: x is None),
-        sc.ActuatorForce("torque", "arm", 0.02, std=1e-3),
+        ActuatorForce("torque", "arm", 0.02, std=1e-3),
         SupportReaction("clamp", "x_min", [0, 0, 1.0], std=0.01),
     ]
     gravity = (0.0, 0.0, -9.81)

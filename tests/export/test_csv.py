@@ -1,14 +1,13 @@
 import csv
 
-import numpy as np
 import pytest
-from export.handmade import make_fit, make_result, replaced, small_model
+from export.handmade import make_fit, make_result, small_model
 
-from softcal_jax.export import result_dict, write_json, write_markers_csv
+from softcal_jax.export import write_json, write_markers_csv
 
 
 def test_one_line_per_marker_and_configuration(tmp_path):
-    write_markers_csv(tmp_path / "m.csv", result_dict(make_result()))
+    write_markers_csv(tmp_path / "m.csv", make_result().configurations)
     with (tmp_path / "m.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(r["configuration"], r["role"], r["marker"]) for r in rows] == [
@@ -26,15 +25,8 @@ def test_one_line_per_marker_and_configuration(tmp_path):
 
 
 def test_what_was_not_measured_is_empty(tmp_path):
-    fit = make_fit(small_model().mesh)
-    lost = np.array([True, False, False])
-    fit = replaced(
-        fit,
-        measured=np.where(lost, np.nan, fit.measured),
-        seen=np.broadcast_to(~lost, fit.measured.shape),
-        error_after=np.where(lost, 0.0, fit.error_after),
-    )
-    write_markers_csv(tmp_path / "m.csv", result_dict(make_result(fits=[fit])))
+    fit = make_fit(small_model().mesh, error=(0.0, 0.0, 0.0), axes="yz")
+    write_markers_csv(tmp_path / "m.csv", [fit])
     with (tmp_path / "m.csv").open(newline="") as file:
         row = next(csv.DictReader(file))
     assert row["measured_x_mm"] == row["residual_x_mm"] == ""

@@ -1,0 +1,112 @@
+"""Tables for a spreadsheet, one line per value; what does not exist is empty."""
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import ConfigurationResult
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.equilibrium import RobotState
+
+_VALUES = ("measured", "simulated_before", "simulated", "residual")
+
+Configurations = Sequence[ConfigurationResult]
+
+
+def write_markers_csv(path: Path, configurations: Configurations) -> None:
+    """Write one line per marker and configuration, points of other effectors too.
+
+    Args:
+        path: The file.
+        configurations: Those of a calibration.
+    """
+    header = ["configuration", "role", "marker"]
+    header += [f"{column}_{axis}_mm" for column in _VALUES for axis in "xyz"]
+    rows = []
+    for fit in configurations:
+        for point in fit.points:
+            values = np.concatenate(_values(point))
+            error = point.error(point.simulated)
+            distance = float(np.linalg.norm(error)) if point.seen.any() else math.nan
+            shown = [_text(1e3 * v, ".6f") for v in (*values, distance)]
+            rows.append([fit.name, fit.role, point.name, *shown])
+    _write(path, [*header, "distance_mm"], rows)
+
+
+def write_effectors_csv(path: Path, configurations: Configurations) -> None:
+    """Write one line per coordinate of effectors that are no points, in SI.
+
+    Args:
+        path: The file.
+        configurations: Those of a calibration.
+    """
+    rows = []
+    for fit in configurations:
+        for effector in fit.others:
+            what = "turn" if effector.is_turn else "value"
+            for i, values in enumerate(np.transpose(_values(effector))):
+                coordinate = (
+                    f"{what}_{'xyz'[i]}" if len(effector.measured) > 1 else what
+                )
+                head = [fit.name, fit.role, effector.name, coordinate, effector.unit]
+                rows.append([*head, *(_text(v) for v in values)])
+    header = ["configuration", "role", "effector", "coordinate", "unit", *_VALUES]
+    _write(path, header, rows)
+
+
+def _values(effector: EffectorRecord) -> list[Float[HostArray, " k"]]:
+    return [getattr(effector, column) for column in _VALUES]
+
+
+def write_robot_csv(path: Path, configurations: Configurations) -> None:
+    """Write one line per value of rigid bodies, actuators and reactions, in SI.
+
+    Args:
+        path: The file.
+        configurations: Those of a calibration or a simulation.
+    """
+    header = ["configuration", "part", "name", "what", "quantity", "value", "unit"]
+    rows = [
+        [result.name, *words, _text(value), unit]
+        for result in configurations
+        if result.robot is not None
+        for *words, value, unit in _robot_rows(result.robot)
+    ]
+    _write(path, header, rows)
+
+
+def _robot_rows(robot: RobotState):
+    """Part, name, what it is, quantity, value and unit of each value."""
+    for body in robot.bodies:
+        head = ("rigid body", body.name, body.state)
+        for what, unit in (
+            ("position", "m"),
+            ("translation", "m"),
+            ("rotation_vector", "rad"),
+        ):
+            for axis, value in zip("xyz", getattr(body, what), strict=True):
+                yield *head, f"{what}_{axis}", value, unit
+    for own in robot.actuators:
+        head = ("actuator", own.name, own.kind)
+        for what in ("force", "displacement"):
+            value = getattr(own, what)
+            if value is not None:
+                imposed = " (imposed)" if own.imposed == what else ""
+                yield *head, f"{what}{imposed}", value, getattr(own, f"{what}_unit")
+    for reaction in robot.reactions:
+        head = ("reaction", reaction.name, "force of the ground")
+        for axis, value in zip("xyz", reaction.force, strict=True):
+            yield *head, f"force_{axis}", value, "N"
+
+
+def _text(value: float, digits: str = ".9g") -> str:
+    return f"{value:{digits}}" if math.isfinite(value) else ""
+
+
+def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])
