@@ -32,7 +32,7 @@ class Support(eqx.Module):
     def __check_init__(self):
         parse_axes(self.axes)
         if self.stiffness is not None:
-            self._check_stiffness()
+            self._check_stiffness(self.stiffness)
         if np.shape(self.displacement) != (3,) or not np.all(
             np.isfinite(self.displacement)
         ):
@@ -66,11 +66,11 @@ class Support(eqx.Module):
             fixed[nodes, axis] = True
             imposed[nodes, axis] = self.displacement[axis]
 
-    def _check_stiffness(self) -> None:
-        if not (np.isfinite(self.stiffness) and self.stiffness > 0.0):
+    def _check_stiffness(self, stiffness: float) -> None:
+        if not (np.isfinite(stiffness) and stiffness > 0.0):
             raise ValueError(
                 f"stiffness of the support {self.name!r} must be positive and finite "
-                f"[N/m3], got {self.stiffness!r}; leave it out for a rigid support."
+                f"[N/m3], got {stiffness!r}; leave it out for a rigid support."
             )
         if not isinstance(self.where, str):
             raise ValueError(

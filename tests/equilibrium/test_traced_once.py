@@ -7,7 +7,7 @@ from bodies import small_model
 
 from softcal_jax.equilibrium import _assembly as assembly
 from softcal_jax.fields import find_field
-from softcal_jax.sensitivity._compliance import _InLaw
+from softcal_jax.sensitivity._rows import _InLaw
 
 
 def forces(model, u):
