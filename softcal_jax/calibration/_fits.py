@@ -1,6 +1,6 @@
 """Results of a calibration or a simulation, from the last state of the solver."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -96,17 +96,17 @@ def configuration_results(
     Returns:
         One entry per configuration that has an equilibrium.
     """
-    first, last = np.asarray(before), np.asarray(after)
+    effectors = [
+        tuple(
+            replace(e, simulated_before=e.among(first), simulated=e.among(last))
+            for e in own
+        )
+        for own, first, last in zip(
+            lanes.effectors, np.asarray(before), np.asarray(after), strict=True
+        )
+    ]
     found = _results(
-        model,
-        configurations,
-        lanes.arrays,
-        solution,
-        role=role,
-        effectors=lambda i: tuple(
-            replace(e, simulated_before=e.among(first[i]), simulated=e.among(last[i]))
-            for e in lanes.effectors[i]
-        ),
+        model, configurations, lanes.arrays, solution, role=role, effectors=effectors
     )
     return tuple(result for result in found if result.converged)
 
@@ -132,23 +132,12 @@ def simulation_result(
     from_rest = jnp.broadcast_to(jnp.eye(3), reference(lanes.arrays).shape)
     arrays = eqx.tree_at(reference, lanes.arrays, from_rest)
 
-    def effectors(i: int) -> tuple[EffectorRecord, ...]:
-        records = tuple(_unmeasured(record) for record in lanes.effectors[i])
-        lane, own = jax.tree.map(lambda leaf: leaf[i], (arrays, solution))
-        if not (records and own.converged):
-            return records
-        # Rows of positions are cheap enough to need no compiling.
-        compute = _effector_values if lane.effectors.has_forces else effector_values
-        values = np.asarray(compute(model, lane, own.displacement, own.multipliers))
-        return tuple(replace(e, simulated=e.among(values)) for e in records)
-
+    effectors = [
+        _simulated(own, model, _lane(arrays, i), _lane(solution, i))
+        for i, own in enumerate(lanes.effectors)
+    ]
     found = _results(
-        model,
-        configurations,
-        arrays,
-        solution,
-        role="simulation",
-        effectors=effectors,
+        model, configurations, arrays, solution, role="simulation", effectors=effectors
     )
     return SimulationResult(model, found)
 
@@ -156,13 +145,30 @@ def simulation_result(
 _effector_values = eqx.filter_jit(effector_values)
 
 
-def _unmeasured(record: EffectorRecord) -> EffectorRecord:
-    return replace(
-        record,
-        measured=np.full_like(record.measured, np.nan),
-        std=np.full_like(record.std, np.inf),
-        reference=np.eye(3),
+def _simulated(
+    records: Sequence[EffectorRecord],
+    model: Model,
+    lane: ConfigurationArrays,
+    solution: EquilibriumSolution,
+) -> tuple[EffectorRecord, ...]:
+    """Fill in the values at one equilibrium, as if nothing had been measured."""
+    records = tuple(
+        replace(
+            record,
+            measured=np.full_like(record.measured, np.nan),
+            std=np.full_like(record.std, np.inf),
+            reference=np.eye(3),
+        )
+        for record in records
     )
+    if not (records and solution.converged):
+        return records
+    # Rows of positions are cheap enough to need no compiling.
+    compute = _effector_values if lane.effectors.has_forces else effector_values
+    values = np.asarray(
+        compute(model, lane, solution.displacement, solution.multipliers)
+    )
+    return tuple(replace(e, simulated=e.among(values)) for e in records)
 
 
 def _results(
@@ -172,17 +178,17 @@ def _results(
     solution: EquilibriumSolution,
     *,
     role: Literal["calibration", "validation", "simulation"],
-    effectors: Callable[[int], tuple[EffectorRecord, ...]],
+    effectors: Sequence[tuple[EffectorRecord, ...]],
 ) -> tuple[ConfigurationResult, ...]:
-    """Describe every configuration of a batch, its effectors by their index."""
+    """Describe every configuration of a batch."""
     states = robot_states(model, configurations, solution, arrays)
     return tuple(
         ConfigurationResult(
             name=configuration.name,
             role=role,
             converged=bool(solution.converged[i]),
-            outcome=RESULTS[jax.tree.map(lambda leaf, i=i: leaf[i], solution.result)],
-            effectors=effectors(i),
+            outcome=RESULTS[_lane(solution.result, i)],
+            effectors=effectors[i],
             displacement=np.asarray(solution.displacement[i])[: model.mesh.n_nodes],
             newton_steps=int(solution.steps[i]),
             load_steps=int(solution.load_steps[i]),
@@ -192,3 +198,8 @@ def _results(
         )
         for i, configuration in enumerate(configurations)
     )
+
+
+def _lane(batch, i: int):
+    """One configuration of a batch."""
+    return jax.tree.map(lambda leaf: leaf[i], batch)

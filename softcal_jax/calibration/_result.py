@@ -89,7 +89,7 @@ class HistoryEntry(eqx.Module):
     """One step of the outer loop.
 
     Attributes:
-        step: Number of the step; 0 is the start.
+        step: Index of the step; 0 is the start.
         cost: Half the sum of squared errors in noise units [-].
         rms: Root mean square of the marker distances [m].
         lambda_p: The QP step [-].
