@@ -1,4 +1,4 @@
-"""Actuation for goals of the effectors: open-loop inverse control (paper Eq. 6)."""
+"""Open-loop inverse control: the actuation that reaches goals (paper Eq. 6)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -57,24 +57,24 @@ def solve_inverse(
     Repeats the bounded QP of Eq. (6), min ||W_ea dl + e - goal||^2 plus epsilon times
     the energy of the actuators, until the goals are met or no step comes closer. Each
     step is tried on the true equilibrium, warm-started by the predicted displacement,
-    and kept only if it helps. The result is a local optimum. An imposed cable length
-    is kept taut: a slack cable is wound up, and none is let go slack.
+    and kept only if it helps. The result is a local optimum. Cables with an imposed
+    length are kept taut: a slack cable is wound up, and none becomes slack.
 
     Args:
         model: The model, calibrated or not.
-        configuration: Actuators in its `actuation` are commanded, by force or by
-            displacement as they are imposed there, and start there; the others stay.
-            Measured values of its effectors and markers are their goals, and `std` is
-            their weight: an error counts in units of it.
+        configuration: The actuators in its `actuation` are commanded, by force or by
+            displacement as imposed there, and start there; the others stay. Measured
+            values of its effectors and markers are their goals, and errors are weighted
+            by 1 / `std`.
         goals: Goals by the names of effectors and markers, in place of measured values:
             a `Pose` from rest for a `BodyFrame`, three numbers for a point or reaction,
             one for a length, volume, angle or force; SI units and radians.
         limits: Limits by the names of actuators.
-        priorities: Level of each effector, 1 by default and served first. A level never
-            gives way to a later one.
+        priorities: Level of each effector, 1 by default. Level 1 is served first, and a
+            later level never worsens an earlier one.
         settings: Settings.
         guess: Displacement near the equilibrium at the start; at rest by default [m].
-        throw: Raise where the search failed; a goal that cannot be reached is none.
+        throw: Raise if the search failed; an unreachable goal is no failure.
 
     Returns:
         The actuation, with its outcome.
@@ -104,7 +104,7 @@ def follow_trajectory(
     settings: ControlSettings | None = None,
     throw: bool = True,
 ) -> TrajectoryResult:
-    """Find the actuation for one goal after the other, each from the one before.
+    """Find the actuation for a sequence of goals, each starting from the last.
 
     Args:
         model: The model.
@@ -113,7 +113,7 @@ def follow_trajectory(
         limits: Limits of actuators; `step` holds between neighbouring points.
         priorities: Level of each effector.
         settings: Settings.
-        throw: Raise at the first search that failed, see `solve_inverse`.
+        throw: Raise at the first search that fails, see `solve_inverse`.
 
     Returns:
         The commands, up to the first one without an equilibrium.
@@ -144,7 +144,7 @@ def follow_trajectory(
 
 
 class _Command(NamedTuple):
-    """A command as the user gave it, and as arrays."""
+    """A command as given by the user, and as arrays."""
 
     configuration: Configuration
     priorities: Mapping[str, int]
@@ -153,7 +153,7 @@ class _Command(NamedTuple):
 
 
 def _prepare(model, configuration, goals, limits, priorities, settings) -> _Command:
-    """Check a command and make its arrays."""
+    """Check a command and build its arrays."""
     if not configuration.actuation:
         known = ", ".join(map(repr, model.mechanism.actuators.names)) or "none"
         raise ValueError(
@@ -167,21 +167,22 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> _Comm
     allowed = limit_arrays(mechanism, configuration, {} if limits is None else limits)
     lanes = configuration_arrays(mesh, [configuration], mechanism)
     arrays = jax.tree.map(lambda leaf: leaf[0], lanes)
+    levels = goal_levels(mesh, configuration, mechanism, priorities)
     problem = ControlProblem(
-        model,
-        arrays,
-        jax.tree.map(jnp.asarray, allowed),
-        arrays.actuation.value,
-        jnp.asarray(goal_levels(mesh, configuration, mechanism, priorities)),
-        jnp.asarray(settings.epsilon),
+        model=model,
+        configuration=arrays,
+        limits=jax.tree.map(jnp.asarray, allowed),
+        start=arrays.actuation.value,
+        levels=jnp.asarray(levels),
+        epsilon=jnp.asarray(settings.epsilon),
     )
     return _Command(configuration, priorities, problem, settings)
 
 
 def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
-    """The search, one compiled step after the other."""
+    """Run the search, one compiled step after the other."""
     problem, settings = command.problem, command.settings
-    # Neither other tolerances nor what the programs do not use compile them again.
+    # Tolerances are traced and unused settings fixed, so that neither recompiles.
     of_program = replace(settings, epsilon=0.0, max_steps=1)
     of_program = jax.tree.map(jnp.asarray, of_program)
     state = _start(problem, guess, of_program)
@@ -192,19 +193,19 @@ def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
         state = _step(problem, of_program, state)
         records.append(
             StepRecord(
-                float(state.last_step),
-                float(state.cost),
-                float(state.violation),
-                float(state.kkt_residual),
-                int(state.newton_steps),
-                bool(state.accepted),
+                size=float(state.last_step),
+                cost=float(state.cost),
+                violation=float(state.violation),
+                kkt_residual=float(state.kkt_residual),
+                newton_steps=int(state.newton_steps),
+                accepted=bool(state.accepted),
             )
         )
     return _result(command, state, outcome, tuple(records))
 
 
 def _outcome(state: ControlState, settings: ControlSettings) -> OUTCOMES | None:
-    """How the search has ended; None while it goes on."""
+    """Say how the search has ended; None while it goes on."""
     if bool(state.met) and (settings.epsilon == 0.0 or bool(state.vanished)):
         return OUTCOMES.met
     if bool(state.vanished):
@@ -231,19 +232,19 @@ def _result(
     of_actuators = state.compliance.state
     by_name = lambda values: dict(zip(names, map(float, values), strict=True))
     return InverseResult(
-        outcome,
-        configuration,
-        state.solution,
-        _goal_fits(command, np.asarray(of_actuators.effectors)),
-        by_name(of_actuators.forces),
-        by_name(of_actuators.displacements),
-        _active(problem, state),
-        records,
+        outcome=outcome,
+        configuration=configuration,
+        solution=state.solution,
+        goals=_goal_fits(command, np.asarray(of_actuators.effectors)),
+        forces=by_name(of_actuators.forces),
+        displacements=by_name(of_actuators.displacements),
+        active_limits=_active(problem, state),
+        steps=records,
     )
 
 
 def _active(problem: ControlProblem, state: ControlState) -> tuple[str, ...]:
-    """Limits that are reached, in words."""
+    """List the limits that are reached, in words."""
     if not bool(state.solution.converged):
         return ()
     linear = linearise(problem, state.value, state.compliance)
@@ -264,22 +265,22 @@ def _active(problem: ControlProblem, state: ControlState) -> tuple[str, ...]:
 
 
 def _goal_fits(command: _Command, reached) -> tuple[GoalFit, ...]:
-    """Every effector with a goal, frames in two rows."""
+    """Compare every effector that has a goal with it; frames have two rows."""
     model = command.problem.model
     rows = effector_rows(model.mesh, command.configuration, model.mechanism)
     fits = []
-    for number, (name, row) in zip(row_numbers([rows])[0], rows, strict=True):
+    for index, (name, row) in zip(row_numbers([rows])[0], rows, strict=True):
         if not row.inverse_std.any():
             continue
-        off = np.where(row.inverse_std > 0.0, reached[number] - row.measured, 0.0)
+        off = np.where(row.inverse_std > 0.0, reached[index] - row.measured, 0.0)
         fits.append(
             GoalFit(
-                name,
-                row.unit,
-                command.priorities.get(name, 1),
-                reached[number],
-                off,
-                off * row.inverse_std,
+                name=name,
+                unit=row.unit,
+                priority=command.priorities.get(name, 1),
+                reached=reached[index],
+                residual=off,
+                in_std=off * row.inverse_std,
             )
         )
     return tuple(fits)
