@@ -26,7 +26,6 @@ _PACKAGES = (
     "mkl",
     "felupe",
     "pypardiso",
-    "pyamg",
 )
 
 

@@ -22,9 +22,7 @@ class RESULTS(eqx.Enumeration):
     )
     singular = (
         "the tangent could not be factorized: it is singular, as for a mechanism or at "
-        "the onset of buckling, or not finite; check the supports and the material "
-        '(the iterative solver, "multigrid", also ends here where the tangent has '
-        "negative eigenvalues, or the iterations find no accurate solution)"
+        "the onset of buckling, or not finite; check the supports and the material"
     )
     inverted = (
         "some tets are inverted (det F <= 0), at the full load or in any load step "

@@ -1,4 +1,4 @@
-"""Whether a step of inverse control helped: limits first, then level by level."""
+"""Decision whether a step of inverse control helped: limits first, then the levels."""
 
 from typing import NamedTuple
 
@@ -8,14 +8,14 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration import KKT_TOLERANCE
 
 ROUNDING = 1e-6
-"""Violation of a limit, in sizes of the robot, that is none [-]."""
+"""Violation of a limit that is ignored, in sizes of the robot [-]."""
 
 FLAT_COSINE = 1e-2
 """Cosine between error and step below which a refused step means a minimum [-]."""
 
 
 class Parts(NamedTuple):
-    """What a step shall lower: violated limits, then the cost of each level [-].
+    """What a step should lower: violated limits, then the cost of each level [-].
 
     Attributes:
         now: Before the step.
@@ -28,20 +28,21 @@ class Parts(NamedTuple):
     tried: Float[Array, " n_parts"]
 
     def above(self, tol: float | Float[Array, ""]) -> "Parts":
-        """Without what is good enough: it must not stand in the way of the rest."""
+        """Raise all parts to what is good enough, so that noise below it is ignored."""
         floor = jnp.full_like(self.now, 0.5 * tol**2).at[0].set(ROUNDING).at[-1].set(0)
         return Parts(*(jnp.maximum(part, floor) for part in self))
 
 
 class Decision(NamedTuple):
-    """What becomes of a step.
+    """What happens after a step was tried.
 
     Attributes:
         accepted: Whether it is kept.
         step_bound: Bound on the next step [-].
         penalty: Weights of the parts [-].
-        vanished: Whether no step is left that helps.
-        stalled: Whether steps were refused until none was left, short of a minimum.
+        vanished: Whether no step helps any more.
+        stalled: Whether steps were refused down to the smallest one, away from a
+            minimum.
     """
 
     accepted: Bool[Array, ""]
@@ -55,10 +56,10 @@ class Trial(NamedTuple):
     """A step that was tried.
 
     Attributes:
-        parts: What it did.
+        parts: Limits and costs before and after it.
         size: Its largest entry [-].
         kkt_residual: Optimality residual of its QPs [-].
-        cosine: Between the change of the errors and their fall, by level [-].
+        cosine: Of the angle between the errors and their expected change [-].
         converged: Whether it ended at an equilibrium.
     """
 
@@ -80,16 +81,16 @@ def decide(
 ) -> Decision:
     """Keep a step that lowers the weighted sum of the parts, and adapt the bound.
 
-    An exact penalty function: the weight of a part is raised until the step that the
-    QPs of all levels found is expected to lower the sum (Nocedal and Wright, Numerical
-    Optimization, 2006, Eq. 18.36), so that an earlier part outweighs the later ones.
+    The sum is an exact penalty function: the weight of an earlier part is raised until
+    the sum is expected to fall along the step that the QPs of all levels found (Nocedal
+    and Wright, Numerical Optimization, 2006, Eq. 18.36).
 
     Args:
         trial: The step.
-        step_bound: Bound that it kept [-].
+        step_bound: Bound on the step [-].
         penalty: Weights before it [-].
         tol: Error in units of std that is good enough [-].
-        step_tol: Step that is none [-].
+        step_tol: Step at which the search ends [-].
         max_step_bound: Largest bound [-].
 
     Returns:
@@ -103,8 +104,8 @@ def decide(
     kept_limits = trial.parts.now[0] <= 10.0 * ROUNDING
     vanished = trial.converged & (trial.size <= step_tol) & ~at_bound & kept_limits
     vanished = vanished & (trial.kkt_residual <= KKT_TOLERANCE)
-    # A step that vanished ends the search, kept or not: what it is expected to bring
-    # may lie below the residual of the equilibria, which would then decide.
+    # A step that vanished ends the search, kept or not: its expected gain may lie
+    # below the residual of the equilibria.
     lowered = (drop >= 1e-4 * expected) & (expected > 0.0)
     accepted = trial.converged & lowered
     good = (drop > 0.75 * expected) & at_bound
@@ -113,12 +114,16 @@ def decide(
     collapsed = ~accepted & (bound < step_tol)
     flat = trial.converged & (trial.cosine <= FLAT_COSINE) & kept_limits
     return Decision(
-        accepted, bound, penalty, vanished | (collapsed & flat), collapsed & ~flat
+        accepted=accepted,
+        step_bound=bound,
+        penalty=penalty,
+        vanished=vanished | (collapsed & flat),
+        stalled=collapsed & ~flat,
     )
 
 
 def _raised(penalty: Float[Array, " n_parts"], drops: Float[Array, " n_parts"]):
-    """Weights with which all drops together are a fall."""
+    """Raise the weights of earlier parts until the weighted drops sum to a fall."""
     for part in range(penalty.shape[0] - 2, -1, -1):
         later = jnp.sum(penalty[part + 1 :] * drops[part + 1 :])
         falls = drops[part] > jnp.finfo(drops.dtype).tiny

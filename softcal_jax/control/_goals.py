@@ -18,15 +18,15 @@ from softcal_jax.configurations import (
 )
 
 Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
-"""Of a `BodyFrame` a pose from rest, of a point or a reaction three numbers, of a
-length, volume, angle or force one number; in SI units and radians."""
+"""A pose from rest for a `BodyFrame`, three numbers for a point or a reaction, one for
+a length, volume, angle or force; in SI units and radians."""
 
 
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
-    """A configuration whose effectors have goals as their measured values.
+    """Replace the measured values of a configuration by goals.
 
     Args:
-        configuration: Its effectors keep measured values that are not replaced.
+        configuration: The configuration; effectors without a goal keep their values.
         goals: Goals by the names of effectors and markers.
 
     Raises:
@@ -78,7 +78,7 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
 
 
 def _numbers(what: str, goal: Goal, count: int) -> Float[HostArray, " n"]:
-    """A goal as so many numbers."""
+    """Convert a goal to an array of `count` numbers."""
     if isinstance(goal, Pose):
         raise ValueError(
             f"the goal of {what} is a Pose of 6 coordinates, expected {count} "
@@ -95,7 +95,7 @@ def _numbers(what: str, goal: Goal, count: int) -> Float[HostArray, " n"]:
 def goal_levels(
     lanes: ConfigurationLanes, name: str, priorities: Mapping[str, int]
 ) -> Float[HostArray, "n_levels n_rows 3"]:
-    """Weigh all effector coordinates, level by level, the first to be met first.
+    """Build the weights of all effector coordinates, one array per priority level.
 
     Args:
         lanes: One configuration; its measured values are the goals.
@@ -103,8 +103,8 @@ def goal_levels(
         priorities: Level of each effector, 1 first; those not named have 1.
 
     Returns:
-        1 / standard deviation on the level of a coordinate; 0 on others, and without a
-        goal.
+        1 / standard deviation on the level of a coordinate; 0 on other levels and for
+        coordinates without a goal.
 
     Raises:
         ValueError: If no effector has a goal, or a priority is below 1 or of an unknown

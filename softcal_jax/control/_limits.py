@@ -15,15 +15,15 @@ ANYTHING = (-np.inf, np.inf)
 
 
 class Limits(eqx.Module):
-    """Limits of one actuator, whichever of the two is imposed on it.
+    """Limits of one actuator, whether its force or its displacement is imposed.
 
-    Beside them a cable never pushes, and a motor stays within half a turn.
+    In addition, a cable never pushes and a motor stays within half a turn.
 
     Attributes:
         force: Lowest and highest lambda_a, in the unit of the actuator.
         displacement: Lowest and highest delta_a, in the unit of the actuator.
-        step: How far what is imposed may go from where a command begins: from one goal
-            to the next along a trajectory.
+        step: Largest change of the imposed quantity within one command, which is from
+            one goal to the next along a trajectory.
     """
 
     force: tuple[float, float] = ANYTHING
@@ -32,12 +32,12 @@ class Limits(eqx.Module):
 
 
 class LimitArrays(eqx.Module):
-    """Limits of all actuators, by input (what is imposed) and by what follows.
+    """Limits of all actuators: of the imposed quantity (the input) and of the other.
 
     Attributes:
-        lower: Lowest inputs, those of actuators that are not commanded held.
+        lower: Lowest inputs; equal to `upper` for actuators that are not commanded.
         upper: Highest inputs.
-        step: Longest way of each input in one command.
+        step: Largest change of each input in one command.
         follow_lower: Lowest displacement where the force is imposed, and lowest force
             where the displacement is.
         follow_upper: Highest ones.
@@ -53,12 +53,11 @@ class LimitArrays(eqx.Module):
 def limit_arrays(
     mechanism: Mechanism, configuration: Configuration, limits: Mapping[str, Limits]
 ) -> LimitArrays:
-    """Limits as the solver sees them.
+    """Convert limits by name to arrays over all actuators.
 
     Args:
         mechanism: The actuators of the model.
-        configuration: Names the actuators that are commanded, in its `actuation`, and
-            where they start.
+        configuration: Its `actuation` names the commanded actuators and their start.
         limits: Limits by the names of actuators.
 
     Raises:
@@ -99,11 +98,17 @@ def limit_arrays(
         )
         step[a] = given.step
         _check_start(kind, name, imposed, asked.value, held[:, a])
-    return LimitArrays(held[0], held[1], step, free[0], free[1])
+    return LimitArrays(
+        lower=held[0],
+        upper=held[1],
+        step=step,
+        follow_lower=free[0],
+        follow_upper=free[1],
+    )
 
 
 def _range(kind: Kind, name: str, what: str, given, unit: str | None) -> HostArray:
-    """Lower and upper limit of a quantity, checked."""
+    """Check the lower and upper limit of a quantity and return them."""
     lower, upper = given
     if unit is None:
         if (lower, upper) != ANYTHING:
@@ -137,13 +142,13 @@ def active_limits(
     active: Bool[HostArray, "4 n_a"],
     step_reached: Bool[HostArray, " n_a"],
 ) -> tuple[str, ...]:
-    """Sentences that name limits.
+    """Name the active limits in words.
 
     Args:
         mechanism: The actuators.
         by_displacement: Where the displacement is imposed.
-        active: Which limits: lower and upper of the input, then of what follows.
-        step_reached: Where a limit of the input is that of its step.
+        active: Which limits: lower and upper of the input, then of the other quantity.
+        step_reached: Where the active limit of an input is the one on its step.
     """
     found = []
     for a, name in enumerate(mechanism.actuators.names):

@@ -1,4 +1,4 @@
-"""How a command can end, with messages a person can read."""
+"""Outcomes of a command, with their messages."""
 
 import equinox as eqx
 

@@ -1,4 +1,4 @@
-"""Inverse control as arrays: what is wanted, what is allowed, and how far off it is."""
+"""Inverse control as arrays: goals, limits, and the linearised QP."""
 
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ class ControlProblem(eqx.Module):
         return jnp.max(jnp.ptp(jnp.asarray(self.model.mechanism.points), axis=0))
 
     def box(self) -> tuple[Float[Array, " n_a"], Float[Array, " n_a"]]:
-        """Lowest and highest inputs, limits on their steps included."""
+        """Return the lowest and highest inputs, limits on steps included."""
         limits = self.limits
         return (
             jnp.maximum(jnp.asarray(limits.lower), self.start - limits.step),
@@ -46,13 +46,13 @@ class ControlProblem(eqx.Module):
         )
 
     def following(self, of_force, of_displacement):
-        """Of each actuator, the quantity that is not imposed."""
+        """Select, for each actuator, the quantity that is not imposed."""
         imposed = jnp.asarray(self.configuration.actuation.by_displacement)
         imposed = imposed.reshape(-1, *[1] * (of_force.ndim - 1))
         return jnp.where(imposed, of_force, of_displacement)
 
     def residuals(self, state: ActuatorState) -> Float[Array, "n_levels n_e"]:
-        """Errors of the effectors in units of std, 0 on other levels [-]."""
+        """Compute effector errors in units of std, 0 on other levels [-]."""
         goal = jnp.asarray(self.configuration.effectors.measured)
         off = self.levels * (state.effectors - goal)[None]
         return off.reshape(self.levels.shape[0], -1)
@@ -62,13 +62,13 @@ class Linear(NamedTuple):
     """The problem linearised at an equilibrium, its inputs scaled.
 
     Attributes:
-        scale: What an input changes by for y = 1, when it moves some node by the size
-            of the robot; unlike units become comparable.
-        W: Compliance of each level and the energy, in units of std.
-        error: What it is added to.
+        scale: Change of an input for y = 1, at which it moves some node by the size of
+            the robot; this makes inputs of different units comparable.
+        W: Compliances of each level, those of the energy included, in units of std.
+        error: Errors of each level, likewise.
         energy: Rows by which forces enter the last level.
         rows: Limits.
-        length: Scale of what follows the inputs, per row of `rows`.
+        length: Scale of the quantities that are not imposed, per row of `rows`.
     """
 
     scale: Float[Array, " n_a"]
@@ -84,7 +84,7 @@ def linearise(
     value: Float[Array, " n_a"],
     compliance: ActuatorCompliance,
 ) -> Linear:
-    """The terms of the QP: Eq. (6) with the energy of all forces, level by level.
+    """Linearise the terms of the QP, Eq. (6), level by level.
 
     The energy term is epsilon lambda_a^T W_aa lambda_a, with lambda_a after the step.
 
@@ -115,13 +115,15 @@ def linearise(
         jnp.where(limited, b, 1.0),
     )
     error = level_errors(problem, compliance.state, energy)
-    return Linear(scale, W, error, energy, rows, length)
+    return Linear(
+        scale=scale, W=W, error=error, energy=energy, rows=rows, length=length
+    )
 
 
 def level_errors(
     problem: ControlProblem, state: ActuatorState, energy: Float[Array, "n_a n_a"]
 ) -> Float[Array, "n_levels n_all"]:
-    """Errors of the levels, the energy on the last one, in units of std [-]."""
+    """Compute the errors of the levels, with the energy on the last one [-]."""
     off = problem.residuals(state)
     forces = jnp.zeros((off.shape[0], energy.shape[0]))
     forces = forces.at[-1].set(energy @ state.forces)
@@ -131,7 +133,7 @@ def level_errors(
 def follow_room(
     problem: ControlProblem, state: ActuatorState, length: Float[Array, " n_a"]
 ) -> Float[Array, " 2*n_a"]:
-    """Room of what follows the inputs to its lower, then its upper limits [-]."""
+    """Compute the room of what is not imposed to its lower, then upper limits [-]."""
     q = problem.following(state.forces, state.displacements)
     limits = problem.limits
     down = (q - jnp.asarray(limits.follow_lower)) / length
@@ -139,14 +141,14 @@ def follow_room(
 
 
 def _energy_rows(problem, W_aa, W, by_force, moves: Bool[Array, " n_a"]):
-    """Rows E with E^T E = epsilon W_aa, epsilon in units of what W sees per energy.
+    """Compute rows E with E^T E = epsilon |W_aa|, epsilon scaled by W over the energy.
 
-    Motors may hold a robot where it would snap if they were let go; there W_aa has
-    negative eigenvalues, and their size is taken.
+    Where motors hold a robot in a state that would be unstable without them, W_aa has
+    negative eigenvalues; their magnitude is used.
     """
     size = jnp.sqrt(jnp.abs(jnp.diag(W_aa)))
     size = jnp.where(size > 0.0, size, 1.0)
-    # Unlike units must not decide what is small.
+    # A unit diagonal, so that units do not affect the eigenvalues.
     values, vectors = jnp.linalg.eigh(W_aa / (size[:, None] * size[None]))
     root = jnp.sqrt(jnp.abs(values))[:, None] * vectors.T * size[None]
     energy = jnp.where(moves, jnp.sum((root @ by_force) ** 2, axis=0), 0.0)

@@ -8,16 +8,16 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import bounded_step
 
 NULL = 1e-10
-"""Share of the largest squared singular value below which a level sees nothing [-]."""
+"""Relative squared singular value below which a level does not see a direction [-]."""
 
 
 class InputRows(NamedTuple):
-    """Where inputs may go: lower <= y <= upper and A y <= b, all scaled [-].
+    """Bounds and rows of the scaled step: lower <= y <= upper and A y <= b [-].
 
     Attributes:
         lower: Lowest step of each input.
-        upper: Highest one.
-        A: Change of what follows the inputs, as rows.
+        upper: Highest step of each input.
+        A: Change, per unit of y, of the quantities that are not imposed.
         b: Their room.
     """
 
@@ -28,7 +28,7 @@ class InputRows(NamedTuple):
 
 
 class LevelsStep(NamedTuple):
-    """The step that serves all levels, the first one first.
+    """Step that minimises all levels in order of priority.
 
     Attributes:
         y: Scaled step of the inputs [-].
@@ -46,13 +46,13 @@ def step_in_levels(
 ) -> LevelsStep:
     """Minimise ||W y + error|| of the first level, then of the next among its minima.
 
-    The minimum of a level has one W y only, so that the next one is free in the null
-    space of W: strict priorities, whatever the weights. Each level is one bounded QP.
+    All minima of a level share W y, so the next level moves in the null space of W only
+    and priorities are strict, whatever the weights. Each level is one bounded QP.
 
     Args:
         levels: W and errors of each level, in units of std.
-        rows: Limits of the inputs and of what follows them.
-        radius: Bound on every input that moves, the trust region [-].
+        rows: Bounds and rows.
+        radius: Trust region, a bound on every entry of the step [-].
 
     Returns:
         The step.
@@ -61,18 +61,18 @@ def step_in_levels(
     lower = jnp.maximum(rows.lower, -radius)
     upper = jnp.minimum(rows.upper, radius)
     A = jnp.where(moves[None], rows.A, 0.0)
-    # A row that is violated is brought back by what the trust region allows.
+    # A violated row is reduced only as far as the trust region allows.
     reach = 0.9 * radius * jnp.sum(jnp.abs(A), axis=1)
     b = jnp.maximum(rows.b, -reach)
     y = jnp.zeros_like(lower)
     P, kkt = jnp.eye(y.size, dtype=y.dtype), jnp.zeros((), y.dtype)
-    for number, (W, error) in enumerate(levels):
+    for level, (W, error) in enumerate(levels):
         W = jnp.where(moves[None], W, 0.0)
-        if number == 0:
+        if level == 0:
             qp = bounded_step(W, error, lower, upper, A=A, b=b)
             y = qp.lambda_p
         else:
-            P = _rows_within_null_space(P, levels[number - 1][0], moves)
+            P = _within_null_space(P, levels[level - 1][0], moves)
             far = jnp.full_like(y, 4.0 * y.size) * radius
             qp = bounded_step(
                 W @ P,
@@ -87,12 +87,11 @@ def step_in_levels(
     return LevelsStep(y, kkt)
 
 
-def _rows_within_null_space(P, W, moves):
-    """The projector P cut down to where W sees nothing."""
+def _within_null_space(P, W, moves):
+    """Restrict the projector P to the null space of W."""
     W = jnp.where(moves[None], W, 0.0) @ P
     values, vectors = jnp.linalg.eigh(W.T @ W)
     blind = values <= NULL * jnp.max(values)
     N = jnp.where(blind[None], vectors, 0.0)
     P = P @ (N @ N.T) @ P
-    # Only inputs that may move.
     return jnp.where(moves[:, None] & moves[None], P, 0.0)

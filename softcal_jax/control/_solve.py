@@ -1,4 +1,4 @@
-"""Actuation for goals of the effectors: open-loop inverse control (paper Eq. 6)."""
+"""Open-loop inverse control: the actuation that reaches goals (paper Eq. 6)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -56,24 +56,24 @@ def solve_inverse(
     Repeats the bounded QP of Eq. (6), min ||W_ea dl + e - goal||^2 plus epsilon times
     the energy of the actuators, until the goals are met or no step comes closer. Each
     step is tried on the true equilibrium, warm-started by the predicted displacement,
-    and kept only if it helps. The result is a local optimum. An imposed cable length
-    is kept taut: a slack cable is wound up, and none is let go slack.
+    and kept only if it helps. The result is a local optimum. Cables with an imposed
+    length are kept taut: a slack cable is wound up, and none becomes slack.
 
     Args:
         model: The model, calibrated or not.
-        configuration: Actuators in its `actuation` are commanded, by force or by
-            displacement as they are imposed there, and start there; the others stay.
-            Measured values of its effectors and markers are their goals, and `std` is
-            their weight: an error counts in units of it.
+        configuration: The actuators in its `actuation` are commanded, by force or by
+            displacement as imposed there, and start there; the others stay. Measured
+            values of its effectors and markers are their goals, and errors are weighted
+            by 1 / `std`.
         goals: Goals by the names of effectors and markers, in place of measured values:
             a `Pose` from rest for a `BodyFrame`, three numbers for a point or reaction,
             one for a length, volume, angle or force; SI units and radians.
         limits: Limits by the names of actuators.
-        priorities: Level of each effector, 1 by default and served first. A level never
-            gives way to a later one.
+        priorities: Level of each effector, 1 by default. Level 1 is served first, and a
+            later level never worsens an earlier one.
         settings: Settings.
         guess: Displacement near the equilibrium at the start; at rest by default [m].
-        throw: Raise where the search failed; a goal that cannot be reached is none.
+        throw: Raise if the search failed; an unreachable goal is no failure.
 
     Returns:
         The actuation, with its outcome.
@@ -103,7 +103,7 @@ def follow_trajectory(
     settings: ControlSettings | None = None,
     throw: bool = True,
 ) -> TrajectoryResult:
-    """Find the actuation for one goal after the other, each from the one before.
+    """Find the actuation for a sequence of goals, each starting from the last.
 
     Args:
         model: The model.
@@ -112,7 +112,7 @@ def follow_trajectory(
         limits: Limits of actuators; `step` holds between neighbouring points.
         priorities: Level of each effector.
         settings: Settings.
-        throw: Raise at the first search that failed, see `solve_inverse`.
+        throw: Raise at the first search that fails, see `solve_inverse`.
 
     Returns:
         The commands, up to the first one without an equilibrium.
@@ -143,7 +143,7 @@ def follow_trajectory(
 
 
 class _Command(NamedTuple):
-    """A command as the user gave it, and as arrays."""
+    """A command as given by the user, and as arrays."""
 
     configuration: Configuration
     effectors: tuple[EffectorRecord, ...]
@@ -153,7 +153,7 @@ class _Command(NamedTuple):
 
 
 def _prepare(model, configuration, goals, limits, priorities, settings) -> _Command:
-    """Check a command and make its arrays."""
+    """Check a command and build its arrays."""
     if not configuration.actuation:
         known = ", ".join(map(repr, model.mechanism.actuators.names)) or "none"
         raise ValueError(
@@ -168,12 +168,12 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> _Comm
     lanes = configuration_lanes(mesh, [configuration], mechanism)
     arrays = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
     problem = ControlProblem(
-        model,
-        arrays,
-        jax.tree.map(jnp.asarray, allowed),
-        arrays.actuation.value,
-        jnp.asarray(goal_levels(lanes, configuration.name, priorities)),
-        jnp.asarray(settings.epsilon),
+        model=model,
+        configuration=arrays,
+        limits=jax.tree.map(jnp.asarray, allowed),
+        start=arrays.actuation.value,
+        levels=jnp.asarray(goal_levels(lanes, configuration.name, priorities)),
+        epsilon=jnp.asarray(settings.epsilon),
     )
     (effectors,) = lanes.effectors
     return _Command(
@@ -186,9 +186,9 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> _Comm
 
 
 def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
-    """The search, one compiled step after the other."""
+    """Run the search, one compiled step after the other."""
     problem, settings = command.problem, command.settings
-    # Neither other tolerances nor what the programs do not use compile them again.
+    # Tolerances are traced and unused settings fixed, so that neither recompiles.
     of_program = replace(settings, epsilon=0.0, max_steps=1)
     of_program = jax.tree.map(jnp.asarray, of_program)
     state = _start(problem, guess, of_program)
@@ -211,7 +211,7 @@ def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
 
 
 def _outcome(state: ControlState, settings: ControlSettings) -> OUTCOMES | None:
-    """How the search has ended; None while it goes on."""
+    """Say how the search has ended; None while it goes on."""
     if bool(state.met) and (settings.epsilon == 0.0 or bool(state.vanished)):
         return OUTCOMES.met
     if bool(state.vanished):
@@ -250,7 +250,7 @@ def _result(
 
 
 def _active(problem: ControlProblem, state: ControlState) -> tuple[str, ...]:
-    """Limits that are reached, in words."""
+    """List the limits that are reached, in words."""
     if not bool(state.solution.converged):
         return ()
     linear = linearise(problem, state.value, state.compliance)
@@ -271,7 +271,7 @@ def _active(problem: ControlProblem, state: ControlState) -> tuple[str, ...]:
 
 
 def _goal_fits(command: _Command, reached) -> tuple[GoalFit, ...]:
-    """Every effector with a goal, frames in two rows."""
+    """Compare every effector that has a goal with it; frames have two rows."""
     return tuple(
         GoalFit(
             replace(effector, simulated=effector.among(reached)),

@@ -1,4 +1,6 @@
-"""One step of inverse control: a QP, tried on the equilibrium, kept if it helps."""
+"""One step of inverse control: solve a QP, try its step, keep it if it helps."""
+
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -12,7 +14,7 @@ from softcal_jax.control._compliance import (
     actuator_state,
     with_inputs,
 )
-from softcal_jax.control._decision import ROUNDING, Decision, Parts, Trial, decide
+from softcal_jax.control._decision import ROUNDING, Parts, Trial, decide
 from softcal_jax.control._problem import (
     ControlProblem,
     Linear,
@@ -34,15 +36,15 @@ class ControlSettings(eqx.Module):
     Attributes:
         tol: Error of every effector coordinate at which a goal is met, in units of its
             standard deviation [-].
-        step_tol: Step of the inputs at which the search ends: what it moves any node
-            by, in sizes of the robot [-].
+        step_tol: Step of the inputs at which the search ends: its largest displacement
+            of a node, in sizes of the robot [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on the step of every input, measured likewise [-].
         max_step_bound: Largest bound that it may grow to [-].
-        epsilon: Weight of the energy of the actuators, Eq. (6), relative to what the
-            inputs do to the effectors [-]. It settles inputs that the goals leave
-            open, such as co-contraction; goals are missed by about as much. With 0 a
-            goal that is met ends the search.
+        epsilon: Weight of the energy of the actuators, Eq. (6), relative to the effect
+            of the inputs on the effectors [-]. It determines inputs that the goals
+            leave open, such as co-contraction, and misses goals by about as much. With
+            0 the search ends as soon as the goals are met.
         newton: Settings of the equilibria.
     """
 
@@ -72,9 +74,9 @@ class ControlState(eqx.Module):
         solution: Equilibrium there.
         compliance: Derivatives there.
         step_bound: Bound on the next step [-].
-        penalty: Weights of limits and levels in what a step must lower [-].
+        penalty: Weights of limits and levels in the sum that a step must lower [-].
         cost: Half the squared errors of all levels, energy included [-].
-        violation: Sum of violated limits of what follows the inputs [-].
+        violation: Sum of the violated limits of what is not imposed [-].
         error: Largest error of an effector coordinate, in units of std [-].
         last_step: Largest entry of the last step, kept or not [-].
         kkt_residual: Optimality residual of its QPs [-].
@@ -82,8 +84,9 @@ class ControlState(eqx.Module):
         accepted: Whether it was kept.
         step: Steps so far.
         met: Whether all goals are met within the limits.
-        vanished: Whether no step is left that lowers the error.
-        stalled: Whether steps were refused until none was left, short of a minimum.
+        vanished: Whether no step lowers the error any more.
+        stalled: Whether steps were refused down to the smallest one, away from a
+            minimum.
     """
 
     value: Float[Array, " n_a"]
@@ -105,9 +108,10 @@ class ControlState(eqx.Module):
 
 
 def _respond(problem: ControlProblem, value, solution: EquilibriumSolution):
-    """Inputs with slack cables wound up, which changes no state, and derivatives.
+    """Wind up slack cables, which changes no state, and differentiate.
 
-    A slack cable has no derivative at all; one that is just taut can pull.
+    A slack cable has no effect on the robot and so no derivative; one that is just taut
+    has.
     """
     configuration = with_inputs(problem.configuration, value)
     delta_a = actuator_state(problem.model, configuration, solution).displacements
@@ -125,7 +129,7 @@ def start_control(
     guess: Float[Array, "n_points 3"],
     settings: ControlSettings,
 ) -> ControlState:
-    """The state before the first step; traceable.
+    """Build the state before the first step; traceable.
 
     Args:
         problem: The command.
@@ -139,31 +143,30 @@ def start_control(
         settings=settings.newton,
     )
     value, compliance = _respond(problem, problem.start, solution)
-    zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
-    no = jnp.zeros((), bool)
+    zero, no = jnp.zeros(()), jnp.zeros((), bool)
     state = ControlState(
-        value,
-        solution,
-        compliance,
-        zero + settings.step_bound,
-        jnp.ones(problem.levels.shape[0] + 1),
-        zero,
-        zero,
-        zero,
-        zero + jnp.inf,
-        zero,
-        solution.steps,
-        ~no,
-        none,
-        no,
-        no,
-        no,
+        value=value,
+        solution=solution,
+        compliance=compliance,
+        step_bound=zero + settings.step_bound,
+        penalty=jnp.ones(problem.levels.shape[0] + 1),
+        cost=zero,
+        violation=zero,
+        error=zero,
+        last_step=zero + jnp.inf,
+        kkt_residual=zero,
+        newton_steps=solution.steps,
+        accepted=~no,
+        step=jnp.zeros((), jnp.int32),
+        met=no,
+        vanished=no,
+        stalled=no,
     )
     return _judged(problem, settings, state)
 
 
 def _judged(problem: ControlProblem, settings: ControlSettings, state: ControlState):
-    """The state with its errors and whether they are small."""
+    """Update the errors of a state and whether its goals are met."""
     linear = linearise(problem, state.value, state.compliance)
     parts = _parts(problem, linear, state.compliance.state)
     error = jnp.max(jnp.abs(problem.residuals(state.compliance.state)))
@@ -176,7 +179,7 @@ def _judged(problem: ControlProblem, settings: ControlSettings, state: ControlSt
 
 
 def _parts(problem: ControlProblem, linear: Linear, state: ActuatorState):
-    """Violated limits, then the cost of each level [-]."""
+    """Compute the violated limits, then the cost of each level [-]."""
     room = follow_room(problem, state, linear.length)
     violation = jnp.sum(jnp.maximum(-room, 0.0))
     off = level_errors(problem, state, linear.energy)
@@ -186,7 +189,7 @@ def _parts(problem: ControlProblem, linear: Linear, state: ActuatorState):
 def control_step(
     problem: ControlProblem, settings: ControlSettings, state: ControlState
 ) -> ControlState:
-    """One whole step, traceable: linearise, solve the QPs, try, decide.
+    """Take one step: linearise, solve the QPs, try, decide; traceable.
 
     Args:
         problem: The command.
@@ -209,15 +212,15 @@ def control_step(
     )
     tried = actuator_state(problem.model, configuration, solution)
     trial = Trial(
-        Parts(
-            _parts(problem, linear, state.compliance.state),
-            _expected_parts(linear, qp.y),
-            _parts(problem, linear, tried),
+        parts=Parts(
+            now=_parts(problem, linear, state.compliance.state),
+            expected=_expected_parts(linear, qp.y),
+            tried=_parts(problem, linear, tried),
         ),
-        jnp.max(jnp.abs(qp.y)),
-        qp.kkt_residual,
-        _cosine(linear, qp.y, state.penalty),
-        solution.converged,
+        size=jnp.max(jnp.abs(qp.y)),
+        kkt_residual=qp.kkt_residual,
+        cosine=_cosine(linear, qp.y, state.penalty),
+        converged=solution.converged,
     )
     decision = decide(
         trial,
@@ -227,19 +230,6 @@ def control_step(
         step_tol=settings.step_tol,
         max_step_bound=settings.max_step_bound,
     )
-    return _after(problem, settings, state, trial, decision, value, solution)
-
-
-def _after(
-    problem: ControlProblem,
-    settings: ControlSettings,
-    state: ControlState,
-    trial: Trial,
-    decision: Decision,
-    value: Float[Array, " n_a"],
-    solution: EquilibriumSolution,
-) -> ControlState:
-    """The state once it is decided: moved, or where it was with a tighter bound."""
 
     def moved():
         wound, compliance = _respond(problem, value, solution)
@@ -250,29 +240,26 @@ def _after(
         moved,
         lambda: (state.value, state.solution, state.compliance),
     )
-    new = ControlState(
-        reached,
-        equilibrium,
-        compliance,
-        decision.step_bound,
-        decision.penalty,
-        state.cost,
-        state.violation,
-        state.error,
-        trial.size,
-        trial.kkt_residual,
-        solution.steps,
-        decision.accepted,
-        state.step + 1,
-        state.met,
-        decision.vanished,
-        decision.stalled,
+    new = replace(
+        state,
+        value=reached,
+        solution=equilibrium,
+        compliance=compliance,
+        step_bound=decision.step_bound,
+        penalty=decision.penalty,
+        last_step=trial.size,
+        kkt_residual=trial.kkt_residual,
+        newton_steps=solution.steps,
+        accepted=decision.accepted,
+        step=state.step + 1,
+        vanished=decision.vanished,
+        stalled=decision.stalled,
     )
     return _judged(problem, settings, new)
 
 
 def _expected_parts(linear: Linear, y: Float[Array, " n_a"]):
-    """The parts after a step, by the linear model [-]."""
+    """Predict the parts after a step by the linear model [-]."""
     after = linear.W @ y + linear.error
     room = linear.rows.b - linear.rows.A @ y
     violation = jnp.sum(jnp.maximum(-room, 0.0))
@@ -280,7 +267,7 @@ def _expected_parts(linear: Linear, y: Float[Array, " n_a"]):
 
 
 def _cosine(linear: Linear, y: Float[Array, " n_a"], penalty):
-    """Of the angle between the errors, weighted, and what the step takes off [-]."""
+    """Compute the cosine between the weighted errors and their reduction [-]."""
     weight = penalty[1:, None]
     change = linear.W @ y
     lengths = jnp.sum(weight * change**2) * jnp.sum(weight * linear.error**2)

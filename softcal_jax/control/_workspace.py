@@ -1,4 +1,4 @@
-"""Where the effectors can go: many actuations in one program."""
+"""Effectors over many actuations, in one program."""
 
 from collections.abc import Sequence
 
@@ -29,14 +29,14 @@ class Workspace(eqx.Module):
     """Effectors over a set of actuations.
 
     Attributes:
-        inputs: What was imposed, in the units of the actuators.
+        inputs: Imposed values, in the units of the actuators.
         names: Names of the commanded actuators, the columns of `inputs`.
         effectors: Coordinates of each effector by name: positions [m], rotation vectors
             [rad], scalars and forces in the first place; a frame has two rows. nan
             where there is no equilibrium.
-        converged: Where there is one.
+        converged: Which samples have an equilibrium.
         solution: The equilibria.
-        failures: The actuations without one, and why.
+        failures: The samples without an equilibrium, and why.
     """
 
     inputs: Float[HostArray, "n_samples n_inputs"]
@@ -54,9 +54,9 @@ def sample_workspace(
     *,
     settings: NewtonSettings | None = None,
 ) -> Workspace:
-    """Effectors for many actuations, one `vmap` in one compiled program.
+    """Compute the effectors for many actuations, by one `vmap` in one program.
 
-    Each lane is solved from rest, to its own end.
+    Each sample is solved from rest.
 
     Args:
         model: The model.
@@ -67,7 +67,7 @@ def sample_workspace(
         settings: Settings of the equilibria.
 
     Returns:
-        The samples; those without an equilibrium are nan, and named in `failures`.
+        The samples; those without an equilibrium are nan and listed in `failures`.
 
     Raises:
         ValueError: If nothing is commanded, there are no effectors, or the inputs are
@@ -93,19 +93,19 @@ def sample_workspace(
         own = np.asarray(values)[:, record.index]
         effectors.setdefault(record.name, []).append(own)
     return Workspace(
-        inputs,
-        names,
-        {name: np.stack(of_it, axis=1) for name, of_it in effectors.items()},
-        converged,
-        solution,
-        _failures(names, inputs, solution, converged),
+        inputs=inputs,
+        names=names,
+        effectors={name: np.stack(rows, axis=1) for name, rows in effectors.items()},
+        converged=converged,
+        solution=solution,
+        failures=_failures(names, inputs, solution, converged),
     )
 
 
 def _lanes(
     model: Model, configuration: Configuration, inputs: Float[HostArray, "n_samples n"]
 ) -> tuple[ConfigurationLanes, Float[Array, "n_samples n_a"]]:
-    """One configuration, and the inputs of all actuators for each sample."""
+    """Build one configuration and the inputs of all actuators for each sample."""
     mechanism = model.mechanism
     lanes = configuration_lanes(model.mesh, [configuration], mechanism)
     if not lanes.effectors[0]:
@@ -121,7 +121,6 @@ def _lanes(
                 configuration.actuation.items(), sample, strict=True
             )
         }
-        # Refuses what no actuator can be asked for.
         what = f"{configuration.name}, sample {i}"
         values.append(actuation_arrays(mechanism, asked, what).value)
     return lanes, jnp.asarray(np.array(values))
@@ -129,7 +128,7 @@ def _lanes(
 
 @eqx.filter_jit
 def _sample(model, configuration, values, newton):
-    """Equilibria and effectors of all samples."""
+    """Solve all samples and read their effectors."""
 
     def one(value):
         lane = with_inputs(configuration, value)

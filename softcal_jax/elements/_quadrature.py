@@ -15,14 +15,14 @@ class QuadratureRule(NamedTuple):
 
 
 def _permuted(n_corners: int, inner: float) -> HostArray:
-    """One point per corner: `inner` everywhere, the rest on that corner."""
+    """Place one point per corner: `inner` on the others, the rest on that corner."""
     points = np.full((n_corners, n_corners), inner)
     np.fill_diagonal(points, 1.0 - (n_corners - 1) * inner)
     return points
 
 
 def tet_rule(degree: int) -> QuadratureRule:
-    """Rule on the tet that is exact for polynomials of `degree`.
+    """Return the rule on the tet that is exact for polynomials of `degree`.
 
     Degree 1: the centroid. Degree 2: the four-point rule. Degree 3 and 4: the
     eleven-point rule of Keast (Comput. Methods Appl. Mech. Eng. 55, 1986), used
@@ -35,7 +35,7 @@ def tet_rule(degree: int) -> QuadratureRule:
         Points and weights that sum to one.
 
     Raises:
-        ValueError: If no rule of that degree is kept.
+        ValueError: If there is no rule of that degree.
     """
     if degree == 1:
         return QuadratureRule(np.full((1, 4), 0.25), np.ones(1))
@@ -53,11 +53,11 @@ def tet_rule(degree: int) -> QuadratureRule:
             [-148.0 / 1875.0] + [343.0 / 7500.0] * 4 + [56.0 / 375.0] * 6
         )
         return QuadratureRule(points, weights)
-    raise ValueError(f"tet rules are kept for degree 1 to 4, got {degree}.")
+    raise ValueError(f"tet rules exist for degree 1 to 4, got {degree}.")
 
 
 def triangle_rule(degree: int) -> QuadratureRule:
-    """Rule on the triangle that is exact for polynomials of `degree`.
+    """Return the rule on the triangle that is exact for polynomials of `degree`.
 
     Degree 1: the centroid. Degree 2: the three-point rule. Degree 3 and 4: the
     six-point rule of Dunavant (Int. J. Numer. Methods Eng. 21, 1985).
@@ -69,7 +69,7 @@ def triangle_rule(degree: int) -> QuadratureRule:
         Points and weights that sum to one.
 
     Raises:
-        ValueError: If no rule of that degree is kept.
+        ValueError: If there is no rule of that degree.
     """
     if degree == 1:
         return QuadratureRule(np.full((1, 3), 1.0 / 3.0), np.ones(1))
@@ -81,4 +81,4 @@ def triangle_rule(degree: int) -> QuadratureRule:
         )
         weights = np.array([0.223381589678011] * 3 + [0.109951743655322] * 3)
         return QuadratureRule(points, weights / weights.sum())
-    raise ValueError(f"triangle rules are kept for degree 1 to 4, got {degree}.")
+    raise ValueError(f"triangle rules exist for degree 1 to 4, got {degree}.")

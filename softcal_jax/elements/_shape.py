@@ -32,11 +32,11 @@ def _corners_and_edges(n_nodes: int, n_corners: int):
 def shape_functions(
     barycentric: Float[HostArray, "*points n_corners"], n_nodes: int
 ) -> Float[HostArray, "*points n_nodes"]:
-    """Values of the shape functions at points of a simplex [-].
+    """Evaluate the shape functions at points of a simplex [-].
 
     Args:
         barycentric: Barycentric coordinates; rows sum to one. Coordinates outside
-            [0, 1] extrapolate, which is how a marker on a post is carried.
+            [0, 1] extrapolate.
         n_nodes: Nodes of the element (3 or 6, 4 or 10; 2 or 3 for an edge).
 
     Returns:
@@ -57,7 +57,7 @@ def shape_functions(
 def shape_gradients(
     barycentric: Float[HostArray, "*points n_corners"], n_nodes: int
 ) -> Float[HostArray, "*points n_nodes n_dim"]:
-    """Derivatives of the shape functions in the reference coordinates [-].
+    """Differentiate the shape functions in the reference coordinates [-].
 
     The reference coordinates are L_1, ..., L_d, with L_0 = 1 - sum(L_1..L_d).
 

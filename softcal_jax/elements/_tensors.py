@@ -1,8 +1,8 @@
 """Algebra of single 3x3 tensors, written out so that it vectorises under `vmap`.
 
-Batched `@`, `inv`, `svd` and `eigh` of tiny matrices call a library routine per
-matrix on every backend; sums of products fuse into the loop over tets instead, if they
-are written out: XLA turns a reduction inside a product over tets into scalar code.
+Batched `@`, `inv`, `svd` and `eigh` of tiny matrices call a library routine per matrix
+on every backend. Sums of products that are written out fuse into the loop over tets;
+XLA turns a reduction inside a product over tets into scalar code.
 """
 
 from collections.abc import Iterable
@@ -16,12 +16,12 @@ from softcal_jax._typing import Array, Float
 
 
 def sum_of(terms: Iterable[Array]) -> Array:
-    """Sum of at least one term."""
+    """Add up at least one term."""
     return reduce(add, terms)
 
 
 def determinant(F: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """Determinant."""
+    """Compute the determinant."""
     return (
         F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
         - F[0, 1] * (F[1, 0] * F[2, 2] - F[1, 2] * F[2, 0])
@@ -30,7 +30,7 @@ def determinant(F: Float[Array, "3 3"]) -> Float[Array, ""]:
 
 
 def cofactor(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """Cofactor matrix, det(F) F^-T; the derivative of the determinant."""
+    """Compute the cofactor matrix det(F) F^-T, the derivative of the determinant."""
     rows = []
     for i in range(3):
         a, b = (i + 1) % 3, (i + 2) % 3
@@ -47,18 +47,18 @@ def cofactor(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
 
 
 def matmul(A: Float[Array, "3 3"], B: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """Product A B."""
+    """Multiply A B."""
     # A reduction: a written sum would compute A and B again for each of its terms.
     return jnp.sum(A[:, :, None] * B[None, :, :], axis=1)
 
 
 def axial(A: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """Twice the axial vector of the skew part: [A32 - A23, A13 - A31, A21 - A12]."""
+    """Return twice the axial vector of the skew part: [A32-A23, A13-A31, A21-A12]."""
     return jnp.stack([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
 
 
 def skew(a: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Skew matrix hat(a) with hat(a) b = a x b."""
+    """Return the skew matrix hat(a) with hat(a) b = a x b."""
     zero = jnp.zeros_like(a[0])
     return jnp.stack(
         [
@@ -70,7 +70,7 @@ def skew(a: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def solve3(M: Float[Array, "3 3"], b: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Solution of the 3x3 system M x = b by Cramer's rule."""
+    """Solve the 3x3 system M x = b by Cramer's rule."""
     C = cofactor(M)
     det = jnp.sum(M[0] * C[0])
     return jnp.sum(C * b[:, None], axis=0) / det
@@ -92,7 +92,7 @@ _POLAR_STEPS = 9
 
 @jax.custom_jvp
 def rotation(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """Rotation R of the polar decomposition F = R S, by Newton's iteration.
+    """Compute the rotation R of the polar decomposition F = R S by Newton's iteration.
 
     Higham, "Computing the polar decomposition", SIAM J. Sci. Stat. Comput. 7 (1986).
     The derivative is the closed form dR = R hat(M^-1 axial(R^T dF)) with
@@ -117,10 +117,10 @@ def _rotation_jvp(primals, tangents):
 
 
 def spin(S: Float[Array, "3 3"], A: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """Rate of the polar rotation, omega with R^T dR = hat(omega) for R^T dF = A."""
+    """Compute the rate omega of R, R^T dR = hat(omega), for R^T dF = A."""
     return solve3(jnp.trace(S) * jnp.eye(3) - S, axial(A))
 
 
 def symmetric(A: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """Symmetric part."""
+    """Return the symmetric part."""
     return 0.5 * (A + A.T)

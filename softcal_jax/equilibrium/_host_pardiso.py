@@ -1,9 +1,9 @@
 """PARDISO on the host, called from a program that runs on a GPU.
 
-The solvers of `_linear_solver` are part of a program for the CPU. Here the program
-hands its matrix to the host and waits for the solution, through a callback that JAX has
-on every platform. Such programs run one at a time: on a CPU, as many at once as JAX has
-threads wait for each other for ever.
+The solvers of `_linear_solver` are part of a program for the CPU. This one passes the
+matrix to the host and waits for the solution, through a callback that JAX supports on
+every platform. Such programs must run one at a time: on a CPU, as many at once as JAX
+has threads would wait for each other forever.
 """
 
 import os
@@ -25,20 +25,20 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 _ANALYSE, _FACTORIZE, _SOLVE = 11, 22, 33
 _SYMMETRIC_INDEFINITE, _STRUCTURALLY_SYMMETRIC = -2, 1
 _ZERO_PIVOT = -4
-"""Phases, kinds of matrices and an error, by PARDISO's numbers."""
+"""Phases, matrix types and an error, by PARDISO's codes."""
 
-# The settings of `_linear_solver`, entries of iparm from 1 on as oneMKL counts them:
-# all are given, nested dissection, no iterative refinement, no scaling or matching, 1x1
+# The settings of `_linear_solver`, with indices from 1 as in oneMKL: take all settings
+# from here, nested dissection, no iterative refinement, no scaling or matching, 1x1
 # pivots, the one-level factorization.
 _OPTIONS = {1: 1, 2: 2, 8: 0, 11: 0, 13: 0, 21: 0, 24: 0}
-_PERTURBATION = 10  # small pivots become 10 to minus this
-_PERTURBED, _NEGATIVE = 14, 23  # pivots and eigenvalues that PARDISO reports
+_PERTURBATION = 10  # small pivots are replaced by 10 to minus this entry
+_PERTURBED, _NEGATIVE = 14, 23  # reported numbers of pivots and eigenvalues
 
 
 class HostPardiso(AbstractLinearSolver):
     """Intel oneMKL PARDISO through pypardiso, for symmetric matrices and others.
 
-    All symmetric ones share one set of factors, and so do all others.
+    All symmetric matrices share one set of factors, and so do all others.
     """
 
     sparsity: Sparsity
@@ -47,7 +47,7 @@ class HostPardiso(AbstractLinearSolver):
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "HostPardiso":
-        """Keep the pattern; the analysis follows with the first matrix.
+        """Keep the pattern; it is analysed with the first matrix.
 
         Raises:
             ImportError: If pypardiso is not installed.
@@ -72,17 +72,17 @@ class HostPardiso(AbstractLinearSolver):
 
     @property
     def runs_in_threads(self):
-        """No."""
+        """Whether several threads may run it: no."""
         return False
 
     def solve_again(self, values, rhs):
-        """Solve on the factors of the last matrix, if that was this one."""
+        """Solve; the factors are kept if the last matrix was the same."""
         return self._factor_solve(values, rhs)[0]
 
 
 @dataclass
 class _Slot:
-    """The factors of one solver, and what they are of."""
+    """Factors that are kept, and the matrix that they belong to."""
 
     pardiso: Any
     lock: Lock
@@ -90,10 +90,13 @@ class _Slot:
     kept: sparse.csr_array | None = None
 
     def prepare(self, matrix: sparse.csr_array) -> None:
-        """Factorize, unless these factors are there."""
-        kept, self.kept = self.kept, None  # in case that it fails
+        """Factorize a matrix unless its factors are kept."""
+        kept, self.kept = self.kept, None  # nothing is kept if this fails
         nothing = np.zeros((matrix.indptr.size - 1, 1))
-        if kept is None or not _same_pattern(kept, matrix):
+        if kept is None or not (
+            np.array_equal(kept.indptr, matrix.indptr)
+            and np.array_equal(kept.indices, matrix.indices)
+        ):
             if self.analysed:
                 self.pardiso.free_memory(everything=True)
             self.analysed, kept = True, None
@@ -103,15 +106,15 @@ class _Slot:
         self.kept = matrix
 
     def call(self, phase: int, matrix: sparse.csr_array, b: HostArray) -> HostArray:
-        """One phase; PARDISO's solutions by columns, where it is to solve."""
+        """Run a phase of PARDISO; return solutions by columns from that of solving."""
         self.pardiso.set_phase(phase)
         return self.pardiso._call_pardiso(matrix, np.asfortranarray(b))
 
 
 @cache
 def _slot(symmetric: bool) -> _Slot:
-    """Where the factors of all symmetric matrices are kept, or of all others."""
-    # Threads that do not spin: others want these cores for the assembly.
+    """Return the slot of all symmetric matrices, or that of all others."""
+    # Threads that do not spin: the assembly needs their cores.
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pypardiso import PyPardisoSolver
 
@@ -124,7 +127,7 @@ def _slot(symmetric: bool) -> _Slot:
 
 
 class _Solved(NamedTuple):
-    """What the callback gives back."""
+    """Result of the callback."""
 
     x: HostArray
     n_negative: np.int32
@@ -133,14 +136,14 @@ class _Solved(NamedTuple):
 
 @dataclass(frozen=True)
 class _OnHost:
-    """The solve outside JAX; equal ones are one to the compiled programs."""
+    """The solve outside JAX; it compares equal, so that programs are not recompiled."""
 
     symmetric: bool
 
     def __call__(self, indptr, indices, values, rhs) -> _Solved:
         from pypardiso.pardiso_wrapper import PyPardisoError
 
-        # Copies: what is kept outlives the buffers that JAX lends.
+        # Copies: the kept matrix outlives the buffers of JAX.
         indptr, indices, values, rhs = map(np.array, (indptr, indices, values, rhs))
         n = indptr.size - 1
         matrix = sparse.csr_array((values, indices, indptr), shape=(n, n))
@@ -156,8 +159,3 @@ class _OnHost:
             regular = slot.pardiso.get_iparm(_PERTURBED) == 0
             n_negative = slot.pardiso.get_iparm(_NEGATIVE) if self.symmetric else -1
         return _Solved(np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular))
-
-
-def _same_pattern(one: sparse.csr_array, other: sparse.csr_array) -> bool:
-    same_rows = np.array_equal(one.indptr, other.indptr)
-    return same_rows and np.array_equal(one.indices, other.indices)

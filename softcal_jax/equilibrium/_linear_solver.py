@@ -1,4 +1,4 @@
-"""Sparse direct solvers behind one small interface, usable inside jit and vmap.
+"""Sparse direct solvers with one interface, usable inside jit and vmap.
 
 pyproject.toml installs one on each platform: PARDISO on x86-64 Linux and Windows, KLU
 elsewhere.
@@ -19,12 +19,12 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 
 
 class LinearSolution(NamedTuple):
-    """Solution of a linear system and what the factorization told.
+    """Solution of a linear system and what its factorization reports.
 
     Attributes:
         x: Solutions, one row per right-hand side.
-        n_negative: Negative eigenvalues of the matrix; -1 where the solver cannot tell.
-        ok: False where the matrix was singular or not finite; `x` is then zero.
+        n_negative: Number of negative eigenvalues; -1 if they are not counted.
+        ok: False if the matrix was singular or not finite; `x` is then zero.
     """
 
     x: Float[Array, "n_rhs n_dof"]
@@ -33,7 +33,7 @@ class LinearSolution(NamedTuple):
 
 
 class AbstractLinearSolver(eqx.Module):
-    """Factorizes matrices of one sparsity pattern; the pattern says if symmetric."""
+    """A solver for matrices of one sparsity pattern, symmetric or not."""
 
     sparsity: eqx.AbstractVar[Sparsity]
     name: eqx.AbstractVar[str]
@@ -43,7 +43,7 @@ class AbstractLinearSolver(eqx.Module):
     def _factor_solve(
         self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
     ) -> tuple[Float[Array, "n_rhs n_dof"], Int[Array, ""], Bool[Array, ""]]:
-        """Factorize finite values and solve; returns x, negative eigenvalues, ok."""
+        """Factorize finite values and solve; return x, n_negative and ok."""
 
     def factor_solve(
         self,
@@ -60,7 +60,7 @@ class AbstractLinearSolver(eqx.Module):
             transpose: Solve with the transposed matrix.
 
         Returns:
-            The solutions; flagged, and zero, where they do not exist.
+            The solutions, zero and flagged if they do not exist.
         """
         if transpose and self.sparsity.mirror is not None:
             values = values[self.sparsity.mirror]
@@ -68,24 +68,24 @@ class AbstractLinearSolver(eqx.Module):
 
     @property
     def runs_in_threads(self) -> bool:
-        """Whether programs with solvers of this kind may run in several threads."""
+        """Whether several threads may run programs with this kind of solver."""
         return True
 
     def another(self, number: int) -> "AbstractLinearSolver":
-        """A solver of the same pattern for another thread, with factors of its own.
+        """Return a solver of the same pattern for another thread, with its own factors.
 
-        This one, where it keeps no factors or does not run in threads.
+        It is this one if it keeps no factors or does not run in threads.
 
         Args:
-            number: Which of them, from 1; the same one keeps the same factors.
+            number: Index of the thread, from 1; equal indices share factors.
         """
         del number
         return self
 
     def on_one_core(self) -> AbstractContextManager[None]:
-        """Context in which the solvers made in it take one core each.
+        """Enter a context in which new solvers use one core each.
 
-        Others must not be used in it, nor these after it.
+        Solvers made outside must not be used inside it, nor the new ones after it.
         """
         return nullcontext()
 
@@ -93,10 +93,10 @@ class AbstractLinearSolver(eqx.Module):
     def solve_again(
         self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
     ) -> Float[Array, "n_rhs n_dof"]:
-        """Solve on the factors that the last `factor_solve` left, if they are there.
+        """Solve with the factors of the last `factor_solve`, if they are still there.
 
-        The solver keeps one set of factors, and another program may have written to it
-        in between: the caller checks the solution.
+        The solver keeps one set of factors, which another program may have replaced in
+        the meantime: the caller checks the solution.
 
         Args:
             values: The matrix that was factorized.
@@ -107,7 +107,7 @@ class AbstractLinearSolver(eqx.Module):
 @jax.custom_batching.custom_vmap
 def _factor_solve(solver, values, rhs):
     finite = jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(rhs))
-    # PARDISO aborts the process on a NaN: such a lane gets the identity instead.
+    # A NaN makes PARDISO abort the process: factorize the identity instead.
     unit = jnp.zeros_like(values).at[solver.sparsity.diagonal].set(1.0)
     x, n_negative, ok = solver._factor_solve(
         jnp.where(finite, values, unit), jnp.where(finite, rhs, 0.0)
@@ -132,11 +132,11 @@ def _factor_solve_rule(axis_size, in_batched, solver, values, rhs):
 
 
 _Options = tuple[tuple[int, int], ...]
-"""Settings of PARDISO: pairs of an index in iparm, from 0, and its value."""
+"""Settings of PARDISO: pairs of an index into iparm, from 0, and a value."""
 
-# No iterative refinement (Newton refines anyway, and the residual is the same to a
-# factor 2), 1x1 pivots, and the one-level factorization: only that one takes minimum
-# degree and reports its work, and a process that uses both levels can crash.
+# No iterative refinement (Newton's method refines, and the residual is within a factor
+# of 2), 1x1 pivots, and the one-level factorization: only that supports minimum degree
+# and reports its work, and a process that uses both levels can crash.
 _COMMON: _Options = ((7, 0), (20, 0), (23, 0), (18, -1))
 
 _NESTED: _Options = (*_COMMON, (1, 2))
@@ -146,17 +146,17 @@ _MINIMUM_DEGREE: _Options = (*_COMMON, (1, 0))
 """Minimum degree, for slender bodies and sheets."""
 
 _MFLOP = 18
-"""Where the analysis reports the work of a factorization, in iparm."""
+"""Index into iparm of the work of a factorization, which the analysis reports."""
 
 _MKL_DOMAIN_PARDISO = 4
-"""Number of PARDISO among the parts of oneMKL (mkl_types.h)."""
+"""Code of PARDISO among the domains of oneMKL (mkl_types.h)."""
 
 
 def _load_pardiso(sparsity: Sparsity):
-    """Import pardiso-mkl-jax, with OpenMP threads that do not spin.
+    """Import pardiso-mkl-jax with OpenMP threads that do not spin.
 
-    By default MKL's threads keep their cores busy for a while after each call, and JAX
-    wants these cores for the assembly.
+    By default MKL's threads keep their cores busy for a while after each call, but JAX
+    needs these cores for the assembly.
     """
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pardiso_mkl_jax import MatrixType, primitive
@@ -167,9 +167,9 @@ def _load_pardiso(sparsity: Sparsity):
 
 
 def _analyse(sparsity: Sparsity, options: _Options, number: int):
-    """Token of an analysis outside jit, and what PARDISO reports of it.
+    """Analyse a pattern outside jit; return its token and what PARDISO reports.
 
-    The package tells analyses apart by what it is given, hence the number.
+    The package identifies an analysis by its inputs, so the values depend on `number`.
     """
     primitive, kind = _load_pardiso(sparsity)
     return primitive.analyze(
@@ -182,24 +182,23 @@ def _analyse(sparsity: Sparsity, options: _Options, number: int):
 
 
 def _work(sparsity: Sparsity, options: _Options) -> int:
-    """Work of a factorization in this order [million operations]."""
+    """Compute the work of a factorization in this order [million operations]."""
     return int(_analyse(sparsity, options, 0)[1][_MFLOP])
 
 
 class Pardiso(AbstractLinearSolver):
     """Intel oneMKL PARDISO through pardiso-mkl-jax, for symmetric matrices and others.
 
-    Symmetric ones are taken as indefinite: the definite type would stop the whole
-    program at the first non-positive pivot; the indefinite one factors on and counts
-    the negative eigenvalues. Others have a symmetric pattern, which spares the scaling
-    and matching of the general type: these look at values, and the analysis has none.
+    Symmetric ones are treated as indefinite: the definite type stops the program at the
+    first non-positive pivot, the indefinite one goes on and counts the negative
+    eigenvalues. Others have the structurally symmetric type, because the general one
+    scales and matches by values, which are unknown when the pattern is analysed.
 
     Attributes:
         token: The analysis.
         options: Settings of PARDISO.
-        spare: The same matrices in nested dissection, None where that is the order
-            anyway: minimum degree can meet a zero pivot in an indefinite matrix of a
-            regular mesh that is not singular.
+        spare: A solver in nested dissection order, or None if this one has it already.
+            Minimum degree can meet a zero pivot in a regular, indefinite matrix.
     """
 
     sparsity: Sparsity
@@ -211,7 +210,7 @@ class Pardiso(AbstractLinearSolver):
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Pardiso":
-        """Order the pattern in the way that leaves less work, and analyse it once."""
+        """Analyse the pattern in the order that needs less work."""
         nested, degree = (
             _work(sparsity, order) for order in (_NESTED, _MINIMUM_DEGREE)
         )
@@ -238,31 +237,22 @@ class Pardiso(AbstractLinearSolver):
         return jax.lax.cond(found[2], lambda: found, again)
 
     def _factor_solve_once(self, values, rhs):
-        primitive, kind = _load_pardiso(self.sparsity)
-        x, iparm, _ = primitive.factor_and_solve_stateful(
-            self.token,
-            jnp.asarray(self.sparsity.indptr),
-            jnp.asarray(self.sparsity.indices),
-            values,
-            rhs,
-            matrix_type=kind,
-            options=dict(self.options),
-        )
+        x, iparm, _ = self._call("factor_and_solve_stateful", values, rhs)
         perturbed_pivots, negative_eigenvalues = iparm[13], iparm[22]
         if not self.counts_negative:
             negative_eigenvalues = jnp.full_like(negative_eigenvalues, -1)
         return x, negative_eigenvalues, perturbed_pivots == 0
 
     def another(self, number):
-        """A solver of the same pattern that keeps factors of its own."""
+        """Return a solver of the same pattern with its own factors."""
         return self._of(self.sparsity, self.options, number)
 
     @contextmanager
     def on_one_core(self):
-        """Context in which the solvers made in it take one core each.
+        """Enter a context in which new solvers use one core each.
 
-        PARDISO plans for a number of threads when it analyses a pattern, and fails
-        where it finds another one later.
+        PARDISO plans for a number of threads when it analyses a pattern, and fails if
+        it finds another number later.
         """
         from pardiso_mkl_jax._mkl_loader import libmkl_rt
 
@@ -274,9 +264,12 @@ class Pardiso(AbstractLinearSolver):
             libmkl_rt.MKL_Domain_Set_Num_Threads(before, _MKL_DOMAIN_PARDISO)
 
     def solve_again(self, values, rhs):
-        """Solve on the factors that the last `factor_solve` left."""
+        """Solve with the factors of the last `factor_solve`."""
+        return self._call("solve_stateful", values, rhs)[0]
+
+    def _call(self, function: str, values, rhs):
         primitive, kind = _load_pardiso(self.sparsity)
-        return primitive.solve_stateful(
+        return getattr(primitive, function)(
             self.token,
             jnp.asarray(self.sparsity.indptr),
             jnp.asarray(self.sparsity.indices),
@@ -284,20 +277,20 @@ class Pardiso(AbstractLinearSolver):
             rhs,
             matrix_type=kind,
             options=dict(self.options),
-        )[0]
+        )
 
 
 class Klu(AbstractLinearSolver):
     """KLU through klujax, for any matrix; it does not count negative eigenvalues.
 
-    For the platforms without PARDISO. CHOLMOD is the faster method, but its package
-    stops the whole program at the first indefinite tangent of a batch.
+    For platforms without PARDISO. CHOLMOD would be faster, but its package stops the
+    program at the first indefinite tangent of a batch.
 
     Attributes:
-        full_rows: Row of each entry of the full matrix: the pattern, then what a
-            symmetric one leaves out.
-        full_cols: Its column.
-        source: Where its value stands in the pattern.
+        full_rows: Row of each entry of the full matrix: those of the pattern, then the
+            lower triangle of a symmetric one.
+        full_cols: Column of each entry.
+        source: Index of its value in the pattern.
     """
 
     sparsity: Sparsity
@@ -309,7 +302,7 @@ class Klu(AbstractLinearSolver):
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Klu":
-        """Keep the pattern, with both triangles."""
+        """Complete the pattern to both triangles."""
         rows, cols = sparsity.rows, sparsity.indices
         off = np.flatnonzero((rows != cols) & sparsity.symmetric)
         source = np.concatenate([np.arange(rows.size), off])
@@ -327,7 +320,7 @@ class Klu(AbstractLinearSolver):
         return x, jnp.full((), -1, jnp.int32), jnp.all(jnp.isfinite(x))
 
     def solve_again(self, values, rhs):
-        """Factorize anew: klujax keeps no factors."""
+        """Factorize again: klujax keeps no factors."""
         return self._factor_solve(values, rhs)[0]
 
 

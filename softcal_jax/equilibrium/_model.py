@@ -182,14 +182,9 @@ def build_model(
         formulation: How the volume change enters. "auto" takes "mean-dilatation" for
             quadratic tets whose law has a Poisson's ratio `nu` of 0.49 or more, and
             "displacement" otherwise; `Model.formulation` says which.
-        solver: Sparse solver: "pardiso" or "klu", direct ones of the CPU, of which the
-            default is the one of the platform; "pardiso-host", the default where JAX
-            computes on a GPU (extra `gpu`); "multigrid", conjugate gradients on the
-            host for large bulky bodies (extra `multigrid`), which needs a potential and
-            stable states; or "auto": multigrid from 80 000 unknowns on where there is
-            a potential, which solves an equilibrium of a bulky body sooner then
-            (`python -m benchmarks run growth`), and the default otherwise. Each further
-            right-hand side, of sensitivities, takes multigrid as long as the first one.
+        solver: Sparse direct solver: "pardiso" or "klu" on the CPU, of which the
+            default is the one of the platform; or "pardiso-host", the default where JAX
+            computes on a GPU (extra `gpu`).
 
     Returns:
         The model.
@@ -198,8 +193,8 @@ def build_model(
         ValueError: If JAX is not in float64, the mesh is not sound, the density is
             negative, a per-tet array has the wrong length, a body or an actuator does
             not fit the mesh, the formulation is unknown, or needs a potential that
-            the law does not have, or the solver is unknown, needs one, or does not
-            run where JAX computes.
+            the law does not have, or the solver is unknown or does not run where JAX
+            computes.
         ImportError: If the package of the solver is not installed.
     """
     require_float64()
@@ -249,7 +244,7 @@ def build_model(
         pattern=pattern,
         curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
         reduction=reduction,
-        solver=choose_solver(solver, unknowns, mechanism),
+        solver=choose_solver(solver, unknowns),
         formulation=chosen,
     )
 

@@ -1,4 +1,4 @@
-"""Which sparse solver a model gets; its name is part of every result."""
+"""Choice of the sparse direct solver of a model; its name is part of every result."""
 
 import os
 from importlib.util import find_spec
@@ -7,18 +7,17 @@ import jax
 
 from softcal_jax._machine import available_cores
 from softcal_jax._names import suggestion
-from softcal_jax.configurations import Mechanism
 from softcal_jax.equilibrium._host_pardiso import HostPardiso
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver, Klu, Pardiso
-from softcal_jax.equilibrium._multigrid import Multigrid, rigid_motions
 from softcal_jax.equilibrium._sparsity import Sparsity
 
 _ON_CPU = {"pardiso": Pardiso, "klu": Klu}
 _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
-_NAMES = ["auto", "klu", "multigrid", "pardiso", "pardiso-host"]
+_NAMES = ["klu", "pardiso", "pardiso-host"]
 
-ITERATIVE_FROM = 80_000
-"""Unknowns from which on "auto" takes multigrid (`python -m benchmarks run growth`)."""
+_REMOVED = ("auto", "multigrid")
+"""Names of former solvers. With six parameters at 58 719 and 106 624 nodes, a step of a
+calibration with multigrid took 1.5 times as long as with PARDISO."""
 
 
 def check_solver(name: str | None) -> None:
@@ -27,6 +26,11 @@ def check_solver(name: str | None) -> None:
     Raises:
         ValueError: If there is none.
     """
+    if name in _REMOVED:
+        raise ValueError(
+            f"solver {name!r} was removed with multigrid, which was slower in "
+            "calibrations: leave solver out for the direct solver of the platform."
+        )
     if name is not None and name not in _NAMES:
         raise ValueError(
             f"solver must be one of {_NAMES}, or left out for that of the platform, "
@@ -34,35 +38,23 @@ def check_solver(name: str | None) -> None:
         )
 
 
-def choose_solver(
-    name: str | None, unknowns: Sparsity, mechanism: Mechanism
-) -> AbstractLinearSolver:
-    """The solver of this name, ready for a pattern.
-
-    By default the direct solver that pyproject.toml installs on the platform, or that
-    of the host where JAX does not compute on the CPU; "auto" takes multigrid instead
-    for a large matrix that is symmetric. Nothing else is tried.
+def choose_solver(name: str | None, unknowns: Sparsity) -> AbstractLinearSolver:
+    """Prepare the solver of this name for a pattern; no other one is tried.
 
     Args:
-        name: Name of the solver, None for the default.
+        name: Name of the solver. None takes the one that pyproject.toml installs on the
+            platform, or "pardiso-host" where JAX does not compute on the CPU.
         unknowns: Pattern of the matrices to come.
-        mechanism: Points and rigid bodies of the robot.
 
     Raises:
         ImportError: If its package is not installed.
-        ValueError: If it cannot run where JAX computes, or not on such matrices.
+        ValueError: If it cannot run where JAX computes.
     """
     backend = jax.default_backend()
-    if name == "auto":
-        iterative = unknowns.symmetric and unknowns.n_dof >= ITERATIVE_FROM
-        name = "multigrid" if iterative else None
     if name is None and backend != "cpu":
         name = "pardiso-host"
-    if name in ("multigrid", "pardiso-host"):
-        _check_threads(name, backend)
-    if name == "multigrid":
-        return Multigrid.analyse(unknowns, rigid_motions(mechanism))
     if name == "pardiso-host":
+        _check_threads(name, backend)
         return HostPardiso.analyse(unknowns)
     if name is not None:
         if backend != "cpu":
@@ -82,7 +74,7 @@ def choose_solver(
 
 
 def _check_threads(name: str, backend: str) -> None:
-    """Raise where a program would wait for a callback that has no thread to run on."""
+    """Raise if JAX has no second thread to run the callback of a solver on."""
     told = os.environ.get("PJRT_NPROC", os.environ.get("NPROC", ""))
     threads = int(told) if told.isdigit() else available_cores()
     if backend == "cpu" and threads < 2:

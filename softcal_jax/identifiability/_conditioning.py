@@ -10,7 +10,7 @@ class Conditioning(eqx.Module):
     """How evenly the data see the parameters.
 
     Attributes:
-        singular_values: Of the noise-weighted W_ep, falling; 0 for what lacks data [-].
+        singular_values: Of the noise-weighted W_ep, descending; 0 where data lack [-].
         directions: Right singular vectors V by columns: directions of lambda_p. The
             columns of the last singular values are what the data see least (the paper
             says U, which holds effector directions).
@@ -44,7 +44,7 @@ def conditioning(
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
 ) -> Conditioning:
-    """Singular value decomposition W = U Sigma V^T and condition numbers; Sec. V-C.
+    """Compute the SVD W = U Sigma V^T and condition numbers; Sec. V-C.
 
     Statistics need W in units of the noise. The paper's numbers are those of W_ep and
     W_ep W_pp^-1 with W_ep in metres, which depend on the scaling S of the parameters.
@@ -68,16 +68,16 @@ def conditioning(
     if W_ep is not None and W_pp is not None:
         per_joule = _condition_per_joule(W_ep, W_pp)
     return Conditioning(
-        np.pad(singular, (0, W.shape[1] - len(singular))),
-        (signs[:, None] * Vt).T,
-        _condition(W),
-        np.nan if W_ep is None else _condition(W_ep),
-        per_joule,
+        singular_values=np.pad(singular, (0, W.shape[1] - len(singular))),
+        directions=(signs[:, None] * Vt).T,
+        condition_weighted=_condition(W),
+        condition_W_ep=np.nan if W_ep is None else _condition(W_ep),
+        condition_W_ep_W_pp=per_joule,
     )
 
 
 def _condition(W: Float[HostArray, "n_e n_p"]) -> float:
-    """Largest over smallest of the n_p singular values; infinite without rank."""
+    """Divide the largest by the smallest singular value; infinite without rank."""
     singular = np.linalg.svd(W, compute_uv=False)
     rounding = max(W.shape) * np.finfo(float).eps
     if len(singular) < W.shape[1] or singular[-1] <= rounding * singular[0]:
@@ -88,11 +88,11 @@ def _condition(W: Float[HostArray, "n_e n_p"]) -> float:
 def _condition_per_joule(
     W_ep: Float[HostArray, "n_e n_p"], W_pp: Float[HostArray, "n_p n_p"]
 ) -> float:
-    """Condition number of W_ep W_pp^-1; infinite where W_pp has no inverse."""
+    """Compute the condition number of W_ep W_pp^-1; infinite for a singular W_pp."""
     size = np.sqrt(np.maximum(np.diag(W_pp), 0.0))
     if not np.all(size > 0.0):
         return np.inf
-    # Unit diagonal, so that a parameter of small scale is not taken for a blind one.
+    # A unit diagonal, so that a small scale does not look like a blind direction.
     unit = W_pp / np.outer(size, size)
     if np.linalg.eigvalsh(unit)[0] <= len(size) * np.finfo(float).eps:
         return np.inf

@@ -20,7 +20,7 @@ class Design(eqx.Module):
     """A sequence of configurations to measure.
 
     Attributes:
-        steps: What each adds to what is there and to those before it.
+        steps: What each adds to the measured configurations and the steps before.
         unranked: Candidates that could not be judged.
         outcome: What all of them together would tell.
         blind_before: Directions that are not identifiable without them.
@@ -61,10 +61,10 @@ def greedy_design(
     noise: float | None = None,
     newton: NewtonSettings | None = None,
 ) -> Design:
-    """Choose n candidates, each the one that adds most to those before it.
+    """Choose n candidates one by one, each time the one that adds most.
 
-    log det M is submodular, so what greedy gains is at least 1 - 1/e = 63 % of what the
-    best n would (Nemhauser, Wolsey and Fisher, Math. Programming 14, 1978).
+    log det M is submodular, so the greedy choice gains at least 1 - 1/e = 63 % of what
+    the best n would (Nemhauser, Wolsey and Fisher, Math. Programming 14, 1978).
 
     Args:
         model: The body.
@@ -72,18 +72,18 @@ def greedy_design(
         configurations: What is measured already; may be empty.
         candidates: What might be measured, as in `rank_configurations`.
         n: How many to choose; fewer are chosen where fewer have an equilibrium.
-        at: Scaled values z at which it is judged; the start by default [-].
+        at: Scaled values z to linearise at; the start by default [-].
         noise: Standard deviation of every measured coordinate; by default what the
             markers state [m].
         newton: Settings of the equilibrium.
 
     Returns:
-        The sequence and the verdict at its end; condition numbers there are those of
+        The sequence and the verdict at its end, whose condition numbers are those of
         the noise-weighted compliances only.
 
     Raises:
         ValueError: If an input is wrong, or n is not between 1 and their number.
-        RuntimeError: If a configuration that is there has no equilibrium.
+        RuntimeError: If an already measured configuration has no equilibrium.
     """
     found = prospects(
         model,

@@ -9,19 +9,16 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.identifiability._spread import Verdict, verdict
 
 SHARE = 0.1
-"""Share of a direction (squared component) from which a parameter is named [-].
-
-The amplitude is then a third of the whole; below, it hardly turns the direction.
-"""
+"""Squared component of a unit vector from which its parameter is named [-]."""
 
 MOST_NAMED = 4
-"""Parameters that a direction names at most; a longer list is not read."""
+"""Parameters that a direction names at most, so that its text stays readable."""
 
 UNSEEN = 0.1
-"""Signal to noise below which a direction is as good as unseen [-].
+"""Signal to noise below which a direction counts as unseen [-].
 
-The data take less than 0.5 % off its prior standard deviation, so these directions are
-all alike and may be turned among themselves.
+The data reduce its prior standard deviation by less than 0.5 %, so such directions are
+interchangeable and any basis of their span is as good as another.
 """
 
 
@@ -47,12 +44,11 @@ class Direction(eqx.Module):
 def named_directions(
     G: Float[HostArray, "n_e n_p"], names: Sequence[str]
 ) -> tuple[Direction, ...]:
-    """Right singular vectors of the signal to noise, best seen first (Sec. V-C).
+    """Find the right singular vectors of G, best seen first (Sec. V-C).
 
-    Parameters count in units of their prior standard deviation, so that a direction
-    mixes a modulus and an angle fairly. Unseen directions have no order of their own:
-    they are turned among themselves to separate parameters, since a decomposition
-    leaves them mixed at random.
+    Parameters count in units of their prior standard deviation, so that moduli and
+    angles are comparable. The decomposition returns an arbitrary basis of the unseen
+    directions; it is replaced by one whose vectors each follow few parameters.
 
     Args:
         G: Noise-weighted compliances per prior standard deviation [-].
@@ -72,18 +68,23 @@ def named_directions(
     for row in order:
         v = Vt[row] * np.sign(Vt[row, np.argmax(np.round(np.abs(Vt[row]), 6))])
         spread = float(1.0 / np.hypot(1.0, signal[row]))
-        words = direction_words(v, names)
         directions.append(
-            Direction(float(signal[row]), v, spread, verdict(spread), words)
+            Direction(
+                signal=float(signal[row]),
+                components=v,
+                spread=spread,
+                verdict=verdict(spread),
+                words=direction_words(v, names),
+            )
         )
     return tuple(directions)
 
 
 def _separated(V: Float[HostArray, "n n_p"]) -> Float[HostArray, "n n_p"]:
-    """Orthonormal rows of the same span, each as near to one parameter as can be.
+    """Find orthonormal rows of the same span, each close to one parameter.
 
-    P e_i is the vector of the span nearest to parameter i, with P its projector; the
-    nearest is taken first and its direction removed (a QR with column pivoting).
+    With P the projector on the span, P e_i is its vector closest to parameter i. The
+    longest is taken first and removed from P (a QR with column pivoting).
     """
     P = V.T @ V
     rows = []
@@ -95,17 +96,17 @@ def _separated(V: Float[HostArray, "n n_p"]) -> Float[HostArray, "n n_p"]:
 
 
 def direction_words(v: Float[HostArray, " n_p"], names: Sequence[str]) -> str:
-    """A direction in words, like "E_t of CP 1 up while theta of CP 2 down".
+    """Describe a direction, as in "E_t of CP 1 up while theta of CP 2 down".
 
     Args:
         v: Unit vector.
         names: Names of the parameters.
 
     Returns:
-        The parameters with at least `SHARE` of it, the largest first; the largest few
-        of a direction in which no parameter has that much.
+        The parameters with a squared component of at least `SHARE`, largest first, or
+        the largest few if there are none.
     """
-    # Equal shares keep the order of the parameters, whatever the rounding.
+    # Rounded, so that equal components keep the order of the parameters.
     order = sorted(range(len(v)), key=lambda i: -round(float(v[i] ** 2), 6))
     large = [i for i in order if v[i] ** 2 >= SHARE]
     named = (large or order)[:MOST_NAMED]

@@ -4,26 +4,26 @@ from softcal_jax._units import readable_unit
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with a few digits, without an exponent where none is needed."""
+    """Format a number with a few digits, without an exponent where none is needed."""
     if 10.0**digits <= abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:.{digits}g}"
 
 
 def quantity(value: float, unit: str, like: float | None = None) -> str:
-    """A value with its unit, like "263 kPa".
+    """Format a value with its unit, as in "263 kPa".
 
     Args:
         value: The value, in SI.
         unit: Its SI unit.
-        like: The value that decides the prefix; `value` by default.
+        like: The value that selects the prefix; `value` by default.
     """
     factor, shown = readable_unit([value if like is None else like], unit)
     return f"{number(value * factor)} {shown}".rstrip()
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    """Lines of a table, columns aligned on the left."""
+    """Format the lines of a table, columns aligned on the left."""
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     return [
         "  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in (head, *rows)

@@ -9,7 +9,7 @@ from softcal_jax._units import readable_unit
 from softcal_jax.identifiability._display import number, table
 
 HARDLY = 1.05
-"""Factor on a standard error below which a candidate is said to help hardly [-]."""
+"""Factor on a standard error below which a candidate hardly helps [-]."""
 
 
 class Gain(eqx.Module):
@@ -17,11 +17,11 @@ class Gain(eqx.Module):
 
     Attributes:
         name: Name of the candidate.
-        d_gain: Fall of the log volume of the parameters' uncertainty, twice, which is
+        d_gain: Twice the decrease of the log volume of the parameters' uncertainty,
             log det(M + J) - log det M [nat].
-        e_gain: Rise of the smallest eigenvalue of M, in units of the prior's [-].
-        blind_left: Directions that are not identifiable with it.
-        parameter: The one whose standard error falls most, in units of its bounds.
+        e_gain: Increase of the smallest eigenvalue of M, in units of the prior's [-].
+        blind_left: Number of directions that remain unidentifiable with it.
+        parameter: The one whose standard error falls most, relative to its bounds.
         before: Its standard error without the candidate, in SI.
         after: Its standard error with it, in SI.
         value: Its value, in SI.
@@ -60,7 +60,7 @@ class Gain(eqx.Module):
 
 
 class Unranked(eqx.Module):
-    """A candidate that cannot be judged.
+    """A candidate that cannot be ranked.
 
     Attributes:
         name: Its name.
@@ -76,15 +76,8 @@ class Unranked(eqx.Module):
 
 
 def gain_table(gains: Sequence[Gain], n_parameters: int) -> list[str]:
-    """Lines of a table with one row per gain."""
-    head = (
-        "candidate",
-        "D gain [nat]",
-        "volume",
-        "E gain",
-        "blind left",
-        "standard error",
-    )
+    """Format a table with one row per gain."""
+    words = "candidate, D gain [nat], volume, E gain, blind left, standard error"
     rows = [
         (
             gain.name,
@@ -96,4 +89,4 @@ def gain_table(gains: Sequence[Gain], n_parameters: int) -> list[str]:
         )
         for gain in gains
     ]
-    return table(head, rows)
+    return table(tuple(words.split(", ")), rows)

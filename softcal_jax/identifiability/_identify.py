@@ -37,27 +37,27 @@ def identifiability(
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
 ) -> Identifiability:
-    """What data with these compliances can tell about the parameters; Sec. V-C.
+    """Judge what data with these compliances tell about the parameters; Sec. V-C.
 
-    Predicted covariance (I / prior^2 + W^T W)^-1, with the prior's standard deviation
-    that of a uniform density between the bounds, or `prior_std` of the parameter. So a
-    parameter that no data see has the spread of its bounds, not an infinite one. The
-    verdict compares both spreads (`IDENTIFIABLE_BELOW`, `WEAK_BELOW`).
+    The predicted covariance is (I / prior^2 + W^T W)^-1. The prior's standard deviation
+    is that of a uniform density between the bounds, or the parameter's `prior_std`, so
+    a parameter that no data see has a finite spread. The verdict compares predicted and
+    prior spread (`IDENTIFIABLE_BELOW`, `WEAK_BELOW`).
 
-    It is local: at E_l = E_t, for example, the angle of the fibre moves nothing.
+    The verdict is local: at E_l = E_t, for example, the fibre angle has no effect.
 
     Args:
         W: Compliances in units of the noise, stacked, per unit of lambda_p; of a
             calibration `CalibrationResult.W_ep` [-].
         space: The parameters.
-        z: Their scaled values, like `CalibrationResult.z` [-].
-        noise_scale: Factor on the noise, like `Uncertainty.noise_scale` [-].
+        z: Their scaled values, such as `CalibrationResult.z` [-].
+        noise_scale: Factor on the noise, such as `Uncertainty.noise_scale` [-].
         n_data: Measured coordinates; by default the rows of `W` that are not zero.
         W_ep: `W` in metres, for condition numbers [m].
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
 
     Returns:
-        The verdict and what it rests on.
+        The verdict and the numbers behind it.
 
     Raises:
         ValueError: If `W` is not finite or has not one column per parameter, or the
@@ -79,13 +79,13 @@ def identifiability(
     directions = named_directions(G, space.names)
     outlooks = _outlooks(space, z, np.sqrt(np.diag(covariance)), data_only_std(G))
     return Identifiability(
-        verdict(max(d.spread for d in directions)),
-        outlooks,
-        directions,
-        covariance * np.outer(prior, prior),
-        numbers,
-        int(np.any(W != 0.0, axis=1).sum()) if n_data is None else n_data,
-        "prior" if space.has_prior else "bounds",
+        verdict=verdict(max(d.spread for d in directions)),
+        parameters=outlooks,
+        directions=directions,
+        covariance=covariance * np.outer(prior, prior),
+        conditioning=numbers,
+        n_data=int(np.any(W != 0.0, axis=1).sum()) if n_data is None else n_data,
+        known="prior" if space.has_prior else "bounds",
     )
 
 
@@ -95,7 +95,7 @@ def _outlooks(
     spread: Float[HostArray, " n_p"],
     alone: Float[HostArray, " n_p"],
 ) -> tuple[ParameterOutlook, ...]:
-    """Entries in SI units, from spreads in units of the prior."""
+    """Convert spreads in units of the prior to SI."""
     prior = si_slope(space, z) * prior_std(space)
     values = np.asarray(space.from_scaled(jnp.asarray(z)))
     outlooks = []
@@ -104,15 +104,15 @@ def _outlooks(
         plain = parameter.unit == "rad" or values[i] == 0.0
         outlooks.append(
             ParameterOutlook(
-                parameter.name,
-                float(values[i]),
-                error,
-                float(prior[i] * alone[i]),
-                float(prior[i]),
-                None if plain else error / abs(float(values[i])),
-                float(spread[i]),
-                verdict(float(spread[i])),
-                parameter.unit,
+                name=parameter.name,
+                value=float(values[i]),
+                standard_error=error,
+                data_only=float(prior[i] * alone[i]),
+                prior=float(prior[i]),
+                relative=None if plain else error / abs(float(values[i])),
+                spread=float(spread[i]),
+                verdict=verdict(float(spread[i])),
+                unit=parameter.unit,
             )
         )
     return tuple(outlooks)
@@ -127,15 +127,15 @@ def identify(
     noise: float | None = None,
     newton: NewtonSettings | None = None,
 ) -> Identifiability:
-    """What markers in these configurations would tell; before anything is measured.
+    """Predict what markers in these configurations would tell, before measuring.
 
     Args:
         model: The body.
         parameters: What would be calibrated, with start and bounds.
-        configurations: Poses with markers, whose `std` and `axes` count; `measured` is
-            not looked at and may be missing.
-        at: Scaled values z at which it is judged; the start by default. `to_scaled` of
-            a `ParameterSpace` makes them of SI values [-].
+        configurations: Poses with markers, of which `std` and `axes` are used;
+            `measured` is ignored and may be missing.
+        at: Scaled values z to linearise at; the start by default. The `to_scaled` of a
+            `ParameterSpace` converts SI values [-].
         noise: Standard deviation of every measured coordinate; by default what the
             markers state [m].
         newton: Settings of the equilibrium.

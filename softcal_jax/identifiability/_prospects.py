@@ -1,6 +1,7 @@
 """Signal to noise of what is known and of candidate configurations."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,13 +28,13 @@ from softcal_jax.identifiability._survey import (
 
 
 class Prospects(eqx.Module):
-    """What is known, and what candidates would add, as signal to noise.
+    """Signal to noise of what is known and of what candidates would add.
 
     Attributes:
         space: The parameters.
-        z: Where they were taken [-].
-        known: Of the configurations that are there, stacked, per prior std [-].
-        candidates: Of each candidate that has an equilibrium, by name.
+        z: Their values at which all was linearised [-].
+        known: Signal of the measured configurations, stacked, per prior std [-].
+        candidates: Signal of each candidate that has an equilibrium, by name.
         unranked: The other candidates.
     """
 
@@ -44,13 +45,13 @@ class Prospects(eqx.Module):
     unranked: tuple[Unranked, ...]
 
     def with_measured(self, name: str) -> "Prospects":
-        """A candidate counted among what is known."""
+        """Move a candidate to what is known."""
         known = np.concatenate([self.known, self.candidates[name]])
         rest = {k: G for k, G in self.candidates.items() if k != name}
-        return Prospects(self.space, self.z, known, rest, self.unranked)
+        return replace(self, known=known, candidates=rest)
 
     def gain(self, name: str) -> Gain:
-        """What a candidate adds to what is known."""
+        """Compute what a candidate adds to what is known."""
         before = self.known
         after = np.concatenate([before, self.candidates[name]])
         spreads = [np.sqrt(np.diag(posterior(G))) for G in (before, after)]
@@ -60,28 +61,28 @@ class Prospects(eqx.Module):
         value = np.asarray(self.space.from_scaled(jnp.asarray(self.z)))[best]
         old, new = (information_eigenvalues(G) for G in (before, after))
         return Gain(
-            name,
-            float(np.sum(np.log(new)) - np.sum(np.log(old))),
-            float(new[-1] - old[-1]),
-            blind_count(after),
-            parameter.name,
-            float(prior * spreads[0][best]),
-            float(prior * spreads[1][best]),
-            float(value),
-            parameter.unit,
+            name=name,
+            d_gain=float(np.sum(np.log(new)) - np.sum(np.log(old))),
+            e_gain=float(new[-1] - old[-1]),
+            blind_left=blind_count(after),
+            parameter=parameter.name,
+            before=float(prior * spreads[0][best]),
+            after=float(prior * spreads[1][best]),
+            value=float(value),
+            unit=parameter.unit,
         )
 
 
 def information_eigenvalues(
     G: Float[HostArray, "n_e n_p"],
 ) -> Float[HostArray, " n_p"]:
-    """Eigenvalues of M = I + G^T G, falling; not formed, for its condition [-]."""
+    """Compute the eigenvalues of M = I + G^T G, descending, from those of G [-]."""
     singular = np.linalg.svd(G, compute_uv=False)
     return 1.0 + np.pad(singular, (0, G.shape[1] - len(singular))) ** 2
 
 
 def blind_count(G: Float[HostArray, "n_e n_p"]) -> int:
-    """Directions whose spread, 1 / root of their eigenvalue, is not identifiable."""
+    """Count the directions that are not identifiable; the spread is eigenvalue^-1/2."""
     return int(np.sum(1.0 / np.sqrt(information_eigenvalues(G)) > WEAK_BELOW))
 
 
@@ -95,11 +96,11 @@ def prospects(
     noise: float | None,
     newton: NewtonSettings | None,
 ) -> Prospects:
-    """Solve what is there and the candidates in one batch; see `rank_configurations`.
+    """Solve measured and candidate configurations in one batch.
 
     Raises:
         ValueError: If there is no candidate or a name repeats.
-        RuntimeError: If a configuration that is there has no equilibrium.
+        RuntimeError: If an already measured configuration has no equilibrium.
     """
     known, tried = as_sequence(configurations), as_sequence(candidates)
     if not tried:
@@ -117,14 +118,14 @@ def prospects(
     rows = [s.W * prior for s in found.sensed[: len(known)]]
     new = found.sensed[len(known) :]
     return Prospects(
-        found.space,
-        np.asarray(found.z),
-        np.concatenate([np.zeros((0, len(prior))), *rows]),
-        {s.name: s.W * prior for s in new if not _trouble(s)},
-        tuple(Unranked(s.name, _trouble(s)) for s in new if _trouble(s)),
+        space=found.space,
+        z=np.asarray(found.z),
+        known=np.concatenate([np.zeros((0, len(prior))), *rows]),
+        candidates={s.name: s.W * prior for s in new if not _trouble(s)},
+        unranked=tuple(Unranked(s.name, _trouble(s)) for s in new if _trouble(s)),
     )
 
 
 def _trouble(s: Sensed) -> str:
-    """Why a candidate cannot be judged; empty if it can."""
+    """Say why a candidate cannot be ranked; empty if it can."""
     return s.failure or ("" if len(s.W) else "it has no markers to measure")

@@ -53,14 +53,14 @@ def rank_configurations(
     noise: float | None = None,
     newton: NewtonSettings | None = None,
 ) -> Ranking:
-    """Order candidate configurations by what they would tell; nothing is measured.
+    """Order candidate configurations by what they would tell, before measuring.
 
     With G the compliances in units of the noise per prior standard deviation,
     M = I + G^T G the information of bounds and configurations and J = G_c^T G_c that of
-    a candidate, the order is that of log det(M + J) - log det M (D-optimality;
-    Chaloner and Verdinelli, Statistical Science 10, 1995). The rise of the
-    smallest eigenvalue of M (E-optimality) is given too: D rewards what shrinks any
-    direction, E what shrinks the worst.
+    a candidate, they are ordered by log det(M + J) - log det M (D-optimality; Chaloner
+    and Verdinelli, Statistical Science 10, 1995). The increase of the smallest
+    eigenvalue of M (E-optimality) is given too: D rewards what shrinks any direction of
+    the uncertainty, E only what shrinks the worst one.
 
     Args:
         model: The body.
@@ -68,19 +68,19 @@ def rank_configurations(
         configurations: What is measured already; may be empty.
         candidates: What might be measured: any load, orientation, support and markers,
             by names of their own.
-        at: Scaled values z at which it is judged, like `CalibrationResult.z`; the start
+        at: Scaled values z to linearise at, such as `CalibrationResult.z`; the start
             by default [-].
         noise: Standard deviation of every measured coordinate; by default what the
             markers state [m].
         newton: Settings of the equilibrium.
 
     Returns:
-        The candidates, the best first. One without an equilibrium at these values, or
-        without markers, is not ranked but named with its reason.
+        The candidates, the best first. Those without an equilibrium at these values or
+        without markers are listed with the reason.
 
     Raises:
         ValueError: If an input is wrong, there is no candidate, or a name repeats.
-        RuntimeError: If a configuration that is there has no equilibrium.
+        RuntimeError: If an already measured configuration has no equilibrium.
     """
     found = prospects(
         model,

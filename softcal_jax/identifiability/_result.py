@@ -21,11 +21,11 @@ class ParameterOutlook(eqx.Module):
 
     Attributes:
         name: Its name.
-        value: Where it was taken.
-        standard_error: Predicted from noise and bounds; never above that of the bounds.
+        value: Its value at which it was judged.
+        standard_error: Predicted from noise and prior; never above `prior`.
         data_only: Predicted from the noise alone; infinite where the data are blind.
-        prior: Standard deviation of what is known before any data: of the bounds, their
-            width over the root of 12, or the stated one.
+        prior: Standard deviation before any data: the width between the bounds over the
+            root of 12, or the stated one if that is smaller.
         relative: Standard error over value [-]; None for an angle or a value of zero.
         spread: Standard error over `prior`, in scaled units [-].
         verdict: What the spread is called.
@@ -53,8 +53,7 @@ class Identifiability(eqx.Module):
         covariance: Predicted from noise and bounds, of the scaled parameters [-].
         conditioning: Singular values and condition numbers.
         n_data: Measured coordinates.
-        known: What the spread is compared with: "prior" where one is stated, otherwise
-            "bounds".
+        known: What the spread is compared with: "prior" if stated, else "bounds".
     """
 
     verdict: Verdict
@@ -67,7 +66,7 @@ class Identifiability(eqx.Module):
 
     @property
     def informed(self) -> int:
-        """Directions along which the data tell more than was known before."""
+        """Number of directions along which the data tell more than the prior."""
         return sum(d.signal > 1.0 for d in self.directions)
 
     @property
@@ -139,7 +138,7 @@ def _row(p: ParameterOutlook, known: str) -> tuple[str, ...]:
 
 
 def _remedies(found: Identifiability) -> list[str]:
-    """What to do about it, if anything."""
+    """Advise what to do, if anything."""
     missing = found.n_parameters - found.n_data
     if found.n_data == 0:
         return ["Nothing is measured: give the configurations markers."]

@@ -15,39 +15,38 @@ IDENTIFIABLE_BELOW = 0.1
 """Spread below which a parameter is identifiable [-].
 
 The spread is the predicted standard deviation over that of the bounds. At 0.1 the data
-know a hundred times (99 %) more than the bounds, and the standard deviation is 2.9 % of
-the range.
+hold 99 % of the information, and the standard deviation is 2.9 % of the range.
 """
 
 WEAK_BELOW = 0.5
 """Spread above which a parameter is not identifiable [-].
 
-At 0.5 three quarters of the information come from the data; above it the bounds that
-the user typed decide too much of the value.
+At 0.5 the data hold three quarters of the information; above it, the value depends too
+much on the bounds that the user chose.
 """
 
 BLIND = 1e-6
-"""Singular value, over the largest, below which a direction is rounding only [-].
+"""Relative singular value below which a direction is only rounding [-].
 
-Columns have unit length then, as in `calibration.uncertainty`.
+It is that of a matrix with columns of unit length, as in `calibration.uncertainty`.
 """
 
 VANISHED = 1e-12
-"""Sensitivity, over the largest, below which a parameter moves nothing [-]."""
+"""Relative sensitivity below which a parameter has no effect [-]."""
 
 
 def verdict(spread: float) -> Verdict:
-    """The word for a spread: predicted over prior standard deviation [-]."""
+    """Name a spread, the predicted over the prior standard deviation [-]."""
     if spread < IDENTIFIABLE_BELOW:
         return "identifiable"
     return "weakly identifiable" if spread <= WEAK_BELOW else "not identifiable"
 
 
 def prior_std(space: ParameterSpace) -> Float[HostArray, " n_p"]:
-    """Standard deviation of what is known before any data, scaled [-].
+    """Compute the scaled standard deviation before any data [-].
 
-    That of a uniform density between the bounds, or the `prior_std` of a parameter
-    where it is smaller.
+    It is that of a uniform density between the bounds, or the `prior_std` of the
+    parameter if that is smaller.
     """
     bounds = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
     weights = np.asarray(space.prior_weights())
@@ -55,10 +54,10 @@ def prior_std(space: ParameterSpace) -> Float[HostArray, " n_p"]:
 
 
 def posterior(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, "n_p n_p"]:
-    """Covariance (I + G^T G)^-1 in units of the prior's standard deviations.
+    """Compute the covariance (I + G^T G)^-1 in units of the prior standard deviations.
 
-    Linear-Gaussian Bayes (Tarantola, Inverse Problem Theory, 2005, ch. 3): Fisher
-    information of the data plus that of the prior. It exists whatever the data lack.
+    Linear-Gaussian Bayes (Tarantola, Inverse Problem Theory, 2005, ch. 3): the Fisher
+    information of the data plus that of the prior, so the inverse always exists.
 
     Args:
         G: Noise-weighted compliances per prior standard deviation: signal to noise.
@@ -73,14 +72,14 @@ def posterior(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, "n_p n_p"]:
 
 
 def data_only_std(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, " n_p"]:
-    """Standard deviations from the data alone, roots of diag((G^T G)^-1).
+    """Compute standard deviations from the data alone, roots of diag((G^T G)^-1).
 
     Args:
         G: Noise-weighted compliances per prior standard deviation [-].
 
     Returns:
-        Standard deviations in units of the prior's [-]; infinite for each parameter
-        that takes part in a blind direction.
+        Standard deviations in units of the prior's [-]; infinite for parameters with a
+        component in a blind direction.
     """
     std = np.full(G.shape[1], np.inf)
     size = np.linalg.norm(G, axis=0)
@@ -91,7 +90,7 @@ def data_only_std(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, " n_p"]:
     known = np.zeros(len(Vt), bool)
     known[: len(singular)] = singular > BLIND * singular[0]
     variance = np.sum((Vt[known].T / singular[known[: len(singular)]]) ** 2, axis=1)
-    # A component of BLIND is as uncertain as the direction itself.
+    # Any component above rounding makes a parameter as uncertain as the direction.
     drifts = np.max(np.abs(Vt[~known]), axis=0, initial=0.0) > BLIND
     std[seen] = np.where(drifts, np.inf, np.sqrt(variance) / size[seen])
     return std
@@ -100,7 +99,7 @@ def data_only_std(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, " n_p"]:
 def si_slope(
     space: ParameterSpace, z: Float[Array | HostArray, " n_p"]
 ) -> Float[HostArray, " n_p"]:
-    """dp/dz of each parameter, which is scaled by itself: SI unit per unit of z."""
+    """Compute dp/dz of each parameter, in its SI unit per unit of z."""
     z = jnp.asarray(z)
     _, slope = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
     return np.abs(np.asarray(slope))

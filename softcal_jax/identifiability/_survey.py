@@ -1,4 +1,4 @@
-"""What configurations would tell: their compliances, without any measurement."""
+"""Compliances of configurations before any measurement."""
 
 from collections.abc import Sequence
 
@@ -39,7 +39,7 @@ AnyVector = Array | HostArray
 
 
 class Sensed(eqx.Module):
-    """What one configuration would tell about the parameters, on the host.
+    """Compliances of one configuration, on the host.
 
     Attributes:
         name: Name of the configuration.
@@ -57,7 +57,7 @@ class Sensed(eqx.Module):
 
 
 class Survey(eqx.Module):
-    """What configurations would tell at one value of the parameters.
+    """Compliances of configurations at one value of the parameters.
 
     Attributes:
         space: The parameters.
@@ -94,12 +94,12 @@ def survey(
     Args:
         model: The body.
         parameters: The parameters.
-        configurations: Poses with markers; `measured` is not looked at.
+        configurations: Poses with markers; `measured` is ignored.
         at: Scaled values z; the start by default [-].
         noise: Standard deviation of every measured coordinate; by default what the
             markers state [m].
         newton: Settings of the equilibrium.
-        required: How many, from the first on, must have an equilibrium; all by default.
+        required: How many of the first ones must have an equilibrium; all by default.
 
     Returns:
         One entry per configuration.
@@ -116,7 +116,7 @@ def survey(
         check_parameters(model, space)
         return Survey(space, z, ())
     mesh, mechanism = model.mesh, model.mechanism
-    # One without effectors sees nothing, which is a verdict and no error.
+    # A configuration without effectors sees nothing; that is a verdict, not an error.
     posed = [
         measured_at_rest(c, mesh, mechanism) if c.markers or c.effectors else c
         for c in configurations
@@ -130,18 +130,26 @@ def survey(
     if required:
         first = jax.tree.map(lambda leaf: leaf[:required], solution)
         check_converged(first, names)
-    lanes = range(len(names))
     weights = np.asarray(arrays.effectors.inverse_std).reshape(len(names), -1)
     if noise is not None:
         weights = np.where(weights > 0.0, 1.0 / noise, 0.0)
-    failures = [_failure(solution, compliance, lane) for lane in lanes]
+    failures = [_failure(solution, compliance, i) for i in range(len(names))]
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
-    sensed = (
-        _sensed(names[lane], compliance, lane, weights[lane], failures[lane])
-        for lane in lanes
-    )
+    sensed = []
+    W_ep, W_pp = np.asarray(compliance.W_ep), np.asarray(compliance.W_pp)
+    for i, name in enumerate(names):
+        seen = weights[i] > 0.0
+        sensed.append(
+            Sensed(
+                name=name,
+                W_ep=W_ep[i, seen],
+                W=weights[i, seen, None] * W_ep[i, seen],
+                W_pp=W_pp[i],
+                failure=failures[i],
+            )
+        )
     return Survey(space, z, tuple(sensed))
 
 
@@ -159,20 +167,6 @@ def _scaled_values(
     return z
 
 
-def _sensed(
-    name: str,
-    compliance: EnergyCompliance,
-    lane: int,
-    weight: Float[HostArray, " n_e"],
-    failure: str,
-) -> Sensed:
-    """One lane on the host, without the coordinates that are not measured."""
-    seen = weight > 0.0
-    W_ep = np.asarray(compliance.W_ep[lane])[seen]
-    W = weight[seen, None] * W_ep
-    return Sensed(name, W_ep, W, np.asarray(compliance.W_pp[lane]), failure)
-
-
 def _failure(
     solution: EquilibriumSolution, compliance: EnergyCompliance, lane: int
 ) -> str:
@@ -185,7 +179,7 @@ def _failure(
 def as_sequence(
     configurations: Configuration | Sequence[Configuration],
 ) -> tuple[Configuration, ...]:
-    """One configuration or several, as a tuple."""
+    """Return one or several configurations as a tuple."""
     if isinstance(configurations, Configuration):
         return (configurations,)
     return tuple(configurations)

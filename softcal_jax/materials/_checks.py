@@ -1,4 +1,4 @@
-"""Range checks of material constants, at construction and only on concrete values."""
+"""Range checks of material constants, for values that are not traced."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,12 +8,12 @@ from softcal_jax._typing import Array, Float, is_traced
 
 
 def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-    """A constant, or one value per tet, as a floating-point array."""
+    """Convert a constant, or one value per tet, to a floating-point array."""
     return jnp.asarray(value, float)
 
 
 def _concrete(value: Float[Array, "..."]) -> np.ndarray | None:
-    """The values on the host, at least one; None while they are traced."""
+    """Return the values on the host; None if they are traced."""
     if is_traced(value) or not hasattr(value, "shape"):
         return None
     return np.atleast_1d(np.asarray(value))
@@ -53,7 +53,7 @@ def check_finite(name: str, value: Float[Array, "..."], unit: str) -> None:
 
 
 def _together(**fields: Float[Array, "..."]) -> list[np.ndarray] | None:
-    """Concrete values, one per tet where any has that; None while one is traced."""
+    """Broadcast values on the host against each other; None if one is traced."""
     values = {name: _concrete(value) for name, value in fields.items()}
     known = [value for value in values.values() if value is not None]
     if len(known) < len(values):

@@ -38,7 +38,6 @@ def _polar(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> _Polar:
     R = rotation(F)
     S = symmetric(matmul(R.T, F))
     M = jnp.trace(S) * jnp.eye(3) - S
-    # M is symmetric, so its cofactor needs no transposing.
     M_inverse = cofactor(M) / determinant(M)
     return _Polar(R, S, elasticity.stress(S - jnp.eye(3)), M_inverse)
 
@@ -48,12 +47,12 @@ def _times(M: Float[Array, "3 3"], a: Float[Array, "3"]) -> Float[Array, "3"]:
 
 
 def _left(A: Float[Array, "3 3"], X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
-    """Products A X_r."""
+    """Multiply A X_r."""
     return sum_of(A[None, :, k, None] * X[:, k, None, :] for k in range(3))
 
 
 def _right(X: Float[Array, "n 3 3"], A: Float[Array, "3 3"]) -> Float[Array, "n 3 3"]:
-    """Products X_r A."""
+    """Multiply X_r A."""
     return sum_of(X[:, :, k, None] * A[None, k, None, :] for k in range(3))
 
 
@@ -93,7 +92,7 @@ class Corotational(AbstractLinearLaw):
     def energy_and_stress(
         self, F: Float[Array, "3 3"]
     ) -> tuple[Float[Array, ""], Float[Array, "3 3"]]:
-        """Both from one polar decomposition."""
+        """Compute energy and stress from one polar decomposition."""
         R, S, sigma, M_inverse = _polar(self.elasticity, F)
         c = _times(M_inverse, axial(matmul(sigma, S)))
         energy = 0.5 * jnp.sum((S - jnp.eye(3)) * sigma)
@@ -106,13 +105,13 @@ class Corotational(AbstractLinearLaw):
     def stress_and_tangent(
         self, F: Float[Array, "3 3"]
     ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
-        """Both from one polar decomposition.
+        """Compute stress and tangent from one polar decomposition.
 
-        The tangent is R_im R_kn (C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL). It resolves
+        The tangent is R_im R_kn (C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL). It splits
         R^T dP = hat(omega) (sigma - hat(c)) + dsigma - hat(dc), with
-        omega = M^-1 axial(A) and dS = A - hat(omega) S for A = R^T dF, into a part C
-        for symmetric A and what a spin adds. With hat_r = hat(e_r), p = sigma - hat(c)
-        and Q_r = sym(hat_r S):
+        omega = M^-1 axial(A) and dS = A - hat(omega) S for A = R^T dF, into C for a
+        symmetric A and the contribution of a spin. With hat_r = hat(e_r),
+        p = sigma - hat(c) and Q_r = sym(hat_r S):
 
             N = M^-1 (C : Q + sym(p^T hat))           dc = N : dS
             K = (tr(p) I / 2 - p / 2 + N : Q) M^-1    hat_r : R^T dP / 4 for A = hat_s
@@ -140,7 +139,7 @@ class Corotational(AbstractLinearLaw):
 def _less_spins(
     C: Float[Array, "3 3 3 3"], Y: Float[Array, "3 3 3"]
 ) -> Float[Array, "3 3 3 3"]:
-    """C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL: each hat has two entries only."""
+    """Compute C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL; hat_r has two entries only."""
 
     def spin(m, J, n, L):
         if m == J:
@@ -161,8 +160,8 @@ class ClassicalCorotational(AbstractLinearLaw):
 
     It drops the term hat(c) of `Corotational`. For an isotropic C nothing changes. For
     an anisotropic C the force has no potential, the moments do not balance (P F^T is
-    not symmetric) and the tangent has no major symmetry, so a solver that rests on any
-    of them must not take it. Use it to compare with SOFA, otherwise `Corotational`.
+    not symmetric) and the tangent has no major symmetry; a solver that relies on any of
+    these cannot be used. Take it to compare with SOFA, otherwise `Corotational`.
 
     Attributes:
         elasticity: The tensor C, in the axes of the rest shape.

@@ -24,11 +24,11 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 """Voigt's order of the entries of a symmetric tensor."""
 
 _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-"""Place of an entry in it."""
+"""Index of an entry in that order."""
 
 _UPPER = np.zeros((6, 6), int)
 _UPPER[np.triu_indices(6)] = _UPPER.T[np.triu_indices(6)] = np.arange(21)
-"""Place of an entry of the 6x6 matrix in its upper triangle, row by row."""
+"""Index of an entry of the 6x6 matrix in its upper triangle, row by row."""
 
 
 class AbstractElasticity(eqx.Module):
@@ -43,7 +43,7 @@ class AbstractElasticity(eqx.Module):
         return jax.vmap(jax.vmap(self.stress))(jnp.asarray(_SYMMETRIC_UNIT))
 
     def tabulated(self) -> "AbstractElasticity":
-        """The same tensor, by its entries where these take long to compute.
+        """Compute the entries once, if that takes long.
 
         Fields may be those of a whole body: one value, one per tet, or `PointValues`.
         """
@@ -62,14 +62,14 @@ class Tabulated(AbstractElasticity):
 
     @classmethod
     def of(cls, elasticity: AbstractElasticity) -> "Tabulated":
-        """Entries of an elasticity whose constants are scalars at each point."""
+        """Compute the entries of an elasticity with scalar constants at each point."""
         leaves, tree = jax.tree.flatten(elasticity, is_leaf=is_point_values)
         per_point = any(map(is_point_values, leaves))
 
         def plain(leaf):
             if is_point_values(leaf):
                 return leaf.values
-            # In front of the points of each tet.
+            # Values per tet come in front of the points of each tet.
             return leaf[..., None] if per_point and leaf.ndim > 0 else leaf
 
         def entries(*constants):
@@ -93,14 +93,14 @@ class Tabulated(AbstractElasticity):
 
     def tensor(self) -> Float[Array, "3 3 3 3"]:
         """The tensor C_MJNL [Pa]."""
-        places = _UPPER[_VOIGT[:, :, None, None], _VOIGT[None, None]].ravel()
-        return jnp.stack([self.entries[p] for p in places]).reshape(3, 3, 3, 3)
+        indices = _UPPER[_VOIGT[:, :, None, None], _VOIGT[None, None]].ravel()
+        return jnp.stack([self.entries[i] for i in indices]).reshape(3, 3, 3, 3)
 
 
 def lame(
     E: Float[ArrayLike, "..."], nu: Float[ArrayLike, "..."]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Lame constants (lambda, mu) of Young's modulus and Poisson's ratio [Pa].
+    """Convert Young's modulus and Poisson's ratio to Lame constants (lambda, mu) [Pa].
 
     Args:
         E: Young's modulus [Pa].

@@ -16,8 +16,8 @@ class Fibre(eqx.Module):
 
     u = cos(phi) (cos(theta) a + sin(theta) b) + sin(phi) n, with a and b the axes that
     `plane` names, in this order, and n the third axis (not a x b: for "xz" n is +y).
-    The paper (Vanneste, Goury, Duriez, RA-L 2022, Sec. IV.A) has phi = 0. Laws do not
-    tell u from -u, so angles that differ by half a turn of u mean the same material.
+    The paper (Vanneste, Goury, Duriez, RA-L 2022, Sec. IV.A) has phi = 0. Laws depend
+    on u u^T only, so u and -u mean the same material.
 
     Attributes:
         theta: Angle from a towards b [rad], one value or one per tet.

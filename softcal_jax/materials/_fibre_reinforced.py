@@ -79,22 +79,22 @@ class FibreReinforced(AbstractLaw):
     in the modes of Criscione, Douglas and Hunter (J. Mech. Phys. Solids 49, 2001) with
     the fibre invariants of Blemker, Pinsky and Delp (J. Biomech. 38, 2005). Deviations:
     the shear along the fibre is tan^2 of the angle between the fibre and the normal of
-    its section, so that it costs mu_l gamma^2/2 in both simple shears, in place of
-    I5/I4^2 - 1 (equal at small strain); the shear across is not put through arccosh.
+    its section instead of I5/I4^2 - 1 (equal at small strain), so that both simple
+    shears have the energy mu_l gamma^2/2; the shear across is taken without arccosh.
 
     The small-strain limit is `TransverseIsotropic` with nu_t = nu_tl = nu, stiffnesses
-    C_ij included; no line is negative for a stable set of constants, whether the fibre
-    is the soft or the stiff axis. (The law of Bonet and Burton, Comput. Methods Appl.
-    Mech. Eng. 162, 1998, loses its strength where a soft fibre is stretched.) With
-    E_t = E_l it is isotropic at small strain only. A bar pulled along the fibre carries
-    P = E_l ln(l) / l, most at l = e. Not defined for J <= 0, where it returns NaN and
-    the solver steps back.
+    C_ij included. No line of psi is negative for a stable set of constants, whether the
+    fibre is the soft or the stiff axis. (The law of Bonet and Burton, Comput. Methods
+    Appl. Mech. Eng. 162, 1998, loses its strength where a soft fibre is stretched.)
+    With E_t = E_l it is isotropic at small strain only. A bar under tension along the
+    fibre carries P = E_l ln(l) / l, with its maximum at l = e. Not defined for J <= 0,
+    where it returns NaN and the solver steps back.
 
     Attributes:
         E_t: Young's modulus across the fibre at small strain [Pa].
         E_l: Young's modulus along the fibre at small strain [Pa].
-        nu: Poisson's ratio for stress across the fibre, in the transverse plane and
-            along the fibre alike [-], with -1 < nu and 1 - nu - 2 nu^2 E_l/E_t > 0.
+        nu: Poisson's ratio for stress across the fibre, the same in the transverse
+            plane and along the fibre [-]; -1 < nu and 1 - nu - 2 nu^2 E_l/E_t > 0.
         mu_l: Shear modulus along the fibre [Pa].
         fibre: Direction of the fibre in the rest shape.
     """
@@ -140,7 +140,7 @@ class FibreReinforced(AbstractLaw):
         )
 
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
-        """Tangent, the second derivatives of I4, I5, J and u . C^-1 u collected [Pa].
+        """Tangent, from the second derivatives of I4, I5, J and u . C^-1 u [Pa].
 
         d2a = (u u) I / I4 - 2 da da, d2(ln J) = -G_iL G_kJ with G = F^-T.
         """

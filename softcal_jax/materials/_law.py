@@ -13,16 +13,16 @@ from softcal_jax.materials._elasticity import AbstractElasticity
 class AbstractLaw(eqx.Module):
     """A hyperelastic law; a new one is a subclass with its `energy_density`.
 
-    Stress and tangent follow by automatic differentiation. A law that knows closed
-    forms overrides `stress` or `tangent`; they are tested against the energy.
+    Stress and tangent follow by automatic differentiation. A law with closed forms
+    overrides `stress` or `tangent`; they are tested against the energy.
 
-    Methods see one material point: a field of the law is one value there, although in a
-    model it may hold one value (a scalar or a tensor) per tet. Write 3x3 algebra
-    with `softcal_jax.elements` (`determinant`, `matmul`, ...), which vectorises;
-    `jnp.linalg` works too and is slower.
+    Methods see one material point, at which a field of the law is one value, although a
+    model may hold one value (a scalar or a tensor) per tet. Write 3x3 algebra with
+    `softcal_jax.elements` (`determinant`, `matmul`, ...), which vectorises;
+    `jnp.linalg` works too but is slower.
 
     Example:
-        A law of one's own, ready for every solver of this package::
+        A user's own law::
 
             class Yeoh(AbstractLaw):
                 c1: float | Array
@@ -57,20 +57,19 @@ class AbstractLaw(eqx.Module):
     def energy_and_stress(
         self, F: Float[Array, "3 3"]
     ) -> tuple[Float[Array, ""], Float[Array, "3 3"]]:
-        """Energy [J/m3] and stress [Pa]; a law overrides it where they share work."""
+        """Compute energy [J/m3] and stress [Pa]; override it if they share work."""
         return self.energy_density(F), self.stress(F)
 
     def stress_and_tangent(
         self, F: Float[Array, "3 3"]
     ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
-        """Stress and tangent [Pa]; a law overrides it where they share work."""
+        """Compute stress and tangent [Pa]; override it if they share work."""
         return self.stress(F), self.tangent(F)
 
     def tabulated(self) -> "AbstractLaw":
-        """The same law, with what does not depend on F computed once.
+        """Compute what does not depend on F once, as for all steps of an equilibrium.
 
-        For an equilibrium, which asks for stress and tangent many times. Fields may be
-        those of a whole body: one value, one per tet, or `PointValues`.
+        Fields may be those of a whole body: one value, one per tet, or `PointValues`.
         """
         return self
 
@@ -85,7 +84,7 @@ class AbstractLinearLaw(AbstractLaw):
     elasticity: eqx.AbstractVar[AbstractElasticity]
 
     def tabulated(self) -> "AbstractLaw":
-        """The same law, with the tensor C by its entries."""
+        """Compute the entries of the tensor C once."""
         return eqx.tree_at(
             lambda law: law.elasticity, self, self.elasticity.tabulated()
         )

@@ -18,12 +18,12 @@ from softcal_jax.materials._fibre import Fibre
 
 
 class PlaneStiffness(NamedTuple):
-    """Stiffnesses of the full set that do not shear the fibre, fibre along axis 3 [Pa].
+    """Stiffnesses of normal strains, with the fibre along axis 3 [Pa].
 
     Attributes:
         C11: Across the fibre.
-        C12: Between two directions across.
-        C13: Between across and along.
+        C12: Between two directions across the fibre.
+        C13: Between directions across and along the fibre.
         C33: Along the fibre.
     """
 
@@ -39,7 +39,7 @@ def plane_stiffness(
     nu_t: Float[Array, ""],
     nu_tl: Float[Array, ""],
 ) -> PlaneStiffness:
-    """Inverse of the compliance S11 = 1/E_t, S12 = -nu_t/E_t, S13 = -nu_tl/E_t, S33.
+    """Invert the compliance S11 = 1/E_t, S12 = -nu_t/E_t, S13 = -nu_tl/E_t, S33.
 
     Args:
         E_t: Young's modulus across the fibre [Pa].
@@ -48,7 +48,7 @@ def plane_stiffness(
         nu_tl: Contraction along the fibre for stress across it [-].
 
     Returns:
-        Its entries, with S33 = 1/E_l.
+        The stiffnesses, with S33 = 1/E_l.
     """
     coupling = nu_tl * nu_tl * E_l / E_t
     m = 1.0 - nu_t - 2.0 * coupling
@@ -62,7 +62,7 @@ def plane_stiffness(
 
 
 class _Coefficients(NamedTuple):
-    """Factors of the invariants of psi [Pa]; e = u . strain u, v = strain u.
+    """Coefficients of the invariants of psi [Pa], with v = strain u and e = u . v.
 
     psi = lam/2 tr^2 + mu strain : strain + shear v . v + mixed tr e + along/2 e^2.
     """
@@ -77,7 +77,7 @@ class _Coefficients(NamedTuple):
 def _stress(
     strain: Float[Array, "3 3"], u: Float[Array, "3"], k: _Coefficients
 ) -> Float[Array, "3 3"]:
-    """Gradient of that psi, symmetric for a symmetric strain [Pa]."""
+    """Compute the gradient of that psi for a symmetric strain [Pa]."""
     v = jnp.sum(strain * u[None, :], axis=1)
     e = jnp.sum(u * v)
     trace = strain[0, 0] + strain[1, 1] + strain[2, 2]
@@ -95,8 +95,8 @@ class TransverseIsotropic(AbstractElasticity):
     S12 = -nu_t/E_t, S13 = S23 = -nu_tl/E_t, S44 = S55 = 1/mu_l, S66 = 2 (1+nu_t)/E_t.
     nu_ab is the contraction along b for stress along a, so nu_lt = nu_tl E_l/E_t.
     The stress is written in the invariants of strain and fibre (Spencer, Continuum
-    Theory of the Mechanics of Fibre-Reinforced Composites, 1984), without any turning
-    of axes. In the paper the fibre is the soft axis, E_l < E_t.
+    Theory of the Mechanics of Fibre-Reinforced Composites, 1984), without rotating
+    tensors. In the paper the fibre is the soft axis, E_l < E_t.
 
     Attributes:
         E_t: Young's modulus across the fibre [Pa], one value or one per tet.
@@ -137,7 +137,7 @@ class TransverseIsotropic(AbstractElasticity):
         return _stress(strain, self.fibre.direction(), coefficients)
 
     def tabulated(self) -> Tabulated:
-        """The same tensor by its entries."""
+        """Compute the entries of the tensor once."""
         return Tabulated.of(self)
 
 
@@ -186,5 +186,5 @@ class ReducedTransverseIsotropic(AbstractElasticity):
         return _stress(strain, self.fibre.direction(), coefficients)
 
     def tabulated(self) -> Tabulated:
-        """The same tensor by its entries."""
+        """Compute the entries of the tensor once."""
         return Tabulated.of(self)

@@ -1,4 +1,4 @@
-"""Refuses a mesh that cannot carry a simulation."""
+"""Checks that a mesh can be simulated."""
 
 from collections.abc import Sequence
 
@@ -13,24 +13,24 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import FaceTable, face_table, jacobian_determinants
 
 FLAT = 1e-6
-"""A tet is flat below this part of the volume of the regular tet of its rms edge."""
+"""Volume below which a tet is flat, over the regular tet of the same rms edge [-]."""
 
 
 def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) -> None:
-    """Checks that every tet has a positive volume and that the tets form one body.
+    """Check that every tet has a positive volume and that the tets form one body.
 
     A quadratic tet must have det dX/dxi > 0 at its ten nodes and at the quadrature
-    points of degree 4. Tets are one body if shared faces link them all: parts
-    that share a node or an edge only would hinge on it.
+    points of degree 4. Tets form one body if they are connected by shared faces; parts
+    that share only a node or an edge would form a hinge.
 
     Args:
         mesh: The mesh.
-        linked: Sets of nodes that something else holds together, such as rigid bodies:
-            parts with nodes in the same set count as one.
+        linked: Sets of nodes that are held together by something else, such as a rigid
+            body: parts with nodes in the same set count as one.
 
     Raises:
         ValueError: If tets are inverted, flat, repeated or overlapping, nodes are
-            unused, or the body is disconnected; the message names all that is found.
+            unused, or the body is disconnected; the message lists all problems.
     """
     table = face_table(mesh.tets)
     problems = [
@@ -46,7 +46,7 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
 
 
 def shape_volumes(mesh: TetMesh) -> HostArray:
-    """Signed volume over that of the regular tet with the same rms edge [-]."""
+    """Divide signed volumes by that of the regular tet with the same rms edge [-]."""
     corners = mesh.points[mesh.tets[:, :4]]
     edges = np.array(TET_EDGES)
     vectors = corners[:, edges[:, 1]] - corners[:, edges[:, 0]]
@@ -57,7 +57,7 @@ def shape_volumes(mesh: TetMesh) -> HostArray:
 
 
 def _listed(mesh: TetMesh, tets: HostArray) -> str:
-    """The first few tets, each with its centre so that it can be found."""
+    """List the first few tets with their centres."""
     centres = mesh.points[mesh.tets[tets[:5]]].mean(axis=1).tolist()
     shown = [
         f"{t} at ({x:.4g}, {y:.4g}, {z:.4g})"

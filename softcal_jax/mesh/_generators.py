@@ -1,4 +1,4 @@
-"""Meshes made from numbers alone."""
+"""Meshes of boxes."""
 
 from itertools import permutations, product
 
@@ -14,7 +14,7 @@ _PATTERNS = ("mirrored", "centred")
 
 
 def _oriented(corners: HostArray) -> HostArray:
-    """Swaps the last two corners of the tets that have a negative volume."""
+    """Swap the last two corners of tets with a negative volume."""
     edges = (corners[:, 1:] - corners[:, :1]).astype(float)
     inverted = np.linalg.det(edges) < 0
     corners[inverted] = corners[inverted][:, [0, 1, 3, 2]]
@@ -22,9 +22,9 @@ def _oriented(corners: HostArray) -> HostArray:
 
 
 def kuhn_cell(parity: tuple[int, ...]) -> HostArray:
-    """Six tets of a cell: the paths from its even to its odd corner (Kuhn, 1960).
+    """Cut a cell into six tets, the paths from its even to its odd corner (Kuhn, 1960).
 
-    The corners are on the doubled lattice, so a cell is two steps wide.
+    Corners are indices of the lattice with half the step of the cells.
     """
     unit = np.eye(3, dtype=int)
     paths = np.array(
@@ -38,7 +38,7 @@ def kuhn_cell(parity: tuple[int, ...]) -> HostArray:
 
 
 def _centred_cell() -> HostArray:
-    """24 tets of a cell: its centre, the centre of a face and an edge of that face."""
+    """Cut a cell into 24 tets of its centre, a centre of a face and an edge of it."""
     tets = []
     for axis, side in product(range(3), (0, 2)):
         face = np.ones(3, int)
@@ -51,7 +51,7 @@ def _centred_cell() -> HostArray:
 
 
 def _lattice_tets(cells: HostArray, pattern: str) -> HostArray:
-    """Tets of all cells as nodes of the lattice with half the cell's step."""
+    """Cut all cells into tets of nodes of the lattice with half their step."""
     grid = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), -1)
     grid = grid.reshape(-1, 3)
     if pattern == "centred":
@@ -76,7 +76,7 @@ def beam(
     order: int = 1,
     pattern: str = "mirrored",
 ) -> TetMesh:
-    """A box of tets with its long axis along x, without diagonal bias.
+    """Mesh a box with tets, without diagonal bias.
 
     "mirrored" cuts each cell into Kuhn's six tets and mirrors the cut from cell to
     cell, so linear tets have (nx+1)(ny+1)(nz+1) nodes. The mesh is symmetric about a
@@ -135,7 +135,7 @@ def beam(
 
 
 def _with_sides(mesh: TetMesh, lower: HostArray, upper: HostArray) -> TetMesh:
-    """The box with its sides as groups; `linspace` ends exactly on them."""
+    """Add the sides of the box as groups; `linspace` ends exactly on them."""
     faces = boundary_faces(mesh)
     nodes, surfaces = {}, {}
     for axis, letter in enumerate("xyz"):

@@ -1,4 +1,4 @@
-"""Named groups of a mesh file, whichever way its format stores them."""
+"""Named groups of a mesh file, however its format stores them."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ class RawGroups(NamedTuple):
 
 
 def raw_groups(raw: meshio.Mesh) -> RawGroups:
-    """Collects sets, Gmsh's physical groups and MED's families under their names."""
+    """Collect sets, Gmsh's physical groups and MED's families by name."""
     cells: CellGroups = {}
     _add_sets(raw, cells)
     _add_physical(raw, cells)
@@ -48,7 +48,7 @@ def _add_sets(raw: meshio.Mesh, cells: CellGroups):
 
 
 def _add_physical(raw: meshio.Mesh, cells: CellGroups):
-    """Gmsh's physical tags; a tag without a name becomes e.g. "surface_7"."""
+    """Add Gmsh's physical tags; a tag without a name becomes e.g. "surface_7"."""
     names = {
         (int(entry[0]), int(entry[1])): name
         for name, entry in raw.field_data.items()
@@ -62,7 +62,7 @@ def _add_physical(raw: meshio.Mesh, cells: CellGroups):
 
 
 def _add_families(raw: meshio.Mesh, cells: CellGroups, points: dict[str, HostArray]):
-    """MED's families: meshio adds them as attributes that other formats lack."""
+    """Add MED's families, which meshio keeps as attributes that other formats lack."""
     for tag, names in getattr(raw, "cell_tags", {}).items():
         for block, tags in enumerate(raw.cell_data.get("cell_tags", [])):
             for name in names:

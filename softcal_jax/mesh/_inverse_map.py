@@ -1,4 +1,4 @@
-"""Points of space to points of an element: inside a tet, or nearest on a face."""
+"""Coordinates of a point of space in an element: inside a tet, or nearest on a face."""
 
 import numpy as np
 
@@ -34,7 +34,7 @@ def bounds(
 def barycentric_in_tets(
     X: Float[HostArray, "n n_en 3"], points: Float[HostArray, "n 3"]
 ) -> Float[HostArray, "n 4"]:
-    """Barycentric coordinates of one point in each of many tets, by Newton's method.
+    """Find the barycentric coordinates of points in tets by Newton's method.
 
     Args:
         X: Node positions of the tets [m].
@@ -50,8 +50,7 @@ def barycentric_in_tets(
     if X.shape[1] == 4:
         return b
     step = np.zeros((len(X), 3))
-    # Newton may leave for far outside, where the map folds; it stays inside the
-    # neighbourhood in which the point can still be in the tet.
+    # Far outside a curved tet its map folds: keep the iteration near the tet.
     for _ in range(_MAX_STEPS):
         step = _newton_step(X, b, points)
         b = _full(np.clip(b[:, 1:] + step, -1.0, 2.0))
@@ -76,9 +75,9 @@ def _newton_step(X: HostArray, b: HostArray, points: HostArray) -> HostArray:
 def nearest_on_triangles(
     corners: Float[HostArray, "n 3 3"], point: Float[HostArray, "3"]
 ) -> Float[HostArray, "n 3"]:
-    """Barycentric coordinates of the nearest point of each flat triangle.
+    """Find the barycentric coordinates of the nearest point of each flat triangle.
 
-    The foot on the plane where it lies inside, else the best of the three edges.
+    It is the foot on the plane if that lies inside, else the best of the three edges.
 
     Args:
         corners: Corner positions [m].
@@ -118,7 +117,7 @@ _STARTS /= 4.0
 def nearest_on_face(
     X: Float[HostArray, "n_fn 3"], point: Float[HostArray, "3"]
 ) -> Float[HostArray, "3"]:
-    """Barycentric coordinates of the nearest point of one face, flat or curved.
+    """Find the barycentric coordinates of the nearest point of a face.
 
     On a curved face: the nearest of 15 points of a grid starts a Gauss-Newton
     iteration, each step of which is the nearest point of the tangent triangle, halved

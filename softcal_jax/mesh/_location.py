@@ -41,7 +41,7 @@ class MaterialPoints(eqx.Module):
     def interpolate(
         self, field: Float[Array | HostArray, "n_nodes ..."]
     ) -> Float[Array | HostArray, "n ..."]:
-        """Values of a nodal field at the points, in the unit of the field.
+        """Interpolate a nodal field at the points, in its own unit.
 
         Args:
             field: One value per node, of any shape.
@@ -51,14 +51,13 @@ class MaterialPoints(eqx.Module):
 
 
 def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> MaterialPoints:
-    """Finds the tet that carries each point, and the weights of its nodes.
+    """Find the tet that carries each point, and the weights of its nodes.
 
     Inside the mesh the weights are the shape functions (for a curved tet, after
     Newton's method on its map). A point outside, such as a marker on a post, is
-    carried by the nearest point of the boundary and extrapolated from it along the
-    tangent: N(xi0) + dN/dxi(xi0) (xi - xi0), with xi0 on the face. The shape
-    functions themselves would grow quadratically with the distance and turn a bending
-    state into noise. Linear fields are exact in both cases.
+    extrapolated linearly from the nearest point xi0 of the boundary:
+    N(xi0) + dN/dxi(xi0) (xi - xi0). The shape functions themselves would grow
+    quadratically with the distance. Linear fields are exact in both cases.
 
     Args:
         mesh: The mesh, in its reference state.
@@ -94,11 +93,18 @@ def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> Material
             foot[i] = shape_functions(b0, n_en) @ X
             b[i], weights[i] = _extrapolate(X, b0, p[i])
     _check_distance(mesh, p, distance, max_distance)
-    return MaterialPoints(tet, b, distance, foot, mesh.tets[tet], weights)
+    return MaterialPoints(
+        tet=tet,
+        barycentric=b,
+        distance=distance,
+        foot=foot,
+        nodes=mesh.tets[tet],
+        weights=weights,
+    )
 
 
 def _inside(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:
-    """Tet and coordinates of each point; tet -1 for a point outside."""
+    """Find the tet and the coordinates of each point; tet -1 for a point outside."""
     X = mesh.points[mesh.tets]
     lower, upper = bounds(X)
     slack = _INSIDE * mesh.size
@@ -128,13 +134,13 @@ class _Boundary:
         self.lower, self.upper = bounds(self.X)
 
     def nearest(self, point: HostArray) -> tuple[int, HostArray, float]:
-        """Tet, its coordinates at the nearest boundary point, and the distance."""
+        """Find the nearest boundary point: its tet, coordinates and distance."""
         at_least = np.linalg.norm(
             point - np.clip(point, self.lower, self.upper), axis=1
         )
         reached = np.linalg.norm(self.X - point, axis=2).min()
         found, best, nearest = -1, np.zeros(3), np.inf
-        # Boxes come by distance, so that most of the faces are never looked at.
+        # By distance of the bounding boxes, so that most faces are never tried.
         for face in np.argsort(at_least, kind="stable"):
             if at_least[face] > min(reached, nearest):
                 break
@@ -149,7 +155,7 @@ class _Boundary:
 
 
 def _extrapolate(X: HostArray, b0: HostArray, point: HostArray):
-    """Coordinates and weights of a point along the tangent of the map at `b0`."""
+    """Compute coordinates and weights by the tangent of the map at `b0`."""
     N, dN = shape_functions(b0, len(X)), shape_gradients(b0, len(X))
     step = np.linalg.solve(X.T @ dN, point - N @ X)
     return b0 + np.concatenate([[-step.sum()], step]), N + dN @ step
@@ -165,8 +171,8 @@ def _check_distance(
     lower, upper = mesh.points.min(axis=0) - limit, mesh.points.max(axis=0) + limit
     hint = "Check the frame and the length unit of the points."
     scaled = 1e-3 * points
-    # Any cloud fits when it is scaled down to a mesh that holds the origin, so this
-    # asks also that the points are far outside for the size of the mesh.
+    # Scaled down, any cloud fits a mesh around the origin: also require that the points
+    # are far outside.
     fits = ((lower <= scaled) & (scaled <= upper)).all()
     if fits and distance[worst] > 10.0 * mesh.size:
         hint = "The points would fit the mesh in millimetres: give both in metres."

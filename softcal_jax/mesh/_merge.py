@@ -1,4 +1,4 @@
-"""Several meshes as one, without a node in common."""
+"""Several meshes as one, without common nodes."""
 
 from collections.abc import Callable, Mapping
 
@@ -9,11 +9,11 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 
 
 def merge(parts: Mapping[str, TetMesh]) -> TetMesh:
-    """Several meshes as one; parts that touch are not joined.
+    """Combine meshes into one; parts that touch are not joined.
 
     Nodes and tets come part by part, in the order of the mapping, and keep their order
     within a part. The tet group "lower" is all of the part "lower", and its groups
-    become "lower/end 1", "lower/top" and so on, so a law can differ from part to part.
+    become "lower/end 1", "lower/top" and so on, so laws can differ between parts.
     `check_mesh` refuses the result as disconnected: check the parts.
 
     Args:
@@ -67,7 +67,7 @@ def _prefixed(
     shift: HostArray,
     groups_of: Callable[[TetMesh], dict[str, HostArray]],
 ) -> dict[str, HostArray]:
-    """The groups of one kind of all parts, renamed and renumbered."""
+    """Collect the groups of one kind of all parts, with new names and indices."""
     return {
         f"{part}/{name}": members + start
         for (part, mesh), start in zip(parts.items(), shift, strict=False)

@@ -1,7 +1,7 @@
-"""One quiet, guarded call of meshio.
+"""A guarded call of meshio.
 
-meshio prints, exits the process on some bad files and lets any exception through on
-others. Here it either returns a mesh or raises a `ValueError` that names the file.
+On bad files meshio prints, exits the process or raises any exception. Here it either
+returns a mesh or raises a `ValueError` that names the file.
 """
 
 import contextlib
@@ -20,19 +20,19 @@ FORMATS = {
     ".inp": "abaqus",
     ".med": "med",
 }
-"""What `read_mesh` is tested with, and meshio's names for it."""
+"""Formats that `read_mesh` is tested with, and meshio's names of them."""
 
 
 class MeshWarning(UserWarning):
-    """A mesh file was read, but not all of it was used as it stands."""
+    """A mesh file was read, but not all of its content was used."""
 
 
 def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
-    """The file as meshio gives it.
+    """Read a file with meshio.
 
     Args:
         path: The file.
-        notes: Gains what meshio had to say about it.
+        notes: Receives what meshio prints about it.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -58,16 +58,16 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
             contextlib.redirect_stderr(err),
             warnings.catch_warnings(),
         ):
-            # NumPy's notes on the parsers' old calls say nothing about the file.
+            # NumPy's warnings about old calls in the parsers do not concern the file.
             warnings.simplefilter("ignore", DeprecationWarning)
-            # By name: left to guess, meshio tries Ansys on a broken .msh and hangs.
+            # Without the format, meshio tries Ansys on a broken .msh and hangs.
             raw = meshio.read(path, file_format=FORMATS[suffix])
     except ModuleNotFoundError as error:
         raise ValueError(
             f"reading {path} needs the package {error.name!r}: "
             f"pip install {error.name}."
         ) from error
-    # meshio lets its parsers' exceptions of any type through, and exits on others.
+    # Its parsers raise exceptions of any type, and exit on some errors.
     except (Exception, SystemExit) as error:
         said = " ".join(f"{out.getvalue()} {err.getvalue()}".split())
         if not isinstance(error, SystemExit):
@@ -84,13 +84,13 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
 
 
 def _headers(path: Path, keyword: str) -> list[str]:
-    """The lines of an Abaqus file that open a section."""
+    """Find the lines of an Abaqus file that open a section."""
     text = path.read_text(errors="replace")
     return re.findall(rf"(?im)^\*{keyword}[ \t]*(?:,.*)?$", text)
 
 
 def _check_inp(path: Path):
-    """Refuses what meshio reads wrongly: it keeps the last *NODE section only."""
+    """Refuse several *NODE sections, of which meshio keeps only the last."""
     sections = len(_headers(path, "NODE"))
     if sections > 1:
         raise ValueError(
@@ -100,10 +100,10 @@ def _check_inp(path: Path):
 
 
 def _mend_inp_sets(path: Path, raw: meshio.Mesh):
-    """Puts the sets named in *ELEMENT lines on their own cells.
+    """Assign the sets named in *ELEMENT lines to the cells of their own sections.
 
-    meshio numbers these sets by name, not by section, so a section without ELSET
-    shifts all the later ones, and a name used twice keeps its last section only.
+    meshio counts these sets by name, not by section, so a section without ELSET shifts
+    all later ones, and a name that is used twice keeps only its last section.
     """
     headers = _headers(path, "ELEMENT")
     if len(headers) != len(raw.cells):

@@ -1,4 +1,4 @@
-"""Nodes as a user gives them: a group, or indices."""
+"""Nodes given by a group or by indices."""
 
 import numpy as np
 
@@ -9,12 +9,12 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 def named_nodes(
     mesh: TetMesh, where: str | Int[HostArray, " n"], owner: str
 ) -> Int[HostArray, " _"]:
-    """`node_indices` of what has a name, which an unknown group is answered with.
+    """Find nodes as `node_indices` does; errors also name the owner of a group.
 
     Args:
         mesh: The mesh.
         where: Name of a group, or node indices.
-        owner: What acts on the nodes and its name, for messages.
+        owner: Kind and name of what acts on the nodes, for messages.
 
     Raises:
         ValueError: As `node_indices`.
@@ -30,7 +30,7 @@ def named_nodes(
 def node_indices(
     mesh: TetMesh, where: str | Int[HostArray, " n"], owner: str
 ) -> Int[HostArray, " _"]:
-    """Indices of the nodes of a group, or the given ones, checked.
+    """Return the indices of the nodes of a group, or check given ones.
 
     Args:
         mesh: The mesh.

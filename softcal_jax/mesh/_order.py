@@ -1,4 +1,4 @@
-"""Change of element order: linear to quadratic and back, groups carried along."""
+"""Change of element order: linear to quadratic and back, groups included."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from softcal_jax.mesh._topology import tet_edges
 
 
 class _MidNodes:
-    """Number of the mid node of each edge of the mesh."""
+    """Index of the mid node of each edge of the mesh."""
 
     def __init__(self, mesh: TetMesh):
         self.n_nodes = mesh.n_nodes
@@ -21,20 +21,20 @@ class _MidNodes:
         return edges[..., 0] * self.n_nodes + edges[..., 1]
 
     def of(self, edges: HostArray) -> HostArray:
-        """Mid nodes of edges that exist in the mesh."""
+        """Find the mid nodes of edges that exist in the mesh."""
         return self.n_nodes + np.searchsorted(self.keys, self._keys(edges))
 
     def between(self, nodes: HostArray) -> HostArray:
-        """Mid nodes of the edges with both ends among `nodes`."""
+        """Find the mid nodes of the edges with both ends among `nodes`."""
         chosen = np.zeros(self.n_nodes, dtype=bool)
         chosen[nodes] = True
         return self.n_nodes + np.flatnonzero(chosen[self.edges].all(axis=1))
 
 
 def to_quadratic(mesh: TetMesh) -> TetMesh:
-    """The same mesh with straight-sided quadratic tets.
+    """Convert a mesh to straight-sided quadratic tets.
 
-    Corners keep their numbers; mid nodes are appended. A node group that is exactly
+    Corners keep their indices; mid nodes are appended. A node group that is exactly
     the nodes of the surface or tet group of the same name gains the mid nodes of those
     faces or tets. Any other node group gains the mid node of each edge that has both
     ends in it, which also takes an edge that crosses the body between two parts of
@@ -81,7 +81,7 @@ def _same(nodes: HostArray, cells: HostArray) -> bool:
 
 
 def to_linear(mesh: TetMesh) -> TetMesh:
-    """The same mesh with linear tets: mid nodes are dropped, so curved sides flatten.
+    """Convert a mesh to linear tets: mid nodes are dropped, so curved sides flatten.
 
     Args:
         mesh: A quadratic mesh.
@@ -95,12 +95,12 @@ def to_linear(mesh: TetMesh) -> TetMesh:
     if mesh.order == 1:
         raise ValueError("the mesh is linear already.")
     corners = np.unique(mesh.tets[:, :4])
-    number = np.full(mesh.n_nodes, -1, dtype=np.int32)
-    number[corners] = np.arange(len(corners))
+    index = np.full(mesh.n_nodes, -1, dtype=np.int32)
+    index[corners] = np.arange(len(corners))
     nodes = {
-        name: number[np.intersect1d(group, corners)]
+        name: index[np.intersect1d(group, corners)]
         for name, group in mesh.node_groups.items()
     }
-    surfaces = {name: number[f[:, :3]] for name, f in mesh.surface_groups.items()}
-    tets = number[mesh.tets[:, :4]]
+    surfaces = {name: index[f[:, :3]] for name, f in mesh.surface_groups.items()}
+    tets = index[mesh.tets[:, :4]]
     return TetMesh(mesh.points[corners], tets, nodes, surfaces, mesh.tet_groups)

@@ -1,4 +1,4 @@
-"""How good the tets of a mesh are."""
+"""Size and shape of the tets of a mesh."""
 
 from typing import NamedTuple
 
@@ -73,11 +73,11 @@ class QualityReport(eqx.Module):
 
 
 def quality_report(mesh: TetMesh, *, n_worst: int = 5) -> QualityReport:
-    """Measures the tets; shape measures take the corners only.
+    """Measure the tets; measures of shape use the corners only.
 
     Args:
-        mesh: The mesh; it may be one that `check_mesh` refuses.
-        n_worst: How many of the worst tets to name.
+        mesh: The mesh, which `check_mesh` may refuse.
+        n_worst: How many of the worst tets to list.
 
     Raises:
         ValueError: If `n_worst` is negative.
@@ -109,7 +109,7 @@ def quality_report(mesh: TetMesh, *, n_worst: int = 5) -> QualityReport:
 
 
 def _dihedral_angles(corners: HostArray) -> HostArray:
-    """The six angles between faces [rad], at the edges in the order of `TET_EDGES`."""
+    """Compute the angles between faces at the edges, in the order of `TET_EDGES`."""
     angles = []
     for i, j in TET_EDGES:
         k, l = sorted({0, 1, 2, 3} - {i, j})

@@ -1,4 +1,4 @@
-"""Mesh files into a `TetMesh` in metres."""
+"""Reading of mesh files as a `TetMesh` in metres."""
 
 import os
 import warnings
@@ -17,13 +17,13 @@ from softcal_jax.mesh._order import to_linear, to_quadratic
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import tet_faces, volumes
 
-# A robot outside this range [m] is more likely read in the wrong unit.
+# A size outside this range [m] suggests a wrong unit.
 _SMALL, _LARGE = 5e-4, 20.0
 
 _TETS = ("tetra", "tetra10")
 _TRIANGLES = ("triangle", "triangle6")
 _GROUP_CELLS = (*_TETS, *_TRIANGLES, "line", "line3", "vertex")
-# Corners 1 and 2 exchanged, with the mid nodes that follow them.
+# Exchanges corners 1 and 2, and the mid nodes accordingly.
 _MIRRORED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]
 
 
@@ -34,7 +34,7 @@ def read_mesh(
     order: int | None = None,
     unused: str = "error",
 ) -> TetMesh:
-    """Reads the tets and the named groups of a mesh file, and checks them.
+    """Read the tets and the named groups of a mesh file, and check them.
 
     Formats: Gmsh .msh (2 and 4), .vtu, .vtk, Abaqus .inp and .med, as meshio reads
     them. Physical groups, sets and families become groups: all their nodes in
@@ -99,23 +99,24 @@ def _build(
             raise ValueError(f"a {block.type} cell refers to a node that is not there.")
     groups = raw_groups(raw)
     notes += _left_out(raw, groups)
-    number = _numbers(raw, tets, unused)
-    points = raw.points[number >= 0] * scale
-    tets = number[tets]
+    index = _new_indices(raw, tets, unused)
+    points = raw.points[index >= 0] * scale
+    tets = index[tets]
     if path.suffix.lower() == ".med":
         tets = _right_handed(points, tets)
-    return _with_groups(raw, groups, TetMesh(points, tets), number, first, notes)
+    mesh = TetMesh(points, tets)
+    return _with_groups(raw, groups, mesh, index, first, notes)
 
 
 def _node_indices(block: meshio.CellBlock) -> HostArray:
-    """Nodes of all cells of a block; none for polyhedra, which have no fixed width."""
+    """Return the nodes of all cells of a block; none for polyhedra of mixed size."""
     if block.type.startswith("polyhedron"):
         return np.empty(0, dtype=int)
     return np.asarray(block.data)
 
 
 def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
-    """All tets, and the first one of each block of them."""
+    """Collect all tets, and the index of the first one of each block."""
     kinds = Counter()
     for block in raw.cells:
         kinds[block.type] += len(block)
@@ -153,8 +154,8 @@ def _left_out(raw: meshio.Mesh, groups: RawGroups) -> list[str]:
     ]
 
 
-def _numbers(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
-    """New number of each node of the file, -1 for the ones that no tet uses."""
+def _new_indices(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
+    """Compute the new index of each node of the file, -1 if no tet uses it."""
     kept = np.zeros(len(raw.points), dtype=bool)
     kept[tets] = True
     known = kept.copy()
@@ -171,7 +172,7 @@ def _numbers(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
 
 
 def _right_handed(points: HostArray, tets: HostArray) -> HostArray:
-    """Renumbers the tets if all are left-handed, which is MED's own convention."""
+    """Reorder the tets if all are left-handed, which is the convention of MED."""
     if (volumes(TetMesh(points, tets[:, :4])) < 0).all():
         return tets[:, _MIRRORED[: tets.shape[1]]]
     return tets
@@ -181,7 +182,7 @@ def _with_groups(
     raw: meshio.Mesh,
     groups: RawGroups,
     mesh: TetMesh,
-    number: HostArray,
+    index: HostArray,
     first: dict[int, int],
     notes: list[str],
 ) -> TetMesh:
@@ -193,8 +194,8 @@ def _with_groups(
             for k, members in groups.cells.get(name, {}).items()
             if raw.cells[k].type in _GROUP_CELLS
         }
-        cells = {k: number[raw.cells[k].data[members]] for k, members in own.items()}
-        points = number[groups.points.get(name, np.empty(0, int))]
+        cells = {k: index[raw.cells[k].data[members]] for k, members in own.items()}
+        points = index[groups.points.get(name, np.empty(0, int))]
         nodes = np.unique(np.concatenate([points, *map(np.ravel, cells.values())]))
         nodes = nodes[nodes >= 0]
         if not nodes.size:
@@ -214,7 +215,7 @@ def _with_groups(
 
 
 class _FaceMatch:
-    """Finds triangles among the faces of the tets, whichever way they turn."""
+    """Finds triangles among the faces of the tets, in either orientation."""
 
     def __init__(self, mesh: TetMesh):
         self.all = tet_faces(mesh.tets)
@@ -224,7 +225,7 @@ class _FaceMatch:
     def faces(
         self, name: str, triangles: list[HostArray], notes: list[str]
     ) -> HostArray:
-        """The faces with these corners; with their mid nodes, normals outwards."""
+        """Find the faces with these corners, with mid nodes and outward normals."""
         if not triangles:
             return self.all[:0]
         corners = np.sort(np.concatenate(triangles), axis=1)

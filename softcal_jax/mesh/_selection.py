@@ -1,4 +1,4 @@
-"""Choice of nodes and faces by where they are.
+"""Selection of nodes and faces by position.
 
 A predicate is any callable that takes points (n, 3) [m] and gives n booleans, so
 regions combine by a lambda: `lambda x: box(x) & ~sphere(x)`.
@@ -32,16 +32,16 @@ def _check_vectors(region: "AbstractRegion", *names: str):
 
 
 class AbstractRegion(eqx.Module):
-    """A part of space that knows how far a point is from it."""
+    """A part of space with a distance to points."""
 
     tolerance: eqx.AbstractVar[float]
 
     @abc.abstractmethod
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Distance of points from the region [m], zero inside."""
+        """Compute the distance of points from the region [m], zero inside."""
 
     def __call__(self, points: Float[HostArray, "n 3"]) -> Bool[HostArray, " n"]:
-        """Which points lie in the region, within its tolerance.
+        """Say which points lie in the region, within its tolerance.
 
         Args:
             points: Positions [m].
@@ -74,7 +74,7 @@ class Box(AbstractRegion):
             )
 
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Distance of points from the box [m], zero inside."""
+        """Compute the distance of points from the box [m], zero inside."""
         return np.linalg.norm(points - np.clip(points, self.lower, self.upper), axis=1)
 
 
@@ -97,7 +97,7 @@ class Plane(AbstractRegion):
             raise ValueError("the normal of a plane must not be zero.")
 
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Distance of points from the plane [m]."""
+        """Compute the distance of points from the plane [m]."""
         normal = self.normal / np.linalg.norm(self.normal)
         return np.abs((points - self.point) @ normal)
 
@@ -121,13 +121,13 @@ class Sphere(AbstractRegion):
             raise ValueError(f"radius must be positive [m], got {self.radius}.")
 
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Distance of points from the ball [m], zero inside."""
+        """Compute the distance of points from the ball [m], zero inside."""
         gap = np.linalg.norm(points - self.centre, axis=1) - self.radius
         return np.maximum(gap, 0.0)
 
 
 def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
-    """Nodes whose position satisfies a predicate.
+    """Select the nodes whose position satisfies a predicate.
 
     Args:
         mesh: The mesh.
@@ -146,14 +146,14 @@ def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
 
 
 def select_faces(mesh: TetMesh, where: Predicate) -> Int[HostArray, "n n_fn"]:
-    """Boundary faces whose nodes all satisfy a predicate, normals outwards.
+    """Select the boundary faces whose nodes all satisfy a predicate.
 
     Args:
         mesh: The mesh.
         where: `Box`, `Plane`, `Sphere` or any callable from points [m] to booleans.
 
     Returns:
-        3 or 6 nodes of each face.
+        3 or 6 nodes of each face, normals outwards.
 
     Raises:
         ValueError: If no face satisfies it, or it does not give one boolean per point.

@@ -1,4 +1,4 @@
-"""What follows from the faces of a surface: how it spreads over its nodes."""
+"""Distribution of a surface over its nodes."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 def surface_shares(
     mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
 ) -> Float[HostArray, " n_nodes"]:
-    """Integral of every shape function over faces [m2]; the sum is their area.
+    """Integrate every shape function over faces [m2]; the sum is their area.
 
     Args:
         mesh: The mesh, in its reference state.

@@ -1,6 +1,7 @@
 """The tetrahedral mesh and its named groups."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
@@ -123,7 +124,7 @@ class TetMesh(eqx.Module):
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
     def nodes(self, name: str) -> Int[HostArray, " _"]:
-        """Nodes of a group, sorted: a node group, else those of its faces or tets.
+        """Return the nodes of a node group, else those of its faces or tets, sorted.
 
         Args:
             name: Group name.
@@ -141,7 +142,7 @@ class TetMesh(eqx.Module):
         raise unknown_name("group", name, known)
 
     def faces(self, name: str) -> Int[HostArray, "_ n_fn"]:
-        """Faces of a surface group.
+        """Return the faces of a surface group.
 
         Args:
             name: Group name.
@@ -154,7 +155,7 @@ class TetMesh(eqx.Module):
         return self.surface_groups[name]
 
     def tets_of(self, name: str) -> Int[Array | HostArray, " _"]:
-        """Tet indices of a tet group.
+        """Return the tet indices of a tet group.
 
         Args:
             name: Group name.
@@ -167,7 +168,7 @@ class TetMesh(eqx.Module):
         return self.tet_groups[name]
 
     def with_node_group(self, name: str, nodes: ArrayData) -> "TetMesh":
-        """The mesh with one more node group.
+        """Add a node group.
 
         Args:
             name: Name that no node group has yet.
@@ -176,12 +177,10 @@ class TetMesh(eqx.Module):
         Raises:
             ValueError: If the name is taken, or the nodes are none or not in the mesh.
         """
-        self._check_free("node group", name, self.node_groups)
-        groups = {**self.node_groups, name: np.unique(_as_indices(nodes))}
-        return self._with(node_groups=groups)
+        return self._with_group("node", name, np.unique(_as_indices(nodes)))
 
     def with_surface_group(self, name: str, faces: ArrayData) -> "TetMesh":
-        """The mesh with one more surface group.
+        """Add a surface group.
 
         Args:
             name: Name that no surface group has yet.
@@ -190,12 +189,10 @@ class TetMesh(eqx.Module):
         Raises:
             ValueError: If the name is taken, or the faces are none or not in the mesh.
         """
-        self._check_free("surface group", name, self.surface_groups)
-        groups = {**self.surface_groups, name: _as_indices(faces)}
-        return self._with(surface_groups=groups)
+        return self._with_group("surface", name, _as_indices(faces))
 
     def with_tet_group(self, name: str, tets: ArrayData) -> "TetMesh":
-        """The mesh with one more tet group.
+        """Add a tet group.
 
         Args:
             name: Name that no tet group has yet.
@@ -204,19 +201,12 @@ class TetMesh(eqx.Module):
         Raises:
             ValueError: If the name is taken, or the tets are none or not in the mesh.
         """
-        self._check_free("tet group", name, self.tet_groups)
-        groups = {**self.tet_groups, name: np.unique(_as_indices(tets))}
-        return self._with(tet_groups=groups)
+        return self._with_group("tet", name, np.unique(_as_indices(tets)))
 
-    @staticmethod
-    def _check_free(kind: str, name: str, taken: Iterable[str]):
-        if name in taken:
-            raise ValueError(f"the mesh has a {kind} {name!r} already; use a new name.")
-
-    def _with(self, **changed: dict[str, HostArray]) -> "TetMesh":
-        groups = {
-            "node_groups": self.node_groups,
-            "surface_groups": self.surface_groups,
-            "tet_groups": self.tet_groups,
-        }
-        return TetMesh(self.points, self.tets, **(groups | changed))
+    def _with_group(self, kind: str, name: str, members: HostArray) -> "TetMesh":
+        groups = getattr(self, f"{kind}_groups")
+        if name in groups:
+            raise ValueError(
+                f"the mesh has a {kind} group {name!r} already; use a new name."
+            )
+        return replace(self, **{f"{kind}_groups": {**groups, name: members}})

@@ -1,4 +1,4 @@
-"""Faces, edges and volumes: what follows from the tets and the points alone."""
+"""Faces, edges and volumes of the tets."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 
 
 def _local_faces(n_en: int) -> HostArray:
-    """Local nodes of the four faces: corners, then mid nodes in tri6 order."""
+    """List the local nodes of the faces: corners, then mid nodes in tri6 order."""
     corners = np.array(TET_FACES)
     if n_en == 4:
         return corners
@@ -25,13 +25,13 @@ LOCAL_FACES = {n_en: _local_faces(n_en) for n_en in (4, 10)}
 
 
 def tet_faces(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_faces n_fn"]:
-    """The four faces of every tet, tet by tet, normals outwards."""
+    """List the four faces of every tet, tet by tet, normals outwards."""
     faces = tets[:, LOCAL_FACES[tets.shape[1]]]
     return faces.reshape(-1, faces.shape[-1])
 
 
 class FaceTable(NamedTuple):
-    """Which of the faces of the tets are the same face."""
+    """Which faces of the tets coincide."""
 
     inverse: Int[HostArray, " n_faces"]
     counts: Int[HostArray, " n_unique"]
@@ -39,7 +39,7 @@ class FaceTable(NamedTuple):
 
 
 def face_table(tets: Int[HostArray, "n_tets n_en"]) -> FaceTable:
-    """Numbers the faces in `tet_faces` order so that shared ones get one number."""
+    """Give the faces in `tet_faces` order an index that shared faces have in common."""
     corners = np.sort(tet_faces(tets[:, :4]), axis=1)
     _, inverse, counts = np.unique(
         corners, axis=0, return_inverse=True, return_counts=True
@@ -48,13 +48,13 @@ def face_table(tets: Int[HostArray, "n_tets n_en"]) -> FaceTable:
 
 
 def boundary_face_indices(tets: Int[HostArray, "n_tets n_en"]) -> HostArray:
-    """Positions in `tet_faces` of the faces that belong to one tet only."""
+    """Find the indices in `tet_faces` of the faces that belong to one tet only."""
     table = face_table(tets)
     return np.flatnonzero(table.counts[table.inverse] == 1)
 
 
 def boundary_faces(mesh: TetMesh) -> Int[HostArray, "n_faces n_fn"]:
-    """Faces that belong to one tet only, normals outwards.
+    """List the faces that belong to one tet only, normals outwards.
 
     Args:
         mesh: The mesh.
@@ -66,23 +66,23 @@ def boundary_faces(mesh: TetMesh) -> Int[HostArray, "n_faces n_fn"]:
 
 
 def tet_edges(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_edges 2"]:
-    """The six edges of every tet, tet by tet, smaller node first."""
+    """List the six edges of every tet, tet by tet, smaller node first."""
     return np.sort(tets[:, np.array(TET_EDGES)].reshape(-1, 2), axis=1)
 
 
 def jacobian_determinants(
     mesh: TetMesh, barycentric: Float[HostArray, "n_points 4"]
 ) -> Float[HostArray, "n_tets n_points"]:
-    """Determinant dX/dxi of every tet at points of the reference tet [m^3]."""
+    """Compute det dX/dxi of every tet at points of the reference tet [m^3]."""
     gradients = shape_gradients(barycentric, mesh.tets.shape[1])
     X = mesh.points[mesh.tets]
     return np.linalg.det(np.einsum("tai,qaj->tqij", X, gradients, optimize=True))
 
 
 def volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
-    """Volume of each tet [m^3], negative where it is inverted.
+    """Compute the volume of each tet [m^3], negative if it is inverted.
 
-    det dX/dxi has degree 3 on a curved tet, so its rule makes the volume exact.
+    The volume is exact: det dX/dxi of a curved tet has degree 3, and so has the rule.
 
     Args:
         mesh: The mesh.

@@ -1,4 +1,4 @@
-"""The flat sheet with branches and a hole of the parallel robot, Sec. VI."""
+"""Mesh of the flat sheet with branches and a hole of the parallel robot, Sec. VI."""
 
 import math
 from itertools import product
@@ -25,12 +25,12 @@ class _Shape(NamedTuple):
 
     @property
     def notch(self) -> tuple[float, float]:
-        """Where the sides of neighbours meet: along, and across their branches [m]."""
+        """Where neighbouring branches meet: along and across a branch [m]."""
         half = self.width / 2.0
         return half / math.tan(math.pi / self.branches), half
 
     def root(self, size: float) -> float:
-        """Where the strip along a branch begins [m], past the notch."""
+        """Return where the strip along a branch begins, past the notch [m]."""
         along, half = self.notch
         return max(half, along + size)
 
@@ -38,8 +38,8 @@ class _Shape(NamedTuple):
 class _Sector(NamedTuple):
     """The grid of one branch: rows go outwards, columns go around.
 
-    The fan from the hole to the root of the branch has all the columns, the strip along
-    the branch the middle ones. The last column is the first one of the next branch.
+    The fan from the hole to the root of the branch uses all columns, the strip along
+    the branch only the middle ones. The last column is the first of the next branch.
     """
 
     points: Float[HostArray, "n_rows n_columns 2"]
@@ -63,15 +63,15 @@ def tripod(
     layers: int = 1,
     order: int = 2,
 ) -> TetMesh:
-    """A flat sheet of equal branches around a hole; by default the one of Sec. VI.
+    """Mesh a flat sheet of equal branches around a hole; by default that of Sec. VI.
 
     The sheet lies in the (x, z) plane. Branch k, from 1, leaves at the azimuth
     360 (k - 1) / branches degrees, counted from +x towards +z. The hole is a polygon
     with its corners on the circle; all sides are straight, in quadratic tets too.
 
-    The squares of a grid around the hole and along the branches are cut towards
-    alternate corners, so that the mesh is its own image in every symmetry of the plane
-    sheet. Top and bottom mirror each other if the number of layers is even.
+    The cells of a grid around the hole and along the branches are cut towards alternate
+    corners, so that the mesh has every symmetry of the plane sheet. Top and bottom
+    mirror each other if the number of layers is even.
 
     Node and tet groups: "end 1", "end 2", ... (the last `end_length` of each branch)
     and "centre" (within `centre_radius`); sides of tets lie along both borders. Surface
@@ -99,7 +99,14 @@ def tripod(
             range, the centre does not fit between the branches, or a branch is too
             short for its end.
     """
-    shape = _Shape(length, width, hole_radius, centre_radius, end_length, branches)
+    shape = _Shape(
+        length=length,
+        width=width,
+        hole_radius=hole_radius,
+        centre_radius=centre_radius,
+        end_length=end_length,
+        branches=branches,
+    )
     _check_numbers(shape, thickness, y, size, layers, order)
     _check_fit(shape, size)
     sector = _sector(shape, size)
@@ -109,10 +116,10 @@ def tripod(
 
 
 def _sector(shape: _Shape, size: float) -> _Sector:
-    """The grid of the branch at azimuth zero, (x, z) [m]."""
+    """Place the grid of the branch at azimuth zero, (x, z) [m]."""
     along, half = shape.notch
     root, pitch = shape.root(size), math.pi / shape.branches
-    # An odd number, so that no cut crosses the sharp cell at the root's corner.
+    # An odd number, so that no cut crosses the sharp cell at the corner of the root.
     n_side = 1 + 2 * max(0, round(((root - along) / size - 1.0) / 2.0))
     n_across = 2 * max(1, round(half / size))
     n_around = n_across + 2 * n_side
@@ -129,7 +136,7 @@ def _sector(shape: _Shape, size: float) -> _Sector:
     radii = _steps(shape.hole_radius, shape.centre_radius, size / 2.0)
     centre = radii[:, None, None] * circle
     arc = 2.0 * pitch * shape.centre_radius / n_around
-    # The narrowest gap decides, or its cells would be slivers.
+    # By the narrowest gap, to avoid slivers there.
     gap = np.linalg.norm(outline - centre[-1], axis=1).min()
     share = _graded(gap, arc, size)[1:, None, None]
     fan = np.concatenate([centre, (1.0 - share) * centre[-1] + share * outline])
@@ -144,16 +151,22 @@ def _sector(shape: _Shape, size: float) -> _Sector:
     points = np.concatenate([fan, strip])
     there = ~np.isnan(points[:, :, 0])
     used = there[1:, 1:] & there[1:, :-1]
-    return _Sector(points, used, len(radii) - 1, len(fan) - 1, len(end) - 1)
+    return _Sector(
+        points=points,
+        used=used,
+        n_centre=len(radii) - 1,
+        n_fan=len(fan) - 1,
+        n_end=len(end) - 1,
+    )
 
 
 def _steps(start: float, stop: float, size: float) -> Float[HostArray, " n"]:
-    """Equal steps of about a size, one at least."""
+    """Divide a length into equal steps of about a size, at least one."""
     return np.linspace(start, stop, max(1, round((stop - start) / size)) + 1)
 
 
 def _graded(length: float, first: float, last: float) -> Float[HostArray, " n"]:
-    """Steps from 0 to 1 that grow from one size towards another along a length."""
+    """Divide a length, scaled to 1, into steps that grow from one size to another."""
     n = max(1, round(length / math.sqrt(first * last)))
     growth = np.geomspace(first, last, n)
     return np.concatenate([[0.0], np.cumsum(growth) / growth.sum()])
@@ -162,7 +175,7 @@ def _graded(length: float, first: float, last: float) -> Float[HostArray, " n"]:
 def _extruded(
     sector: _Sector, branches: int, levels: Float[HostArray, " n_levels"]
 ) -> TetMesh:
-    """The sheet of linear tets with the groups of its cells."""
+    """Extrude the sheet to linear tets with the groups of its cells."""
     n_rows, n_columns = sector.points.shape[:2]
     around = branches * (n_columns - 1)
     cells = np.argwhere(np.tile(sector.used, (len(levels) - 1, 1, branches)))
@@ -172,19 +185,18 @@ def _extruded(
     nodes = cells[:, None, None] + table[parity]
     nodes[..., 2] %= around
     grid = (len(levels), n_rows, around)
-    numbers = np.ravel_multi_index(tuple(np.moveaxis(nodes, -1, 0)), grid)
-    used, tets = np.unique(numbers, return_inverse=True)
+    indices = np.ravel_multi_index(tuple(np.moveaxis(nodes, -1, 0)), grid)
+    used, tets = np.unique(indices, return_inverse=True)
     level, row, column = np.unravel_index(used, grid)
     points = _placed(sector, branches, row, column, levels[level])
     tets = _upright(points, tets.reshape(-1, 4))
     groups = _cell_groups(sector, branches, cells)
     members = {name: np.flatnonzero(np.repeat(w, 6)) for name, w in groups.items()}
     return TetMesh(
-        points,
-        tets,
-        {name: np.unique(tets[chosen]) for name, chosen in members.items()},
-        {},
-        members,
+        points=points,
+        tets=tets,
+        node_groups={name: np.unique(tets[chosen]) for name, chosen in members.items()},
+        tet_groups=members,
     )
 
 
@@ -195,7 +207,7 @@ def _placed(
     column: Int[HostArray, " n"],
     y: Float[HostArray, " n"],
 ) -> Float[HostArray, "n 3"]:
-    """Positions of nodes of the grid of all branches [m]."""
+    """Compute the positions of nodes of the grid of all branches [m]."""
     branch, column = np.divmod(column, sector.used.shape[1])
     x, z = sector.points[row, column].T
     azimuth = 2.0 * np.pi * branch / branches
@@ -206,7 +218,7 @@ def _placed(
 def _upright(
     points: Float[HostArray, "n_nodes 3"], tets: Int[HostArray, "n_tets 4"]
 ) -> Int[HostArray, "n_tets 4"]:
-    """Tets with a positive volume: rows, columns and levels are a left-handed frame."""
+    """Orient the tets: rows, columns and levels form a left-handed frame."""
     corners = points[tets]
     inverted = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
     return np.where(inverted[:, None], tets[:, [0, 1, 3, 2]], tets)
@@ -215,7 +227,7 @@ def _upright(
 def _cell_groups(
     sector: _Sector, branches: int, cells: Int[HostArray, "n_cells 3"]
 ) -> dict[str, Bool[HostArray, " n_cells"]]:
-    """Which cells belong to the centre and to the end of each branch."""
+    """Find the cells of the centre and of the end of each branch."""
     n_rows, n_columns = sector.used.shape
     row, branch = cells[:, 1], cells[:, 2] // n_columns
     at_end = row >= n_rows - sector.n_end
@@ -224,7 +236,7 @@ def _cell_groups(
 
 
 def _with_sides(mesh: TetMesh, levels: Float[HostArray, " n_levels"]) -> TetMesh:
-    """The sheet with its top and bottom as surface groups."""
+    """Add top and bottom as surface groups."""
     faces = boundary_faces(mesh)
     y = mesh.points[:, 1][faces]
     for name, level in (("top", levels[-1]), ("bottom", levels[0])):

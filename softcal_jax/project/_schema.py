@@ -69,7 +69,14 @@ class NewtonTable(Table):
     max_steps: Integer | None = None
     max_steps_per_load: Integer | None = None
     smallest_load_step: Number | None = None
-    solver: Literal["auto", "pardiso", "klu", "pardiso-host", "multigrid"] | None = None
+    solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
+
+    @field_validator("solver", mode="before")
+    @classmethod
+    def _check_solver(cls, name: str | None) -> str | None:
+        if name in ("auto", "multigrid"):
+            raise ValueError(f"{name!r} was removed: leave solver out.")
+        return name
 
 
 class ProjectTable(Table):

@@ -39,7 +39,7 @@ POSES = {
 """Configurations of Fig. 2: turn about the long axis [degrees], and the held end."""
 
 START = {"E_t": 700e3, "E_l": 400e3, "theta": 0.0}
-"""Where the runs of Fig. 3 begin, at both control points [Pa, rad]."""
+"""Start of the runs of Fig. 3 at both control points [Pa, rad]."""
 
 TARGET = {
     "E_t of CP 1": 900e3,
@@ -49,17 +49,17 @@ TARGET = {
     "theta of CP 1": float(np.deg2rad(20.0)),
     "theta of CP 2": float(np.deg2rad(-35.0)),
 }
-"""p_target: what the synthetic measurements are made with [Pa, rad]."""
+"""p_target, the values behind the synthetic measurements [Pa, rad]."""
 
 
 class AnisotropicBeam(eqx.Module):
-    """A calibration problem of Sec. V, before anything is measured.
+    """A calibration problem of Sec. V before measuring.
 
     Attributes:
         model: The beam.
         space: Its parameters {E_t, E_l, theta} at two control points.
-        configurations: The poses, with effectors and without measurements.
-        target: Values of the parameters that measurements are to be made with.
+        configurations: The poses, with effectors but without measurements.
+        target: Values of the parameters for synthetic measurements.
     """
 
     model: Model
@@ -82,7 +82,7 @@ def anisotropic_beam(
     ordered: bool = True,
     tensor_steps: bool = True,
 ) -> AnisotropicBeam:
-    """The cantilever of Sec. V-A, Fig. 2: 150 x 15 x 15 mm under its own weight.
+    """Build the cantilever of Sec. V-A, Fig. 2: 150 x 15 x 15 mm under its own weight.
 
     The size and the step scaling are those of the authors' published scene; mass,
     Poisson's ratio, the places of the control points (centres of the end faces) and the
@@ -105,7 +105,7 @@ def anisotropic_beam(
         ordered: Whether E_l <= E_t is a constraint of the QP.
 
     Returns:
-        The problem. `synthetic_measurements` measures it.
+        The problem, to be measured by `synthetic_measurements`.
 
     Raises:
         ValueError: If a pose or the number of effectors is unknown.
@@ -117,12 +117,18 @@ def anisotropic_beam(
     )
     density = MASS / (length * width * height)
     model = build_model(mesh, law, density=density)
-    space = _space(start or START, interpolation, scaling, ordered, tensor_steps)
+    space = _space(
+        start or START,
+        interpolation=interpolation,
+        scaling=scaling,
+        ordered=ordered,
+        tensor_steps=tensor_steps,
+    )
     configurations = tuple(_pose(number, n_effectors, std) for number in poses)
     return AnisotropicBeam(model, space, configurations, dict(TARGET))
 
 
-def _space(start, interpolation, scaling, ordered, tensor_steps) -> ParameterSpace:
+def _space(start, *, interpolation, scaling, ordered, tensor_steps) -> ParameterSpace:
     length, width, height = SIZE
     centre = (width / 2, height / 2)
     points = ControlPoints([(0.0, *centre), (length, *centre)])

@@ -31,14 +31,14 @@ EFFECTOR = "rod"
 CORE = 0.1
 """Core of the defects of the fibre between control points [-].
 
-Without it the bends that defects leave in the cost hold a calibration up.
+Without it, kinks that defects leave in the cost slow a calibration down.
 """
 
 PRIOR = {"E_t": 0.3, "E_l": 0.3, "theta": float(np.deg2rad(20.0))}
-"""Standard deviations of what is known of a printed field: 30 % and 20 degrees."""
+"""Prior standard deviations of a printed field: 30 % and 20 degrees."""
 
 SETUP = {"motor_zero": float(np.deg2rad(0.5)), "mounting": 0.5e-3}
-"""Standard deviations of errors of the setup that are calibrated along [rad, m]."""
+"""Standard deviations of errors of the setup that are calibrated too [rad, m]."""
 
 BOUNDS = {"E_t": (200e3, 6e6), "E_l": (50e3, 3e6)}
 """Bounds of the moduli [Pa]."""
@@ -56,7 +56,7 @@ CALIBRATION_ANGLES = (
 )
 """Angles of the six motors in the seven calibration poses, ours [degrees].
 
-The working point, then one motor at a time to an end of its range.
+The working point, then each motor in turn at an end of its range.
 """
 
 VALIDATION_ANGLES = (
@@ -100,7 +100,7 @@ def parallel_robot(
     std: float = 0.76e-3,
     std_angle: float = float(np.deg2rad(0.15)),
 ) -> ParallelRobot:
-    """Two soft tripod sheets on six motors, joined by a rod with a 6-D sensor.
+    """Build two soft tripod sheets on six motors, joined by a rod with a 6-D sensor.
 
     Sec. VI of the paper, with the authors' published dimensions; arms, control points,
     poses and start field are ours (see `ParallelRobotGeometry`).
@@ -110,16 +110,15 @@ def parallel_robot(
         size: Edge length of the tets in the plane of a sheet [m].
         layers: Layers of tets through the thickness.
         order: 2 for quadratic tets; linear ones are wrong by a factor 1.7 in twist.
-        prior: Standard deviations of what is known of E_t and E_l (relative) and theta
-            [rad] before calibration, or None. Without one, directions that the data do
-            not see drift.
-        setup: Standard deviations of "motor_zero" [rad] and "mounting" [m] where they
-            are calibrated together with the material, or None.
+        prior: Prior standard deviations of E_t and E_l (relative) and theta [rad], or
+            None. Without them, directions that the data do not see drift.
+        setup: Standard deviations of "motor_zero" [rad] and "mounting" [m] if they are
+            calibrated together with the material, or None.
         std: Standard deviation of the sensor's position [m].
         std_angle: Standard deviation of its orientation [rad].
 
     Returns:
-        The robot. `synthetic_measurements` or a tracker measures it.
+        The robot, to be measured by `synthetic_measurements` or a tracker.
     """
     geometry = geometry or ParallelRobotGeometry()
     mesh = geometry.mesh(size=size, layers=layers, order=order)
@@ -139,21 +138,21 @@ def parallel_robot(
     space = control_space(geometry, prior, setup)
     start = space.model_at(model, space.start())
     return ParallelRobot(
-        start,
-        space,
-        poses("pose", CALIBRATION_ANGLES),
-        poses("test", VALIDATION_ANGLES),
-        geometry,
+        model=start,
+        space=space,
+        configurations=poses("pose", CALIBRATION_ANGLES),
+        validation=poses("test", VALIDATION_ANGLES),
+        geometry=geometry,
     )
 
 
 def mechanism(
     geometry: ParallelRobotGeometry,
 ) -> tuple[tuple[RigidBody, ...], tuple[Motor, ...]]:
-    """Arms, rod and upper cap as rigid bodies, and the six motors.
+    """Build arms, rod and upper cap as rigid bodies, and the six motors.
 
-    The rod is the body of the lower centre, its frame at the rod's middle; the upper
-    centre is tied to it, a rod's length above, which pulls the sheets together.
+    The rod is the body of the lower centre, with its frame at the middle of the rod.
+    The upper centre is tied to it one rod length above; this pulls the sheets together.
 
     Args:
         geometry: Dimensions of the robot.
@@ -186,13 +185,13 @@ def control_space(
     prior: Mapping[str, float] | None,
     setup: Mapping[str, float] | None = None,
 ) -> ParameterSpace:
-    """{E_t, E_l, theta} at the twelve control points, as tensors, with their prior.
+    """Build {E_t, E_l, theta} at the twelve control points, as tensors, with prior.
 
     Args:
         geometry: Dimensions of the robot, and the start field.
         prior: Standard deviations by field, or None.
-        setup: Standard deviations of errors of the setup, "motor_zero" and "mounting";
-            these follow the material.
+        setup: Standard deviations of errors of the setup, "motor_zero" and "mounting",
+            which come after the material.
 
     Raises:
         ValueError: If an error of the setup has another name.
@@ -233,7 +232,7 @@ def control_space(
 def _setup_parameters(
     geometry: ParallelRobotGeometry, stds: Mapping[str, float]
 ) -> list[SetupParameter]:
-    """Errors of all six motors, within six standard deviations."""
+    """Build the errors of all six motors, bounded by six standard deviations."""
     unknown = set(stds) - {"motor_zero", "mounting"}
     if unknown:
         raise ValueError(
@@ -260,7 +259,7 @@ def pose(
     std: float,
     std_angle: float,
 ) -> Configuration:
-    """A pose of the robot by the angles of its motors.
+    """Build a pose of the robot from the angles of its motors.
 
     Args:
         geometry: Dimensions of the robot.

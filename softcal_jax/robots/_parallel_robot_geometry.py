@@ -21,13 +21,12 @@ N_BRANCHES = 3
 class Arm(eqx.Module):
     """A motor's arm and the branch end that is rigid on it.
 
-    The end moves from the flat sheet in two steps. `mounting` shifts it onto the arm
-    at the angle zero, where the arm points at the robot's axis; it does not turn.
-    Then the motor turns it by its angle about the fixed line through `axis_point`.
+    The end moves from the flat sheet in two steps: `mounting` shifts it onto the arm at
+    angle zero, where the arm points at the robot's axis; then the motor turns it by its
+    angle about the fixed line through `axis_point`.
 
-    Poses refer to the rest frame whose origin is `origin`, the middle of the end at
-    s = 58.5 mm on the mid-surface of the flat sheet, and whose axes are those of the
-    robot: a `RigidBody` needs this origin.
+    Poses refer to the rest frame at `origin`, the middle of the end at s = 58.5 mm on
+    the mid-surface of the flat sheet, with the axes of the robot.
 
     Attributes:
         name: "lower 1" to "upper 3".
@@ -47,10 +46,10 @@ class Arm(eqx.Module):
     mounting: Pose
 
     def pose(self, angle: float) -> Pose:
-        """Motion of the end from the flat sheet to an angle of the arm.
+        """Compute the motion of the end from the flat sheet to an angle of the arm.
 
-        Its origin goes to axis_point + arm_length (-cos(angle) e_r + sin(angle) e_a),
-        and the branch leaves the arm along that same direction.
+        Its origin moves to axis_point + arm_length (-cos(angle) e_r + sin(angle) e_a),
+        and the branch leaves the arm in the direction in parentheses.
 
         Args:
             angle: Of the motor [rad].
@@ -161,7 +160,7 @@ class ParallelRobotGeometry(eqx.Module):
         return self.sheet_height - self.rod_half_length
 
     def mesh(self, *, size: float = 0.005, layers: int = 1, order: int = 2) -> TetMesh:
-        """The two flat sheets, with groups like "lower/end 1" and "upper/centre".
+        """Mesh the two flat sheets, with groups like "lower/end 1" and "upper/centre".
 
         Args:
             size: Edge length in the plane of a sheet [m].
@@ -179,7 +178,7 @@ class ParallelRobotGeometry(eqx.Module):
     def sheet(
         self, y: float = 0.0, *, size: float = 0.005, layers: int = 1, order: int = 2
     ) -> TetMesh:
-        """One flat sheet, with groups like "end 1" and "centre"; see `mesh`.
+        """Mesh one flat sheet, with groups like "end 1" and "centre"; see `mesh`.
 
         Args:
             y: Height of its mid-surface [m].
@@ -202,10 +201,10 @@ class ParallelRobotGeometry(eqx.Module):
         )
 
     def control_points(self) -> ControlPoints:
-        """The twelve control points that both sheets share, as in Fig. 6.
+        """Build the twelve control points that both sheets share, as in Fig. 6.
 
-        Two on each branch and six around the centre, which count by (x, z) alone and
-        stand at y = 0: "CP branch 1 inner", "CP branch 1 outer", ..., "CP ring 30 deg",
+        Two on each branch and six around the centre, at y = 0 and for distances in the
+        (x, z) plane: "CP branch 1 inner", "CP branch 1 outer", ..., "CP ring 30 deg",
         "CP ring 90 deg", ...
         """
         places = self._control_point_places()
@@ -218,10 +217,10 @@ class ParallelRobotGeometry(eqx.Module):
         )
 
     def start_field(self) -> dict[str, Float[HostArray, " n_cp"]]:
-        """E_t, E_l [Pa] and theta [rad] at the control points before calibration.
+        """Compute E_t, E_l [Pa] and theta [rad] at the control points at the start.
 
-        The fibre is a spiral: theta is the azimuth plus `spiral_angle`. It may exceed
-        half a turn, by which the same fibre comes back.
+        The fibre is a spiral: theta is the azimuth plus `spiral_angle`, and may exceed
+        half a turn, its period.
         """
         azimuth = np.array([a for _, a in self._control_point_places().values()])
         return {
@@ -247,7 +246,7 @@ class ParallelRobotGeometry(eqx.Module):
         return on_branches | ring
 
     def arms(self) -> tuple[Arm, ...]:
-        """The six arms: "lower 1", "lower 2", "lower 3", "upper 1", ..."""
+        """Build the six arms: "lower 1", "lower 2", "lower 3", "upper 1", ..."""
         return tuple(
             self._arm(sheet, branch)
             for sheet in SHEETS

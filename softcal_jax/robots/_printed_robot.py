@@ -1,8 +1,8 @@
-"""Synthetic parallel robots as they might come out of a printer, to calibrate against.
+"""Synthetic parallel robots as they might be printed, to calibrate against.
 
-The measured robot of the paper is not public. These have what a calibration meets:
-another law, a finer mesh, moduli and fibres that vary smoothly about what was ordered,
-and errors of motors, mounting and tracker. Never the calibrated model itself.
+The measured robot of the paper is not public. These differ from the calibrated model as
+a real one would: by another law, a finer mesh, moduli and fibres that vary smoothly
+about the ordered ones, and errors of motors, mounting and tracker.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,14 +25,14 @@ from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
 
 
 class PrintingErrors(eqx.Module):
-    """How far a printed robot is from the one that was ordered.
+    """Differences between a printed robot and the ordered one.
 
     Attributes:
         moduli: Standard deviation of ln E_t and ln E_l over the sheets [-].
         theta: Standard deviation of the direction of the fibre [rad].
-        correlation_length: Over which these vary [m].
+        correlation_length: Length over which these vary [m].
         motor_zero: Standard deviation of the zero of each motor [rad].
-        mounting: Standard deviation of the place of each motor, per axis [m].
+        mounting: Standard deviation of the position of each motor, per axis [m].
         position: Standard deviation of a tracker's reading, per axis [m].
         orientation: Standard deviation of the tracker's rotation, per axis [rad].
     """
@@ -51,11 +51,11 @@ class PrintedRobot(eqx.Module):
 
     Attributes:
         model: The robot: fibre-reinforced, finer, with all its errors.
-        first: The same with the corotational law, to find equilibria by.
-        errors: How far it is from the one that was ordered.
-        parameters: Its E_t, E_l [Pa] and theta [rad] at the control points of the
-            model that is calibrated, by the names of their parameters, and the zeros
-            of its motors [rad]; what a calibration should find.
+        first: The same with the corotational law, whose equilibria serve as guesses.
+        errors: Its differences from the ordered robot.
+        parameters: What a calibration should find: E_t, E_l [Pa] and theta [rad] at the
+            control points of the calibrated model, by the names of their parameters,
+            and the zeros of the motors [rad].
     """
 
     model: Model
@@ -72,14 +72,14 @@ def printed_robot(
     size: float = 0.005,
     layers: int = 1,
 ) -> PrintedRobot:
-    """A robot with another law, and fields that vary about the ordered ones.
+    """Build a robot with another law, and fields that vary about the ordered ones.
 
     Both sheets were printed alike: they share the fields, as functions of (x, z).
 
     Args:
         geometry: Dimensions, and the ordered field; the published ones by default.
         seed: Seed of all its errors.
-        errors: How large they are.
+        errors: The size of its errors.
         size: Edge length of its (quadratic) tets [m].
         layers: Layers of tets through the thickness.
 
@@ -126,7 +126,7 @@ def printed_robot(
 
 
 def _smooth(random: np.random.Generator, length: float) -> Callable:
-    """A smooth random field of unit variance, by random Fourier features [-].
+    """Draw a smooth random field of unit variance by random Fourier features [-].
 
     Its covariance is exp(-d^2 / (2 length^2)) (Rahimi and Recht, NIPS 2007).
     """
@@ -144,12 +144,12 @@ def read_poses_of(
     seed: int,
     readings: int = 1,
 ) -> tuple[Configuration, ...]:
-    """What the tracker reads on a printed robot.
+    """Read the poses of a printed robot with a tracker.
 
     Args:
         robot: The robot.
-        configurations: Poses with frames as effectors. They keep the standard
-            deviations that they state, which are those of who calibrates.
+        configurations: Poses with frames as effectors. They keep their standard
+            deviations, which are those assumed in the calibration.
         seed: Seed of the readings.
         readings: How many readings of each pose are averaged.
 
@@ -163,12 +163,8 @@ def read_poses_of(
     if readings < 1:
         raise ValueError(f"readings must be at least 1, got {readings}.")
     errors, share = robot.errors, 1.0 / np.sqrt(readings)
-    as_read = [
-        with_stated(
-            c, std=share * errors.position, std_angle=share * errors.orientation
-        )
-        for c in configurations
-    ]
+    std, std_angle = share * errors.position, share * errors.orientation
+    as_read = [with_stated(c, std=std, std_angle=std_angle) for c in configurations]
     measured = simulated_measurements(
         robot.model, as_read, noise=True, seed=seed, first=robot.first
     )
@@ -179,7 +175,7 @@ def read_poses_of(
 
 
 def _as_stated(read: AbstractEffector, stated: AbstractEffector) -> AbstractEffector:
-    """A reading with the standard deviations of who calibrates."""
+    """Give a reading the standard deviations assumed in the calibration."""
     if isinstance(read, BodyFrame) and isinstance(stated, BodyFrame):
         return replace(read, std=stated.std, std_angle=stated.std_angle)
     return read
@@ -188,7 +184,7 @@ def _as_stated(read: AbstractEffector, stated: AbstractEffector) -> AbstractEffe
 def with_stated(
     configuration: Configuration, *, std: float, std_angle: float
 ) -> Configuration:
-    """A configuration whose frames state other standard deviations.
+    """Replace the standard deviations of the frames of a configuration.
 
     Args:
         configuration: The configuration.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def silicone_beam_path() -> Path:
-    """Project file of the silicone beam; its markers and their source lie next to it.
+    """Return the project file of the silicone beam; its markers lie next to it.
 
     Example:
         Calibrate it::

@@ -147,8 +147,15 @@ def test_the_same_equilibrium(solver):
 
 def test_unknown_solver():
     mesh = beam(1.0, 1.0, 1.0, (1, 1, 1))
-    with pytest.raises(ValueError, match=r"\['auto', .*'pardiso-host'\].*'mumps'"):
+    with pytest.raises(ValueError, match=r"\['klu', .*'pardiso-host'\].*'mumps'"):
         build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, solver="mumps")
+
+
+@pytest.mark.parametrize("solver", ["auto", "multigrid"])
+def test_removed_solvers_say_what_to_do(solver):
+    mesh = beam(1.0, 1.0, 1.0, (1, 1, 1))
+    with pytest.raises(ValueError, match=f"'{solver}' was removed.*leave solver out"):
+        build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, solver=solver)
 
 
 @pytest.mark.parametrize("solver", ["pardiso", "klu"])

@@ -260,8 +260,14 @@ CASES = {
             '[[configurations]]\nname = "weight"',
             '[newton]\nsolver = "multi"\n\n[[configurations]]\nname = "weight"',
         ),
-        'newton.solver: got "multi"; expected one of "auto", "pardiso", "klu", '
-        '"pardiso-host", "multigrid".',
+        'newton.solver: got "multi"; expected one of "pardiso", "klu", "pardiso-host".',
+    ),
+    "removed solver": (
+        (
+            '[[configurations]]\nname = "weight"',
+            '[newton]\nsolver = "auto"\n\n[[configurations]]\nname = "weight"',
+        ),
+        "newton.solver: 'auto' was removed: leave solver out.",
     ),
     "mesh from nowhere": (
         (BEAM, ""),
