@@ -38,15 +38,23 @@ from softcal_jax.equilibrium._solve import (
     implicit_response,
     solve_equilibrium,
 )
-from softcal_jax.equilibrium._workers import Workers, program_key, usable_cores
+from softcal_jax.equilibrium._workers import (
+    Batch,
+    Job,
+    Workers,
+    program_key,
+    usable_cores,
+)
 
 __all__ = [
     "RESULTS",
     "ActuatorState",
+    "Batch",
     "BodyPlace",
     "Continuation",
     "EquilibriumSolution",
     "ImplicitResponse",
+    "Job",
     "LinearSolution",
     "Model",
     "NewtonSettings",
