@@ -12,11 +12,14 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
     CalibrationSettings,
+    Evaluator,
     Run,
     build_problem,
-    run_starts,
+    images_of,
+    run_start,
     synthetic_measurements,
 )
+from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
 
@@ -40,9 +43,6 @@ PAPER: dict[str, Any] = {
     "tensor_steps": False,
 }
 """Choices of `anisotropic_beam` that are the paper's, without its step limits."""
-
-run_compiled = eqx.filter_jit(run_starts)
-"""`run_starts`, compiled: one program per shape of problem and settings."""
 
 
 class MeasuredBeam(NamedTuple):
@@ -108,14 +108,35 @@ def paper_settings(step_bound: float, max_steps: int) -> CalibrationSettings:
     return CalibrationSettings(adapt=False, step_bound=step_bound, max_steps=max_steps)
 
 
+def run_each(
+    problems: Sequence[CalibrationProblem],
+    settings: CalibrationSettings,
+    start: Float[Array, " n_p"],
+) -> list[Run]:
+    """Runs of several calibrations of one body, side by side, without mirror images.
+
+    Args:
+        problems: The calibrations; those with alike arrays share their programs.
+        settings: Settings of the outer loop.
+        start: Scaled parameters that all of them start from [-].
+    """
+    images = images_of(problems[0].space, mirror=False)
+    jobs = [
+        run_start(Evaluator(problem), settings, start, images=images)
+        for problem in problems
+    ]
+    lanes = len(jobs) * len(problems[0].configurations.gravity)
+    with Workers(problems[0].model, lanes) as workers:
+        return workers.ends(jobs)
+
+
 def one_run(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
     start: Float[Array, " n_p"],
 ) -> Run:
-    """A run from one start, without its mirror images and without a leading axis."""
-    runs = run_compiled(problem, settings, start[None], mirror=False)
-    return Run(*(getattr(runs, name)[0] for name in Run.__annotations__))
+    """A run from one start, without its mirror images."""
+    return run_each([problem], settings, start)[0]
 
 
 def error_curve(run: Run) -> HostArray:

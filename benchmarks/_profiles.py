@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks._paper import one_run
 from benchmarks._problem import Options
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
@@ -15,10 +16,11 @@ from softcal_jax.calibration import (
     at_rest,
     evaluate,
     profile_ends,
-    run_starts,
 )
 
 SETTINGS = CalibrationSettings(max_steps=40)
+
+_evaluate = eqx.filter_jit(evaluate)
 
 MOST_AGAIN = 5
 """Calibrations of a draw that are begun again where its profile found a lower cost."""
@@ -70,11 +72,11 @@ def profiles(
                     profile_ends(
                         own,
                         SETTINGS,
-                        z,
-                        np.asarray(W),
-                        float(cost),
-                        rise,
-                        range(len(z)),
+                        z=z,
+                        W_ep=np.asarray(W),
+                        cost=float(cost),
+                        rise=rise,
+                        which=range(len(z)),
                     )
                     if converged
                     else None
@@ -98,12 +100,12 @@ def _measured(problem: CalibrationProblem):
     return problem.configurations.effectors.measured
 
 
-@eqx.filter_jit
 def _fit(problem: CalibrationProblem, z: Float[Array, " n_p"]):
     """A calibration from z, with the compliances and the cost at its end."""
-    run = run_starts(problem, SETTINGS, z[None], mirror=False)
-    end = evaluate(problem, run.z[0], at_rest(problem))
-    return run.z[0], run.converged[0], end.W_ep, end.cost
+    run = one_run(problem, SETTINGS, z)
+    z = jnp.asarray(run.z)
+    end = _evaluate(problem, z, at_rest(problem))
+    return z, run.converged, end.W_ep, end.cost
 
 
 def _row(problem: CalibrationProblem, gap, ends) -> list[tuple[float, float, float]]:

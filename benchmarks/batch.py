@@ -6,12 +6,16 @@ The 525-node beam of Sec. V under loads of its own in each lane.
   them) of 1 to 64 lanes side by side on all cores, over that of one core: processes of
   their own, one after the other, of which the second may use a single core. Each lane
   starts from the equilibria of parameters that are a step away.
+- The ceiling of that, in turn with the rest: two processes that know nothing of each
+  other and share nothing but the memory, one core each, with 16 lanes each. What two
+  cores can give differs by machine and day.
 - One vmapped `solve_equilibrium` of 64 lanes over 64 calls of one.
 """
 
 import json
 import os
 import statistics
+import subprocess
 import sys
 from collections.abc import Callable
 
@@ -23,10 +27,8 @@ import numpy as np
 from benchmarks._cantilever import first_lane, solve
 from benchmarks._paper import CELLS, MeasuredBeam, measured_beam
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
-from benchmarks._timing import interleave, median_ms, run_process
-from softcal_jax.calibration import CalibrationProblem
-from softcal_jax.calibration._descent import from_rest
-from softcal_jax.calibration._evaluator import Evaluator
+from benchmarks._timing import ROOT, interleave, median_ms, run_process
+from softcal_jax.calibration import CalibrationProblem, Evaluator
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Workers, usable_cores
 
@@ -36,7 +38,15 @@ STEP = 0.05
 """How far the parameters move from the equilibria that the lanes start from [-]."""
 
 SINGLES = 64
-GOALS = {"throughput_16_lanes_vs_1_core": Goal("at least", 1.7)}
+COMMAND = (sys.executable, "-m", "benchmarks.batch")
+READY = "ready"
+OF_TWO = 16
+"""Lanes of each of two processes."""
+
+GOALS = {
+    "throughput_16_lanes_vs_1_core": Goal("at least", 1.7),
+    "throughput_16_lanes_vs_two_processes": Goal("at least", 0.95),
+}
 
 
 def run(options: Options) -> Outcome:
@@ -45,10 +55,10 @@ def run(options: Options) -> Outcome:
     for i in range(ROUNDS):
         options.say(f"evaluations on all cores and on one, {i + 1} of {ROUNDS}")
         for which in ("all", "one"):
-            command = [sys.executable, "-m", "benchmarks.batch", which]
-            told = json.loads(run_process(command).splitlines()[-1])
+            told = json.loads(run_process([*COMMAND, which]).splitlines()[-1])
             for lanes, seconds in told.items():
                 samples.setdefault(f"{which}_{lanes}_s", []).extend(seconds)
+        samples.setdefault(f"two_{OF_TWO}_s", []).extend(seconds_of_two())
     figures: dict[str, Figure] = {"cores": usable_cores()}
     rows = []
     for n in LANES:
@@ -57,6 +67,8 @@ def run(options: Options) -> Outcome:
         figures[f"ms_per_lane_{n}_lanes"] = 1e3 * whole / n
         rows.append([str(n), f"{1e3 * one / n:.2f}", f"{1e3 * whole / n:.2f}"])
         rows[-1].append(f"{one / whole:.2f}")
+    two, whole = (statistics.median(samples[f"{k}_{OF_TWO}_s"]) for k in ("two", "all"))
+    figures["throughput_16_lanes_vs_two_processes"] = two / 2.0 / whole
     options.say("one call against many")
     times = one_call_and_many(measured_beam(CELLS, plane="xy"), SINGLES)
     samples |= {f"{name}_s": seconds for name, seconds in times.items()}
@@ -82,16 +94,55 @@ def loaded(measured: MeasuredBeam, n: int) -> CalibrationProblem:
     return eqx.tree_at(lambda p: p.configurations, measured.problem, lanes)
 
 
-def evaluation_seconds(measured: MeasuredBeam, n: int, repeats: int) -> list[float]:
-    """Times of evaluations of n lanes on the cores of this process [s]."""
+def evaluation_seconds(
+    measured: MeasuredBeam,
+    n: int,
+    repeats: int,
+    ready: Callable[[], object] = lambda: None,
+) -> list[float]:
+    """Times of evaluations of n lanes on the cores of this process [s].
+
+    Args:
+        measured: The beam of Sec. V.
+        n: Number of lanes.
+        repeats: Timed evaluations.
+        ready: Called before the first of them, when everything is compiled.
+    """
+    evaluate = Evaluator(loaded(measured, n))
     with Workers(measured.problem.model, n) as workers:
-        evaluate = Evaluator(loaded(measured, n), workers)
-        before = from_rest(evaluate, measured.target)
+        before = workers.end_of(evaluate.from_rest(measured.target))
         z, u = measured.target + STEP, before.equilibrium.displacement
-        call = lambda: jax.block_until_ready(evaluate(z, u))
+        call = lambda: jax.block_until_ready(workers.end_of(evaluate(z, u)))
         if not bool(call().ok):
             raise RuntimeError(f"a lane of {n} has no equilibrium.")
+        ready()
         return interleave({"evaluate": call}, repeats)["evaluate"]
+
+
+def seconds_of_two() -> list[float]:
+    """Times of evaluations in two processes at once, each on a core of its own [s]."""
+    both = [
+        subprocess.Popen(
+            [*COMMAND, core],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        )
+        for core in ("first", "last")
+    ]
+    for process in both:
+        assert process.stdout is not None
+        if process.stdout.readline().strip() != READY:
+            raise RuntimeError("one of two processes has failed; its errors are above.")
+    for process in both:
+        assert process.stdin is not None
+        process.stdin.write("\n")
+        process.stdin.flush()
+    seconds: list[float] = []
+    for process in both:
+        seconds += json.loads(process.communicate()[0])
+    return seconds
 
 
 def one_call_and_many(measured: MeasuredBeam, n: int) -> dict[str, list[float]]:
@@ -115,11 +166,21 @@ def _from(lanes: ConfigurationArrays, i: int) -> ConfigurationArrays:
     return jax.tree.map(lambda leaf: leaf[i:], lanes)
 
 
+def _told_to_begin() -> None:
+    """Waits for the other of two processes."""
+    print(READY, flush=True)
+    sys.stdin.readline()
+
+
 if __name__ == "__main__":
-    if sys.argv[1] == "one":
+    which, cores = sys.argv[1], sorted(os.sched_getaffinity(0))
+    if which != "all":
         # Before anything computes, so that every pool of threads has one.
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+        os.sched_setaffinity(0, {cores[-1] if which == "last" else cores[0]})
     jax.config.update("jax_enable_x64", True)
     beam = measured_beam(CELLS, plane="xy")
-    found = {n: evaluation_seconds(beam, n, REPEATS) for n in LANES}
+    if which in ("first", "last"):
+        found = evaluation_seconds(beam, OF_TWO, 2 * REPEATS, _told_to_begin)
+    else:
+        found = {n: evaluation_seconds(beam, n, REPEATS) for n in LANES}
     print(json.dumps(found))

@@ -16,7 +16,7 @@ of the steps that were kept, each with a factorization of its own.
 """
 
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import equinox as eqx
@@ -32,12 +32,17 @@ from benchmarks._timing import interleave, median_ms
 from benchmarks.calibration_beam import STARTS
 from benchmarks.static_beam import BEAM
 from softcal_jax import Configuration, Markers, Support
-from softcal_jax.calibration import FROM_ANYWHERE, CalibrationState, random_starts
-from softcal_jax.calibration._descent import descend, from_rest
-from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._state import initial_state
+from softcal_jax.calibration import (
+    FROM_ANYWHERE,
+    CalibrationState,
+    Evaluator,
+    descend,
+    initial_state,
+    random_starts,
+)
 from softcal_jax.configurations import ConfigurationArrays, configuration_arrays
 from softcal_jax.equilibrium import (
+    Job,
     Model,
     NewtonSettings,
     Workers,
@@ -219,16 +224,19 @@ def order(errors: list[float]) -> float:
 
 def newton_per_lane(measured: MeasuredBeam) -> list[float]:
     """Newton iterations per configuration, of each kept step of all calibrations."""
-    problem, counted = measured.problem, []
-    n_c = problem.configurations.gravity.shape[0]
-    with Workers(problem.model, n_c) as workers:
-        evaluate = Evaluator(problem, workers)
-        for start in random_starts(measured.space, STARTS):
-            states = [initial_state(FROM_ANYWHERE, start, from_rest(evaluate, start))]
-            end = descend(evaluate, FROM_ANYWHERE, states[0], states.append)
-            if end.converged:
-                counted += _iterations(states)
-    return counted
+    evaluate, settings = Evaluator(measured.problem), FROM_ANYWHERE
+
+    def counted(start) -> Job[list[float]]:
+        states = [
+            initial_state(settings, start, (yield from evaluate.from_rest(start)))
+        ]
+        end = yield from descend(evaluate, settings, states[0], states.append)
+        return _iterations(states) if end.converged else []
+
+    starts = random_starts(measured.space, STARTS)
+    n_c = len(measured.problem.configurations.gravity)
+    with Workers(measured.problem.model, n_c) as workers:
+        return list(chain.from_iterable(workers.ends(map(counted, starts))))
 
 
 def _iterations(states: list[CalibrationState]) -> list[float]:

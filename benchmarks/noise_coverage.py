@@ -30,7 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks._paper import STD, Cells
+from benchmarks._paper import STD, Cells, run_each
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._profiles import Profiles, profiles
 from benchmarks.paper_table1 import all_markers, with_known
@@ -41,7 +41,6 @@ from softcal_jax.calibration import (
     at_rest,
     build_problem,
     evaluate,
-    run_starts,
     synthetic_measurements,
     uncertainty,
 )
@@ -168,25 +167,6 @@ def _share(inside: HostArray) -> Figure:
     return float(np.mean(inside)) if inside.size else "no fit has intervals"
 
 
-@eqx.filter_jit
-def _fit(
-    problem: CalibrationProblem,
-    settings: CalibrationSettings,
-    z: Float[Array, " n_p"],
-    measured: Float[Array, "n_draws n_c n_markers 3"],
-):
-    """Fits to all draws, and W_ep and the errors where they end."""
-    where = lambda p: p.configurations.effectors.measured
-
-    def one(draw):
-        problem_ = eqx.tree_at(where, problem, draw)
-        run = run_starts(problem_, settings, z[None], mirror=False)
-        end = evaluate(problem_, run.z[0], at_rest(problem_))
-        return run.z[0], run.converged[0], end.W_ep, end.error
-
-    return jax.lax.map(one, measured)
-
-
 def draw(
     clean: CalibrationProblem, target: Float[Array, " n_p"], std: float, n: int
 ) -> Draws:
@@ -200,16 +180,19 @@ def draw(
     """
     problem, measured = noisy(clean, std, n)
     settings = CalibrationSettings(step_bound=0.3, max_steps=MAX_STEPS)
-    z, converged, W, error = _fit(problem, settings, target, jnp.asarray(measured))
+    where = lambda p: p.configurations.effectors.measured
+    draws = [eqx.tree_at(where, problem, row) for row in measured]
+    runs = run_each(draws, settings, target)
     space = problem.space
     at_target = evaluate_at(problem, target)
     p_target = np.asarray(space.from_scaled(target))
     errors, standard, on_bound = [], [], []
-    for row in range(n):
-        down, up = map(np.asarray, space.room(z[row]))
+    for own, run in zip(draws, runs, strict=True):
+        z = jnp.asarray(run.z)
+        down, up = map(np.asarray, space.room(z))
         at_bound = (down >= -1e-9) | (up <= 1e-9)
-        errors.append(_wrapped(space, np.asarray(space.from_scaled(z[row])) - p_target))
-        standard.append(_standard_errors(space, z[row], W[row], error[row], at_bound))
+        errors.append(_wrapped(space, np.asarray(space.from_scaled(z)) - p_target))
+        standard.append(_standard_errors(space, z, *evaluate_at(own, z), at_bound))
         on_bound.append(at_bound.any())
     none = np.zeros(len(space.names), bool)
     predicted = _standard_errors(space, target, *at_target, none)
@@ -217,7 +200,7 @@ def draw(
         np.array(errors),
         np.array(standard),
         predicted,
-        np.asarray(converged),
+        np.array([run.converged for run in runs]),
         np.array(on_bound),
     )
 

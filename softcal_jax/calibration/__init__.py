@@ -9,6 +9,8 @@ from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     SimulationResult,
 )
+from softcal_jax.calibration._descent import Run, descend
+from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._fits import simulation_result
 from softcal_jax.calibration._intervals import profile_intervals
 from softcal_jax.calibration._levenberg_marquardt import levenberg_marquardt
@@ -31,12 +33,15 @@ from softcal_jax.calibration._result import (
     ParameterEstimate,
     ParameterInterval,
 )
-from softcal_jax.calibration._runs import Run, run_starts
-from softcal_jax.calibration._starts import (
+from softcal_jax.calibration._runs import best_of, images_of, run_start
+from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
+    SearchProgress,
+    multi_start,
+)
+from softcal_jax.calibration._starts import (
     MultiStartResult,
     Optimum,
-    multi_start,
     random_starts,
 )
 from softcal_jax.calibration._state import (
@@ -44,7 +49,7 @@ from softcal_jax.calibration._state import (
     CalibrationState,
     initial_state,
 )
-from softcal_jax.calibration._step import calibration_step, decide
+from softcal_jax.calibration._step import decide
 from softcal_jax.calibration._synthetic import (
     simulated_measurements,
     synthetic_measurements,
@@ -63,6 +68,7 @@ __all__ = [
     "Clock",
     "ConfigurationResult",
     "Evaluation",
+    "Evaluator",
     "HistoryEntry",
     "LowerCostFound",
     "MultiStartResult",
@@ -71,17 +77,20 @@ __all__ = [
     "ParameterInterval",
     "QPStep",
     "Run",
+    "SearchProgress",
     "SimulationResult",
     "Uncertainty",
     "at_rest",
+    "best_of",
     "bounded_step",
     "build_problem",
     "calibrate",
-    "calibration_step",
     "decide",
+    "descend",
     "evaluate",
     "first_guess",
     "fit_notes",
+    "images_of",
     "initial_state",
     "levenberg_marquardt",
     "multi_start",
@@ -89,7 +98,7 @@ __all__ = [
     "profile_intervals",
     "propose",
     "random_starts",
-    "run_starts",
+    "run_start",
     "simulate",
     "simulated_measurements",
     "simulation_result",

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._checkpoint import Journal, resumed_state
+from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._clock import Clock
-from softcal_jax.calibration._descent import descend, from_rest
+from softcal_jax.calibration._descent import descend
 from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._fits import configuration_results, parameter_estimates
 from softcal_jax.calibration._notes import (
@@ -24,21 +24,15 @@ from softcal_jax.calibration._notes import (
     warn_if_locking,
     warn_if_too_few_data,
 )
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    Evaluation,
-)
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
-from softcal_jax.calibration._starts import (
-    MultiStartResult,
-    multi_start,
-    random_starts,
+from softcal_jax.calibration._search import (
+    FROM_ANYWHERE,
+    SearchProgress,
+    search,
 )
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
-    CalibrationState,
-    initial_state,
-)
+from softcal_jax.calibration._starts import random_starts
+from softcal_jax.calibration._state import CalibrationSettings, initial_state
 from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import (
     Configuration,
@@ -69,7 +63,7 @@ def build_problem(
         newton: Settings of the equilibrium.
 
     Returns:
-        The problem, for `evaluate`, `calibration_step` and `calibrate`.
+        The problem, for `evaluate` and `multi_start`.
 
     Raises:
         ValueError: If a configuration has no measurement, or a parameter no field.
@@ -112,6 +106,7 @@ def calibrate(
     start: Float[Array, " n_p"] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
+    search_progress: Callable[[SearchProgress], None] | None = None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.
 
@@ -134,9 +129,12 @@ def calibrate(
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters,
             which stays where a prior has its middle [-].
-        checkpoint: File in which the state is kept after every step. If it is there,
-            the calibration goes on from it, without a search from many starts.
+        checkpoint: File in which the state is kept: after every step, and in a search
+            from many starts when a run ends or goes on from an image. If it is there,
+            the calibration goes on from it, to the same result.
         progress: Called after the first evaluation and after each step.
+        search_progress: Called when a run of a search from many starts has ended; it
+            must not solve anything itself, see `multi_start`.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished.
@@ -163,13 +161,28 @@ def calibrate(
     given = start
     mark = (starts, seed) if given is None else (starts, seed, *given.tolist())
     journal = Journal(problem, settings, checkpoint, progress, search=mark)
-    with Clock() as clock, Workers(model, len(configurations)) as workers:
-        evaluate = Evaluator(problem, workers)
-        start = _admissible(problem.space, given)
-        before = from_rest(evaluate, start)
-        check_converged(before.equilibrium, tuple(c.name for c in configurations))
-        state, search = _begin(evaluate, settings, start, before, journal, starts, seed)
-        state = descend(evaluate, settings, state, journal.note)
+    journal.load()
+    evaluate, names = Evaluator(problem), tuple(c.name for c in configurations)
+    most = starts * max(len(configurations), 2 * len(validation))
+    with Clock() as clock, Workers(model, most) as workers:
+        first = _admissible(problem.space, given)
+        before = workers.end_of(evaluate.from_rest(first))
+        check_converged(before.equilibrium, names)
+        begin, found = first, None
+        if starts > 1:
+            found = search(
+                workers,
+                evaluate,
+                FROM_ANYWHERE,
+                _all_starts(first, problem, starts, seed),
+                mirror=True,
+                journal=journal,
+                progress=search_progress,
+            )
+            begin = jnp.asarray(found.z[found.best])
+        there = before if found is None else workers.end_of(evaluate.from_rest(begin))
+        state = journal.begin(initial_state(settings, begin, there))
+        state = workers.end_of(descend(evaluate, settings, state, journal.note))
         after = state.evaluation
         fits = configuration_results(
             problem.space.model_at(model, state.z),
@@ -182,39 +195,20 @@ def calibrate(
         )
         missing: tuple[str, ...] = ()
         if held_out is not None:
-            predict = Evaluator(held_out[0], workers)
             predicted, missing = _predict(
-                predict, validation, held_out[1], start, state.z
+                workers,
+                Evaluator(held_out[0]),
+                validation,
+                held_out[1],
+                first,
+                state.z,
             )
             fits += predicted
     notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
     result = _result(
         problem, noise, settings, state, journal.history, fits, notes, given
     )
-    return replace(result, starts=search, timing_s=clock.seconds)
-
-
-def _begin(
-    evaluate: Evaluator,
-    settings: CalibrationSettings,
-    start: Float[Array, " n_p"],
-    before: Evaluation,
-    journal: Journal,
-    starts: int,
-    seed: int,
-) -> tuple[CalibrationState, MultiStartResult | None]:
-    """Where the loop begins: at a checkpoint, at the best of many starts, or at one."""
-    saved, problem = journal.load(), evaluate.problem
-    if saved is not None:
-        return resumed_state(initial_state(settings, start, before), saved), None
-    search = None
-    if starts > 1:
-        search = multi_start(problem, _all_starts(start, problem, starts, seed))
-        start = jnp.asarray(search.z[search.best])
-        before = from_rest(evaluate, start)
-    state = initial_state(settings, start, before)
-    journal.note(state)
-    return state, search
+    return replace(result, starts=found, timing_s=clock.seconds)
 
 
 def _admissible(
@@ -238,6 +232,7 @@ def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):
 
 
 def _predict(
+    workers: Workers,
     evaluate: Evaluator,
     validation,
     lanes: ConfigurationLanes,
@@ -253,7 +248,7 @@ def _predict(
     prediction nor cost the user the fit.
     """
     problem = evaluate.problem
-    first, last = (from_rest(evaluate, p) for p in (start, z))
+    first, last = workers.ends(evaluate.from_rest(p) for p in (start, z))
     # A pose that only the start parameters cannot hold has no "before".
     held = first.equilibrium.converged[:, None, None]
     before = jnp.where(held, first.effectors, jnp.nan)

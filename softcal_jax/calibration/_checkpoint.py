@@ -1,12 +1,11 @@
-"""A calibration on disk after each step, so that it can be stopped and resumed."""
+"""A calibration on disk as it goes on, so that it can be stopped and resumed."""
 
 import hashlib
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 from zipfile import BadZipFile
 
 import equinox as eqx
@@ -17,44 +16,111 @@ import numpy as np
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import HistoryEntry
+from softcal_jax.calibration._runs import Begun
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 
 
 class Journal:
-    """History of a calibration: told to the user, and kept on disk if asked for."""
+    """History of a calibration: told to the user, and kept on disk if asked for.
+
+    On disk are the last state and, of a search from many starts, the best end of each
+    run after each of its images: what is needed to go on exactly as if nothing had
+    stopped the calibration.
+    """
 
     def __init__(
         self,
         problem: CalibrationProblem,
         settings: CalibrationSettings,
         checkpoint: str | os.PathLike[str] | None,
-        progress: Callable[[HistoryEntry], None] | None,
+        progress: Callable[[HistoryEntry], None] | None = None,
         *,
-        search: tuple[float, ...] = (1, 0),
+        search: tuple = (1, 0),
     ):
+        """A journal with nothing in it.
+
+        Args:
+            problem: The calibration.
+            settings: Settings of the outer loop.
+            checkpoint: The file, if any.
+            progress: Called after each step.
+            search: What else the calibration depends on.
+        """
         self.history: list[HistoryEntry] = []
         self._problem, self._progress = problem, progress
         self._path = None if checkpoint is None else Path(checkpoint)
         self._mark = fingerprint(problem, settings, search) if self._path else ""
         self._begin = time.perf_counter()
+        self._arrays: dict[str, HostArray] = {}
 
-    def load(self) -> "Checkpoint | None":
-        """The checkpoint, if there is one; its history comes first then."""
-        if self._path is None:
-            return None
-        saved = load_checkpoint(self._path, self._mark)
-        if saved is not None:
-            self.history += saved.history
-        return saved
+    def load(self) -> None:
+        """Read the file, if there is one.
+
+        Raises:
+            ValueError: If it is no checkpoint, or one of another calibration.
+        """
+        if self._path is not None and self._path.exists():
+            self._arrays, self.history = load_checkpoint(self._path, self._mark)
 
     def note(self, state: CalibrationState) -> None:
         """Record a step."""
         seconds = time.perf_counter() - self._begin
         self.history.append(history_entry(state, self._problem, seconds))
-        if self._path is not None:
-            save_checkpoint(self._path, self._mark, state, self.history)
+        self._keep("state", state)
         if self._progress:
             self._progress(self.history[-1])
+
+    def begin(self, state: CalibrationState) -> CalibrationState:
+        """The last state that was kept; else this one, which is recorded.
+
+        Args:
+            state: State before the first step.
+        """
+        kept = self._kept("state", state)
+        if kept is None:
+            self.note(state)
+        return kept or state
+
+    def note_run(self, index: int, begun: Begun) -> None:
+        """Record how far a run from one of many starts is."""
+        self._keep(f"run{index}", begun)
+
+    def begun(self, index: int, like: Begun) -> Begun:
+        """How far a run from one of many starts is.
+
+        Args:
+            index: Index of the start.
+            like: The run before its first step.
+        """
+        return self._kept(f"run{index}", like) or like
+
+    def _keep(self, name: str, tree) -> None:
+        if self._path is None:
+            return
+        leaves = enumerate(jax.tree.leaves(tree))
+        self._arrays |= {f"{name}_{i}": np.asarray(leaf) for i, leaf in leaves}
+        save_checkpoint(self._path, self._mark, self._arrays, self.history)
+
+    def _kept(self, name: str, like):
+        found = {n for n in self._arrays if n.rpartition("_")[0] == name}
+        if not found:
+            return None
+        leaves, tree = jax.tree.flatten(like)
+        shapes = {f"{name}_{i}": np.shape(leaf) for i, leaf in enumerate(leaves)}
+        if {key: self._arrays[key].shape for key in found} != shapes:
+            raise ValueError(
+                f"{self._path} was written by another version of softcal_jax: remove "
+                "it to start anew, or give another path."
+            )
+        kept = [self._arrays[key] for key in shapes]
+        return jax.tree.unflatten(tree, map(_alike, leaves, kept))
+
+
+def _alike(leaf, array: HostArray):
+    """What was kept, as the type that it was."""
+    if isinstance(leaf, np.ndarray):
+        return array
+    return jnp.asarray(array) if isinstance(leaf, jax.Array) else type(leaf)(array)
 
 
 def history_entry(
@@ -83,18 +149,8 @@ def history_entry(
     )
 
 
-class Checkpoint(NamedTuple):
-    """What is needed to go on, exactly as if nothing had stopped the calibration."""
-
-    path: Path
-    leaves: list[HostArray]
-    history: list[HistoryEntry]
-
-
 def fingerprint(
-    problem: CalibrationProblem,
-    settings: CalibrationSettings,
-    search: tuple[float, ...],
+    problem: CalibrationProblem, settings: CalibrationSettings, search: tuple
 ) -> str:
     """Digest of everything that a calibration depends on."""
     digest = hashlib.sha256(repr((settings, problem.newton, search)).encode())
@@ -113,33 +169,33 @@ def fingerprint(
 
 
 def save_checkpoint(
-    path: Path, mark: str, state: CalibrationState, history: list[HistoryEntry]
+    path: Path,
+    mark: str,
+    arrays: Mapping[str, HostArray],
+    history: list[HistoryEntry],
 ) -> None:
     """Write a checkpoint; the file is replaced whole or not at all."""
-    leaves = jax.tree.leaves(state)
     entries = json.dumps([vars(entry) for entry in history])
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as file:
-        content = {f"state_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
-        np.savez(file, mark=mark, history=entries, **content)  # type: ignore[arg-type]
+        np.savez(file, mark=mark, history=entries, **arrays)  # type: ignore[arg-type]
     os.replace(partial, path)
 
 
-def load_checkpoint(path: Path, mark: str) -> Checkpoint | None:
-    """Read a checkpoint; None if there is no file.
+def load_checkpoint(
+    path: Path, mark: str
+) -> tuple[dict[str, HostArray], list[HistoryEntry]]:
+    """Read a checkpoint: its arrays and its history.
 
     Raises:
         ValueError: If the file is no checkpoint, or one of another calibration.
     """
-    if not path.exists():
-        return None
     try:
         # Opened here: np.load leaves a file open that it cannot read.
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
         written = str(content.pop("mark"))
         history = json.loads(str(content.pop("history")))
-        leaves = [content[f"state_{i}"] for i in range(len(content))]
     except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{path} is not a checkpoint of a calibration ({error}); give another "
@@ -154,24 +210,4 @@ def load_checkpoint(path: Path, mark: str) -> Checkpoint | None:
     for entry in history:
         for name in ("lambda_p", "newton_steps"):
             entry[name] = tuple(entry[name])
-    return Checkpoint(path, leaves, [HistoryEntry(**entry) for entry in history])
-
-
-def resumed_state(like: CalibrationState, saved: Checkpoint) -> CalibrationState:
-    """The state of a checkpoint.
-
-    Args:
-        like: A state of the same calibration.
-        saved: The checkpoint.
-
-    Raises:
-        ValueError: If it was written by a version whose states hold something else.
-    """
-    shapes = [np.shape(leaf) for leaf in jax.tree.leaves(like)]
-    if shapes != [leaf.shape for leaf in saved.leaves]:
-        raise ValueError(
-            f"{saved.path} was written by another version of softcal_jax: remove it to "
-            "start anew, or give another path."
-        )
-    leaves = [jnp.asarray(leaf) for leaf in saved.leaves]
-    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+    return content, [HistoryEntry(**entry) for entry in history]

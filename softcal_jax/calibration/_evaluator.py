@@ -1,5 +1,7 @@
-"""Evaluations and runs of a calibration, side by side on the cores of this machine."""
+"""Evaluations of a calibration as jobs, whose lanes `Workers` run side by side."""
 
+from copy import copy
+from dataclasses import replace
 from typing import TypeVar
 
 import equinox as eqx
@@ -12,38 +14,44 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
     Lane,
+    at_rest,
     evaluate_lane,
+    first_guess,
     stacked,
     without_names,
 )
-from softcal_jax.equilibrium import Workers, program_key
+from softcal_jax.equilibrium import Batch, Job, program_key
+from softcal_jax.fields import ParameterSpace
 
 T = TypeVar("T")
 
 _evaluate_lane = eqx.filter_jit(evaluate_lane)
+_first_guess = eqx.filter_jit(first_guess)
 
 
 class Evaluator:
-    """Evaluates a calibration, its configurations side by side.
+    """Evaluates a calibration, its configurations as lanes of one program.
 
-    One program serves every configuration, and any number of them.
+    One program serves every configuration and any number of them, all data, and all
+    ways to step in the same parameters.
 
     Attributes:
         problem: The calibration.
         numbered: The same without names, for compiled programs.
     """
 
-    def __init__(self, problem: CalibrationProblem, workers: Workers):
+    def __init__(self, problem: CalibrationProblem):
         """Evaluations of one calibration.
 
         Args:
             problem: The calibration.
-            workers: Threads, entered as a context.
         """
-        self.problem, self._workers = problem, workers
-        self.numbered = without_names(problem)
-        # Without the batch, whose size would make it another program.
-        self._shared = eqx.tree_at(lambda p: p.configurations, self.numbered, None)
+        self.problem, self.numbered = problem, without_names(problem)
+        # Without the batch, whose size would make it another program, and without what
+        # concerns the steps alone.
+        space = replace(self.numbered.space, order=(), tensor_steps=True, pin=None)
+        where = lambda p: (p.configurations, p.space)
+        self._shared = eqx.tree_at(where, self.numbered, (None, space))
         n_c = problem.configurations.gravity.shape[0]
         self._configurations = [_lane(problem.configurations, c) for c in range(n_c)]
         self._program = program_key(
@@ -51,13 +59,23 @@ class Evaluator:
         )
         self._on: dict[int, CalibrationProblem] = {}
 
+    def with_space(self, space: ParameterSpace) -> "Evaluator":
+        """The same lanes for parameters that differ in their steps or their pin.
+
+        Args:
+            space: The parameters, numbered.
+        """
+        other = copy(self)
+        other.numbered = eqx.tree_at(lambda p: p.space, self.numbered, space)
+        return other
+
     def __call__(
         self,
         z: Float[Array, " n_p"],
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
-    ) -> Evaluation:
+    ) -> Job[Evaluation]:
         """Equilibria, errors and compliances, as `evaluate` gives them.
 
         Args:
@@ -68,15 +86,32 @@ class Evaluator:
         """
         before = guess if before is None else before
         lanes = zip(self._configurations, guess, before, strict=True)
-        jobs = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
-        lanes = self._workers.map(self._one, jobs, self._program)
-        return _stacked(self.numbered, z, lanes)
+        precise = jnp.asarray(precise)
+        jobs = [(z, *lane, precise) for lane in lanes]
+        found = yield Batch(self._evaluate, jobs, self._program)
+        return _stacked(self.numbered, z, found)
 
-    def _one(self, solver, job) -> Lane:
+    def from_rest(self, z: Float[Array, " n_p"]) -> Job[Evaluation]:
+        """The evaluation from nothing but the configurations, see `first_guess`.
+
+        Args:
+            z: Scaled parameters [-].
+        """
+        guess = at_rest(self.problem)
+        if self.problem.model.mechanism.bodies.n_bodies > 0:
+            key = program_key("first_guess", self.numbered)
+            (guess,) = yield Batch(self._guess, [z], key)
+        return (yield from self(z, guess))
+
+    def _evaluate(self, solver, lane) -> Lane:
         shared = self._on.get(id(solver))  # which the problem keeps alive
         if shared is None:
             shared = self._on[id(solver)] = with_solver(self._shared, solver)
-        return jax.block_until_ready(_evaluate_lane(shared, *job))
+        return jax.block_until_ready(_evaluate_lane(shared, *lane))
+
+    def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
+        problem = with_solver(self.numbered, solver)
+        return jax.block_until_ready(_first_guess(problem, z))
 
 
 @eqx.filter_jit

@@ -7,7 +7,6 @@ from scipy.stats import norm, t
 
 from softcal_jax._names import unknown_name
 from softcal_jax.calibration._calibrate import as_sequence, build_problem
-from softcal_jax.calibration._descent import from_rest
 from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._profile import ProfileEnd, profile_ends
 from softcal_jax.calibration._result import (
@@ -81,7 +80,7 @@ def profile_intervals(
         )
     problem = build_problem(result.model, space, configurations, result.newton)
     with Workers(problem.model, len(problem.configurations.gravity)) as workers:
-        now = from_rest(Evaluator(problem, workers), result.z)
+        now = workers.end_of(Evaluator(problem).from_rest(result.z))
     check_converged(now.equilibrium, tuple(c.name for c in configurations))
     cost, before = float(now.cost), result.history[-1].cost
     if not abs(cost - before) <= SAME_COST * before + 1e-9:
@@ -92,11 +91,11 @@ def profile_intervals(
     ends = profile_ends(
         problem,
         result.settings,
-        result.z,
-        np.asarray(now.W_ep),
-        cost,
-        rise,
-        [space.names.index(name) for name in names],
+        z=result.z,
+        W_ep=np.asarray(now.W_ep),
+        cost=cost,
+        rise=rise,
+        which=[space.names.index(name) for name in names],
     )
     return tuple(
         _interval(result, name, level, *pair)

@@ -2,21 +2,19 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import brentq
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._evaluator import with_solver
-from softcal_jax.calibration._problem import CalibrationProblem, without_names
+from softcal_jax.calibration._descent import Run, minimise
+from softcal_jax.calibration._evaluator import Evaluator
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import IntervalEnd
-from softcal_jax.calibration._runs import Run, minimise
 from softcal_jax.calibration._state import CalibrationSettings
-from softcal_jax.equilibrium import Workers, program_key
+from softcal_jax.equilibrium import Job, Workers
 from softcal_jax.fields import ParameterSpace, Pin
 
 FIRM = 10.0
@@ -85,6 +83,7 @@ class _NotFound(Exception):
 def profile_ends(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
+    *,
     z: Float[Array, " n_p"],
     W_ep: Float[HostArray, "n_e n_p"],
     cost: float,
@@ -104,7 +103,7 @@ def profile_ends(
         W_ep: Stacked compliances there, in noise units [-].
         cost: Half the sum of squared errors there, in noise units [-].
         rise: Root of the rise of twice the cost at the end of an interval [-].
-        which: Numbers of the parameters.
+        which: Indices of the parameters.
 
     Returns:
         The lower and the upper end for each of them.
@@ -112,21 +111,27 @@ def profile_ends(
     Raises:
         LowerCostFound: If the calibration is not in the best optimum.
     """
-    spread = _spread(problem, W_ep)
-    at = _Fit(without_names(problem), settings, z, cost, rise, spread)
-    jobs = [(column, sign) for column in which for sign in (-1.0, 1.0)]
-    with Workers(problem.model, len(jobs)) as workers:
-        key = program_key("pinned", at.problem, settings)
-        ends = workers.map(lambda solver, job: _end(at, solver, *job), jobs, key)
+    at = _Fit(
+        evaluate=Evaluator(problem),
+        settings=settings,
+        z=np.asarray(z),
+        cost=cost,
+        rise=rise,
+        covariance=_spread(problem, W_ep),
+    )
+    jobs = [_end(_Profile(at, column, sign)) for column in which for sign in (-1, 1)]
+    lanes = len(jobs) * len(problem.configurations.gravity)
+    with Workers(problem.model, lanes) as workers:
+        ends = workers.ends(jobs)
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 
 class _Fit(NamedTuple):
     """A calibration where it ended."""
 
-    problem: CalibrationProblem
+    evaluate: Evaluator
     settings: CalibrationSettings
-    z: Float[Array, " n_p"]
+    z: Float[HostArray, " n_p"]
     cost: float
     rise: float
     covariance: Float[HostArray, "n_p n_p"]
@@ -140,17 +145,15 @@ def _spread(problem: CalibrationProblem, W) -> Float[HostArray, "n_p n_p"]:
     return np.linalg.inv(W.T @ W + np.diag(known))
 
 
-def _end(at: _Fit, solver, column: int, sign: float) -> ProfileEnd:
+def _end(profile: "_Profile") -> Job[ProfileEnd]:
     """One end of the interval of one parameter."""
-    profile = _Profile(at, solver, column, sign)
     try:
-        bracket = _bracket(profile.excess, at.rise, profile.reach, profile.limit)
+        bracket = yield from _bracket(
+            profile.excess, profile.at.rise, profile.reach, profile.limit
+        )
         if bracket is None:
             return ProfileEnd(max(profile.limit, 0.0), "bound")
-        xtol = 0.01 * CLOSE_ENOUGH * bracket[1]
-        found: float = brentq(profile.excess, *bracket, xtol=xtol)  # pyright: ignore
-        if profile.excess(found) != 0.0:  # which it is where it is close enough
-            raise _NotFound
+        found = yield from _root(profile.excess, *bracket)
     except _NotFound:
         return ProfileEnd(float("nan"), "not found")
     return ProfileEnd(profile.seen[found].distance, "likelihood")
@@ -171,22 +174,22 @@ class _Rest(NamedTuple):
 class _Profile:
     """Fits that hold one parameter further and further away on one side."""
 
-    def __init__(self, at: _Fit, solver, column: int, sign: float):
-        space, variance = at.problem.space, at.covariance[column, column]
+    def __init__(self, at: _Fit, column: int, sign: int):
+        self.space = space = at.evaluate.numbered.space
+        variance = at.covariance[column, column]
         self.at, self.column, self.sign = at, column, sign
         self.std = float(np.sqrt(variance))
         self.reach, self.limit = at.rise * self.std, _room(space, at.z, column, sign)
         self.path = sign * at.covariance[column] / variance
-        self.problem = with_solver(at.problem, solver)
-        self.seen = {0.0: _Rest(0.0, np.asarray(at.z), -at.rise)}
+        self.seen = {0.0: _Rest(0.0, at.z, -at.rise)}
 
-    def excess(self, distance: float) -> float:
+    def excess(self, distance: float) -> Job[float]:
         """How much too high the cost is; 0 where that is close to nothing."""
         if distance not in self.seen:
-            self.seen[distance] = self._fit(distance)
+            self.seen[distance] = yield from self._fit(distance)
         return self.seen[distance].excess
 
-    def _fit(self, distance: float) -> _Rest:
+    def _fit(self, distance: float) -> Job[_Rest]:
         at = self.at
         within = [other for other, rest in self.seen.items() if rest.excess <= 0.0]
         near = min(within, key=lambda other: abs(other - distance))  # none lost beyond
@@ -194,36 +197,73 @@ class _Profile:
         firm = FIRM if distance < self.limit else 10.0 * FIRM
         pin = Pin(
             jnp.asarray(self.column),
-            at.z[self.column] + self.sign * distance,
+            jnp.asarray(at.z[self.column] + self.sign * distance),
             jnp.asarray(firm / self.std),
         )
-        problem = self.problem
-        run = _pinned(problem, at.settings, jnp.asarray(start), pin)
+        run = yield from self._pinned(self.space, pin, start)
         if not run.converged:
             self._check(pin, run)
             again = run.z if np.isfinite(run.cost) else self.seen[near].z
-            space = in_plain_steps(problem.space)
-            plain = eqx.tree_at(lambda p: p.space, problem, space)
-            run = _pinned(plain, at.settings, jnp.asarray(again), pin)
+            run = yield from self._pinned(in_plain_steps(self.space), pin, again)
         far, higher = self._check(pin, run)
         if not run.converged:
             raise _NotFound
         value = np.sqrt(max(higher, 0.0)) - at.rise
         value = 0.0 if abs(value) <= CLOSE_ENOUGH * at.rise else float(value)
-        return _Rest(distance + self.sign * far, np.asarray(run.z), value)
+        return _Rest(distance + self.sign * far, run.z, value)
+
+    def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Job[Run]:
+        """The calibration with the parameter held."""
+        own = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
+        evaluate = self.at.evaluate.with_space(own)
+        return minimise(evaluate, self.at.settings, jnp.asarray(start))
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
         """How far beyond its pin a parameter is, and the rise of twice the cost."""
-        far, cost = _without_pin(self.at.problem.space, pin, run.z, run.cost)
+        far, cost = _without_pin(self.space, pin, run.z, run.cost)
         higher = 2.0 * (float(cost) - self.at.cost)
         if higher < -LOWER * self.at.rise**2:
-            raise LowerCostFound(run.z, float(cost), self.at.cost)
+            raise LowerCostFound(jnp.asarray(run.z), float(cost), self.at.cost)
         return float(far), higher
 
 
+Excess = Callable[[float], Job[float]]
+
+
+def _root(excess: Excess, inside: float, outside: float) -> Job[float]:
+    """Where an excess of two signs vanishes, which it does over some distance.
+
+    By inverse quadratic interpolation, or halves where that is not safe (Chandrupatla,
+    Adv. Eng. Softw. 28, 1997); along a parabola of the cost the first guess, by a
+    straight line, is the last.
+
+    Raises:
+        _NotFound: If the excess jumps instead.
+    """
+    a, b = outside, inside  # the newest, and one with the other sign
+    f_a, f_b = (yield from excess(a)), (yield from excess(b))
+    share, smallest = f_a / (f_a - f_b), 0.01 * CLOSE_ENOUGH * outside
+    while f_a != 0.0:
+        if abs(b - a) < 2.0 * smallest:
+            raise _NotFound
+        least = smallest / abs(b - a)
+        x = a + float(np.clip(share, least, 1.0 - least)) * (b - a)
+        f_x = yield from excess(x)
+        if np.sign(f_x) == np.sign(f_a):
+            c, f_c = a, f_a
+        else:
+            c, f_c, b, f_b = b, f_b, a, f_a
+        a, f_a = x, f_x
+        xi, phi, share = (a - b) / (c - b), (f_a - f_b) / (f_c - f_b), 0.5
+        if phi**2 < xi and (1.0 - phi) ** 2 < 1.0 - xi:
+            share = f_a / (f_b - f_a) * f_c / (f_b - f_c)
+            share += (c - a) / (b - a) * f_a / (f_c - f_a) * f_b / (f_c - f_b)
+    return a
+
+
 def _bracket(
-    excess: Callable[[float], float], rise: float, reach: float, limit: float
-) -> tuple[float, float] | None:
+    excess: Excess, rise: float, reach: float, limit: float
+) -> Job[tuple[float, float] | None]:
     """Two distances with the end between them; None if it is beyond the limit.
 
     Further and further out, and half the way back where a fit does not converge.
@@ -232,7 +272,7 @@ def _bracket(
     while inside < limit:
         outside = min(outside, limit)
         try:
-            value = excess(outside)
+            value = yield from excess(outside)
         except _NotFound:
             value, lost = -rise, outside
         else:
@@ -246,7 +286,7 @@ def _bracket(
     return None
 
 
-def _room(space: ParameterSpace, z, column: int, sign: float) -> float:
+def _room(space: ParameterSpace, z, column: int, sign: int) -> float:
     """How far a parameter may go; half a turn if it is periodic."""
     down, up = space.room(z)
     room = float(up[column] if sign > 0 else -down[column])
@@ -269,15 +309,6 @@ def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
     pairs = zip(chart.small, chart.large, strict=True)
     order = [(names[small], names[large]) for small, large in pairs]
     return replace(space, order=(*space.order, *order), tensor_steps=False)
-
-
-@eqx.filter_jit
-def _pinned(
-    problem: CalibrationProblem, settings: CalibrationSettings, start, pin: Pin
-) -> Run:
-    """The calibration with one parameter held."""
-    add = partial(eqx.tree_at, lambda p: p.space.pin, is_leaf=lambda x: x is None)
-    return minimise(add(problem, pin), settings, start)
 
 
 @eqx.filter_jit

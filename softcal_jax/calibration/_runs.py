@@ -1,99 +1,21 @@
-"""The outer loop as one traced program, from many starts in one batch."""
+"""Runs from many starts, each with its mirror images."""
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, Int
-from softcal_jax.calibration._problem import CalibrationProblem, evaluate, first_guess
-from softcal_jax.calibration._proposal import propose
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
-    CalibrationState,
-    initial_state,
-)
-from softcal_jax.calibration._step import decide
-from softcal_jax.equilibrium import lane_by_lane
+from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax.calibration._descent import Run, minimise
+from softcal_jax.calibration._evaluator import Evaluator
+from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._state import CalibrationSettings
+from softcal_jax.equilibrium import Job
 from softcal_jax.fields import ParameterSpace
 
 NOTHING_LEFT = 1e-6
 """Mean squared error, in noise units, below which no other optimum is looked for."""
-
-
-class Run(eqx.Module):
-    """End of the outer loop; from a batch of starts, arrays with a leading axis.
-
-    Attributes:
-        z: Scaled parameters [-].
-        cost: Half the sum of squared errors in noise units; infinite if the start has
-            no equilibrium [-].
-        steps: QP steps, those of mirrored runs included.
-        converged: Whether lambda_p vanished.
-        errors: Root of twice the cost after each step of the first run; nan after its
-            end [-].
-    """
-
-    z: Float[Array, "*starts n_p"]
-    cost: Float[Array, "*starts"]
-    steps: Int[Array, "*starts"]
-    converged: Bool[Array, "*starts"]
-    errors: Float[Array, "*starts n_steps"]
-
-
-def run_starts(
-    problem: CalibrationProblem,
-    settings: CalibrationSettings,
-    starts: Float[Array, "n_starts n_p"],
-    *,
-    mirror: bool = True,
-) -> Run:
-    """Run the outer loop from every start: one traceable program, one `vmap`.
-
-    Args:
-        problem: The calibration.
-        settings: Settings of the outer loop.
-        starts: Scaled parameters to start from [-].
-        mirror: Whether a run that ends with an error goes on from mirror images: that
-            of its end with all material axes reflected (theta to -theta), that of its
-            start, and those of its start with one axis reflected after the other. A
-            body that is loaded in or across its print plane hardly tells an axis from
-            its reflection, and each has an optimum. At the last from the axes of its
-            end, with all other parameters as the space starts them. The best is kept,
-            and finished if the step limit ended it before it converged.
-
-    Returns:
-        How each of them ended.
-    """
-    images = images_of(problem.space, mirror)
-
-    @lane_by_lane
-    def lane(problem, images, start):
-        def try_image(best, image):
-            z = origin(best, image, start)
-            best = jax.lax.cond(
-                wanted(problem, best, image),
-                lambda: better(best, minimise(problem, settings, z)),
-                lambda: best,
-            )
-            return best, None
-
-        return jax.lax.scan(try_image, nothing_yet(settings, start), images)[0]
-
-    return jax.vmap(lambda start: lane(problem, images, start))(starts)
-
-
-def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> Run:
-    """A run before its first step."""
-    return Run(
-        start,
-        jnp.full((), jnp.inf, start.dtype),
-        jnp.zeros((), jnp.int32),
-        jnp.zeros((), bool),
-        jnp.full((settings.max_steps + 1,), jnp.nan, start.dtype),
-    )
 
 
 class Image(NamedTuple):
@@ -102,135 +24,126 @@ class Image(NamedTuple):
     `elsewhere` tells it from one that goes on where a run was ended by its limit.
     """
 
-    signs: Float[Array, " n_p"]
-    plus: Float[Array, " n_p"]
-    elsewhere: Bool[Array, ""]
-    of_start: Bool[Array, ""]
+    signs: Float[HostArray, " n_p"]
+    plus: Float[HostArray, " n_p"]
+    elsewhere: bool = False
+    of_start: bool = False
 
 
-def images_of(space: ParameterSpace, mirror: bool) -> Image:
-    """What is tried: the start, images of the end, images of the start; the finish.
+def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
+    """What a run tries: its start, then images if `mirror`, at last to finish the best.
 
-    Of the end only that with all axes reflected: where that leads nowhere, the run has
-    lost its way, and the start is the better origin. At the last its axes with all else
-    as the space starts it: there it may be the moduli that went astray.
+    A body that is loaded in or across its print plane hardly tells an axis from its
+    reflection (theta to -theta), and each has an optimum. So a run that ends with an
+    error goes on from its end with all axes reflected, from its start with all of them
+    reflected, and from its start with one after the other. Of the end only all
+    together: where that leads nowhere, the run has lost its way, and the start is the
+    better origin. Finally it goes on from the axes of its end with all other parameters
+    as the space starts them: it may be the moduli that went astray.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
-    turns = np.isin(np.arange(len(space.names)), angles)
+    n = len(space.names)
+    as_is = Image(np.ones(n), np.zeros(n))
+    if not (mirror and angles):
+        return [as_is]
 
-    def image(*, reflected=(), of_start=False) -> Image:
-        signs = np.ones(len(turns))
-        signs[list(reflected)] = -1.0
-        plus = jnp.zeros(len(turns))
-        flags = jnp.asarray(len(reflected) > 0), jnp.asarray(of_start)
-        return Image(jnp.asarray(signs), plus, *flags)
+    def reflected(group, of_start: bool) -> Image:
+        signs = np.ones(n)
+        signs[group] = -1.0
+        return Image(signs, np.zeros(n), elsewhere=True, of_start=of_start)
 
-    images = [image()]
-    if mirror and angles:
-        each = [[i] for i in angles] if len(angles) > 1 else []
-        as_given, no = jnp.where(turns, 0.0, space.start()), jnp.zeros((), bool)
-        images += [
-            image(reflected=angles),
-            *(image(reflected=group, of_start=True) for group in (angles, *each)),
-            Image(jnp.asarray(turns, float), as_given, jnp.ones((), bool), no),
-            image(),
-            image(),
-        ]
-    return jax.tree.map(lambda *rows: jnp.stack(rows), *images)
+    each = [[i] for i in angles] if len(angles) > 1 else []
+    turns = np.isin(np.arange(n), angles)
+    as_given = np.where(turns, 0.0, space.start())
+    return [
+        as_is,
+        reflected(angles, False),
+        *(reflected(group, True) for group in (angles, *each)),
+        Image(turns.astype(float), as_given, elsewhere=True),
+        as_is,
+        as_is,
+    ]
 
 
-def origin(best: Run, image: Image, start: Float[Array, " n_p"]):
+def origin(
+    best: Run, image: Image, start: Float[HostArray, " n_p"]
+) -> Float[HostArray, " n_p"]:
     """Where the run of an image begins, as scaled parameters."""
-    return image.signs * jnp.where(image.of_start, start, best.z) + image.plus
+    return image.signs * (start if image.of_start else best.z) + image.plus
 
 
-def wanted(problem: CalibrationProblem, best: Run, image: Image) -> Bool[Array, ""]:
+def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
     """Whether an image is worth a run."""
-    seen = problem.configurations.effectors.inverse_std > 0.0
-    measured = jnp.sum(seen, dtype=best.cost.dtype)
-    nothing_left = 2.0 * best.cost <= NOTHING_LEFT * measured
     # A start without equilibrium has no end to go on from.
-    lost = jnp.isinf(best.cost) & (best.steps > 0)
-    unfinished = ~best.converged & ~lost
-    return jnp.where(image.elsewhere, ~lost & ~nothing_left, unfinished)
-
-
-def minimise(
-    problem: CalibrationProblem,
-    settings: CalibrationSettings,
-    start: Float[Array, " n_p"],
-) -> Run:
-    """The outer loop from one start, to its end.
-
-    The start is evaluated by the first pass of the loop, so that `evaluate`, most of
-    the program, is in it once.
-
-    Args:
-        problem: The calibration.
-        settings: Settings of the outer loop.
-        start: Scaled parameters to start from [-].
-    """
-    z = problem.space.admissible(start)
-    rest = first_guess(problem, z)
-    empty = jax.tree.map(
-        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
-        jax.eval_shape(evaluate, problem, z, rest),
-    )
-    errors = jnp.full((settings.max_steps + 1,), jnp.nan, z.dtype)
-
-    def going(carry):
-        begun, state, _ = carry
-        ended = state.converged | state.stalled | ~state.evaluation.ok
-        return ~begun | (~ended & (state.step < settings.max_steps))
-
-    def step(carry):
-        begun, state, errors = carry
-        proposal = propose(problem, settings, state)
-        choose = lambda a, b: jnp.where(begun, a, b)
-        tried = jax.lax.cond(
-            begun & proposal.vanishes,
-            lambda: state.evaluation,
-            lambda: evaluate(
-                problem,
-                choose(proposal.z, z),
-                choose(proposal.guess, rest),
-                choose(proposal.before, rest),
-                begun & proposal.precise,
-            ),
-        )
-        first = initial_state(settings, z, tried)
-        decided = decide(problem, settings, state, proposal, tried)
-        state = jax.tree.map(choose, decided, first)
-        error = jnp.sqrt(2.0 * state.evaluation.cost)
-        return jnp.ones((), bool), state, errors.at[state.step].set(error)
-
-    begin = (jnp.zeros((), bool), initial_state(settings, z, empty), errors)
-    _, state, errors = jax.lax.while_loop(going, step, begin)
-    return as_run(state, errors)
-
-
-def as_run(state: CalibrationState, errors: Float[Array, " n_steps"]) -> Run:
-    """A run at its end."""
-    return Run(
-        state.z,
-        state.evaluation.cost,
-        jnp.maximum(state.step, 1),
-        state.converged,
-        errors,
-    )
+    lost = np.isinf(best.cost) and best.steps > 0
+    measured = np.sum(np.asarray(problem.configurations.effectors.inverse_std) > 0.0)
+    something_left = 2.0 * best.cost > NOTHING_LEFT * measured
+    return not lost and bool(something_left if image.elsewhere else not best.converged)
 
 
 def better(best: Run, new: Run) -> Run:
     """The lower of two ends, with the steps of both; the errors of the first run."""
     # A run that is only finished may end where it was, to rounding.
-    same = new.converged & ~best.converged & (new.cost <= 1.000001 * best.cost + 1e-9)
-    lower = (new.cost < best.cost) | same
-    keep = lambda a, b: jnp.where(lower, a, b)
-    first = best.steps == 0
+    same = new.converged and not best.converged
+    same = same and new.cost <= 1.000001 * best.cost + 1e-9
+    lower = new if new.cost < best.cost or same else best
     return Run(
-        keep(new.z, best.z),
-        keep(new.cost, best.cost),
-        best.steps + new.steps,
-        keep(new.converged, best.converged),
-        jnp.where(first, new.errors, best.errors),
+        z=lower.z,
+        cost=lower.cost,
+        steps=best.steps + new.steps,
+        converged=lower.converged,
+        errors=best.errors if best.steps else new.errors,
+    )
+
+
+def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> Run:
+    """A run before its first step."""
+    return Run(
+        z=np.asarray(start),
+        cost=np.inf,
+        steps=0,
+        converged=False,
+        errors=np.full(settings.max_steps + 1, np.nan),
+    )
+
+
+class Begun(NamedTuple):
+    """A run between two of its images: how many were tried, and the best end."""
+
+    images: int
+    best: Run
+
+
+def run_start(
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    start: Float[Array, " n_p"],
+    *,
+    images: Sequence[Image],
+    begun: Begun | None = None,
+    note: Callable[[Begun], None] = lambda _: None,
+) -> Job[Run]:
+    """Run the outer loop from a start and its images; the best end is kept.
+
+    Args:
+        evaluate: Of the calibration.
+        settings: Settings of the outer loop.
+        start: Scaled parameters to start from [-].
+        images: What is tried, from `images_of`.
+        begun: What was done before, by default nothing.
+        note: Called after each image, tried or not worth it.
+    """
+    tried, best = begun or Begun(0, nothing_yet(settings, start))
+    for i, image in enumerate(images[tried:], start=tried + 1):
+        if wanted(evaluate.problem, best, image):
+            z = jnp.asarray(origin(best, image, np.asarray(start)))
+            best = better(best, (yield from minimise(evaluate, settings, z)))
+        note(Begun(i, best))
+    return best
+
+
+def best_of(cost: Float[HostArray, " n"], converged: Bool[HostArray, " n"]) -> int:
+    """Index of the run with the lowest cost, among the converged if any is."""
+    return int(
+        np.argmin(np.where(converged, cost, np.inf) if converged.any() else cost)
     )

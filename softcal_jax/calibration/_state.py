@@ -60,7 +60,7 @@ class CalibrationSettings(eqx.Module):
 
 
 class CalibrationState(eqx.Module):
-    """State of the outer loop; a pytree, so that a batch of starts is one `vmap`.
+    """State of the outer loop.
 
     Attributes:
         z: Scaled parameters [-].

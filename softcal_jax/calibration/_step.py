@@ -11,13 +11,12 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax.calibration._curvature import Curvature, learned
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluation, evaluate
+from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
 from softcal_jax.calibration._proposal import (
     SMALLEST_FALL,
     Proposal,
     is_at_bound,
     linear_model,
-    propose,
 )
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
@@ -96,23 +95,3 @@ def _after(
     # A step that vanishes is not taken: both ends are the same.
     keep = lambda old, new: jnp.where(proposal.vanishes, old, new)
     return jax.tree.map(keep, state.curvature, new)
-
-
-def calibration_step(
-    problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
-) -> CalibrationState:
-    """One whole step, traceable: propose, evaluate, decide.
-
-    Args:
-        problem: The calibration.
-        settings: Settings of the outer loop.
-        state: State before the step; its evaluation is ok.
-
-    Returns:
-        State after it.
-    """
-    proposal = propose(problem, settings, state)
-    tried = evaluate(
-        problem, proposal.z, proposal.guess, proposal.before, proposal.precise
-    )
-    return decide(problem, settings, state, proposal, tried)

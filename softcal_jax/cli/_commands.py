@@ -73,7 +73,9 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     show.now("first equilibrium (compiling)")
     with bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(
-            checkpoint=args.checkpoint, progress=_step_lines(project, show)
+            checkpoint=args.checkpoint,
+            progress=_step_lines(project, show),
+            search_progress=lambda search: show.line(f"search   {search}"),
         )
     show.lap("solve")
     show.split("solve", "compile", result.timing_s["compile"])

@@ -48,16 +48,24 @@ from softcal_jax.equilibrium._sensitivity import (
 )
 from softcal_jax.equilibrium._solution import EquilibriumSolution, check_converged
 from softcal_jax.equilibrium._solve import solve_equilibrium
-from softcal_jax.equilibrium._workers import Workers, program_key, usable_cores
+from softcal_jax.equilibrium._workers import (
+    Batch,
+    Job,
+    Workers,
+    program_key,
+    usable_cores,
+)
 
 __all__ = [
     "RESULTS",
     "ActuatorState",
     "AdjointRows",
+    "Batch",
     "BodyPlace",
     "Continuation",
     "EquilibriumSolution",
     "InputRows",
+    "Job",
     "LinearSolution",
     "Linearisation",
     "Model",

@@ -1,10 +1,13 @@
 """Compiled programs side by side, one on each core of this machine."""
 
 import os
-from collections.abc import Callable, Hashable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
+from heapq import heappop, heappush
 from queue import SimpleQueue
-from typing import Any, TypeVar
+from threading import Lock
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 
@@ -12,11 +15,33 @@ from softcal_jax._machine import available_cores
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
 
-A = TypeVar("A")
-B = TypeVar("B")
+T = TypeVar("T")
 
 _COMPILED: set[Hashable] = set()
 """Programs that have run in this process."""
+
+_COMPILING: dict[Hashable, Lock] = {}
+"""Held by the thread that compiles a program, while others wait for it."""
+
+
+class Batch(NamedTuple):
+    """Lanes of one program, which a job waits for.
+
+    Attributes:
+        function: Runs the program with a solver and the values of a lane, and waits for
+            its end.
+        lanes: What it is called with, one entry per lane.
+        program: Key of the program, see `program_key`: one thread compiles a new one,
+            and the others wait for it.
+    """
+
+    function: Callable[[AbstractLinearSolver, Any], Any]
+    lanes: Sequence[Any]
+    program: Hashable
+
+
+Job = Generator[Batch, list[Any], T]
+"""Asks for batches one after the other, is sent their results, and returns its end."""
 
 
 def program_key(name: str, *arguments: Any) -> Hashable:
@@ -43,13 +68,11 @@ def usable_cores() -> int:
 
 
 class Workers:
-    """Context with threads that run the lanes of a batch side by side.
+    """Context with threads that share the lanes of all jobs that are under way.
 
-    Inside one program XLA runs the loops of the lanes one after the other, and the
-    factorization of a small matrix hardly gains from a second core. So each thread
-    takes whole lanes, on one core, with a sparse solver of its own: two threads on the
-    factors of one would overwrite each other's. Which thread takes a lane changes
-    nothing in its result.
+    Each thread takes whole lanes, on one core, with a sparse solver of its own: two
+    threads on the factors of one would overwrite each other's. Which thread takes a
+    lane changes nothing in its result.
 
     Attributes:
         n: Number of threads; with one, everything runs in the thread of the caller,
@@ -58,11 +81,11 @@ class Workers:
     """
 
     def __init__(self, model: Model, lanes: int, n: int | None = None):
-        """Threads for a batch.
+        """Threads for jobs.
 
         Args:
             model: The body, whose sparse solver they need.
-            lanes: Lanes of the batch; there are no more threads than these.
+            lanes: Lanes of all jobs; there are no more threads than these.
             n: Threads; by default as many as there are cores.
 
         Raises:
@@ -87,35 +110,128 @@ class Workers:
         if self.n > 1:
             self._pool.shutdown(cancel_futures=True)
 
-    def map(
-        self,
-        function: Callable[[AbstractLinearSolver, A], B],
-        lanes: Iterable[A],
-        program: Hashable,
-    ) -> list[B]:
-        """Results of a function of (solver, lane), in the order of the lanes.
+    def end_of(self, job: Job[T]) -> T:
+        """What one job returns.
 
         Args:
-            function: Runs a compiled program with that solver and waits for its end.
-            lanes: What it is called with.
-            program: Key of the program, see `program_key`: the first lane of a new one
-                goes ahead alone, so that one thread compiles it and not all.
+            job: The job, see `ends`.
         """
-        lanes = list(lanes)
-        jax.block_until_ready(lanes)  # nothing else is under way
-        if self.n == 1:
-            return [function(self._solver, lane) for lane in lanes]
+        return self.ends([job])[0]
 
-        def run(lane: A) -> B:
-            solver = self._free.get()
-            try:
-                return function(solver, lane)
-            finally:
-                self._free.put(solver)
+    def ends(
+        self, jobs: Iterable[Job[T]], told: Callable[[int, T], None] | None = None
+    ) -> list[T]:
+        """What jobs return, in their order; their lanes side by side.
 
-        first: list[B] = []
-        with self._solver.on_one_core():
-            if program not in _COMPILED:
-                first = [run(lane) for lane in lanes[:1]]
-                _COMPILED.add(program)
-            return [*first, *self._pool.map(run, lanes[len(first) :])]
+        Lanes of an earlier job go first, and a job begins when those of the others do
+        not fill the threads: so jobs end one after the other, each leaves its place to
+        the next, and few are lost if this is interrupted. Between its batches a job
+        computes in the thread of the caller.
+
+        Args:
+            jobs: Generators that yield a `Batch` and are sent its results.
+            told: Called with the index of a job that has ended and what it returned.
+        """
+        return _Round(self, list(jobs), told or (lambda *_: None)).ends()
+
+    def submit(self, batch: Batch, lane: int) -> Future:
+        """The coming result of one lane; with one worker it is there at once.
+
+        Args:
+            batch: The batch.
+            lane: Index of the lane.
+        """
+        if self.n > 1:
+            return self._pool.submit(self._run, batch, lane)
+        done: Future = Future()
+        done.set_result(batch.function(self._solver, batch.lanes[lane]))
+        return done
+
+    def _run(self, batch: Batch, lane: int) -> Any:
+        solver = self._free.get()
+        call = lambda: batch.function(solver, batch.lanes[lane])
+        try:
+            if batch.program not in _COMPILED:
+                with _COMPILING.setdefault(batch.program, Lock()):
+                    if batch.program not in _COMPILED:
+                        first = call()
+                        _COMPILED.add(batch.program)
+                        return first
+            return call()
+        finally:
+            self._free.put(solver)
+
+    def on_one_core(self) -> ExitStack:
+        """Context in which the workers' solvers run."""
+        stack = ExitStack()
+        if self.n > 1:
+            stack.enter_context(self._solver.on_one_core())
+        return stack
+
+
+class _Round:
+    """Runs on their way to their ends."""
+
+    def __init__(self, workers: Workers, jobs: list[Job], told):
+        self._workers, self._jobs, self._told = workers, jobs, told
+        self._ends: list[Any] = [None] * len(jobs)
+        self._to_begin = iter(range(len(jobs)))
+        self._batches: dict[int, Batch] = {}
+        self._found: dict[int, dict[int, Any]] = {}
+        self._waiting: list[tuple[int, int]] = []  # a heap of (job, lane)
+        self._under_way: dict[Future, tuple[int, int]] = {}
+        self._one_core = ExitStack()
+        # Twice as many as threads, so that none waits while a job computes its step.
+        self._most = 2 * workers.n if workers.n > 1 else 1
+
+    def ends(self) -> list[Any]:
+        try:
+            while self._fill():
+                self._take()
+            return self._ends
+        finally:
+            for future in self._under_way:
+                future.cancel()
+            wait(self._under_way)
+            self._one_core.close()
+
+    def _fill(self) -> bool:
+        """Hands out lanes; whether any is under way."""
+        while len(self._under_way) < self._most:
+            if self._waiting:
+                if not self._under_way:
+                    self._one_core = self._workers.on_one_core()
+                job, lane = heappop(self._waiting)
+                future = self._workers.submit(self._batches[job], lane)
+                self._under_way[future] = job, lane
+            elif (job := next(self._to_begin, None)) is not None:
+                self._go_on(job, None)
+            else:
+                break
+        return bool(self._under_way)
+
+    def _take(self) -> None:
+        """Waits for lanes, and sends a job the batch that is complete with them."""
+        done, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
+        places = {future: self._under_way.pop(future) for future in done}
+        if not self._under_way:
+            # What the caller computes between batches may take all cores again.
+            self._one_core.close()
+        for future, (job, lane) in places.items():
+            found = self._found[job]
+            found[lane] = future.result()
+            if len(found) == len(self._batches[job].lanes):
+                self._go_on(job, [found[k] for k in range(len(found))])
+
+    def _go_on(self, job: int, found: list[Any] | None) -> None:
+        try:
+            # A generator that has just begun takes None.
+            batch = self._jobs[job].send(found)  # pyright: ignore[reportArgumentType]
+        except StopIteration as end:
+            self._ends[job] = end.value
+            self._told(job, end.value)
+            return
+        jax.block_until_ready(batch.lanes)  # so that no thread waits for them
+        self._batches[job], self._found[job] = batch, {}
+        for lane in range(len(batch.lanes)):
+            heappush(self._waiting, (job, lane))

@@ -1,6 +1,7 @@
 """Layouts of control points judged by what they predict (Sec. V-C)."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,15 +12,17 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration import (
     CalibrationProblem,
     CalibrationSettings,
+    Evaluation,
+    Evaluator,
+    Run,
+    best_of,
     build_problem,
-    evaluate,
-    first_guess,
+    images_of,
     random_starts,
-    run_starts,
-    without_names,
+    run_start,
 )
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.equilibrium import Job, Model, NewtonSettings, Workers
 from softcal_jax.fields import (
     ControlPoints,
     Entry,
@@ -40,86 +43,65 @@ has such directions: it needs more steps, and need not take the last ones.
 """
 
 
-class _Folds(eqx.Module):
-    """What each fit needs to know: one lane per fold, the last fits everything.
+class _Fold(NamedTuple):
+    """What each fit needs to know: one per configuration held out, the last has all.
 
     Attributes:
-        lanes: Configurations that are fitted.
+        lanes: Indices of the configurations that are fitted.
         counts: Whether a lane's markers count. A fold has one configuration less, and
-            repeats another without weight: so all fits have one shape and are one
-            compiled program, and what is held out cannot touch the fit, not even by
-            having no equilibrium.
+            repeats another without weight: so all fits have one shape and share their
+            programs, and what is held out cannot touch the fit, not even by having no
+            equilibrium.
     """
 
-    lanes: Int[Array, "n_folds n_c"]
-    counts: Bool[Array, "n_folds n_c"]
+    lanes: Int[HostArray, " n_c"]
+    counts: Bool[HostArray, " n_c"]
 
 
-class _Fits(eqx.Module):
-    """Ends of the fits, and all configurations with their parameters.
+class _Fit(NamedTuple):
+    """End of a fit, and all configurations with its parameters."""
 
-    Attributes:
-        z: Scaled parameters [-].
-        cost: Half the sum of squared errors in noise units; infinite if the start has
-            no equilibrium [-].
-        converged: Whether lambda_p vanished, to the tolerance of the settings.
-        there: Which configurations have an equilibrium.
-        error: Simulated minus measured positions; 0 where not measured [m].
-        W: Compliances of all configurations in units of the noise [-].
-    """
-
-    z: Float[Array, "*folds n_p"]
-    cost: Float[Array, " *folds"]
-    converged: Bool[Array, " *folds"]
-    there: Bool[Array, "*folds n_c"]
-    error: Float[Array, "*folds n_c n_markers 3"]
-    W: Float[Array, "*folds n_e n_p"]
+    run: Run
+    after: Evaluation
 
 
-def _folds(n_c: int) -> _Folds:
-    lanes = np.tile(np.arange(n_c), (n_c + 1, 1))
-    counts = np.ones((n_c + 1, n_c), bool)
-    held_out = np.arange(n_c)
-    lanes[held_out, held_out] = (held_out + 1) % n_c
-    counts[held_out, held_out] = False
-    return _Folds(jnp.asarray(lanes), jnp.asarray(counts))
+def _folds(n_c: int) -> list[_Fold]:
+    every = np.arange(n_c)
+    held_out = [
+        _Fold(np.where(every == i, (i + 1) % n_c, every), every != i) for i in every
+    ]
+    return [*held_out, _Fold(every, np.ones(n_c, bool))]
 
 
-def _fold_problem(
-    problem: CalibrationProblem, lanes: Int[Array, " n_c"], counts: Bool[Array, " n_c"]
-) -> CalibrationProblem:
+def _fold_problem(problem: CalibrationProblem, fold: _Fold) -> CalibrationProblem:
     """The calibration of one fold: what is held out is not in it."""
-    fitted = jax.tree.map(lambda leaf: leaf[lanes], problem.configurations)
-    weight = jnp.where(counts[:, None, None], fitted.effectors.inverse_std, 0.0)
+    take = lambda leaf: np.asarray(leaf)[fold.lanes]
+    fitted = jax.tree.map(take, problem.configurations)
+    weight = np.where(fold.counts[:, None, None], fitted.effectors.inverse_std, 0.0)
     fitted = eqx.tree_at(lambda c: c.effectors.inverse_std, fitted, weight)
     return eqx.tree_at(lambda p: p.configurations, problem, fitted)
 
 
-@eqx.filter_jit
 def _fit(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
     starts: Float[Array, "n_starts n_p"],
-    folds: _Folds,
-) -> _Fits:
-    def fold(one: tuple[Int[Array, " n_c"], Bool[Array, " n_c"]]) -> _Fits:
-        runs = run_starts(_fold_problem(problem, *one), settings, starts)
-        # The lowest of the converged; of all where none is.
-        cost = jnp.where(runs.converged, runs.cost, jnp.inf)
-        cost = jnp.where(jnp.any(runs.converged), cost, runs.cost)
-        best = jnp.argmin(cost)
-        z = runs.z[best]
-        after = evaluate(problem, z, first_guess(problem, z))
-        return _Fits(
-            z,
-            runs.cost[best],
-            runs.converged[best],
-            after.equilibrium.converged,
-            after.delta_e,
-            after.W_ep,
-        )
+) -> list[_Fit]:
+    """The fits of all folds, side by side."""
+    whole, images = Evaluator(problem), images_of(problem.space, mirror=True)
 
-    return jax.lax.map(fold, (folds.lanes, folds.counts))
+    def fit(fold: _Fold) -> Job[_Fit]:
+        own = Evaluator(_fold_problem(problem, fold))
+        runs = []
+        for start in np.asarray(starts):
+            runs.append((yield from run_start(own, settings, start, images=images)))
+        cost = np.array([run.cost for run in runs])
+        run = runs[best_of(cost, np.array([run.converged for run in runs]))]
+        return _Fit(run, (yield from whole.from_rest(jnp.asarray(run.z))))
+
+    n_c = len(problem.configurations.gravity)
+    with Workers(problem.model, n_c * (n_c + 1)) as workers:
+        return workers.ends(fit(fold) for fold in _folds(n_c))
 
 
 def compare_layouts(
@@ -196,7 +178,7 @@ def compare_layouts(
         if starts > 1:
             others = random_starts(problem.space, starts - 1, seed=seed)
             start = jnp.concatenate([start, others])
-        fits = _fit(without_names(problem), settings, start, _folds(len(names)))
+        fits = _fit(problem, settings, start)
         scores.append(_score(name, layouts[name], problem, names, fits))
     return LayoutComparison.ranked(scores)
 
@@ -206,18 +188,18 @@ def _score(
     points: ControlPoints,
     problem: CalibrationProblem,
     names: list[str],
-    fits: _Fits,
+    fits: list[_Fit],
 ) -> LayoutScore:
     """The folds of one layout, the fit of everything, and what the data see then."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    error = np.asarray(fits.error)
+    error = np.stack([fit.after.delta_e for fit in fits])
     # Distances are of points; turns and forces count in units of the noise.
     points_of = slice(0, problem.configurations.effectors.nodes.shape[-2])
     every = range(len(names))
     folds = []
     for held_out, configuration in enumerate(names):
         others = [i for i in every if i != held_out]
-        failure = _failure(fits, held_out, held_out)
+        failure = _failure(fits[held_out], held_out)
         if failure:
             folds.append(FoldScore(configuration, np.nan, np.nan, np.nan, failure))
             continue
@@ -230,7 +212,7 @@ def _score(
                 _rms(now[:, points_of], weight[:, points_of], others),
             )
         )
-    failure = _failure(fits, len(names), None)
+    failure = _failure(fits[-1], None)
     return LayoutScore(
         name,
         len(points.names),
@@ -241,28 +223,29 @@ def _score(
         else _rms(error[-1][:, points_of], weight[:, points_of], list(every)),
         np.nan if failure else _noise_rms(error[-1], weight, list(every)),
         failure,
-        _seen(problem, fits),
+        _seen(problem, fits[-1]),
     )
 
 
-def _seen(problem: CalibrationProblem, fits: _Fits) -> Identifiability | None:
+def _seen(problem: CalibrationProblem, fit: _Fit) -> Identifiability | None:
     """What the data see where the fit of everything ended, with the stated noise."""
-    if not bool(jnp.all(fits.there[-1])):
+    if not np.all(fit.after.equilibrium.converged):
         return None
     measured = int(np.sum(problem.configurations.effectors.inverse_std > 0.0))
-    W, z = np.asarray(fits.W[-1]), np.asarray(fits.z[-1])
-    return identifiability(W, problem.space, z, n_data=measured)
+    W = np.asarray(fit.after.W_ep)
+    return identifiability(W, problem.space, fit.run.z, n_data=measured)
 
 
-def _failure(fits: _Fits, fold: int, held_out: int | None) -> str:
+def _failure(fit: _Fit, held_out: int | None) -> str:
     """Why a fit tells nothing; empty if it does."""
-    if np.isinf(float(fits.cost[fold])):
+    if np.isinf(fit.run.cost):
         return "a fitted configuration has no equilibrium at the start"
-    if not bool(fits.converged[fold]):
+    if not fit.run.converged:
         return "the fit did not converge"
-    if held_out is not None and not bool(fits.there[fold, held_out]):
+    there = np.asarray(fit.after.equilibrium.converged)
+    if held_out is not None and not there[held_out]:
         return "with the fitted parameters it has no equilibrium"
-    if not bool(jnp.all(fits.there[fold])) and held_out is None:
+    if held_out is None and not there.all():
         return "a configuration lost its equilibrium after the fit"
     return ""
 

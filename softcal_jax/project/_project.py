@@ -15,6 +15,7 @@ from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
     HistoryEntry,
+    SearchProgress,
     calibrate,
     profile_intervals,
 )
@@ -116,6 +117,7 @@ class Project(eqx.Module):
         start: Float[Array, " n_p"] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
+        search_progress: Callable[[SearchProgress], None] | None = None,
     ) -> CalibrationResult:
         """Finds the parameters, then predicts the validation configurations.
 
@@ -123,6 +125,7 @@ class Project(eqx.Module):
             start: Scaled parameters to start from, instead of those of the file [-].
             checkpoint: File that the state is kept in, and gone on from.
             progress: Called after the first evaluation and after each step.
+            search_progress: Called when a run of a search from many starts has ended.
 
         Returns:
             The result; `result.converged` says whether lambda_p vanished. Its notes
@@ -148,6 +151,7 @@ class Project(eqx.Module):
             start=start,
             checkpoint=checkpoint,
             progress=progress,
+            search_progress=search_progress,
         )
         if not self.registrations:
             return result

@@ -14,7 +14,6 @@ from softcal_jax.calibration import (
     at_rest,
     build_problem,
     calibrate,
-    calibration_step,
     evaluate,
     fit_notes,
     initial_state,
@@ -308,26 +307,6 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     assert float(jnp.max(jnp.abs(proposal.qp.lambda_p))) <= settings.tol
     state = _decide(problem, settings, held, proposal, evaluation)
     assert not bool(state.converged)
-
-
-@pytest.mark.slow  # a program of its own, which compiles for half a minute
-def test_a_batch_of_starts_is_one_vmap(model, exact):
-    """Every start walks as it does alone, and all reach the answer."""
-    settings = CalibrationSettings()
-    problem = build_problem(model, parameter(), exact)
-    starts = jnp.log(jnp.array([[1e5], [3e5]]))
-
-    @jax.jit
-    def walk(z):
-        state = initial_state(settings, z, evaluate(problem, z, at_rest(problem)))
-        step = lambda _, state: calibration_step(problem, settings, state)
-        return jax.lax.fori_loop(0, 5, step, state).z
-
-    together = jax.jit(jax.vmap(walk))(starts)
-    np.testing.assert_allclose(together, np.log(E_TRUE), rtol=0, atol=1e-7)
-    alone = jnp.stack([walk(z) for z in starts])
-    # The equilibria are the same bit for bit; the small QP is batched by XLA.
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-9)
 
 
 def test_blind_direction_is_left_alone(model):

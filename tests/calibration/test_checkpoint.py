@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 from softcal_jax.calibration import (
+    FROM_ANYWHERE,
     CalibrationSettings,
+    Evaluator,
+    build_problem,
     calibrate,
+    multi_start,
     synthetic_measurements,
     with_measured,
 )
@@ -229,12 +233,98 @@ def test_without_a_path_nothing_is_written(tmp_path, fit, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
-def test_a_search_that_was_stopped_is_not_forgotten(tmp_path, fit):
-    """From several starts: the checkpoint after the search holds its best end."""
-    path = interrupted(fit, tmp_path / "fit.npz", 0, starts=3)
+STARTS = 5
+
+
+@pytest.fixture(scope="module")
+def searched(fit):
+    """From several starts, without any interruption, and what was told of them."""
+    told = []
+    return fit(starts=STARTS, search_progress=told.append), told
+
+
+def same_search(ours, theirs):
+    for name in ("starts", "values", "z", "cost", "steps", "converged", "errors"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def test_a_search_says_how_far_it_is(searched):
+    result, told = searched
+    assert [p.ended for p in told] == list(range(1, STARTS + 1))
+    assert {p.starts for p in told} == {STARTS}
+    last, found = told[-1], result.starts
+    assert last.converged == found.converged.sum()
+    assert last.cost == found.cost.min()
+    assert str(last).startswith(f"{STARTS} of {STARTS} starts ended, {last.converged} ")
+
+
+class Evaluations:
+    """Counts evaluations, and stops at one of them if told to."""
+
+    def __init__(self, monkeypatch, stop_at=None):
+        self.n, real = 0, Evaluator.__call__
+
+        def counted(evaluate, *args, **keywords):
+            self.n += 1
+            if self.n == stop_at:
+                raise Stopped
+            return real(evaluate, *args, **keywords)
+
+        monkeypatch.setattr(Evaluator, "__call__", counted)
+
+
+@pytest.mark.parametrize("share", [0.15, 0.5, 0.9])
+def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
+    tmp_path, fit, searched, monkeypatch, share
+):
+    """Wherever it stops; runs that had ended are not run again."""
+    path, (whole, _) = tmp_path / "fit.npz", searched
+    with monkeypatch.context() as patch:
+        every = Evaluations(patch)
+        fit(starts=STARTS)
+    told, resumed_told = [], []
+    with monkeypatch.context() as patch:
+        before = Evaluations(patch, stop_at=int(share * every.n))
+        with pytest.raises(Stopped):
+            fit(path, starts=STARTS, search_progress=told.append)
+    with monkeypatch.context() as patch:
+        after = Evaluations(patch)
+        resumed = fit(path, starts=STARTS, search_progress=resumed_told.append)
+    same_search(resumed.starts, whole.starts)
+    np.testing.assert_array_equal(resumed.z, whole.z)
+    assert_same_history(resumed.history, whole.history)
+    # Those that had ended stay so: they are neither told nor evaluated again.
+    assert len(told) + len(resumed_told) == STARTS
+    # At most an image of each run that was under way is repeated, and the first of all.
+    under_way = 4
+    assert before.n + after.n <= every.n + under_way * (FROM_ANYWHERE.max_steps + 2)
+
+
+def test_multi_start_keeps_its_runs_as_well(tmp_path, beam, data):
+    problem = build_problem(beam.model, beam.space, data)
+    path, told = tmp_path / "search.npz", []
+
+    def stop(progress):
+        told.append(progress)
+        if progress.ended == 2:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        multi_start(problem, 4, checkpoint=path, progress=stop)
+    resumed = multi_start(problem, 4, checkpoint=path, progress=told.append)
+    assert [p.ended for p in told] == [1, 2, 3, 4]
+    same_search(resumed, multi_start(problem, 4))
+    with pytest.raises(ValueError, match="a checkpoint of another calibration"):
+        multi_start(problem, 4, seed=1, checkpoint=path)
+
+
+def test_a_search_that_has_ended_is_not_forgotten(tmp_path, fit, searched, monkeypatch):
+    """Stopped after a step of the fit; another number of starts is another search."""
+    path = interrupted(fit, tmp_path / "fit.npz", 0, starts=STARTS)
     with pytest.raises(ValueError, match="a checkpoint of another calibration"):
         fit(path)
-    resumed = fit(path, starts=3)
-    assert resumed.converged
-    assert len(resumed.history) <= 3
+    evaluations = Evaluations(monkeypatch)
+    resumed = fit(path, starts=STARTS)
+    assert evaluations.n <= len(resumed.history) + 3
+    same_search(resumed.starts, searched[0].starts)
+    np.testing.assert_array_equal(resumed.z, searched[0].z)

@@ -13,7 +13,6 @@ from scipy.stats import t
 from softcal_jax.calibration import (
     LowerCostFound,
     ParameterInterval,
-    _profile,
     calibrate,
     profile_ends,
     profile_intervals,
@@ -22,7 +21,13 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._notes import uncertainty_notes
-from softcal_jax.calibration._profile import _bracket, _NotFound, in_plain_steps
+from softcal_jax.calibration._profile import (
+    _bracket,
+    _end,
+    _NotFound,
+    _root,
+    in_plain_steps,
+)
 from softcal_jax.configurations import Configuration, Markers, PointForce
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace, Pin, unnamed
@@ -139,7 +144,15 @@ def test_a_lower_cost_is_no_interval(result, poses):
     W, cost = np.asarray(result.W_ep), result.history[-1].cost
     off = result.z + jnp.array([3.0 * relative_error(result), 0.0])
     with pytest.raises(LowerCostFound, match="not in the best optimum") as caught:
-        profile_ends(problem, result.settings, off, W, cost + 4.5, 1.96, [0])
+        profile_ends(
+            problem,
+            result.settings,
+            z=off,
+            W_ep=W,
+            cost=cost + 4.5,
+            rise=1.96,
+            which=[0],
+        )
     assert caught.value.cost < caught.value.before == cost + 4.5
     again = pickle.loads(pickle.dumps(caught.value))
     np.testing.assert_array_equal(again.z, caught.value.z)
@@ -160,25 +173,52 @@ def test_an_angle_that_the_data_do_not_see():
     assert str(found) == "any angle"
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_a_profile_that_jumps_has_no_end(monkeypatch):
+def end_of(job):
+    """What a job returns that needs no lanes."""
+    with pytest.raises(StopIteration) as end:
+        next(job)
+    return end.value.value
+
+
+def known(excess):
+    """A function as a job that needs no lanes."""
+
+    def job(distance):
+        return excess(distance)
+        yield
+
+    return job
+
+
+def test_a_profile_that_jumps_has_no_end():
     """Beyond 1 the fits lie in another valley, where the cost is far too high."""
-    monkeypatch.setattr(_profile, "_Profile", Jumping)
-    found = _profile._end(SimpleNamespace(rise=2.0), None, 0, 1.0)
+    excess = known(lambda distance: -1.0 if distance < 1.0 else 50.0)
+    at = SimpleNamespace(rise=2.0)
+    found = end_of(_end(SimpleNamespace(at=at, excess=excess, reach=1.5, limit=10.0)))
     assert np.isnan(found.distance)
     assert found.why == "not found"
 
 
-class Jumping:
-    """In place of fits."""
+@pytest.mark.parametrize(
+    ("excess", "most"),
+    [
+        (lambda d: d - 1.2, 3),  # a parabola of the cost: the line's guess is right
+        (lambda d: d**3 - 1.728, 8),
+        (lambda d: np.expm1(20.0 * (d - 1.2)), 15),
+    ],
+    ids=["line", "cubic", "exponential"],
+)
+def test_an_end_is_found_in_few_fits(excess, most):
+    tried = []
 
-    reach, limit = 1.5, 10.0
+    def rounded(distance):
+        tried.append(distance)
+        value = excess(distance)
+        return 0.0 if abs(value) < 1e-3 else value
 
-    def __init__(self, *_):
-        self.seen = {}
-
-    def excess(self, distance):
-        return -1.0 if distance < 1.0 else 50.0
+    found = end_of(_root(known(rounded), 0.0, 2.0))
+    assert rounded(found) == 0.0
+    assert len(tried) - 1 <= most
 
 
 def test_a_fit_that_is_lost_is_gone_back_from():
@@ -190,13 +230,13 @@ def test_a_fit_that_is_lost_is_gone_back_from():
                 raise _NotFound
             return distance - end
 
-        return of
+        return known(of)
 
-    inside, outside = _bracket(excess(1.2), 1.2, 2.0, 10.0)
+    inside, outside = end_of(_bracket(excess(1.2), 1.2, 2.0, 10.0))
     assert inside <= 1.2 <= outside <= 1.4
     with pytest.raises(_NotFound):
-        _bracket(excess(1.5), 1.5, 2.0, 10.0)
-    assert _bracket(excess(1.2), 1.2, 2.0, 1.1) is None
+        next(_bracket(excess(1.5), 1.5, 2.0, 10.0))
+    assert end_of(_bracket(excess(1.2), 1.2, 2.0, 1.1)) is None
 
 
 def test_bad_input(result, poses):

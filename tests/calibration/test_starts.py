@@ -21,10 +21,16 @@ from softcal_jax.calibration import (
     random_starts,
     synthetic_measurements,
 )
-from softcal_jax.calibration._descent import run_start
 from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._runs import images_of, nothing_yet, origin, wanted
-from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima
+from softcal_jax.calibration._runs import (
+    Run,
+    images_of,
+    nothing_yet,
+    origin,
+    run_start,
+    wanted,
+)
+from softcal_jax.calibration._search import FROM_ANYWHERE, _optima
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ControlPoints, Parameter, ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
@@ -105,7 +111,7 @@ def test_errors_go_from_the_start_to_the_end(measured, plain):
 
 
 def test_order_of_the_starts_changes_nothing(measured, mirrored):
-    """Bit for bit, since one lane runs after the other; a lost one too."""
+    """Bit for bit, whichever thread takes a lane; a lost one too."""
     lost = jnp.full_like(measured.starts[0], jnp.nan)
     starts = jnp.stack([measured.starts[2], lost, measured.starts[0]])
     again = multi_start(measured.problem, starts)
@@ -123,13 +129,13 @@ def test_order_of_the_starts_changes_nothing(measured, mirrored):
 
 
 def test_one_start_alone_ends_as_among_others(measured, mirrored):
-    """Its configurations side by side in place of the starts; images included."""
-    with Workers(measured.beam.model, 2, 2) as workers:
-        evaluate = Evaluator(measured.problem, workers)
-        start = measured.starts[2]
-        alone = run_start(evaluate, FROM_ANYWHERE, start, mirror=True)
-    assert bool(alone.converged)
-    assert int(alone.steps) == mirrored.steps[2]
+    """In the thread of the caller, with all cores for each solve; images included."""
+    images = images_of(measured.beam.space, True)
+    evaluate, start = Evaluator(measured.problem), measured.starts[2]
+    with Workers(measured.beam.model, 2, 1) as workers:
+        alone = workers.end_of(run_start(evaluate, FROM_ANYWHERE, start, images=images))
+    assert alone.converged
+    assert alone.steps == mirrored.steps[2]
     np.testing.assert_allclose(alone.z, mirrored.z[2], rtol=0, atol=1e-8)
     np.testing.assert_allclose(alone.errors, mirrored.errors[2], rtol=1e-5, atol=1e-6)
 
@@ -170,32 +176,32 @@ def test_images_of_the_end_and_of_the_start(measured):
     problem, space = measured.problem, measured.beam.space
     images = images_of(space, True)
     both, none, one, other = [-1, -1], [1, 1], [-1, 1], [1, -1]
-    signs = np.asarray(images.signs)
+    signs = np.array([image.signs for image in images])
     np.testing.assert_array_equal(
         signs[:, THETA], [none, both, both, one, other, none, none, none]
     )
     # Moduli are kept, but for the axes of the end with the moduli of the space.
     kept = np.delete(signs, [4, 5], axis=1)
     np.testing.assert_array_equal(kept, [[1.0] * 4] * 5 + [[0.0] * 4] + [[1.0] * 4] * 2)
-    start, end = space.start() - 0.1, space.start() + 0.1
-    run = lambda cost, converged: eqx.tree_at(
-        lambda r: (r.cost, r.steps, r.converged),
-        nothing_yet(FROM_ANYWHERE, end),
-        (jnp.asarray(cost), jnp.asarray(3, jnp.int32), jnp.asarray(converged)),
+    middle = np.asarray(space.start())
+    start, end = middle - 0.1, middle + 0.1
+    errors = nothing_yet(FROM_ANYWHERE, end).errors
+    run = lambda cost, converged: Run(
+        z=end, cost=cost, steps=3, converged=converged, errors=errors
     )
     of_start = [False, False, True, True, True, False, False, False]
     for row, from_start in enumerate(of_start):
-        image = jax.tree.map(lambda leaf, row=row: leaf[row], images)
+        image = images[row]
         begin = origin(run(1.0, True), image, start)
         wished = signs[row] * (start if from_start else end)
         if row == 5:
-            wished = space.start().at[4:].set(end[4:])
+            wished = np.concatenate([middle[:4], end[4:]])
         np.testing.assert_array_equal(begin, wished)
         # With an error left, converged or not; unfinished runs are finished.
         elsewhere = 1 <= row <= 5
-        assert bool(wanted(problem, run(1.0, True), image)) == elsewhere
-        assert bool(wanted(problem, run(1.0, False), image))
-        assert not bool(wanted(problem, run(0.0, True), image))
+        assert wanted(problem, run(1.0, True), image) == elsewhere
+        assert wanted(problem, run(1.0, False), image)
+        assert not wanted(problem, run(0.0, True), image)
 
 
 def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
-from softcal_jax.equilibrium import Workers, build_model, solve_equilibrium
+from softcal_jax.equilibrium import Batch, Workers, build_model, solve_equilibrium
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -43,6 +43,15 @@ def solve(cantilever):
     return one
 
 
+def mapped(workers, function, lanes, program):
+    """Results of one batch."""
+
+    def job():
+        return (yield Batch(function, list(lanes), program))
+
+    return workers.end_of(job())
+
+
 def test_threads_give_what_one_gives_in_the_same_order(cantilever):
     model, one = cantilever[0], solve(cantilever)
     moduli = jnp.asarray(MODULI)
@@ -51,7 +60,7 @@ def test_threads_give_what_one_gives_in_the_same_order(cantilever):
         assert workers.n == 3
         for _ in range(3):  # threads meet in another order each time
             for (u, ok), (expected, _) in zip(
-                workers.map(one, moduli, "solve"), serial, strict=True
+                mapped(workers, one, moduli, "solve"), serial, strict=True
             ):
                 assert ok
                 np.testing.assert_allclose(u, expected, rtol=0, atol=1e-13)
@@ -70,8 +79,8 @@ def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
     with Workers(cantilever[0], 8, 2) as workers:
         for _ in range(4):
             with pytest.raises(ValueError, match="lane 2"):
-                workers.map(fails, range(5), "fails")
-        assert workers.map(fails, [0, 1, 3], "fails") == [0, 1, 3]
+                mapped(workers, fails, range(5), "fails")
+        assert mapped(workers, fails, [0, 1, 3], "fails") == [0, 1, 3]
 
 
 def test_the_first_lane_of_a_new_program_goes_ahead_alone(cantilever):
@@ -80,13 +89,48 @@ def test_the_first_lane_of_a_new_program_goes_ahead_alone(cantilever):
     meet = lambda solver, lane: meeting.wait() >= 0
     with Workers(cantilever[0], 8, 2) as workers:
         # Two that wait for each other would wait for ever if one went ahead.
-        assert workers.map(lambda _, lane: lane, [7], "meeting") == [7]
-        assert workers.map(meet, range(2), "meeting") == [True, True]
+        assert mapped(workers, lambda _, lane: lane, [7], "meeting") == [7]
+        assert mapped(workers, meet, range(2), "meeting") == [True, True]
     with Workers(cantilever[0], 8, 2) as workers:
-        assert workers.map(meet, range(2), "meeting") == [True, True]
+        assert mapped(workers, meet, range(2), "meeting") == [True, True]
         impatient = Barrier(2, timeout=0.2)
         with pytest.raises(BrokenBarrierError):
-            workers.map(lambda *_: impatient.wait(), range(2), "another")
+            mapped(workers, lambda *_: impatient.wait(), range(2), "another")
+
+
+def counting(first, n_batches, seen):
+    """A job of batches of two lanes each; it returns the sum of all lanes."""
+    total = 0
+    for i in range(n_batches):
+        total += sum((yield Batch(lambda _, lane: lane, [first + i, 1], "count")))
+        seen.append(first)
+    return total
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_jobs_that_end_leave_their_place_to_the_next(cantilever, n):
+    """Each gets its own results, whatever else is under way, and few are at once."""
+    seen, told = [], []
+    firsts = range(0, 100, 10)
+    with Workers(cantilever[0], 8, n) as workers:
+        jobs = [counting(first, 3, seen) for first in firsts]
+        ends = workers.ends(jobs, lambda *end: told.append(end))
+    assert ends == [3 * first + 3 + 3 for first in firsts]
+    assert sorted(told) == list(enumerate(ends))
+    assert sorted(seen) == sorted(3 * list(firsts))
+    # The first has long ended when the last begins.
+    assert max(i for i, first in enumerate(seen) if first == 0) < seen.index(90)
+    if n == 1:
+        assert [i for i, _ in told] == list(range(10))
+
+
+def test_a_job_without_lanes_to_run_ends_at_once(cantilever):
+    def nothing():
+        return 7
+        yield
+
+    with Workers(cantilever[0], 8, 2) as workers:
+        assert workers.ends([nothing(), nothing()]) == [7, 7]
 
 
 def test_there_are_no_more_threads_than_lanes(cantilever):

@@ -1,0 +1,207 @@
+"""The search from many starts."""
+
+import os
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._checkpoint import Journal
+from softcal_jax.calibration._descent import Run
+from softcal_jax.calibration._evaluator import Evaluator
+from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._runs import Begun, images_of, nothing_yet, run_start
+from softcal_jax.calibration._starts import MultiStartResult, Optimum, random_starts
+from softcal_jax.calibration._state import CalibrationSettings
+from softcal_jax.equilibrium import Workers
+from softcal_jax.fields import unnamed
+
+SAME_OPTIMUM = 1e-3
+"""Largest difference of scaled parameters within one optimum [-]."""
+
+FROM_ANYWHERE = CalibrationSettings(max_steps=12)
+"""Settings of runs from many starts: one that leads to the optimum is quick."""
+
+# One row at a time, so that the programs serve any number of them.
+_from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
+_distance = eqx.filter_jit(lambda space, a, b: space.distance(a, b))
+
+
+class SearchProgress(NamedTuple):
+    """How far a search from many starts is.
+
+    Attributes:
+        ended: Runs that have ended.
+        starts: Runs in all.
+        converged: How many of the ended ones converged.
+        cost: Lowest cost of the ended ones; infinite if none has an equilibrium [-].
+    """
+
+    ended: int
+    starts: int
+    converged: int
+    cost: float
+
+    def __str__(self) -> str:
+        """One line."""
+        return (
+            f"{self.ended} of {self.starts} starts ended, {self.converged} converged, "
+            f"lowest cost {self.cost:.4g}"
+        )
+
+
+def multi_start(
+    problem: CalibrationProblem,
+    starts: int | Float[Array, "n_starts n_p"] = 30,
+    *,
+    seed: int = 0,
+    settings: CalibrationSettings | None = None,
+    mirror: bool = True,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: Callable[[SearchProgress], None] | None = None,
+) -> MultiStartResult:
+    """Calibrate from many starts, side by side, and list the distinct optima.
+
+    Args:
+        problem: The calibration, from `build_problem`.
+        starts: Scaled parameters to start from, or how many random ones.
+        seed: Seed of the random ones.
+        settings: Settings of the outer loop; by default no more than 12 steps for each
+            image, since one that leads to the optimum is quick.
+        mirror: Whether runs that end with an error go on from mirror images.
+        checkpoint: File in which ended runs are kept, and each image of those under
+            way. If it is there, the search goes on from it, and ends as if nothing had
+            stopped it.
+        progress: Called when a run has ended. Others are under way then, on all cores:
+            it must not solve anything itself.
+
+    Returns:
+        All runs and their optima.
+
+    Raises:
+        ValueError: If there are no starts, they do not fit the parameters, or the
+            checkpoint is of another search.
+        RuntimeError: If no start has an equilibrium.
+    """
+    space = problem.space
+    if isinstance(starts, int):
+        starts = random_starts(space, starts, seed=seed)
+    if starts.ndim != 2 or starts.shape[1] != len(space.names) or not len(starts):
+        raise ValueError(
+            f"starts must have the shape (number, {len(space.names)}), at least one; "
+            f"got {starts.shape}."
+        )
+    settings = settings or FROM_ANYWHERE
+    mark = ("starts", mirror, *np.ravel(starts).tolist())
+    journal = Journal(problem, settings, checkpoint, search=mark)
+    journal.load()
+    lanes = len(starts) * len(problem.configurations.gravity)
+    with Workers(problem.model, lanes) as workers:
+        return search(
+            workers,
+            Evaluator(problem),
+            settings,
+            starts,
+            mirror=mirror,
+            journal=journal,
+            progress=progress,
+        )
+
+
+def search(
+    workers: Workers,
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    starts: Float[Array, "n_starts n_p"],
+    *,
+    mirror: bool,
+    journal: Journal,
+    progress: Callable[[SearchProgress], None] | None,
+) -> MultiStartResult:
+    """Run the search of `multi_start`.
+
+    Args:
+        workers: Threads, entered as a context.
+        evaluate: Of the calibration.
+        settings: Settings of the outer loop.
+        starts: Scaled parameters to start from [-].
+        mirror: Whether runs that end with an error go on from mirror images.
+        journal: Keeps the runs, and knows those of before.
+        progress: Called when a run has ended.
+
+    Raises:
+        RuntimeError: If no start has an equilibrium.
+    """
+    space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
+    jobs, ended = [], {}
+    for i, start in enumerate(np.asarray(starts)):  # rows on the host, as below
+        begun = journal.begun(i, Begun(0, nothing_yet(settings, start)))
+        if begun.images == len(images):
+            ended[i] = begun.best
+        note = partial(journal.note_run, i)
+        job = run_start(
+            evaluate, settings, start, images=images, begun=begun, note=note
+        )
+        jobs.append(job)
+
+    def told(i: int, run: Run) -> None:
+        if i in ended:  # before this search was resumed
+            return
+        ended[i] = run
+        if progress is not None:
+            converged = sum(run.converged for run in ended.values())
+            lowest = min(run.cost for run in ended.values())
+            progress(SearchProgress(len(ended), len(starts), converged, lowest))
+
+    runs = workers.ends(jobs, told)
+    cost = np.array([run.cost for run in runs])
+    converged = np.array([run.converged for run in runs])
+    if not np.any(np.isfinite(cost)):
+        raise RuntimeError(
+            f"none of {len(starts)} starts has an equilibrium in every configuration: "
+            "check loads, units and bounds, or `softcal simulate`."
+        )
+    # Rows on the host: their number, too, would belong to a program.
+    in_si = lambda rows: np.stack(
+        [_from_scaled(evaluate.numbered.space, np.asarray(row)) for row in rows]
+    )
+    z = np.stack([run.z for run in runs])
+    values = in_si(z)
+    return MultiStartResult(
+        names=tuple(space.names),
+        starts=in_si(starts),
+        values=values,
+        z=z,
+        cost=cost,
+        steps=np.array([run.steps for run in runs]),
+        converged=converged,
+        errors=np.stack([run.errors for run in runs]),
+        optima=_optima(space, z, values, cost, converged),
+    )
+
+
+def _optima(space, z, values, cost, converged) -> tuple[Optimum, ...]:
+    """Converged runs put together by where they end, the lowest cost first."""
+    found: list[tuple[int, list[int]]] = []
+    numbered = unnamed(space)
+    for i in np.argsort(cost):
+        if not converged[i]:
+            continue
+        for first, members in found:
+            # Wrapped: an angle just below 90 degrees is close to one above -90.
+            if np.max(_distance(numbered, z[i], z[first])) <= SAME_OPTIMUM:
+                members.append(int(i))
+                break
+        else:
+            found.append((int(i), [int(i)]))
+    return tuple(
+        Optimum(
+            float(cost[first]),
+            dict(zip(space.names, map(float, values[first]), strict=True)),
+            tuple(sorted(members)),
+        )
+        for first, members in found
+    )
