@@ -60,10 +60,12 @@ class ActuationArrays(eqx.Module):
     Attributes:
         by_displacement: Whether its displacement delta_a is imposed, or its force.
         value: delta_a or lambda_a at full load, in the units of the actuator.
+        releasing: Whether it is let go, for the sign of its friction.
     """
 
     by_displacement: Bool[AnyArray, "*batch n_a"]
     value: Float[AnyArray, "*batch n_a"]
+    releasing: Bool[AnyArray, "*batch n_a"]
 
 
 class ConfigurationArrays(eqx.Module):

@@ -11,9 +11,9 @@ from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._assembly import tangent_values
 from softcal_jax.equilibrium._balance import (
     actuator_loads,
+    bordered_system,
     deform,
     estimated_forces,
-    rows_on_free,
     taut,
     unbalanced,
 )
@@ -29,7 +29,7 @@ def residual(
     u: Float[Array, "n_points 3"],
     lambda_a: Float[Array, " n_a"] | None = None,
 ) -> Float[Array, "n_points 3"]:
-    """Out-of-balance force f - f_ext - H_a^T lambda_a on all nodes [N]; Eq. (1).
+    """Out-of-balance force f - f_ext - F_a^T lambda_a on all nodes [N]; Eq. (1).
 
     Zero on free coordinates at equilibrium; on held ones it is the reaction, the force
     of the support on the body. Summed over a rigid body it is zero, or what holds it.
@@ -83,18 +83,18 @@ def linearise(
 ) -> Linearisation:
     """Tangent and actuator rows at an equilibrium displacement."""
     posed, at = Posed.of(model, configuration), deform(model, u)
-    which = actuation.with_multiplier(model)
     lambda_a = jnp.zeros_like(at.delta_a)
-    if which.size > 0:
+    if actuation.with_multiplier(model).size > 0:
         lambda_a = estimated_forces(posed, at)
     g, rows = unbalanced(posed, at, lambda_a)
     full = actuation.add_curvature(
-        model, tangent_values(model, u), u, actuator_loads(posed, lambda_a)
+        posed.model, tangent_values(model, u), u, actuator_loads(posed, lambda_a)
     )
     reduced = posed.reduce(u, full, g)
     masked, _ = mask_supports(model.solver.sparsity, reduced, posed.fixed())
-    H_a = rows_on_free(posed, u, rows[which])
-    system = actuation.System(masked, H_a, taut(posed, at)[which])
+    system, _ = bordered_system(
+        posed, u, values=masked, forces=rows, active=taut(posed, at)
+    )
     return Linearisation(posed, system, full, model.pattern)
 
 

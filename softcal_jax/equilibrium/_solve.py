@@ -141,7 +141,7 @@ def implicit_response(
 ) -> ImplicitResponse:
     """Implicit derivative at an equilibrium that is already known; Eqs. (7) to (9).
 
-    K du - H_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held, with
+    K du - F_a^T dlambda = -dR - K du_held and H_a du = d(imposed) - H_a du_held, with
     dR at a fixed state. Under `vmap` over the tangents alone, one assembly and one
     factorization serve all of them.
 
@@ -182,7 +182,7 @@ def implicit_response(
     du = jnp.where(solution.converged, du, jnp.nan)
     if d_lambda.size > 0:
         d_lambda = jnp.where(solution.converged, d_lambda, jnp.nan)
-    by_actuators = d_lambda[:, None, None] * actuation.rows(model, u)
+    by_actuators = d_lambda[:, None, None] * actuation.force_rows(lin.posed.model, u)
     d_residual = dR + lin.stiffness(du) - jnp.sum(by_actuators, axis=0)
     return ImplicitResponse(du, d_lambda, d_residual)
 
@@ -200,7 +200,7 @@ def _solve_implicitly(model: Model, system: actuation.System, force, dgap):
         Changes of the unknowns and of the multipliers.
     """
     sparsity, n_dof = model.solver.sparsity, model.n_dof
-    values, H_a, active = system
+    values, F_a, H_a, active = system.values, system.F_a, system.H_a, system.active
     # An array without entries would make JAX 0.10.2 lose the solver's call.
     n_m = active.shape[0]
     join = lambda x, lam: jnp.concatenate([x, lam]) if n_m > 0 else x
@@ -211,7 +211,7 @@ def _solve_implicitly(model: Model, system: actuation.System, force, dgap):
         if n_m == 0:
             return force
         lam = jnp.where(active, v[n_dof:], 0.0)
-        force = force - jnp.sum(lam[:, None] * H_a, axis=0)
+        force = force - jnp.sum(lam[:, None] * F_a, axis=0)
         gap = jnp.where(active, -jnp.sum(H_a * x[None], axis=1), v[n_dof:])
         return jnp.concatenate([force, gap])
 
