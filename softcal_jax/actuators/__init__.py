@@ -1,7 +1,8 @@
 """Actuators: their displacement delta_a, and the force on the nodes per lambda_a.
 
 A description says what the user means; `actuator_arrays` attaches it to the nodes; pure
-functions of the nodal positions give delta_a, its rows H_a and their derivatives.
+functions of the nodal positions give delta_a, its rows H_a, the forces F_a (H_a where
+there is a potential) and their derivatives.
 """
 
 from softcal_jax.actuators._actuator import AbstractActuator, Kind
@@ -9,14 +10,18 @@ from softcal_jax.actuators._arrays import (
     ActuatorArrays,
     actuator_arrays,
     actuator_displacements,
+    actuator_geometry,
     actuator_rows,
+    actuators_moving,
     clique_nodes,
     curvature_entries,
+    displacement_rows,
+    with_friction,
 )
 from softcal_jax.actuators._cable import Cable, Guide
 from softcal_jax.actuators._chamber import Chamber
 from softcal_jax.actuators._forces import ForceActuator, SurfaceForceActuator
-from softcal_jax.actuators._geometry import ActuatorGeometry, actuator_geometry
+from softcal_jax.actuators._geometry import ActuatorGeometry
 from softcal_jax.actuators._motor import Motor
 from softcal_jax.actuators._pressure import SurfacePressure
 
@@ -36,6 +41,9 @@ __all__ = [
     "actuator_displacements",
     "actuator_geometry",
     "actuator_rows",
+    "actuators_moving",
     "clique_nodes",
     "curvature_entries",
+    "displacement_rows",
+    "with_friction",
 ]

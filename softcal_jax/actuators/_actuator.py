@@ -26,8 +26,8 @@ class Kind(NamedTuple):
     Attributes:
         noun: What it is called in messages.
         force_unit: Unit of lambda_a.
-        displacement_unit: Unit of delta_a; None where there is no displacement,
-            because the force has no potential.
+        displacement_unit: Unit of delta_a; None where there is no displacement that
+            could be imposed or measured.
         unilateral: Whether lambda_a must not be negative.
     """
 
@@ -45,7 +45,7 @@ class RestState(eqx.Module):
         points: Rest positions of the mesh's nodes, then of four nodes for each rigid
             body k, n_nodes + 4 k onwards: the origin of its frame, and the ends of its
             three axes, orthogonal and of one length [m].
-        bodies: The number k of each rigid body, by name.
+        bodies: The index k of each rigid body, by name.
     """
 
     mesh: TetMesh
@@ -111,8 +111,10 @@ class RestState(eqx.Module):
 class AbstractActuator(eqx.Module):
     """A part of the robot that pushes on it by a force lambda_a.
 
-    Where the force has a potential, delta_a(x) is the displacement that it works on
-    (zero at rest), and H_a = d delta_a / dx the force on the nodes for lambda_a = 1.
+    delta_a(x) is its displacement (zero at rest), which may be imposed and measured,
+    and H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, is H_a where
+    it has a potential, and another one where it has none; the type of its cliques says
+    which. A force may also come without a displacement.
     """
 
     name: eqx.AbstractVar[str]
@@ -136,7 +138,7 @@ class AbstractActuator(eqx.Module):
 
         Args:
             rest: What it is attached to.
-            owner: Its number among the actuators.
+            owner: Its index among the actuators.
 
         Raises:
             ValueError: If it does not fit the mesh or the rigid bodies.

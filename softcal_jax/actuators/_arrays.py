@@ -1,4 +1,4 @@
-"""Actuators as arrays: displacements delta_a, rows H_a and their derivatives."""
+"""Actuators as arrays: displacements delta_a, forces F_a and their derivatives."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,9 +11,12 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import (
     AbstractCliques,
+    AbstractDisplacedCliques,
+    AbstractFrictionalCliques,
     AbstractPotentialCliques,
     each_clique,
 )
+from softcal_jax.actuators._geometry import ActuatorGeometry, joined
 from softcal_jax.actuators._motor import Motor
 from softcal_jax.mesh import TetMesh
 
@@ -24,11 +27,12 @@ class ActuatorArrays(eqx.Module):
     What a program decides by, such as `unilateral`, stays on the host under `jit`.
 
     Attributes:
-        groups: The cliques of all actuators, by type.
+        groups: The cliques of all actuators, by type and size.
         rest: Sum of the contributions at rest, in the units of delta_a.
         names: Name of each actuator.
         kinds: Its kind, with the units of lambda_a and delta_a.
-        motor_body: Number of the rigid body that it turns; -1 if it is no motor.
+        motor_body: Index of the rigid body that it turns; -1 if it is no motor.
+        has_friction: Whether it loses force by friction.
     """
 
     groups: tuple[AbstractCliques, ...]
@@ -36,6 +40,7 @@ class ActuatorArrays(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     kinds: tuple[Kind, ...] = eqx.field(static=True)
     motor_body: tuple[int, ...] = eqx.field(static=True)
+    has_friction: tuple[bool, ...] = eqx.field(static=True)
 
     @property
     def n_actuators(self) -> int:
@@ -55,7 +60,7 @@ class ActuatorArrays(eqx.Module):
     @property
     def symmetric(self) -> bool:
         """Whether all have a potential, which makes their tangent symmetric."""
-        return bool(np.all(self.has_displacement))
+        return all(isinstance(g, AbstractPotentialCliques) for g in self.groups)
 
 
 def actuator_arrays(
@@ -72,7 +77,7 @@ def actuator_arrays(
             body k, n_nodes + 4 k onwards: the origin of its frame, and the ends of its
             three axes, orthogonal and of one length [m].
         actuators: The actuators, none or more, with names of their own.
-        bodies: The number k of each rigid body, by name.
+        bodies: The index k of each rigid body, by name.
 
     Returns:
         The arrays; lambda_a and delta_a have the order of `actuators`.
@@ -89,13 +94,14 @@ def actuator_arrays(
             "name of its own."
         )
     rest = RestState(mesh, points, bodies)
-    by_type: dict[type, list[AbstractCliques]] = {}
-    for owner, actuator in enumerate(actuators):
-        cliques = actuator.cliques(rest, owner)
-        by_type.setdefault(type(cliques), []).append(cliques)
+    cliques = [actuator.cliques(rest, a) for a, actuator in enumerate(actuators)]
+    alike: dict[tuple, list[AbstractCliques]] = {}
+    for some in cliques:
+        sizes = [leaf.shape[1:] for leaf in jax.tree.leaves(some)]
+        alike.setdefault((type(some), *sizes), []).append(some)
     groups = tuple(
         jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *same)
-        for same in by_type.values()
+        for same in alike.values()
     )
     return ActuatorArrays(
         groups=groups,
@@ -105,6 +111,7 @@ def actuator_arrays(
         motor_body=tuple(
             bodies[a.body] if isinstance(a, Motor) else -1 for a in actuators
         ),
+        has_friction=tuple(isinstance(c, AbstractFrictionalCliques) for c in cliques),
     )
 
 
@@ -126,22 +133,96 @@ def actuator_displacements(
 def actuator_rows(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, "n_a n_all 3"]:
-    """Rows H_a = d delta_a / dx: the force on all nodes for lambda_a = 1.
+    """Rows F_a: the force on all nodes for lambda_a = 1.
 
-    An actuator without a displacement has the force that it exerts all the same.
+    They are H_a = d delta_a / dx where an actuator has a potential.
 
     Args:
         arrays: The actuators.
         x: Positions of the mesh's nodes and the frame nodes [m].
 
     Returns:
-        The rows, in the unit of delta_a per metre, [N] per unit of lambda_a.
+        The rows, [N] per unit of lambda_a.
     """
     rows = jnp.zeros((arrays.n_actuators, *x.shape), x.dtype)
     for group in arrays.groups:
-        forces = each_clique(type(group).row, group, x)
-        rows = rows.at[group.owner[:, None], group.nodes].add(forces)
+        rows = _add_rows(rows, group, each_clique(type(group).row, group, x))
     return rows
+
+
+def displacement_rows(
+    arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
+) -> Float[Array, "n_a n_all 3"]:
+    """Rows H_a = d delta_a / dx; zero for an actuator without a displacement.
+
+    Args:
+        arrays: The actuators.
+        x: Positions of the mesh's nodes and the frame nodes [m].
+
+    Returns:
+        The rows, in the unit of delta_a per metre.
+    """
+    rows = jnp.zeros((arrays.n_actuators, *x.shape), x.dtype)
+    for group in arrays.groups:
+        if isinstance(group, AbstractDisplacedCliques):
+            changes = each_clique(type(group).displacement_row, group, x)
+            rows = _add_rows(rows, group, changes)
+    return rows
+
+
+def _add_rows(rows, group: AbstractCliques, parts: Float[Array, "n_cliques m 3"]):
+    return rows.at[group.owner[:, None], group.nodes].add(parts)
+
+
+def actuators_moving(
+    arrays: ActuatorArrays, releasing: Bool[Array | HostArray, " n_a"]
+) -> ActuatorArrays:
+    """The actuators with their friction against the sense in which they move.
+
+    Args:
+        arrays: The actuators.
+        releasing: Which are let go; the others pull. Only those with friction differ.
+    """
+    if not any(arrays.has_friction):
+        return arrays
+    groups = tuple(
+        group.moving(releasing)
+        if isinstance(group, AbstractFrictionalCliques)
+        else group
+        for group in arrays.groups
+    )
+    return eqx.tree_at(lambda a: a.groups, arrays, groups)
+
+
+def with_friction(
+    arrays: ActuatorArrays, index: int, mu: Float[Array, ""] | float
+) -> ActuatorArrays:
+    """The actuators, one of them with another coefficient of friction.
+
+    Traceable and differentiable in the coefficient, to calibrate it.
+
+    Args:
+        arrays: The actuators.
+        index: Which one.
+        mu: Its coefficient of friction [-], not negative.
+
+    Raises:
+        ValueError: If it was made without friction.
+    """
+    if not arrays.has_friction[index]:
+        raise ValueError(
+            f"{arrays.kinds[index].noun} {arrays.names[index]!r} has no friction whose "
+            "coefficient could change; make it with a positive one, like "
+            "Cable(..., friction=0.1, pulled_from='first')."
+        )
+
+    def changed(group: AbstractCliques) -> AbstractCliques:
+        if not isinstance(group, AbstractFrictionalCliques):
+            return group
+        friction = jnp.where(group.owner == index, mu, group.friction)
+        return eqx.tree_at(lambda g: g.friction, group, friction)
+
+    return eqx.tree_at(lambda a: a.groups, arrays, tuple(map(changed, arrays.groups)))
 
 
 def curvature_entries(
@@ -149,9 +230,9 @@ def curvature_entries(
 ) -> tuple[Float[Array, "_ _ _"], ...]:
     """Derivatives of the actuators' forces by the positions, clique by clique.
 
-    Their sum is d(H_a^T lambda_a)/dx, which the tangent of equilibrium holds with a
-    minus. Symmetric, lambda_a times the Hessian of delta_a, except on the faces of a
-    surface pressure: there a row is the force, a column the position.
+    Their sum is d(F_a^T lambda_a)/dx, which the tangent of equilibrium holds with a
+    minus. Where a potential exists, it is lambda_a times the Hessian of delta_a, and
+    symmetric; otherwise a row is the force, a column the position.
 
     Args:
         arrays: The actuators.
@@ -188,7 +269,19 @@ def _contributions(
     """Sum of the contributions of the cliques of each actuator."""
     total = jnp.zeros(n_actuators, x.dtype)
     for group in groups:
-        if isinstance(group, AbstractPotentialCliques):
+        if isinstance(group, AbstractDisplacedCliques):
             parts = each_clique(type(group).contribution, group, x)
             total = total.at[group.owner].add(parts)
     return total
+
+
+def actuator_geometry(
+    arrays: ActuatorArrays, x: Float[HostArray, "n_all 3"]
+) -> ActuatorGeometry:
+    """What to draw of the actuators.
+
+    Args:
+        arrays: The actuators.
+        x: Positions of the mesh's nodes and the frame nodes [m].
+    """
+    return joined([group.picture(x) for group in arrays.groups])

@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -18,7 +19,11 @@ from softcal_jax.actuators._actuator import (
     as_vector,
     check_vector,
 )
-from softcal_jax.actuators._cliques import AbstractPotentialCliques
+from softcal_jax.actuators._cliques import (
+    AbstractFrictionalCliques,
+    AbstractPotentialCliques,
+)
+from softcal_jax.actuators._geometry import ActuatorGeometry
 
 _COINCIDENT = 1e-9
 """Distance of guides that counts as none, relative to the extent of the cable."""
@@ -45,19 +50,36 @@ def _as_guides(guides: Sequence[Guide | Vector]) -> tuple[Guide, ...]:
 
 
 class Cable(AbstractActuator):
-    """A cable without friction along straight segments between its guides.
+    """A cable along straight segments between its guides, with or without friction.
 
     delta_a = l(X) - l(x) with l the length of the path: the shortening since rest [m].
-    lambda_a is the tension [N], which cannot push.
+    lambda_a is the tension at the end that is pulled [N], which cannot push.
+
+    With friction, tension is lost at each guide between the ends (capstan equation of
+    Euler and Eytelwein): T_behind = T_before exp(-mu theta), counted from the end that
+    is pulled, with theta the angle by which the cable turns there, its angle between
+    the segments. Where a configuration lets the cable go (`releasing` of
+    `ImposedForce` and `ImposedDisplacement`), it slides the other way and the sign of
+    the exponent is the opposite one. A configuration thus says in which sense the cable
+    moved last along its whole path; nothing sticks. Such a force has no potential, so
+    the model is not `conservative`, and the tangent couples all nodes that the cable
+    touches. Where the cable does not turn at all (theta = 0) the loss has a kink, and
+    the tangent is that of no loss.
 
     Attributes:
         name: Its name.
         guides: The points that it runs through, both ends included; three bare numbers
             are a guide on the mesh.
+        friction: Coefficient of friction mu at the guides [-]; none by default. A
+            model with None or 0 has no such coefficient that could be calibrated.
+        pulled_from: The end that the actuator pulls, "first" or "last" of the guides;
+            without friction it makes no difference.
     """
 
     name: str
     guides: tuple[Guide, ...] = eqx.field(converter=_as_guides)
+    friction: float | None = None
+    pulled_from: Literal["first", "last"] | None = None
     kind: ClassVar[Kind] = Kind("cable", "N", "m", unilateral=True)
 
     def __check_init__(self):
@@ -82,18 +104,60 @@ class Cable(AbstractActuator):
                 f"{self.label}: all guides are on {on!r}, so its length cannot "
                 "change. Put at least one on the mesh or on another rigid body."
             )
+        if self.pulled_from not in (None, "first", "last"):
+            raise ValueError(
+                f"{self.label} has pulled_from={self.pulled_from!r}, expected 'first' "
+                "or 'last': the end of its guides that the actuator pulls."
+            )
+        if self.friction:
+            self._check_friction(self.friction)
 
-    def cliques(self, rest: RestState, owner: int) -> "CableSegments":
-        """The segments whose length can change.
+    def _check_friction(self, friction: float):
+        if not 0.0 <= friction < np.inf:
+            raise ValueError(
+                f"{self.label} has the coefficient of friction {friction:g}, expected "
+                "a finite number that is not negative [-]."
+            )
+        if self.pulled_from is None:
+            raise ValueError(
+                f"{self.label} has friction, so its tension differs along it: give "
+                "pulled_from='first' or 'last', the end of its guides that the "
+                "actuator pulls."
+            )
+        if len(self.guides) < 3:
+            raise ValueError(
+                f"{self.label} has friction but no guide between its ends, where "
+                "tension could be lost: add the guides that it runs through, or leave "
+                "the friction out."
+            )
+
+    def cliques(
+        self, rest: RestState, owner: int
+    ) -> "CableSegments | FrictionalCables":
+        """The segments whose length can change; with friction the cable as a whole.
 
         Raises:
             ValueError: If a guide lies outside the mesh, or its body is unknown.
         """
-        m = 2 * max(4, rest.mesh.tets.shape[1])
         carriers = [self._carriers(i, rest) for i in range(len(self.guides))]
+        if self.friction:
+            # The force is passed on from the end that is pulled, here the last one.
+            order = carriers[::-1] if self.pulled_from == "first" else carriers
+            own = np.unique(np.concatenate([nodes for nodes, *_ in order]))
+            whole = _along(order, own, own.size)
+            nodes, weights, fixed = (jnp.asarray(part)[None] for part in whole)
+            return FrictionalCables(
+                nodes=nodes,
+                owner=jnp.full(1, owner, nodes.dtype),
+                weights=weights,
+                fixed=fixed,
+                friction=jnp.full(1, self.friction, float),
+                sense=jnp.ones(1),
+            )
+        m = 2 * max(4, rest.mesh.tets.shape[1])
         segments = [
-            _segment(a, b, m)
-            for (a, b), ends in zip(
+            _segment(pair, m)
+            for pair, ends in zip(
                 pairwise(carriers), pairwise(self.guides), strict=True
             )
             if not _fixed_length(*ends)
@@ -127,16 +191,38 @@ def _fixed_length(a: Guide, b: Guide) -> bool:
     return a.on == b.on and a.on != "mesh"
 
 
-def _segment(a, b, m: int):
+def _segment(ends, m: int):
     """Nodes of both ends, once each; their weights in either end; the fixed parts."""
-    own = np.unique(np.concatenate([a[0], b[0]]))
+    return _along(ends, np.unique(np.concatenate([nodes for nodes, *_ in ends])), m)
+
+
+def _along(guides, own: Int[HostArray, " n"], m: int):
+    """Nodes of guides; their weights in each of them; the fixed parts."""
     # Padded with a node of its own, so that no other node enters the tangent.
     nodes = np.full(m, own[0], np.int32)
     nodes[: own.size] = own
-    weights = np.zeros((2, m))
-    for end, (carriers, w, _) in enumerate((a, b)):
-        weights[end, np.searchsorted(own, carriers)] = w
-    return nodes, weights, np.stack([a[2], b[2]])
+    weights = np.zeros((len(guides), m))
+    for row, (carriers, w, _) in zip(weights, guides, strict=True):
+        row[np.searchsorted(own, carriers)] = w
+    return nodes, weights, np.stack([fixed for *_, fixed in guides])
+
+
+def _length(v: Float[Array, "3"]) -> Float[Array, ""]:
+    """Length of a vector, with no slope at zero.
+
+    The root has none there: a collapsed segment would give NaN forces.
+    """
+    square = jnp.sum(v**2)
+    positive = square > 0.0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def _turn(before: Float[Array, "3"], after: Float[Array, "3"]) -> Float[Array, ""]:
+    """Angle between two segments, with no slope where they are in line [rad]."""
+    across, along = _length(jnp.cross(before, after)), jnp.sum(before * after)
+    turned = across > 0.0
+    angle = jnp.arctan2(jnp.where(turned, across, 1.0), jnp.where(turned, along, 1.0))
+    return jnp.where(turned, angle, jnp.where(along < 0.0, jnp.pi, 0.0))
 
 
 class CableSegments(AbstractPotentialCliques):
@@ -144,7 +230,7 @@ class CableSegments(AbstractPotentialCliques):
 
     Attributes:
         nodes: Nodes that carry the two ends, once each.
-        owner: Number of the cable.
+        owner: Index of the cable.
         weights: Their weights in the positions of the two ends [-].
         fixed: What the positions have besides: a guide on the ground [m].
     """
@@ -158,7 +244,67 @@ class CableSegments(AbstractPotentialCliques):
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         """Minus the length of one segment [m]."""
         start, end = self.weights @ x + self.fixed
-        square = jnp.sum((end - start) ** 2)
-        # The root has no slope at zero: a collapsed segment would give NaN forces.
-        positive = square > 0.0
-        return -jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+        return -_length(end - start)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """The segments."""
+        ends = np.einsum("cem,cmi->cei", np.asarray(self.weights), x[self.nodes])
+        return ActuatorGeometry(
+            segments=ends + np.asarray(self.fixed),
+            segment_owner=np.asarray(self.owner),
+        )
+
+
+class FrictionalCables(AbstractFrictionalCliques):
+    """Whole cables with friction; each adds minus its length to delta_a.
+
+    Attributes:
+        nodes: Nodes that carry the guides, once each.
+        owner: Index of the cable.
+        weights: Their weights in the positions of the guides, the last one pulled [-].
+        fixed: What the positions have besides: a guide on the ground [m].
+        friction: Coefficient of friction mu [-].
+        sense: 1 where the cable is pulled, -1 where it is let go.
+    """
+
+    nodes: Int[Array, "*cliques m"]
+    owner: Int[Array, "*cliques"]
+    weights: Float[Array, "*cliques n_guides m"]
+    fixed: Float[Array, "*cliques n_guides 3"]
+    friction: Float[Array, "*cliques"]
+    sense: Float[Array, "*cliques"]
+    curved: ClassVar[bool] = True
+
+    def _segments(self, x: Float[Array, "m 3"]) -> Float[Array, "n_segments 3"]:
+        return jnp.diff(self.weights @ x + self.fixed, axis=0)
+
+    def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
+        """Minus the length of one cable [m]."""
+        return -jnp.sum(jax.vmap(_length)(self._segments(x)))
+
+    def tensions(self, x: Float[Array, "m 3"]) -> Float[Array, " n_segments"]:
+        """Tension in each segment of one cable for lambda_a = 1 [-].
+
+        exp(-mu sum theta) with the angles of the guides up to the end that is pulled.
+        """
+        segments = self._segments(x)
+        turns = jax.vmap(_turn)(segments[:-1], segments[1:])
+        to_end = jnp.cumsum(turns[::-1])[::-1]
+        loss = self.sense * self.friction * to_end
+        return jnp.append(jnp.exp(-loss), 1.0)
+
+    def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
+        """Force on the nodes: each segment pulls its ends by its own tension."""
+        tensions = self.tensions(x)
+        pulled = lambda x: -jnp.sum(tensions * jax.vmap(_length)(self._segments(x)))
+        return jax.grad(pulled)(x)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """The segments."""
+        guides = np.einsum("cem,cmi->cei", np.asarray(self.weights), x[self.nodes])
+        guides = guides + np.asarray(self.fixed)
+        segments = np.stack([guides[:, :-1], guides[:, 1:]], axis=2)
+        return ActuatorGeometry(
+            segments=segments.reshape(-1, 2, 3),
+            segment_owner=np.repeat(np.asarray(self.owner), segments.shape[1]),
+        )

@@ -5,9 +5,10 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import AbstractPotentialCliques, each_clique
+from softcal_jax.actuators._geometry import ActuatorGeometry
 from softcal_jax.actuators._surfaces import check_closed, outward_faces, vector_areas
 
 
@@ -62,7 +63,7 @@ class ChamberFaces(AbstractPotentialCliques):
 
     Attributes:
         nodes: 3 or 6 nodes of each face, its normal out of the body.
-        owner: Number of the chamber.
+        owner: Index of the chamber.
         centre: The point c, near the cavity so that the cones' volumes do not cancel;
             a closed surface has the same volume for all [m].
     """
@@ -77,3 +78,10 @@ class ChamberFaces(AbstractPotentialCliques):
         arm = x - self.centre[None]
         n_dA, N = vector_areas(arm)
         return -jnp.sum(n_dA * (N @ arm)) / 3.0
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """The faces."""
+        del x
+        return ActuatorGeometry(
+            faces=np.asarray(self.nodes), face_owner=np.asarray(self.owner)
+        )

@@ -1,17 +1,22 @@
 """Cliques: the small sets of nodes over whose contributions an actuator sums.
 
 A cable segment, a face of a chamber, the frame of a motor: each is one clique, and the
-generic code differentiates, scales and adds them.
+generic code differentiates, scales and adds them. Three kinds differ in how force and
+displacement hang together: a force alone (`AbstractCliques`), a force beside a
+displacement (`AbstractFrictionalCliques`), or a force that is the gradient of the
+displacement (`AbstractPotentialCliques`).
 """
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.actuators._geometry import ActuatorGeometry
 
 
 class AbstractCliques(eqx.Module):
@@ -23,7 +28,7 @@ class AbstractCliques(eqx.Module):
     Attributes:
         nodes: Nodes of the cliques. None stands twice in a clique, except as padding:
             a repeated node on which the clique exerts no force.
-        owner: Number of the actuator that each belongs to.
+        owner: Index of the actuator that each belongs to.
         curved: Whether the force changes with the position of the nodes.
     """
 
@@ -35,21 +40,54 @@ class AbstractCliques(eqx.Module):
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
         """Force on the nodes of one clique at the positions `x`, for lambda_a = 1."""
 
+    @abstractmethod
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """What to draw of all cliques, on the host.
+
+        Args:
+            x: Positions of the mesh's nodes and the frame nodes [m].
+        """
+
     def curvature(self, x: Float[Array, "m 3"]) -> Float[Array, "3*m 3*m"]:
         """Derivative of the force by the positions, node by node, for lambda_a = 1."""
         return jax.jacfwd(self.row)(x).reshape(x.size, x.size)
 
 
-class AbstractPotentialCliques(AbstractCliques):
-    """Cliques whose force is the gradient of their part of delta_a."""
+class AbstractDisplacedCliques(AbstractCliques):
+    """Cliques with a displacement, whatever their force."""
 
     @abstractmethod
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         """What one clique adds to delta_a, up to a constant."""
 
+    def displacement_row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
+        """How that changes with the positions `x` of the nodes of one clique."""
+        return jax.grad(self.contribution)(x)
+
+
+class AbstractPotentialCliques(AbstractDisplacedCliques):
+    """Cliques whose force is the gradient of their part of delta_a."""
+
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
         """Force on the nodes of one clique at the positions `x`, for lambda_a = 1."""
-        return jax.grad(self.contribution)(x)
+        return self.displacement_row(x)
+
+
+class AbstractFrictionalCliques(AbstractDisplacedCliques):
+    """Cliques whose force is less than the gradient, or more, by friction.
+
+    Attributes:
+        friction: Coefficient of friction [-].
+        sense: 1 where the actuator pulls, -1 where it is let go.
+    """
+
+    friction: eqx.AbstractVar[Float[Array, "*cliques"]]
+    sense: eqx.AbstractVar[Float[Array, "*cliques"]]
+
+    def moving(self, releasing: Bool[Array | HostArray, " n_a"]) -> Self:
+        """The same cliques, of actuators of which some are let go."""
+        sense = jnp.where(jnp.asarray(releasing)[self.owner], -1.0, 1.0)
+        return eqx.tree_at(lambda cliques: cliques.sense, self, sense)
 
 
 def each_clique(

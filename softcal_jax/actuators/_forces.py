@@ -16,6 +16,7 @@ from softcal_jax.actuators._actuator import (
     check_vector,
 )
 from softcal_jax.actuators._cliques import AbstractPotentialCliques
+from softcal_jax.actuators._geometry import ActuatorGeometry, unit
 from softcal_jax.mesh import surface_shares
 
 
@@ -96,7 +97,7 @@ class WeightedNodes(AbstractPotentialCliques):
 
     Attributes:
         nodes: One node per clique.
-        owner: Number of the actuator.
+        owner: Index of the actuator.
         weights: Weights of its coordinates [-].
     """
 
@@ -108,3 +109,14 @@ class WeightedNodes(AbstractPotentialCliques):
     def contribution(self, x: Float[Array, "1 3"]) -> Float[Array, ""]:
         """Weighted position of one node [m]."""
         return jnp.sum(self.weights * x)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """One arrow for each actuator, where its force acts in the mean."""
+        nodes, weights = np.asarray(self.nodes)[:, 0], np.asarray(self.weights)[:, 0]
+        actuators, of = np.unique(np.asarray(self.owner), return_inverse=True)
+        total = np.zeros((actuators.size, 3))
+        np.add.at(total, of, weights)
+        arrows = unit(total)
+        points = np.zeros_like(total)
+        np.add.at(points, of, np.sum(weights * arrows[of], axis=1)[:, None] * x[nodes])
+        return ActuatorGeometry(points=points, arrows=arrows, point_owner=actuators)

@@ -3,10 +3,12 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import AbstractPotentialCliques
+from softcal_jax.actuators._geometry import ActuatorGeometry, unit
 
 
 class Motor(AbstractActuator):
@@ -45,7 +47,7 @@ class MotorFrames(AbstractPotentialCliques):
 
     Attributes:
         nodes: The four nodes of each frame.
-        owner: Number of the motor.
+        owner: Index of the motor.
         plane: First and second axis at rest, of one length [m].
     """
 
@@ -58,3 +60,12 @@ class MotorFrames(AbstractPotentialCliques):
         """Angle of the first axis of one frame [rad]."""
         along, across = self.plane @ (x[1] - x[0])
         return jnp.arctan2(across, along)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """Origin and axis of the frames."""
+        origin, axis_end = x[self.nodes[:, 0]], x[self.nodes[:, 3]]
+        return ActuatorGeometry(
+            points=origin,
+            arrows=unit(axis_end - origin),
+            point_owner=np.asarray(self.owner),
+        )

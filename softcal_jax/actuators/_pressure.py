@@ -3,10 +3,12 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import AbstractCliques
+from softcal_jax.actuators._geometry import ActuatorGeometry
 from softcal_jax.actuators._surfaces import outward_faces, vector_areas
 
 
@@ -44,7 +46,7 @@ class PressureFaces(AbstractCliques):
 
     Attributes:
         nodes: 3 or 6 nodes of each face, its normal out of the body.
-        owner: Number of the surface pressure.
+        owner: Index of the surface pressure.
     """
 
     nodes: Int[Array, "*cliques n_fn"]
@@ -55,3 +57,10 @@ class PressureFaces(AbstractCliques):
         """Consistent forces per pressure, -integral of N n dA over the face [m2]."""
         n_dA, N = vector_areas(x)
         return -N.T @ n_dA
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """The faces."""
+        del x
+        return ActuatorGeometry(
+            faces=np.asarray(self.nodes), face_owner=np.asarray(self.owner)
+        )

@@ -17,9 +17,12 @@ class ImposedForce(eqx.Module):
     Attributes:
         value: Tension of a cable [N], pressure of a chamber [Pa], torque of a motor
             [N m], force of a force actuator [N].
+        releasing: Whether the actuator was let go last, and did not pull; for the sign
+            of its friction.
     """
 
     value: float
+    releasing: bool = False
 
 
 class ImposedDisplacement(eqx.Module):
@@ -29,9 +32,12 @@ class ImposedDisplacement(eqx.Module):
         value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
             motor as its encoder shows it [rad], displacement of a force actuator's
             point [m].
+        releasing: Whether the actuator was let go last, and did not pull; for the sign
+            of its friction.
     """
 
     value: float
+    releasing: bool = False
 
 
 Actuation = Mapping[str, ImposedForce | ImposedDisplacement]
@@ -52,14 +58,15 @@ def actuation_arrays(
 
     Raises:
         ValueError: If a name is unknown, a value is not finite, a cable would push, a
-            motor turns by more than half a turn, or a displacement is imposed on what
-            has none.
+            motor turns by more than half a turn, a displacement is imposed on what has
+            none, or what has no friction is said to be releasing.
     """
     actuators = mechanism.actuators
     what = f"configuration {configuration!r}"
     motor = np.array([body >= 0 for body in actuators.motor_body], bool)
     by_displacement = motor.copy()
     value = np.zeros(len(actuators.names))
+    releasing = np.zeros(len(actuators.names), bool)
     for name, asked in actuation.items():
         if name not in actuators.names:
             raise unknown_name(f"actuator of {what}", name, actuators.names)
@@ -87,8 +94,21 @@ def actuation_arrays(
                 f"{what}: motor {name!r} turns by {asked.value:g} rad, expected -pi to "
                 "pi: angles are in radians (np.deg2rad turns degrees into them)."
             )
+        if asked.releasing and not actuators.has_friction[a]:
+            raise ValueError(
+                f"{what}: {kind.noun} {name!r} is said to be releasing, but has no "
+                "friction, so nothing depends on it: leave it out, or give the "
+                f"{kind.noun} friction."
+            )
         by_displacement[a], value[a] = imposed, asked.value
-    return ActuationArrays(by_displacement, value, np.ones_like(value), actuators.names)
+        releasing[a] = asked.releasing
+    return ActuationArrays(
+        by_displacement=by_displacement,
+        value=value,
+        force_factor=np.ones_like(value),
+        releasing=releasing,
+        names=actuators.names,
+    )
 
 
 def body_state_arrays(

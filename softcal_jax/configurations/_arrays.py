@@ -94,12 +94,14 @@ class ActuationArrays(eqx.Module):
         value: delta_a or lambda_a at full load, in the units of the actuator.
         force_factor: What an imposed force is multiplied by [-]; 1 unless it is a
             parameter, for a force that is only roughly known.
+        releasing: Whether it is let go, for the sign of its friction.
         names: Names of the actuators.
     """
 
     by_displacement: Bool[AnyArray, "*batch n_a"]
     value: Float[AnyArray, "*batch n_a"]
     force_factor: Float[AnyArray, "*batch n_a"]
+    releasing: Bool[AnyArray, "*batch n_a"]
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property

@@ -1,12 +1,14 @@
 """Actuators in equilibrium: their forces, and what imposes their displacements.
 
-The potential holds -sum_a lambda_a delta_a (Eq. 1 of the paper). Where delta_a is
-imposed, lambda_a is solved for: the bordered system
+Their forces on the nodes are F_a^T lambda_a. Where delta_a is imposed, lambda_a is
+solved for: the bordered system
 
-    [ K  -H_a^T ] [ dx        ]   [ -g                   ]
+    [ K  -F_a^T ] [ dx        ]   [ -g                   ]
     [ H_a   0   ] [ dlambda_a ] = [ delta_a imposed - delta_a ]
 
-by elimination of dx, through the compliance W_aa = H_a K^-1 H_a^T of the same factors.
+with H_a = d delta_a / dx, by elimination of dx, through the compliance
+W_aa = H_a K^-1 F_a^T of the same factors. Where the actuators have a potential,
+-sum_a lambda_a delta_a (Eq. 1 of the paper), F_a is H_a.
 """
 
 from functools import partial
@@ -17,7 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.actuators import actuator_rows, curvature_entries
+from softcal_jax.actuators import (
+    actuator_rows,
+    curvature_entries,
+    displacement_rows,
+)
 from softcal_jax.configurations import ActuationArrays
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
@@ -34,13 +40,25 @@ def displacements(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, "
     return model.mechanism.displacements(positions(model, u))
 
 
-def rows(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, "n_a n_points 3"]:
-    """H_a by rows: the force of each actuator on all nodes for lambda_a = 1."""
+def force_rows(
+    model: Model, u: Float[Array, "n_points 3"]
+) -> Float[Array, "n_a n_points 3"]:
+    """F_a by rows: the force of each actuator on all nodes for lambda_a = 1."""
     return actuator_rows(model.mechanism.actuators, positions(model, u))
 
 
+def own_displacement_rows(
+    model: Model, u: Float[Array, "n_points 3"]
+) -> Float[Array, "n_m n_points 3"] | None:
+    """H_a by rows, of the actuators `with_multiplier`; None where it is F_a."""
+    actuators = model.mechanism.actuators
+    if not any(actuators.has_friction):
+        return None
+    return displacement_rows(actuators, positions(model, u))[with_multiplier(model)]
+
+
 def with_multiplier(model: Model) -> Int[HostArray, " n_m"]:
-    """Numbers of the actuators whose lambda_a may have to be solved for.
+    """Indices of the actuators whose lambda_a may have to be solved for.
 
     A motor is not among them: an imposed angle holds its body.
     """
@@ -69,7 +87,7 @@ def add_curvature(
     u: Float[Array, "n_points 3"],
     lambda_a: Float[Array, " n_a"],
 ) -> Float[Array, " nnz"]:
-    """The tangent of all nodes with the part of the actuators' forces, -dH_a^T/dx.
+    """The tangent of all nodes with the part of the actuators' forces, -dF_a^T/dx.
 
     Args:
         model: The model.
@@ -110,13 +128,21 @@ class System(NamedTuple):
 
     Attributes:
         values: Tangent of the unknowns, supports masked.
-        H_a: Rows of the actuators `with_multiplier` on the unknowns, zero on held ones.
+        F_a: Forces of the actuators `with_multiplier` on the unknowns, by rows, zero on
+            held ones.
         active: Which of them have a displacement imposed that acts.
+        H_own: H_a of these actuators; None where it is F_a.
     """
 
     values: Float[Array, " nnz_reduced"]
-    H_a: Float[Array, "n_m n_dof"]
+    F_a: Float[Array, "n_m n_dof"]
     active: Bool[Array, " n_m"]
+    H_own: Float[Array, "n_m n_dof"] | None = None
+
+    @property
+    def H_a(self) -> Float[Array, "n_m n_dof"]:
+        """How the displacements of these actuators follow the unknowns, by rows."""
+        return self.F_a if self.H_own is None else self.H_own
 
     def solve(
         self,
@@ -132,7 +158,8 @@ class System(NamedTuple):
             model: The model.
             force: Right-hand sides, 0 on held unknowns [N].
             gap: How far each active displacement has to go.
-            transpose: Solve with K^T.
+            transpose: Solve with the transposed matrix: K^T, and F_a and H_a in each
+                other's place.
         """
         solve = jax.custom_batching.custom_vmap(partial(_solve, transpose=transpose))
 
@@ -143,13 +170,16 @@ class System(NamedTuple):
                 a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
                 for a, batched in zip((force, gap), of_rhs, strict=True)
             ]
-            if any(of_system):
-                lanes = [
-                    a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
-                    for a, batched in zip(system, of_system, strict=True)
-                ]
-                each = lambda lane: solve(solver, System(*lane[0]), *lane[1])
-                out = jax.lax.map(each, (tuple(lanes), tuple(whole)))
+            if any(jax.tree.leaves(of_system)):
+                lanes = jax.tree.map(
+                    lambda a, batched: (
+                        a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
+                    ),
+                    system,
+                    of_system,
+                )
+                each = lambda lane: solve(solver, lane[0], *lane[1])
+                out = jax.lax.map(each, (lanes, tuple(whole)))
                 return out, jax.tree.map(lambda _: True, out)
             # One matrix: the actuators' own columns are solved for once.
             flat = [a.reshape(a.shape[0] * a.shape[1], a.shape[2]) for a in whole]
@@ -179,14 +209,17 @@ def _solve(
         solved = solver.factor_solve(system.values, force, transpose=transpose)
         none = jnp.zeros((0, 0))
         return Bordered(solved.x, gap, none, solved.n_negative, solved.ok)
+    F_a, H_a = system.F_a, system.H_a
+    if transpose:
+        F_a, H_a = H_a, F_a
     solved = solver.factor_solve(
-        system.values, jnp.concatenate([force, system.H_a]), transpose=transpose
+        system.values, jnp.concatenate([force, F_a]), transpose=transpose
     )
     x, by_a = solved.x[:n_rhs], solved.x[n_rhs:]
     product = lambda A, B: jnp.sum(A[:, None] * B[None], axis=-1)
-    W_aa = product(system.H_a, by_a)
+    W_aa = product(H_a, by_a)
     S = jnp.where(system.active[:, None] & system.active[None], W_aa, 0.0)
-    rest = jnp.where(system.active[None], gap - product(x, system.H_a), 0.0)
+    rest = jnp.where(system.active[None], gap - product(x, H_a), 0.0)
     unit = jnp.diag(jnp.where(system.active, 0.0, 1.0))
     lambda_a = jnp.linalg.solve(S + unit, rest.T).T
     x = x + jnp.sum(lambda_a[:, :, None] * by_a[None], axis=1)
@@ -199,16 +232,12 @@ def _solve(
     ok = solved.ok & jnp.all(jnp.isfinite(lambda_a))
     keep = lambda value: jnp.where(ok, value, 0.0)
     return Bordered(
-        keep(x),
-        keep(lambda_a),
-        W_aa,
-        n_negative,
-        ok,
+        x=keep(x), lambda_a=keep(lambda_a), W_aa=W_aa, n_negative=n_negative, ok=ok
     )
 
 
 def estimated_forces(
-    H_a: Float[Array, "n_a n_dof"],
+    F_a: Float[Array, "n_a n_dof"],
     active: Bool[Array, " n_a"],
     unbalanced: Float[Array, " n_dof"],
 ) -> Float[Array, " n_a"]:
@@ -217,14 +246,14 @@ def estimated_forces(
     Exact at equilibrium (first-order multiplier estimate).
 
     Args:
-        H_a: Rows of the actuators on the unknowns, zero on held ones.
+        F_a: Forces of the actuators on the unknowns by rows, zero on held ones.
         active: Which actuators have a displacement imposed.
         unbalanced: Internal minus external and imposed forces, zero on held ones [N].
     """
-    H = jnp.where(active[:, None], H_a, 0.0)
-    normal = jnp.sum(H[:, None] * H[None], axis=-1)
-    scale = jnp.maximum(jnp.diag(normal), jnp.finfo(H.dtype).tiny)
+    F = jnp.where(active[:, None], F_a, 0.0)
+    normal = jnp.sum(F[:, None] * F[None], axis=-1)
+    scale = jnp.maximum(jnp.diag(normal), jnp.finfo(F.dtype).tiny)
     unit = jnp.where(active, 0.0, scale)
     return jnp.linalg.solve(
-        normal + jnp.diag(unit), jnp.sum(H * unbalanced[None], axis=1)
+        normal + jnp.diag(unit), jnp.sum(F * unbalanced[None], axis=1)
     )

@@ -94,14 +94,14 @@ def actuator_loads(
 
 
 def unbalanced(posed: Posed, at: Deformed, lambda_a: Float[Array, " n_a"]):
-    """Out-of-balance forces g on all nodes, and rows H_a of the actuators [N].
+    """Out-of-balance forces g on all nodes, and forces F_a of the actuators [N].
 
     Args:
         posed: The configuration.
         at: The deformed state.
         lambda_a: Forces of the actuators whose displacement is imposed.
     """
-    rows = actuation.rows(posed.model, at.u)
+    rows = actuation.force_rows(posed.model, at.u)
     forces = actuator_loads(posed, lambda_a)
     g = at.force - posed.load * posed.f_ext + posed.spring_force(at.u)
     if len(forces) > 0:
@@ -138,6 +138,37 @@ def rows_on_free(
     if rows.shape[0] == 0:
         return jnp.zeros((0, posed.model.n_dof), rows.dtype)
     return jax.vmap(lambda row: posed.on_free(u, row))(rows)
+
+
+def bordered_system(
+    posed: Posed,
+    u: Float[Array, "n_points 3"],
+    *,
+    values: Float[Array, " nnz_reduced"],
+    forces: Float[Array, "n_a n_points 3"],
+    active: Bool[Array, " n_a"],
+) -> tuple[actuation.System, Float[Array, "n_m n_points 3"]]:
+    """The tangent with its border, the actuators whose lambda_a may be solved for.
+
+    Args:
+        posed: The configuration.
+        u: Displacement [m].
+        values: Tangent of the unknowns, supports masked.
+        forces: F_a of all actuators on all nodes, by rows.
+        active: Which actuators have a displacement imposed that acts.
+
+    Returns:
+        The system, and H_a of these actuators on all nodes.
+    """
+    which = actuation.with_multiplier(posed.model)
+    own = actuation.own_displacement_rows(posed.model, u)
+    system = actuation.System(
+        values=values,
+        F_a=rows_on_free(posed, u, forces[which]),
+        active=active[which],
+        H_own=None if own is None else rows_on_free(posed, u, own),
+    )
+    return system, forces[which] if own is None else own
 
 
 def gap(posed: Posed, at: Deformed, lambda_a, stiffness):

@@ -16,9 +16,9 @@ from softcal_jax.equilibrium._assembly import (
 from softcal_jax.equilibrium._balance import (
     Deformed,
     add_boundary_stiffness,
+    bordered_system,
     by_multiplier,
     gap,
-    rows_on_free,
     unbalanced,
 )
 from softcal_jax.equilibrium._element import is_mixed
@@ -52,10 +52,12 @@ class Factor(NamedTuple):
     def none(cls, model: Model) -> "Factor":
         """No factor yet, and not ok: for the state of a loop before its first one."""
         n_m, real = actuation.with_multiplier(model).size, jnp.zeros(())
+        rows = jnp.zeros((n_m, model.n_dof))
         system = actuation.System(
-            jnp.zeros(model.solver.sparsity.nnz),
-            jnp.zeros((n_m, model.n_dof)),
-            jnp.zeros(n_m, bool),
+            values=jnp.zeros(model.solver.sparsity.nnz),
+            F_a=rows,
+            active=jnp.zeros(n_m, bool),
+            H_own=rows if any(model.mechanism.actuators.has_friction) else None,
         )
         return cls(
             system=system,
@@ -153,9 +155,8 @@ def newton_direction(
     g_newton = g + (force - at.force)
     rhs = -posed.gather(u, g_newton + pull.reshape(u.shape))
     which = actuation.with_multiplier(model)
-    H_a = rows_on_free(posed, u, rows[which])
-    on_held = jnp.sum(rows[which] * held_step[None], axis=(1, 2))
-    system = actuation.System(masked, H_a, active[which])
+    system, H_a = bordered_system(posed, u, values=masked, forces=rows, active=active)
+    on_held = jnp.sum(H_a * held_step[None], axis=(1, 2))
     rhs = jnp.where(fixed, 0.0, rhs)
     solved = system.solve(model, rhs[None], (to_go[which] - on_held)[None])
     d = solved.x[0]

@@ -12,9 +12,9 @@ from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._assembly import tangent_values
 from softcal_jax.equilibrium._balance import (
     add_boundary_stiffness,
+    bordered_system,
     deform,
     estimated_forces,
-    rows_on_free,
     taut,
     unbalanced,
 )
@@ -33,7 +33,7 @@ def residual(
     u: Float[Array, "n_points 3"],
     lambda_a: Float[Array, " n_a"] | None = None,
 ) -> Float[Array, "n_points 3"]:
-    """Compute the out-of-balance force f - f_ext - H_a^T lambda_a [N]; Eq. (1).
+    """Compute the out-of-balance force f - f_ext - F_a^T lambda_a [N]; Eq. (1).
 
     Zero on free coordinates at equilibrium; on held ones it is the reaction, the force
     of the support on the body. Summed over a rigid body it is zero, or what holds it.
@@ -163,7 +163,7 @@ def _solve_linearly(
 ) -> actuation.Bordered:
     """Solve the bordered system in a way that autodiff can transpose."""
     n_dof, n_m = force.shape[1], gap.shape[1]
-    values, H_a, active = system
+    values, active = system.values, system.active
     # An array without entries would make JAX 0.10.2 lose the solver's call.
     join = lambda x, lam: jnp.concatenate([x, lam], axis=1) if n_m > 0 else x
 
@@ -173,8 +173,8 @@ def _solve_linearly(
         if n_m == 0:
             return out
         acting = jnp.where(active[None], lam, 0.0)
-        out = out - jnp.sum(acting[:, :, None] * H_a[None], axis=1)
-        closed = -jnp.sum(H_a[None] * x[:, None], axis=2)
+        out = out - jnp.sum(acting[:, :, None] * system.F_a[None], axis=1)
+        closed = -jnp.sum(system.H_a[None] * x[:, None], axis=2)
         return join(out, jnp.where(active[None], closed, lam))
 
     def solve(_, b, *, transpose=False):
@@ -220,17 +220,17 @@ def linearise(
         differentiable: See `Linearisation`.
     """
     posed, at = Posed.of(model, configuration), deform(model, u)
-    which = actuation.with_multiplier(model)
     if lambda_a is None:
         lambda_a = jnp.zeros_like(at.delta_a)
-        if which.size > 0:
+        if actuation.with_multiplier(model).size > 0:
             lambda_a = estimated_forces(posed, at)
     g, rows = unbalanced(posed, at, lambda_a)
     values = add_boundary_stiffness(posed, tangent_values(model, u), u, lambda_a)
     reduced = posed.reduce(u, values, g)
     masked, _ = mask_supports(model.solver.sparsity, reduced, posed.fixed())
-    H_a = rows_on_free(posed, u, rows[which])
-    system = actuation.System(masked, H_a, taut(posed, at)[which])
+    system, _ = bordered_system(
+        posed, u, values=masked, forces=rows, active=taut(posed, at)
+    )
     return Linearisation(
         posed=posed,
         u=u,

@@ -8,10 +8,12 @@ and what is held to where it is held.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.actuators import actuators_moving
 from softcal_jax.bodies import (
     KINDS,
     BodyStateArrays,
@@ -56,8 +58,11 @@ class Posed(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
-        """A configuration of a model at full load."""
+        """A configuration of a model at full load; its friction has the right sign."""
         f_ext = external_force(model, configuration)
+        releasing = configuration.actuation.releasing
+        actuators = actuators_moving(model.mechanism.actuators, releasing)
+        model = eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
         return cls(model, configuration, f_ext, jnp.ones((), f_ext.dtype))
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":

@@ -8,6 +8,7 @@ from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._setup_parameters import (
     actuator_factor,
     clamp_stiffness,
+    friction,
     gravity_tilt,
     load_factor,
     motor_zero,
@@ -34,6 +35,7 @@ __all__ = [
     "check_parameters",
     "clamp_stiffness",
     "find_field",
+    "friction",
     "gravity_tilt",
     "idw_weights",
     "load_factor",

@@ -27,7 +27,7 @@ class Quantity(NamedTuple):
     """An array of the model, or of its configurations, whose entries can be unknown.
 
     Attributes:
-        path: Dotted path of the array.
+        where: Accessor of the array, as `eqx.tree_at` takes it.
         of_configuration: Whether configurations hold it, or the model.
         noun: What its first axis counts, like "motor"; empty if it counts nothing.
         names: Names along the first axis, from the model or the configuration.
@@ -35,7 +35,7 @@ class Quantity(NamedTuple):
         scales: Scales that a parameter of it may have.
     """
 
-    path: str
+    where: Callable[[Any], Any]
     of_configuration: bool
     noun: str = ""
     names: Callable[[Any], Sequence[str]] = lambda _: ()
@@ -50,38 +50,60 @@ def _motors(model: Any) -> list[str]:
     return [name if body >= 0 else "" for name, body in both]
 
 
+def _friction(model: Any) -> Any:
+    """Coefficients of friction of the actuators that have one."""
+    groups = model.mechanism.actuators.groups
+    return next(group.friction for group in groups if hasattr(group, "friction"))
+
+
+def _with_friction(model: Any) -> list[str]:
+    """Names of these actuators, in the same order."""
+    actuators = model.mechanism.actuators
+    both = zip(actuators.names, actuators.has_friction, strict=True)
+    return [name for name, has_friction in both if has_friction]
+
+
 QUANTITIES = {
     "motor_zero": Quantity(
-        "mechanism.motor_zero", of_configuration=False, noun="motor", names=_motors
+        attrgetter("mechanism.motor_zero"),
+        of_configuration=False,
+        noun="motor",
+        names=_motors,
     ),
     "mounting": Quantity(
-        "mechanism.bodies.mounting_translation",
+        attrgetter("mechanism.bodies.mounting_translation"),
         of_configuration=False,
         noun="rigid body",
         names=attrgetter("mechanism.bodies.names"),
         components=XYZ,
     ),
+    "friction": Quantity(
+        _friction,
+        of_configuration=False,
+        noun="actuator with friction",
+        names=_with_friction,
+    ),
     "gravity_tilt": Quantity(
-        "tilt", of_configuration=True, components=("first", "second")
+        attrgetter("tilt"), of_configuration=True, components=("first", "second")
     ),
     "load_factor": Quantity(
-        "load_factor", of_configuration=True, scales=("linear", "log")
+        attrgetter("load_factor"), of_configuration=True, scales=("linear", "log")
     ),
     "actuator_factor": Quantity(
-        "actuation.force_factor",
+        attrgetter("actuation.force_factor"),
         of_configuration=True,
         noun="actuator",
         names=attrgetter("actuation.names"),
         scales=("linear", "log"),
     ),
     "recording_offset": Quantity(
-        "effectors.base.translation", of_configuration=True, components=XYZ
+        attrgetter("effectors.base.translation"), of_configuration=True, components=XYZ
     ),
     "recording_turn": Quantity(
-        "effectors.base.rotation", of_configuration=True, components=XYZ
+        attrgetter("effectors.base.rotation"), of_configuration=True, components=XYZ
     ),
     "clamp_stiffness": Quantity(
-        "springs.stiffness",
+        attrgetter("springs.stiffness"),
         of_configuration=True,
         noun="support with a stiffness",
         names=attrgetter("springs.names"),
@@ -217,8 +239,8 @@ class SetupParameter(AbstractEntry):
         owner = configuration if of_configuration else model
         if owner is None:
             return model, configuration
-        where = attrgetter(self.quantity.path)
-        old, index = jnp.asarray(where(owner)), self._index(owner)
+        index, where = self._index(owner), self.quantity.where
+        old = jnp.asarray(where(owner))
         new = old[index]
         if self.each:
             own = configuration.key[_SCOPES.index(self.by)]

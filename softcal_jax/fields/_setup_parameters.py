@@ -128,6 +128,30 @@ def mounting(
     )
 
 
+def friction(
+    actuator: str, nominal: float, *, limit: float, prior_std: float | None
+) -> SetupParameter:
+    """Make the coefficient of friction of a cable a parameter.
+
+    Args:
+        actuator: Name of a cable with friction.
+        nominal: Coefficient that it should have [-].
+        limit: Largest error looked for; it stays above zero [-].
+        prior_std: Its standard deviation before any data; None if not known [-].
+    """
+    own = Parameter(
+        f"friction of {actuator}",
+        field="",
+        start=nominal,
+        lower=max(0.0, nominal - limit),
+        upper=nominal + limit,
+        scale="linear",
+        S=limit,
+        prior_std=prior_std,
+    )
+    return SetupParameter("friction", actuator, own)
+
+
 def gravity_tilt(
     *,
     limit: float = float(np.deg2rad(10.0)),

@@ -39,6 +39,7 @@ from softcal_jax.fields import (
     actuator_factor,
     check_parameters,
     clamp_stiffness,
+    friction,
     gravity_tilt,
     load_factor,
     motor_zero,
@@ -62,7 +63,16 @@ MODEL = build_model(
     bodies=[RigidBody("base", "x_min", axes=hinge_axes((0, 1, 0)))],
     actuators=[
         Motor("m", "base"),
-        Cable("c", [Guide((0.0, 0.01, 0.06), "ground"), (0.07, 0.01, 0.015)]),
+        Cable(
+            "c",
+            [
+                Guide((0.0, 0.01, 0.06), "ground"),
+                (0.03, 0.01, 0.02),
+                (0.07, 0.01, 0.015),
+            ],
+            friction=0.2,
+            pulled_from="first",
+        ),
     ],
 )
 MARKERS = Markers(("a", "b"), [[0.06, 0.01, 0.01], [0.09, 0.01, 0.02]])
@@ -90,6 +100,7 @@ SPACE = ParameterSpace(
         *gravity_tilt(limit=0.3, **KNOWN),
         load_factor(each=["pose", "another"], by="configuration", **KNOWN),
         actuator_factor("c", **KNOWN),
+        friction("c", 0.2, limit=0.15, **KNOWN),
         *recording_offset(limit=5e-3, turn_limit=0.2, each=["tuesday"], **KNOWN),
         clamp_stiffness("x_max", 2e6, **KNOWN),
     )

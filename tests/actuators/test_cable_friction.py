@@ -1,0 +1,255 @@
+"""Friction of cables: the capstan equation, its limit, tangent, pictures and refusals.
+
+Euler and Eytelwein: behind a bend by theta a tension is exp(-mu theta) of what it was.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+from cavities import arrays_of, bent
+from problems import central_difference
+
+from softcal_jax.actuators import (
+    Cable,
+    Guide,
+    actuator_displacements,
+    actuator_geometry,
+    actuator_rows,
+    actuators_moving,
+    clique_nodes,
+    curvature_entries,
+    displacement_rows,
+    with_friction,
+)
+from softcal_jax.mesh import beam
+
+MU, BEND, N_GUIDES = 0.3, 2.0, 9
+CENTRE, RADIUS = np.array([0.5, 0.5, 0.5]), 0.3
+MESH = beam(1.0, 1.0, 1.0, (2, 2, 2), order=2)
+PATH = ((0.0, 0.1, 0.2), (0.3, 0.3, 0.2), (0.4, 0.8, 0.6), (1.0, 0.1, 0.9))
+
+
+def over_pulley(on):
+    """A cable that bends by BEND in all, by equal angles at guides on an arc.
+
+    Its ends stand on the ground, along the first and the last tangent of the polygon.
+    """
+    turn = BEND / N_GUIDES
+    angles = turn * np.arange(N_GUIDES)
+    arc = CENTRE + RADIUS * np.stack(
+        [np.sin(angles), np.cos(angles), 0.0 * angles], axis=1
+    )
+    ways = -turn / 2 + turn * np.arange(N_GUIDES + 1)
+    first, *_, last = np.stack([np.cos(ways), -np.sin(ways), 0.0 * ways], axis=1)
+    ends = Guide(arc[0] - first, "ground"), Guide(arc[-1] + last, "ground")
+    guides = (ends[0], *map(Guide, arc, on), ends[1])
+    return guides, np.stack([first, last])
+
+
+@pytest.mark.parametrize("pulled_from", ["first", "last"])
+@pytest.mark.parametrize("releasing", [False, True])
+def test_pulley_meets_the_capstan_equation(pulled_from, releasing):
+    """T_0 / T_1 = exp(-mu BEND), and the force and moment on the pulley with it."""
+    guides, (first, last) = over_pulley(["mesh"] * N_GUIDES)
+    cable = Cable("c", guides, friction=MU, pulled_from=pulled_from)
+    arrays = actuators_moving(arrays_of(MESH, cable), np.array([releasing]))
+    x = jnp.asarray(MESH.points)
+    force = np.asarray(actuator_rows(arrays, x))[0]
+    far = np.exp((1.0 if releasing else -1.0) * MU * BEND)
+    before, behind = (1.0, far) if pulled_from == "first" else (far, 1.0)
+    on_pulley = behind * last - before * first
+    np.testing.assert_allclose(force.sum(axis=0), on_pulley, rtol=1e-12, atol=1e-14)
+    moment = np.cross(MESH.points, force).sum(axis=0)
+    expected = behind * np.cross(guides[-1].point, last)
+    expected -= before * np.cross(guides[0].point, first)
+    np.testing.assert_allclose(moment, expected, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("k", [0, 4, N_GUIDES - 1])
+def test_each_guide_carries_the_difference_of_two_tensions(k):
+    """One guide on the mesh, so that all force on it is that of this guide."""
+    on = ["ground"] * N_GUIDES
+    on[k] = "mesh"
+    guides, _ = over_pulley(on)
+    arrays = arrays_of(MESH, Cable("c", guides, friction=MU, pulled_from="first"))
+    force = actuator_rows(arrays, jnp.asarray(MESH.points))[0].sum(axis=0)
+    points = [guide.point for guide in guides[k : k + 3]]
+    incoming, outgoing = (d / np.linalg.norm(d) for d in np.diff(points, axis=0))
+    tension = np.exp(-MU * BEND / N_GUIDES * np.arange(k, k + 2))
+    expected = tension[1] * outgoing - tension[0] * incoming
+    np.testing.assert_allclose(force, expected, rtol=1e-12, atol=1e-14)
+
+
+def test_many_guides_are_a_round_pulley():
+    """The moment about its axis is that of the two tensions, times the radius."""
+    guides, _ = over_pulley(["mesh"] * N_GUIDES)
+    arrays = arrays_of(MESH, Cable("c", guides, friction=MU, pulled_from="first"))
+    force = actuator_rows(arrays, jnp.asarray(MESH.points))[0]
+    moment = jnp.cross(jnp.asarray(MESH.points - CENTRE), force).sum(axis=0)[2]
+    # The polygon's tangents pass the centre at cos(turn / 2) of the radius.
+    arm = RADIUS * np.cos(BEND / N_GUIDES / 2)
+    np.testing.assert_allclose(moment, arm * (1 - np.exp(-MU * BEND)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("mu", [None, 0.0])
+def test_without_friction_nothing_is_new(mu):
+    """The same arrays, hence the same program, as of a cable that names none."""
+    plain = arrays_of(MESH, Cable("c", PATH))
+    other = arrays_of(MESH, Cable("c", PATH, friction=mu, pulled_from="last"))
+    assert eqx.tree_equal(plain, other)
+    assert plain.symmetric
+    assert actuators_moving(plain, np.array([True])) is plain
+
+
+@pytest.fixture(scope="module")
+def robot():
+    """A frictional cable beside a plain one, in a bent state."""
+    cable = Cable("c", PATH, friction=MU, pulled_from="first")
+    arrays = arrays_of(MESH, Cable("plain", PATH[1:]), cable)
+    return arrays, jnp.asarray(bent(MESH.points))
+
+
+def test_the_limit_of_no_friction_is_the_frictionless_cable(robot):
+    arrays, x = robot
+    plain = arrays_of(MESH, Cable("plain", PATH[1:]), Cable("c", PATH))
+    np.testing.assert_allclose(
+        actuator_displacements(arrays, x), actuator_displacements(plain, x), rtol=1e-13
+    )
+    H_a, gap = actuator_rows(plain, x), []
+    np.testing.assert_allclose(displacement_rows(arrays, x), H_a, atol=1e-14)
+    for mu in (0.0, 1e-4, 1e-5):
+        gap.append(
+            float(
+                jnp.max(jnp.abs(actuator_rows(with_friction(arrays, 1, mu), x) - H_a))
+            )
+        )
+    assert gap[0] < 1e-14
+    np.testing.assert_allclose(gap[1] / gap[2], 10.0, rtol=1e-3)
+
+
+def test_the_two_rows_differ_only_where_there_is_friction(robot):
+    arrays, x = robot
+    F_a, H_a = actuator_rows(arrays, x), displacement_rows(arrays, x)
+    np.testing.assert_array_equal(F_a[0], H_a[0])
+    assert np.max(np.abs(F_a[1] - H_a[1])) > 0.05
+    assert arrays.has_friction == (False, True)
+    assert not arrays.symmetric
+    assert arrays.has_displacement.all()
+
+
+def test_displacement_rows_meet_differences_at_second_order(robot):
+    arrays, x = robot
+    tangent = jr.normal(jr.key(0), x.shape)
+    exact = jnp.sum(displacement_rows(arrays, x) * tangent[None], axis=(1, 2))
+    delta = lambda x: actuator_displacements(arrays, x)
+    coarse, fine = (
+        jnp.max(jnp.abs(central_difference(delta, x, tangent, h) - exact))
+        for h in (1e-3, 1e-4)
+    )
+    np.testing.assert_allclose(coarse / fine, 100.0, rtol=0.02)
+
+
+@pytest.mark.parametrize("releasing", [False, True])
+def test_tangent_meets_differences_at_second_order_and_is_not_symmetric(
+    robot, releasing
+):
+    arrays, x = robot
+    arrays = actuators_moving(arrays, np.array([False, releasing]))
+    tangent, lambda_a = jr.normal(jr.key(1), x.shape), jnp.array([0.7, 2.5])
+    exact = jnp.zeros_like(x)
+    entries = curvature_entries(arrays, x, lambda_a)
+    for nodes, K in zip(clique_nodes(arrays), entries, strict=True):
+        local = jnp.einsum("cpq,cq->cp", K, tangent[nodes].reshape(len(nodes), -1))
+        exact = exact.at[nodes].add(local.reshape(*nodes.shape, 3))
+    force = eqx.filter_jit(
+        lambda x: jnp.sum(lambda_a[:, None, None] * actuator_rows(arrays, x), axis=0)
+    )
+    coarse, fine = (
+        jnp.max(jnp.abs(central_difference(force, x, tangent, h) - exact))
+        for h in (1e-3, 1e-4)
+    )
+    np.testing.assert_allclose(coarse / fine, 100.0, rtol=0.02)
+    K = entries[1][0]
+    assert jnp.max(jnp.abs(K - K.T)) > 0.01 * jnp.max(jnp.abs(K))
+
+
+def test_derivative_by_friction(robot):
+    """dF_a/dmu by forward mode, against differences; of the plain cable it is zero."""
+    arrays, x = robot
+    force = lambda mu: actuator_rows(with_friction(arrays, 1, mu), x)
+    _, exact = jax.jvp(force, (jnp.asarray(MU),), (jnp.ones(()),))
+    assert not np.any(exact[0])
+    coarse, fine = (
+        jnp.max(jnp.abs(central_difference(force, jnp.asarray(MU), 1.0, h) - exact))
+        for h in (1e-2, 1e-3)
+    )
+    np.testing.assert_allclose(coarse / fine, 100.0, rtol=0.02)
+
+
+def test_straight_cable_and_collapsed_segments_have_no_nan():
+    """In line nothing is lost; folded back all of pi; a point has no direction."""
+    line = tuple((x, 0.5, 0.5) for x in (0.0, 0.25, 0.75, 1.0))
+    arrays = arrays_of(MESH, Cable("c", line, friction=MU, pulled_from="last"))
+    plain = arrays_of(MESH, Cable("c", line))
+    x = jnp.asarray(MESH.points)
+    np.testing.assert_allclose(
+        actuator_rows(arrays, x), actuator_rows(plain, x), atol=1e-13
+    )
+    for x in (jnp.asarray(MESH.points), jnp.zeros_like(jnp.asarray(MESH.points))):
+        entries = curvature_entries(arrays, x, jnp.ones(1))
+        for value in jax.tree.leaves((actuator_rows(arrays, x), entries)):
+            assert np.all(np.isfinite(value))
+
+
+def test_cables_with_other_numbers_of_guides_stand_beside_each_other():
+    one = Cable("one", PATH, friction=MU, pulled_from="first")
+    two = Cable("two", PATH[:3], friction=0.1, pulled_from="last")
+    both = arrays_of(MESH, one, two)
+    x = jnp.asarray(bent(MESH.points))
+    for function in (actuator_displacements, actuator_rows):
+        alone = [function(arrays_of(MESH, cable), x) for cable in (one, two)]
+        np.testing.assert_allclose(
+            function(both, x), np.concatenate(alone), rtol=1e-14, atol=1e-16
+        )
+    changed = with_friction(both, 1, 0.5)
+    np.testing.assert_array_equal(
+        actuator_rows(changed, x)[0], actuator_rows(both, x)[0]
+    )
+    assert np.any(actuator_rows(changed, x)[1] != actuator_rows(both, x)[1])
+
+
+def test_picture_shows_every_segment():
+    guides = (Guide((-1.0, 0.0, 0.0), "ground"), *PATH)
+    arrays = arrays_of(MESH, Cable("c", guides, friction=MU, pulled_from="last"))
+    picture = actuator_geometry(arrays, MESH.points)
+    points = np.stack([[-1.0, 0.0, 0.0], *PATH])
+    expected = np.stack([points[:-1], points[1:]], axis=1)
+    found = picture.segments
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0))
+    assert picture.segment_owner.tolist() == [0] * 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"friction": -0.1}, r"cable 'c' has the coefficient of friction -0.1, expec"),
+        ({"friction": np.inf}, "coefficient of friction inf, expected a finite number"),
+        ({"friction": np.nan}, "coefficient of friction nan, expected a finite number"),
+        ({"pulled_from": None}, "give pulled_from='first' or 'last'"),
+        ({"pulled_from": "left"}, "pulled_from='left', expected 'first' or 'last'"),
+        ({"guides": PATH[:2]}, "friction but no guide between its ends"),
+    ],
+)
+def test_bad_friction(changes, message, unchecked):
+    good = {"guides": PATH, "friction": MU, "pulled_from": "first"}
+    with pytest.raises(ValueError, match=message):
+        Cable("c", **good | changes)
+
+
+def test_a_cable_without_friction_has_no_coefficient_to_change():
+    arrays = arrays_of(MESH, Cable("c", PATH))
+    with pytest.raises(ValueError, match="cable 'c' has no friction whose coefficient"):
+        with_friction(arrays, 0, 0.1)
