@@ -250,12 +250,8 @@ class CableSegments(AbstractPotentialCliques):
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """The segments."""
-        ends = np.einsum(
-            "cem,cmi->cei", np.asarray(self.weights), x[np.asarray(self.nodes)]
-        )
         return ActuatorGeometry(
-            segments=ends + np.asarray(self.fixed),
-            segment_owner=np.asarray(self.owner),
+            segments=_guide_points(self, x), segment_owner=np.asarray(self.owner)
         )
 
 
@@ -305,12 +301,17 @@ class FrictionalCables(AbstractFrictionalCliques):
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """The segments."""
-        guides = np.einsum(
-            "cem,cmi->cei", np.asarray(self.weights), x[np.asarray(self.nodes)]
-        )
-        guides = guides + np.asarray(self.fixed)
+        guides = _guide_points(self, x)
         segments = np.stack([guides[:, :-1], guides[:, 1:]], axis=2)
         return ActuatorGeometry(
             segments=segments.reshape(-1, 2, 3),
             segment_owner=np.repeat(np.asarray(self.owner), segments.shape[1]),
         )
+
+
+def _guide_points(
+    cables: CableSegments | FrictionalCables, x: Float[HostArray, "n_all 3"]
+) -> Float[HostArray, "n_cliques n_guides 3"]:
+    """Positions of the guides of all cliques, on the host [m]."""
+    nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
+    return np.einsum("cem,cmi->cei", weights, x[nodes]) + np.asarray(cables.fixed)
