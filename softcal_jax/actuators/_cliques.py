@@ -9,7 +9,7 @@ displacement (`AbstractPotentialCliques`).
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -84,7 +84,9 @@ class AbstractFrictionalCliques(AbstractDisplacedCliques):
     friction: eqx.AbstractVar[Float[Array, "*cliques"]]
     sense: eqx.AbstractVar[Float[Array, "*cliques"]]
 
-    def moving(self, releasing: Bool[Array | HostArray, " n_a"]) -> Self:
+    def moving(
+        self, releasing: Bool[Array | HostArray, " n_a"]
+    ) -> "AbstractFrictionalCliques":
         """The same cliques, of actuators of which some are let go."""
         sense = jnp.where(jnp.asarray(releasing)[self.owner], -1.0, 1.0)
         return eqx.tree_at(lambda cliques: cliques.sense, self, sense)
