@@ -28,6 +28,9 @@ from softcal_jax.actuators._geometry import ActuatorGeometry
 _COINCIDENT = 1e-9
 """Distance of guides that counts as none, relative to the extent of the cable."""
 
+_IN_LINE = 1e-12
+"""Sine of a turn at a guide that is only rounding."""
+
 
 class Guide(eqx.Module):
     """A point that a cable runs through, or ends at.
@@ -55,24 +58,23 @@ class Cable(AbstractActuator):
     delta_a = l(X) - l(x) with l the length of the path: the shortening since rest [m].
     lambda_a is the tension at the end that is pulled [N], which cannot push.
 
-    With friction, tension is lost at each guide between the ends (capstan equation of
-    Euler and Eytelwein): T_behind = T_before exp(-mu theta), counted from the end that
-    is pulled, with theta the angle by which the cable turns there, its angle between
-    the segments. Where a configuration lets the cable go (`releasing` of
-    `ImposedForce` and `ImposedDisplacement`), it slides the other way and the sign of
-    the exponent is the opposite one. A configuration thus says in which sense the cable
-    moved last along its whole path; nothing sticks. Such a force has no potential, so
-    the model is not `conservative`, and the tangent couples all nodes that the cable
-    touches. Where the cable does not turn at all (theta = 0) the loss has a kink, and
-    the tangent is that of no loss.
+    With friction, each guide between the ends takes a part of the tension (capstan
+    equation of Euler and Eytelwein): on the way from the pulled end to the other one,
+    the tension is multiplied by exp(-mu theta) there, with theta the angle between the
+    segments on both sides. A configuration that lets the cable go says so (`releasing`
+    of `ImposedForce` and `ImposedDisplacement`); the cable then slides the other way,
+    and the factor is exp(+mu theta). The cable is taken to slide at all its guides;
+    none sticks. This force has no potential: the model is not `conservative`, and its
+    tangent couples all nodes that the cable touches. At theta = 0 the loss has a kink;
+    the tangent there is that without loss.
 
     Attributes:
         name: Its name.
         guides: The points that it runs through, both ends included; three bare numbers
             are a guide on the mesh.
-        friction: Coefficient of friction mu at the guides [-]; none by default. A
-            model with None or 0 has no such coefficient that could be calibrated.
-        pulled_from: The end that the actuator pulls, "first" or "last" of the guides;
+        friction: Coefficient of friction mu at the guides [-]; none by default. With
+            None or 0 the model has no coefficient that could be calibrated.
+        pulled_from: The end that the actuator pulls, the "first" or "last" guide;
             without friction it makes no difference.
     """
 
@@ -220,7 +222,7 @@ def _length(v: Float[Array, "3"]) -> Float[Array, ""]:
 def _turn(before: Float[Array, "3"], after: Float[Array, "3"]) -> Float[Array, ""]:
     """Angle between two segments, with no slope where they are in line [rad]."""
     across, along = _length(jnp.cross(before, after)), jnp.sum(before * after)
-    turned = across > 0.0
+    turned = across > _IN_LINE * _length(before) * _length(after)
     angle = jnp.arctan2(jnp.where(turned, across, 1.0), jnp.where(turned, along, 1.0))
     return jnp.where(turned, angle, jnp.where(along < 0.0, jnp.pi, 0.0))
 
@@ -248,10 +250,8 @@ class CableSegments(AbstractPotentialCliques):
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """The segments."""
-        ends = np.einsum("cem,cmi->cei", np.asarray(self.weights), x[self.nodes])
         return ActuatorGeometry(
-            segments=ends + np.asarray(self.fixed),
-            segment_owner=np.asarray(self.owner),
+            segments=_guide_points(self, x), segment_owner=np.asarray(self.owner)
         )
 
 
@@ -301,10 +301,17 @@ class FrictionalCables(AbstractFrictionalCliques):
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """The segments."""
-        guides = np.einsum("cem,cmi->cei", np.asarray(self.weights), x[self.nodes])
-        guides = guides + np.asarray(self.fixed)
+        guides = _guide_points(self, x)
         segments = np.stack([guides[:, :-1], guides[:, 1:]], axis=2)
         return ActuatorGeometry(
             segments=segments.reshape(-1, 2, 3),
             segment_owner=np.repeat(np.asarray(self.owner), segments.shape[1]),
         )
+
+
+def _guide_points(
+    cables: CableSegments | FrictionalCables, x: Float[HostArray, "n_all 3"]
+) -> Float[HostArray, "n_cliques n_guides 3"]:
+    """Positions of the guides of all cliques, on the host [m]."""
+    nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
+    return np.einsum("cem,cmi->cei", weights, x[nodes]) + np.asarray(cables.fixed)

@@ -84,7 +84,9 @@ class AbstractFrictionalCliques(AbstractDisplacedCliques):
     friction: eqx.AbstractVar[Float[Array, "*cliques"]]
     sense: eqx.AbstractVar[Float[Array, "*cliques"]]
 
-    def moving(self, releasing: Bool[Array | HostArray, " n_a"]) -> "AbstractFrictionalCliques":
+    def moving(
+        self, releasing: Bool[Array | HostArray, " n_a"]
+    ) -> "AbstractFrictionalCliques":
         """The same cliques, of actuators of which some are let go."""
         sense = jnp.where(jnp.asarray(releasing)[self.owner], -1.0, 1.0)
         return eqx.tree_at(lambda cliques: cliques.sense, self, sense)

@@ -63,7 +63,8 @@ class MotorFrames(AbstractPotentialCliques):
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Origin and axis of the frames."""
-        origin, axis_end = x[self.nodes[:, 0]], x[self.nodes[:, 3]]
+        nodes = np.asarray(self.nodes)
+        origin, axis_end = x[nodes[:, 0]], x[nodes[:, 3]]
         return ActuatorGeometry(
             points=origin,
             arrows=unit(axis_end - origin),

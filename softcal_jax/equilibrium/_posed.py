@@ -45,7 +45,7 @@ class Posed(NamedTuple):
     """One configuration of a model under a share of its load; make it by `of`.
 
     Attributes:
-        model: The model.
+        model: The model, its friction against the motion of the configuration.
         configuration: Its supports, loads, and what it does with bodies and actuators.
         f_ext: External forces at full load [N].
         load: Share of the load that is applied [-].
@@ -58,11 +58,16 @@ class Posed(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
-        """A configuration of a model at full load; its friction has the right sign."""
+        """A configuration of a model at full load.
+
+        Friction in the model gets the sign of the configuration's motion.
+        """
         f_ext = external_force(model, configuration)
-        releasing = configuration.actuation.releasing
-        actuators = actuators_moving(model.mechanism.actuators, releasing)
-        model = eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
+        if any(model.mechanism.actuators.has_friction):
+            actuators = actuators_moving(
+                model.mechanism.actuators, configuration.actuation.releasing
+            )
+            model = eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
         return cls(model, configuration, f_ext, jnp.ones((), f_ext.dtype))
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
