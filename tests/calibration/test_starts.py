@@ -204,7 +204,7 @@ def test_images_of_the_end_and_of_the_start(measured):
     np.testing.assert_array_equal(kept, [[1.0] * 4] * 5 + [[0.0] * 4] + [[1.0] * 4] * 2)
     middle = np.asarray(space.start())
     start, end = middle - 0.1, middle + 0.1
-    errors = nothing_yet(FROM_ANYWHERE, end).errors
+    errors = nothing_yet(FROM_ANYWHERE, jnp.asarray(end)).errors
     run = lambda cost, converged: Run(
         z=end, cost=cost, steps=3, converged=converged, errors=errors
     )
