@@ -167,7 +167,7 @@ def _from(lanes: ConfigurationArrays, i: int) -> ConfigurationArrays:
 
 
 def _told_to_begin() -> None:
-    """Waits for the other of two processes."""
+    """Wait for the other of two processes."""
     print(READY, flush=True)
     sys.stdin.readline()
 

@@ -71,7 +71,7 @@ class Journal:
             self._progress(self.history[-1])
 
     def begin(self, state: CalibrationState) -> CalibrationState:
-        """The last state that was kept; else this one, which is recorded.
+        """Return the last state that was kept; else record this one and return it.
 
         Args:
             state: State before the first step.
@@ -86,7 +86,7 @@ class Journal:
         self._keep(f"run{index}", begun)
 
     def begun(self, index: int, like: Begun) -> Begun:
-        """How far a run from one of many starts is.
+        """Return how far a run from one of many starts is.
 
         Args:
             index: Index of the start.

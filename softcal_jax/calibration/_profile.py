@@ -288,7 +288,7 @@ def _bracket(
 
 def _room(space: ParameterSpace, z, column: int, sign: int) -> float:
     """How far a parameter may go; half a turn if it is periodic."""
-    down, up = space.room(z)
+    down, up = space.room(jnp.asarray(z))
     room = float(up[column] if sign > 0 else -down[column])
     turn = float(space.upper()[column] - space.lower()[column])
     return min(room, 0.5 * turn) if np.isinf(room) else room

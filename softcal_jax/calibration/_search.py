@@ -6,6 +6,7 @@ from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
@@ -137,7 +138,8 @@ def search(
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
     jobs, ended = [], {}
-    for i, start in enumerate(np.asarray(starts)):  # rows on the host, as below
+    # Rows on the host: their number, too, would belong to a program.
+    for i, start in enumerate(map(jnp.asarray, np.asarray(starts))):
         begun = journal.begun(i, Begun(0, nothing_yet(settings, start)))
         if begun.images == len(images):
             ended[i] = begun.best
@@ -164,9 +166,8 @@ def search(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
             "check loads, units and bounds, or `softcal simulate`."
         )
-    # Rows on the host: their number, too, would belong to a program.
     in_si = lambda rows: np.stack(
-        [_from_scaled(evaluate.numbered.space, np.asarray(row)) for row in rows]
+        [_from_scaled(evaluate.numbered.space, row) for row in np.asarray(rows)]
     )
     z = np.stack([run.z for run in runs])
     values = in_si(z)

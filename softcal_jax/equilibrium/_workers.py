@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from heapq import heappop, heappush
 from queue import SimpleQueue
 from threading import Lock
@@ -111,7 +111,7 @@ class Workers:
             self._pool.shutdown(cancel_futures=True)
 
     def end_of(self, job: Job[T]) -> T:
-        """What one job returns.
+        """Run one job and return its end.
 
         Args:
             job: The job, see `ends`.
@@ -121,7 +121,7 @@ class Workers:
     def ends(
         self, jobs: Iterable[Job[T]], told: Callable[[int, T], None] | None = None
     ) -> list[T]:
-        """What jobs return, in their order; their lanes side by side.
+        """Run jobs, their lanes side by side, and return their ends in their order.
 
         Lanes of an earlier job go first, and a job begins when those of the others do
         not fill the threads: so jobs end one after the other, each leaves its place to
@@ -135,7 +135,7 @@ class Workers:
         return _Round(self, list(jobs), told or (lambda *_: None)).ends()
 
     def submit(self, batch: Batch, lane: int) -> Future:
-        """The coming result of one lane; with one worker it is there at once.
+        """Hand out one lane; with one worker its result is there at once.
 
         Args:
             batch: The batch.
@@ -161,16 +161,13 @@ class Workers:
         finally:
             self._free.put(solver)
 
-    def on_one_core(self) -> ExitStack:
+    def on_one_core(self) -> AbstractContextManager[None]:
         """Context in which the workers' solvers run."""
-        stack = ExitStack()
-        if self.n > 1:
-            stack.enter_context(self._solver.on_one_core())
-        return stack
+        return self._solver.on_one_core() if self.n > 1 else nullcontext()
 
 
 class _Round:
-    """Runs on their way to their ends."""
+    """Jobs on their way to their ends."""
 
     def __init__(self, workers: Workers, jobs: list[Job], told):
         self._workers, self._jobs, self._told = workers, jobs, told
@@ -196,11 +193,11 @@ class _Round:
             self._one_core.close()
 
     def _fill(self) -> bool:
-        """Hands out lanes; whether any is under way."""
+        """Hand out lanes; return whether any is under way."""
         while len(self._under_way) < self._most:
             if self._waiting:
                 if not self._under_way:
-                    self._one_core = self._workers.on_one_core()
+                    self._one_core.enter_context(self._workers.on_one_core())
                 job, lane = heappop(self._waiting)
                 future = self._workers.submit(self._batches[job], lane)
                 self._under_way[future] = job, lane
@@ -211,7 +208,7 @@ class _Round:
         return bool(self._under_way)
 
     def _take(self) -> None:
-        """Waits for lanes, and sends a job the batch that is complete with them."""
+        """Wait for lanes, and send each job the batch that is complete with them."""
         done, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
         places = {future: self._under_way.pop(future) for future in done}
         if not self._under_way:

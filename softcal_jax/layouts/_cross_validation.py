@@ -93,7 +93,7 @@ def _fit(
     def fit(fold: _Fold) -> Job[_Fit]:
         own = Evaluator(_fold_problem(problem, fold))
         runs = []
-        for start in np.asarray(starts):
+        for start in map(jnp.asarray, np.asarray(starts)):
             runs.append((yield from run_start(own, settings, start, images=images)))
         cost = np.array([run.cost for run in runs])
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]

@@ -140,6 +140,25 @@ def test_one_start_alone_ends_as_among_others(measured, mirrored):
     np.testing.assert_allclose(alone.errors, mirrored.errors[2], rtol=1e-5, atol=1e-6)
 
 
+def test_runs_that_have_ended_cost_nothing_more(measured, monkeypatch):
+    """Together as many evaluations as alone, however unlike their lengths."""
+    counted, real = [], Evaluator.__call__
+
+    def count(evaluate, *args):
+        counted.append(evaluate)
+        return real(evaluate, *args)
+
+    monkeypatch.setattr(Evaluator, "__call__", count)
+    found = multi_start(measured.problem, measured.starts, mirror=False)
+    together = len(counted)
+    for start in measured.starts:
+        multi_start(measured.problem, start[None], mirror=False)
+    assert len(counted) == 2 * together
+    assert len(set(found.steps)) > 1
+    # One for each start and step, but for the last of a run, which only confirms.
+    assert together <= len(found.steps) + found.steps.sum()
+
+
 def test_other_starts_and_data_are_the_same_program(measured, mirrored):
     """Any number of starts, any data, any names of the control points."""
     renamed = with_other_points(measured.beam.space, ["left", "right"])
@@ -185,7 +204,7 @@ def test_images_of_the_end_and_of_the_start(measured):
     np.testing.assert_array_equal(kept, [[1.0] * 4] * 5 + [[0.0] * 4] + [[1.0] * 4] * 2)
     middle = np.asarray(space.start())
     start, end = middle - 0.1, middle + 0.1
-    errors = nothing_yet(FROM_ANYWHERE, end).errors
+    errors = nothing_yet(FROM_ANYWHERE, jnp.asarray(end)).errors
     run = lambda cost, converged: Run(
         z=end, cost=cost, steps=3, converged=converged, errors=errors
     )
