@@ -40,3 +40,9 @@ def readable_unit(values: Iterable[float], unit: str) -> Readable:
         if largest >= step:
             size, name = step, step_name
     return Readable(1.0 / size, name)
+
+
+def readable(value: float, unit: str) -> str:
+    """A value in SI as a person reads it, like "263.8 kPa"."""
+    factor, shown = readable_unit([value], unit)
+    return f"{factor * value:.6g} {shown}".rstrip()

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax._units import readable
 from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.materials import is_point_values
@@ -66,6 +67,7 @@ class Parameter(AbstractEntry):
             return
         start, lower, upper = float(self.start), float(self.lower), float(self.upper)
         what = f"parameter {self.name!r}"
+        show = lambda value: readable(value, self.unit)
         if not np.all(np.isfinite([start, lower, upper])):
             raise ValueError(
                 f"{what}: start and bounds must be finite, got start {start:g} in "
@@ -73,13 +75,13 @@ class Parameter(AbstractEntry):
             )
         if lower >= upper:
             raise ValueError(
-                f"{what}: the bounds are crossed, lower {lower:g} is not below upper "
-                f"{upper:g}."
+                f"{what}: the bounds are crossed, lower {show(lower)} is not below "
+                f"upper {show(upper)}."
             )
         if not lower <= start <= upper:
             raise ValueError(
-                f"{what}: the start {start:g} lies outside its bounds "
-                f"[{lower:g}, {upper:g}]."
+                f"{what}: the start {show(start)} lies outside its bounds "
+                f"[{show(lower)}, {show(upper)}]."
             )
         if self.scale not in ("log", "linear"):
             raise ValueError(

@@ -1,5 +1,6 @@
 """Constitutive laws: energy densities, their stresses and tangents."""
 
+from softcal_jax.materials._checks import constant
 from softcal_jax.materials._corotational import ClassicalCorotational, Corotational
 from softcal_jax.materials._elasticity import AbstractElasticity, Isotropic, lame
 from softcal_jax.materials._fibre import Fibre
@@ -17,7 +18,25 @@ from softcal_jax.materials._transverse import (
     TransverseIsotropic,
 )
 
+ELASTICITIES: dict[str, type[AbstractElasticity]] = {
+    "isotropic": Isotropic,
+    "transverse-isotropic": TransverseIsotropic,
+    "reduced-transverse-isotropic": ReducedTransverseIsotropic,
+}
+"""The tensors C of the laws that are linear in a strain, as project files name them."""
+
+LAWS: dict[str, type[AbstractLaw]] = {
+    "neo-hookean": NeoHookean,
+    "corotational": Corotational,
+    "classical-corotational": ClassicalCorotational,
+    "st-venant-kirchhoff": StVenantKirchhoff,
+    "fibre-reinforced": FibreReinforced,
+}
+"""The laws, as project files name them."""
+
 __all__ = [
+    "ELASTICITIES",
+    "LAWS",
     "AbstractElasticity",
     "AbstractLaw",
     "ClassicalCorotational",
@@ -30,6 +49,7 @@ __all__ = [
     "ReducedTransverseIsotropic",
     "StVenantKirchhoff",
     "TransverseIsotropic",
+    "constant",
     "is_point_values",
     "lame",
     "law_at_points",

@@ -1,4 +1,7 @@
-"""Range checks of material constants, for values that are not traced."""
+"""Constants of a material, and their checks on concrete values at construction."""
+
+import math
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +13,29 @@ from softcal_jax._typing import Array, Float, is_traced
 def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
     """Convert a constant, or one value per tet, to a floating-point array."""
     return jnp.asarray(value, float)
+
+
+def constant(
+    unit: str, words: str, *, within: tuple[float, float] | None = None
+) -> dict[str, Any]:
+    """What the metadata of a field of a law say of a constant; project files read it.
+
+    Args:
+        unit: SI unit, like "Pa"; "" for a plain number, "rad" for the angle of an axis.
+        words: What it is, with an example: 'bulk modulus: "2 MPa"'.
+        within: Open interval that the bounds of a parameter must lie in; by default
+            what is positive for a modulus, and anything for a number or an angle.
+    """
+    if within is None:
+        within = (-math.inf if unit in ("", "rad") else 0.0, math.inf)
+    return {"unit": unit, "words": words, "within": within}
+
+
+MODULUS = constant("Pa", 'Young\'s modulus: "200 kPa"')
+ACROSS = constant("Pa", 'Young\'s modulus across the fibre: "700 kPa"')
+ALONG = constant("Pa", 'Young\'s modulus along the fibre: "400 kPa"')
+SHEAR = constant("Pa", 'shear modulus along the fibre: "200 kPa"')
+RATIO = constant("", "Poisson's ratio: 0.499", within=(-1.0, 0.5))
 
 
 def _concrete(value: Float[Array, "..."]) -> np.ndarray | None:

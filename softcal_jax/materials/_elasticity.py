@@ -11,6 +11,8 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.materials._checks import (
+    MODULUS,
+    RATIO,
     as_field,
     check_modulus,
     check_poisson_ratio,
@@ -123,8 +125,8 @@ class Isotropic(AbstractElasticity):
         nu: Poisson's ratio [-] in (-1, 0.5), one value or one per tet.
     """
 
-    E: Float[Array, "..."] = eqx.field(converter=as_field)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field)
+    E: Float[Array, "..."] = eqx.field(converter=as_field, metadata=MODULUS)
+    nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
 
     def __check_init__(self):
         check_modulus("E", self.E)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._checks import as_field, check_finite
+from softcal_jax.materials._checks import as_field, check_finite, constant
 
 Plane = Literal["xy", "xz", "yz"]
 
@@ -25,9 +25,16 @@ class Fibre(eqx.Module):
         plane: The print plane: "xy", "xz" or "yz".
     """
 
-    theta: Float[Array, "..."] = eqx.field(converter=as_field)
-    phi: Float[Array, "..."] = eqx.field(converter=as_field, default=0.0)
-    plane: Plane = eqx.field(static=True, default="xz")
+    theta: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        metadata=constant("rad", 'angle of the fibre in its print plane: "20 deg"'),
+    )
+    phi: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        default=0.0,
+        metadata=constant("rad", 'angle of the fibre out of its plane: "10 deg"'),
+    )
+    plane: Plane = eqx.field(static=True, default="xz", metadata={"key": "print_plane"})
 
     def __check_init__(self):
         if self.plane not in ("xy", "xz", "yz"):

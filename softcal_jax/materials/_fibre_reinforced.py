@@ -8,7 +8,15 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul
-from softcal_jax.materials._checks import as_field, check_modulus, check_shared_ratio
+from softcal_jax.materials._checks import (
+    ACROSS,
+    ALONG,
+    SHEAR,
+    as_field,
+    check_modulus,
+    check_shared_ratio,
+    constant,
+)
 from softcal_jax.materials._fibre import Fibre
 from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._products import crossed, outer, paired
@@ -99,10 +107,13 @@ class FibreReinforced(AbstractLaw):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field)
-    mu_l: Float[Array, "..."] = eqx.field(converter=as_field)
+    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
+    nu: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        metadata=constant("", "Poisson's ratio: 0.499"),
+    )
+    mu_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre
 
     def __check_init__(self):

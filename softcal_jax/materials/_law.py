@@ -25,15 +25,18 @@ class AbstractLaw(eqx.Module):
         A user's own law::
 
             class Yeoh(AbstractLaw):
-                c1: float | Array
-                c2: float | Array
-                bulk: float | Array
+                c1: Array = eqx.field(metadata=constant("Pa", 'stiffness: "30 kPa"'))
+                c2: Array = eqx.field(metadata=constant("Pa", 'hardening: "1 kPa"'))
+                bulk: Array = eqx.field(metadata=constant("Pa", 'bulk: "2 MPa"'))
 
                 def energy_density(self, F):
                     J = determinant(F)
                     I1 = J ** (-2 / 3) * jnp.sum(F * F)
                     return (self.c1 * (I1 - 3) + self.c2 * (I1 - 3) ** 2
                             + self.bulk / 2 * (J - 1) ** 2)
+
+    The metadata are for project files, which name a law of an installed package by its
+    entry point in the group "softcal_jax.laws"; without them it is of Python alone.
 
     Attributes:
         conservative: Whether `stress` is the gradient of `energy_density`, so that a

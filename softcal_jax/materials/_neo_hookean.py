@@ -6,6 +6,8 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant
 from softcal_jax.materials._checks import (
+    MODULUS,
+    RATIO,
     as_field,
     check_modulus,
     check_poisson_ratio,
@@ -26,8 +28,8 @@ class NeoHookean(AbstractLaw):
         nu: Poisson's ratio at small strain [-] in (-1, 0.5), one value or one per tet.
     """
 
-    E: Float[Array, "..."] = eqx.field(converter=as_field)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field)
+    E: Float[Array, "..."] = eqx.field(converter=as_field, metadata=MODULUS)
+    nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
 
     def __check_init__(self):
         check_modulus("E", self.E)

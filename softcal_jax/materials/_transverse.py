@@ -7,11 +7,16 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.materials._checks import (
+    ACROSS,
+    ALONG,
+    RATIO,
+    SHEAR,
     as_field,
     check_fibre_ratio,
     check_modulus,
     check_plane_ratio,
     check_poisson_ratio,
+    constant,
 )
 from softcal_jax.materials._elasticity import AbstractElasticity, Tabulated
 from softcal_jax.materials._fibre import Fibre
@@ -108,11 +113,17 @@ class TransverseIsotropic(AbstractElasticity):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field)
-    nu_t: Float[Array, "..."] = eqx.field(converter=as_field)
-    nu_tl: Float[Array, "..."] = eqx.field(converter=as_field)
-    mu_l: Float[Array, "..."] = eqx.field(converter=as_field)
+    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
+    nu_t: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        metadata=constant("", "Poisson's ratio in the plane across the fibre: 0.3"),
+    )
+    nu_tl: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        metadata=constant("", "contraction along the fibre for stress across it: 0.3"),
+    )
+    mu_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre
 
     def __check_init__(self):
@@ -160,9 +171,9 @@ class ReducedTransverseIsotropic(AbstractElasticity):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field)
+    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
+    nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
     fibre: Fibre
 
     def __check_init__(self):

@@ -1,22 +1,20 @@
 """A calibration as one text file: mesh, material, measurements, settings."""
 
-from softcal_jax.project._laws import parse_in_si
 from softcal_jax.project._load import load_project
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion
 from softcal_jax.project._project import Project
+from softcal_jax.project._quantities import parse_in_si
 from softcal_jax.project._reading import read_schema, read_toml
-from softcal_jax.project._table import Integer, Number, Table, one_of
+from softcal_jax.project._table import Integer, Table
 
 __all__ = [
     "Integer",
-    "Number",
     "Project",
     "ProjectError",
     "Table",
     "at",
     "load_project",
     "one_by_one",
-    "one_of",
     "parse_in_si",
     "read_schema",
     "read_toml",

@@ -1,12 +1,18 @@
-"""From the tables of a project file to effectors with what was measured of them."""
+"""The keys of a project file that make effectors, and what was measured of them.
 
-from collections.abc import Mapping
+A new effector is one table here and one line in `AnyEffector`.
+"""
+
+import inspect
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
+from pydantic import Discriminator, Field, Tag
 
+from softcal_jax.actuators import Kind
 from softcal_jax.configurations import (
     AbstractEffector,
     ActuatorDisplacement,
@@ -18,69 +24,267 @@ from softcal_jax.configurations import (
     SupportReaction,
 )
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._problems import at, known_name, shown
+from softcal_jax.project._problems import known_name, shown, under
 from softcal_jax.project._quantities import (
     ANGLE,
     FORCE,
     LENGTH,
-    OF_UNIT,
     Dimension,
+    dimension_of,
     parse_scalar,
     parse_vector,
 )
-from softcal_jax.project._readings import measured_motion
-from softcal_jax.project._schema_effectors import EffectorTable, MeasuredPoseTable
+from softcal_jax.project._sensors import (
+    FrameTable,
+    MeasuredPoseTable,
+    OrientationTable,
+)
+from softcal_jax.project._table import (
+    Angle,
+    Direction,
+    Position,
+    Table,
+    table_or_vector,
+)
 
 Effectors = dict[str, AbstractEffector]
 
+Measured = Annotated[
+    Annotated[MeasuredPoseTable, Tag("(table)")] | Annotated[Any, Tag("(vector)")],
+    Discriminator(table_or_vector),
+]
+"""A pose, or a quantity as text; of which dimension, its effector tells."""
+
+_BODY = Field(description='name of a rigid body, [bodies.NAME]: "plate"')
+
+
+class EffectorTable(Table):
+    """Something that is measured beside markers.
+
+    Attributes:
+        makes: The class; keys that are called like its fields are its arguments.
+        measures: What `std` and the measured value measure.
+        vector: Whether three numbers are measured.
+        std: Standard deviation; without one the effector's default is kept.
+    """
+
+    makes: ClassVar[Callable[..., AbstractEffector]]
+    measures: ClassVar[Dimension]
+    vector: ClassVar[bool] = False
+
+    std: str | None = None
+
+    def dimension(self, mechanism: Mechanism) -> Dimension:
+        """What `std` and the measured value measure.
+
+        Raises:
+            ValueError: If there is nothing to measure.
+        """
+        del mechanism
+        return self.measures
+
+    def build(self, name: str, std: float | None) -> AbstractEffector:
+        """The effector; nothing is measured yet.
+
+        Args:
+            name: Its name.
+            std: Its standard deviation in SI, if the file gives one.
+        """
+        given = {**self._arguments(), "std": std}
+        return self.makes(name, **{k: v for k, v in given.items() if v is not None})
+
+    def _arguments(self) -> dict[str, Any]:
+        known = inspect.signature(self.makes).parameters
+        return {k: getattr(self, k) for k in type(self).model_fields if k in known}
+
+    def value(self, value: Any, folder: Path, mechanism: Mechanism) -> Any:
+        """The measured value in SI units, as the effector takes it.
+
+        Args:
+            value: What the file holds.
+            folder: Where relative paths begin.
+            mechanism: Rigid bodies and actuators.
+
+        Raises:
+            ValueError: If it is not such a value.
+        """
+        del folder
+        dimension = self.dimension(mechanism)
+        if isinstance(value, MeasuredPoseTable):
+            (kind,) = get_args(type(self).model_fields["type"].annotation)
+            raise ValueError(
+                f'got a table; expected {dimension.name}, since type = "{kind}".'
+            )
+        if self.vector:
+            return np.array(parse_vector(value, dimension))
+        return parse_scalar(value, dimension)
+
+
+class BodyFrameTable(EffectorTable):
+    """Position and orientation of a rigid body."""
+
+    makes = BodyFrame
+    measures = LENGTH
+
+    type: Literal["frame"]
+    body: str = _BODY
+    point: Position | None = None
+    orientation: OrientationTable = OrientationTable()
+    base: FrameTable = FrameTable()
+    std_angle: Angle | None = None
+
+    def value(self, value: Any, folder: Path, mechanism: Mechanism) -> Any:
+        """The motion of the body."""
+        if not isinstance(value, MeasuredPoseTable):
+            raise ValueError(
+                f"got {shown(value)}; expected a pose, like "
+                '{ position = "(0, 0, 100) mm", azimuth = "10 deg" } or '
+                '{ file = "tracker.csv" }.'
+            )
+        rest = mechanism.bodies.origin[mechanism.bodies.names.index(self.body)]
+        if self.point is not None:
+            rest = np.array(self.point)
+        return value.motion(folder, self.base, self.orientation, rest)
+
+
+class _OfGroup(EffectorTable):
+    vector = True
+
+    group: str = Field(description='name of a group of the mesh: "x_min"')
+
+    def _arguments(self) -> dict[str, Any]:
+        return {"where": self.group}
+
+
+class CentroidTable(_OfGroup):
+    """Mean position of a group of nodes."""
+
+    makes = Centroid
+    measures = LENGTH
+
+    type: Literal["centroid"]
+
+
+class SupportReactionTable(_OfGroup):
+    """Force with which the ground holds a group of nodes."""
+
+    makes = SupportReaction
+    measures = FORCE
+
+    type: Literal["reaction"]
+
+
+class BodyAngleTable(EffectorTable):
+    """Angle between two rigid bodies."""
+
+    makes = BodyAngle
+    measures = ANGLE
+
+    type: Literal["angle"]
+    body: str = _BODY
+    other: str = Field(description="the rigid body it is measured from")
+    axis: Direction = Field(
+        description='axis of the angle, fixed on `other`: "z", or [0, 0, 1]'
+    )
+
+
+class _OfActuator(EffectorTable):
+    actuator: str = Field(description='name of an actuator, [actuators.NAME]: "cable"')
+    std: str | None = Field(
+        description='standard deviation, with the unit of what is measured: "0.1 mm"'
+    )
+
+    def _kind(self, mechanism: Mechanism) -> Kind:
+        actuators = mechanism.actuators
+        return actuators.kinds[actuators.names.index(self.actuator)]
+
+
+class ActuatorDisplacementTable(_OfActuator):
+    """Displacement of an actuator."""
+
+    makes = ActuatorDisplacement
+
+    type: Literal["actuator-displacement"]
+
+    def dimension(self, mechanism: Mechanism) -> Dimension:
+        """What the actuator moves by."""
+        kind = self._kind(mechanism)
+        if kind.displacement_unit is None:
+            raise ValueError(
+                f"a {kind.noun} has no displacement; measure its force, type = "
+                '"actuator-force".'
+            )
+        return dimension_of(kind.displacement_unit)
+
+
+class ActuatorForceTable(_OfActuator):
+    """Force of an actuator."""
+
+    makes = ActuatorForce
+
+    type: Literal["actuator-force"]
+
+    def dimension(self, mechanism: Mechanism) -> Dimension:
+        """What the actuator pushes with."""
+        return dimension_of(self._kind(mechanism).force_unit)
+
+
+AnyEffector = Annotated[
+    BodyFrameTable
+    | CentroidTable
+    | SupportReactionTable
+    | BodyAngleTable
+    | ActuatorDisplacementTable
+    | ActuatorForceTable,
+    Field(discriminator="type"),
+]
+
 
 def build_effectors(
-    path: Path,
-    tables: Mapping[str, EffectorTable],
-    mesh: TetMesh,
-    mechanism: Mechanism,
+    tables: Mapping[str, EffectorTable], mesh: TetMesh, mechanism: Mechanism
 ) -> Effectors:
     """All effectors of a project, by name; nothing is measured yet.
 
     Raises:
-        ProjectError: If one does not fit the mesh, the bodies or the actuators.
+        WrongKeyError: If one does not fit the mesh, the bodies or the actuators.
     """
     found: Effectors = {}
     for name, table in tables.items():
-        with at(path, f"effectors.{name}"):
+        with under(name):
             _check_names(table, mechanism)
-            dimension = _dimension(table, mechanism)
-            found[name] = _effector(name, table, _std(path, name, table, dimension))
+            dimension, std = table.dimension(mechanism), None
+            if table.std is not None:
+                with under("std"):
+                    std = parse_scalar(table.std, dimension)
+            found[name] = table.build(name, std)
             found[name].rows(mesh, mechanism)
     return found
 
 
 def with_measured(
-    path: Path,
-    key: str,
     effectors: Effectors,
     measured: Mapping[str, Any],
     tables: Mapping[str, EffectorTable],
+    folder: Path,
     mechanism: Mechanism,
 ) -> tuple[AbstractEffector, ...]:
     """The effectors of a configuration, with its measurements.
 
     Args:
-        path: The project file, for messages and as the base of relative paths.
-        key: Key of the measurements in it.
         effectors: The effectors of the configuration.
         measured: What was measured, by their names.
         tables: Their tables.
+        folder: Where relative paths begin.
         mechanism: Rigid bodies and actuators.
 
     Raises:
-        ProjectError: If a name is unknown, or a value or file is wrong.
+        WrongKeyError: If a name is unknown, or a value or file is wrong.
     """
     found = dict(effectors)
     for name, value in measured.items():
-        with at(path, f"{key}.{name}"):
+        with under(name):
             known_name("effector", name, effectors, "effectors")
-            own = _value(path.parent, tables[name], found[name], value, mechanism)
+            own = tables[name].value(value, folder, mechanism)
             found[name] = replace(found[name], measured=own)  # pyright: ignore
     return tuple(found.values())
 
@@ -92,85 +296,5 @@ def _check_names(table: EffectorTable, mechanism: Mechanism) -> None:
         ("other", "rigid body", bodies, "bodies"),
         ("actuator", "actuator", actuators, "actuators"),
     ):
-        name = getattr(table, key)
-        if name is not None:
-            known_name(kind, name, known, section)
-
-
-def _dimension(table: EffectorTable, mechanism: Mechanism) -> Dimension:
-    """What `std` and the measured value of an effector measure."""
-    if table.type in ("frame", "centroid"):
-        return LENGTH
-    if table.type == "angle":
-        return ANGLE
-    if table.type == "reaction":
-        return FORCE
-    actuators = mechanism.actuators
-    kind = actuators.kinds[actuators.names.index(str(table.actuator))]
-    if table.type == "actuator-force":
-        return OF_UNIT[kind.force_unit]
-    if kind.displacement_unit is None:
-        raise ValueError(
-            f"a {kind.noun} has no displacement; measure its force, type = "
-            '"actuator-force".'
-        )
-    return OF_UNIT[kind.displacement_unit]
-
-
-class _Std(TypedDict, total=False):
-    std: float
-
-
-def _std(path: Path, name: str, table: EffectorTable, dimension: Dimension) -> _Std:
-    """The standard deviation that the file gives; without one the default is kept."""
-    if table.std is None:
-        return {}
-    with at(path, f"effectors.{name}.std"):
-        return {"std": parse_scalar(table.std, dimension)}
-
-
-def _effector(name: str, table: EffectorTable, std: _Std) -> AbstractEffector:
-    body, group, actuator = str(table.body), str(table.group), str(table.actuator)
-    if table.type == "frame":
-        frame = BodyFrame(name, body, point=table.point, **std)
-        if table.std_angle is None:
-            return frame
-        return replace(frame, std_angle=table.std_angle)
-    if table.type == "centroid":
-        return Centroid(name, group, **std)
-    if table.type == "angle":
-        axis = table.axis or (0.0, 0.0, 0.0)
-        return BodyAngle(name, body, str(table.other), axis, **std)
-    if table.type == "actuator-displacement":
-        return ActuatorDisplacement(name, actuator, **std)
-    if table.type == "actuator-force":
-        return ActuatorForce(name, actuator, **std)
-    return SupportReaction(name, group, **std)
-
-
-def _value(
-    folder: Path,
-    table: EffectorTable,
-    effector: AbstractEffector,
-    value: Any,
-    mechanism: Mechanism,
-) -> Any:
-    """The measured value in SI units, as the effector takes it."""
-    dimension = _dimension(table, mechanism)
-    if isinstance(effector, BodyFrame):
-        if not isinstance(value, MeasuredPoseTable):
-            raise ValueError(
-                f"got {shown(value)}; expected a pose, like "
-                '{ position = "(0, 0, 100) mm", azimuth = "10 deg" } or '
-                '{ file = "tracker.csv" }.'
-            )
-        k = mechanism.bodies.names.index(effector.body)
-        rest = mechanism.bodies.origin[k] if effector.point is None else effector.point
-        return measured_motion(folder, table, value, rest)
-    if isinstance(value, MeasuredPoseTable):
-        raise ValueError(
-            f'got a table; expected {dimension.name}, since type = "{table.type}".'
-        )
-    if table.type in ("centroid", "reaction"):
-        return np.array(parse_vector(value, dimension))
-    return parse_scalar(value, dimension)
+        if key in type(table).model_fields:
+            known_name(kind, getattr(table, key), known, section)

@@ -1,226 +1,317 @@
-"""The laws that a project file knows, their constants, and which belongs to which."""
+"""The tables [material] of all laws, derived from the constants of their classes.
 
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+Laws are those of `softcal_jax.materials`, and those of installed packages with an entry
+point in the group "softcal_jax.laws". A file beside the project is never imported.
+"""
 
-from pydantic_core import PydanticCustomError
+import dataclasses
+import functools
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import EntryPoints, entry_points
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
+    ELASTICITIES,
+    LAWS,
     AbstractElasticity,
     AbstractLaw,
-    ClassicalCorotational,
-    Corotational,
-    Fibre,
-    FibreReinforced,
-    Isotropic,
-    NeoHookean,
-    ReducedTransverseIsotropic,
-    StVenantKirchhoff,
-    TransverseIsotropic,
+    constant,
 )
-from softcal_jax.project._quantities import (
-    ANGLE,
-    DENSITY,
-    PRESSURE,
-    Dimension,
-    parse_scalar,
-)
+from softcal_jax.mesh import TetMesh
+from softcal_jax.project._quantities import dimension_of, scalar
+from softcal_jax.project._table import Density, Number, Table
 
-if TYPE_CHECKING:
-    from softcal_jax.project._schema_material import MaterialTable
-
-Value = Callable[[str], Float[HostArray, "..."]]
+GROUP = "softcal_jax.laws"
+"""Entry points of installed packages that are laws."""
 
 
 class Constant(NamedTuple):
-    """A constant of a material.
+    """A constant of a material, as its law declares it.
 
     Attributes:
-        dimension: What it measures; None for a plain number.
         unit: SI unit, as results name it.
         words: What it is, with an example.
+        within: Open interval of the bounds of a parameter.
     """
 
-    dimension: Dimension | None
     unit: str
     words: str
+    within: tuple[float, float]
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is the angle of an axis."""
+        return self.unit == "rad"
+
+    @property
+    def is_modulus(self) -> bool:
+        """Whether it is positive, so that a step is a ratio."""
+        return self.unit not in ("", "rad")
+
+    @property
+    def scale(self) -> Literal["log", "linear"]:
+        """On which scale it is calibrated by default."""
+        return "log" if self.is_modulus else "linear"
+
+    @property
+    def type(self) -> Any:
+        """Type of its key in a table."""
+        if not self.unit:
+            return Number
+        return Annotated[float, BeforeValidator(scalar(dimension_of(self.unit)))]
 
 
-CONSTANTS = {
-    "E": Constant(PRESSURE, "Pa", 'Young\'s modulus: "200 kPa"'),
-    "nu": Constant(None, "", "Poisson's ratio: 0.499"),
-    "E_t": Constant(PRESSURE, "Pa", 'Young\'s modulus across the fibre: "700 kPa"'),
-    "E_l": Constant(PRESSURE, "Pa", 'Young\'s modulus along the fibre: "400 kPa"'),
-    "nu_t": Constant(None, "", "Poisson's ratio in the plane across the fibre: 0.3"),
-    "nu_tl": Constant(
-        None, "", "contraction along the fibre for stress across it: 0.3"
-    ),
-    "mu_l": Constant(PRESSURE, "Pa", 'shear modulus along the fibre: "200 kPa"'),
-    "theta": Constant(ANGLE, "rad", 'angle of the fibre in its print plane: "20 deg"'),
-    "phi": Constant(ANGLE, "rad", 'angle of the fibre out of its plane: "10 deg"'),
-    "density": Constant(DENSITY, "kg/m3", 'mass density: "1070 kg/m^3"'),
-}
-"""All constants, by their key in the file, which is their field in the law."""
+DENSITY = Constant(**constant("kg/m3", 'mass density: "1070 kg/m^3"'))
 
 
-def parse_in_si(value: Any, unit: str) -> float:
-    """A value as a project file writes it, in SI.
+class _OfLaw(Table):
+    """A table of constants.
+
+    Attributes:
+        choice: How the file chose the law.
+        constants: Constants that there are, the density among them.
+        listed: Keys of the law, for messages.
+    """
+
+    choice: ClassVar[str]
+    constants: ClassVar[Mapping[str, Constant]]
+    listed: ClassVar[str]
+
+    @classmethod
+    def foreign(cls, key: str) -> str | None:
+        """Says which laws have a key that this one has not."""
+        owners = _owners(key)
+        if not owners:
+            return None
+        *first, last = owners
+        named = f"{', '.join(first)} or {last}" if first else last
+        return (
+            f"{key} belongs to {named}. This is {cls.choice}, which has {cls.listed}."
+        )
+
+
+class Material(_OfLaw):
+    """The law and its constants before calibration; `material_table` adds their keys.
+
+    Attributes:
+        makes: The law of values of the keys.
+    """
+
+    makes: ClassVar[Callable[[Callable[[str], Any]], AbstractLaw]]
+
+    law: str
+    density: Density = Field(description=DENSITY.words)
+    formulation: Literal["auto", "displacement", "mean-dilatation"] = "auto"
+    regions: dict[str, Any] = Field(default_factory=dict)
+
+    def constant(self, key: str, region: str | None = None) -> float:
+        """A constant of the body, or of a region that may have its own [SI]."""
+        own = getattr(self.regions.get(region or ""), key, None)
+        return getattr(self, key) if own is None else own
+
+    def values(self, key: str, mesh: TetMesh) -> Float[HostArray, "..."]:
+        """A constant of the whole body, or one value per tet where regions differ [SI].
+
+        Raises:
+            ValueError: If a region is no tet group.
+        """
+        base = np.asarray(getattr(self, key), float)
+        for name, region in self.regions.items():
+            tets = mesh.tets_of(name)
+            if getattr(region, key) is not None:
+                base = np.broadcast_to(base, (mesh.n_tets,)).copy()
+                base[tets] = getattr(region, key)
+        return base
+
+    def build(self, mesh: TetMesh) -> AbstractLaw:
+        """The law.
+
+        Raises:
+            ValueError: If a constant is out of its range, or a region is no tet group.
+        """
+        own = self.constants
+        return type(self).makes(
+            lambda key: self.values(key, mesh) if key in own else getattr(self, key)
+        )
+
+
+class _Undecided(Material):
+    """A table whose law is unknown; nothing else in it is judged."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    density: Any = None
+
+
+def material_table(raw: Any) -> type[Material]:
+    """The table of the law that a file names.
 
     Args:
-        value: "200 kPa", or a plain number where there is no unit.
-        unit: SI unit of the constant that it is a value of.
+        raw: Its table [material], as it was read.
+
+    Returns:
+        A model with the keys of the law; if there is none of the name, one that says so
+        and what names there are.
 
     Raises:
-        ValueError: If it is no such value; the text says how to write one.
+        ValueError: If the law is of an installed package that fails.
     """
-    dimension = next(c.dimension for c in CONSTANTS.values() if c.unit == unit)
-    if dimension is not None:
-        try:
-            return parse_scalar(value, dimension)
-        except PydanticCustomError as error:
-            raise ValueError(error.message()) from error
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"got {value!r}; expected a number, like 0.45.")
-    return float(value)
+    named = raw if isinstance(raw, dict) else {}
+    law, elasticity = named.get("law"), named.get("elasticity", "isotropic")
+    if law in LAWS:
+        found = LAWS[law]
+    else:
+        plug_ins = entry_points(group=GROUP)
+        if law not in plug_ins.names:
+            return _undecided("law", {**LAWS, **dict.fromkeys(sorted(plug_ins.names))})
+        found = _plug_in(law, plug_ins.select(name=law))
+    if not _takes_elasticity(found):
+        return _table(law, found, "")
+    if elasticity not in ELASTICITIES:
+        return _undecided("elasticity", ELASTICITIES)
+    return _table(law, found, elasticity)
 
 
-ANGLES = ("theta", "phi")
-RATIOS = ("nu", "nu_t", "nu_tl")
-
-_FIBRE = ("theta", "phi", "print_plane")
-_OF_LAW = {
-    "neo-hookean": ("E", "nu"),
-    "fibre-reinforced": ("E_t", "E_l", "nu", "mu_l", *_FIBRE),
-}
-_OF_ELASTICITY = {
-    "isotropic": ("E", "nu"),
-    "transverse-isotropic": ("E_t", "E_l", "nu_t", "nu_tl", "mu_l", *_FIBRE),
-    "reduced-transverse-isotropic": ("E_t", "E_l", "nu", *_FIBRE),
-}
-_LINEAR = {
-    "corotational": Corotational,
-    "classical-corotational": ClassicalCorotational,
-    "st-venant-kirchhoff": StVenantKirchhoff,
-}
-_OPTIONAL = ("phi", "print_plane")
+def _undecided(key: str, names: Iterable[str]) -> type[Material]:
+    words = f"one of {', '.join(f'{chr(34)}{name}{chr(34)}' for name in names)}"
+    choice: Any = (Literal[*names], Field(description=words))
+    table = create_model("Material", __base__=_Undecided, **{key: choice})
+    table.constants = {"density": DENSITY}
+    for kind in _without_parts().values():
+        table.constants |= _constants(kind, "")
+    return table
 
 
-def constants_of(law: str, elasticity: str | None) -> tuple[str, ...]:
-    """Keys of a law besides the density; empty if there is no such law."""
-    if law in _LINEAR:
-        return _OF_ELASTICITY.get(elasticity or "isotropic", ())
-    return _OF_LAW.get(law, ())
+@functools.cache
+def _table(name: str, law: type[AbstractLaw], elasticity: str) -> type[Material]:
+    """The table of a law, and of its regions."""
+    constants, choice = _constants(law, elasticity), f'law = "{name}"'
+    own: dict[str, Any] = {"law": (Literal[name], ...)}
+    if elasticity:
+        choice += f' with elasticity = "{elasticity}"'
+        own["elasticity"] = (Literal[elasticity], elasticity)
+    recipe = _recipe(law, elasticity)
+    for key, (field, hint) in recipe.keys.items():
+        kind = constants[key].type if key in constants else hint
+        default = ... if field.default is dataclasses.MISSING else field.default
+        words = field.metadata.get("words")
+        own[key] = (kind, Field(default, description=words))
+    listed = ", ".join(recipe.keys)
+    constants["density"] = DENSITY
+    others: dict[str, Any] = {k: (c.type | None, None) for k, c in constants.items()}
+    region = create_model("Region", __base__=_OfLaw, **others)
+    own["regions"] = (dict[str, region], Field(default_factory=dict))
+    table = create_model("Material", __base__=Material, **own)
+    for made in (region, table):
+        made.choice, made.constants, made.listed = choice, constants, listed
+    table.makes = recipe.make
+    return table
 
 
-def law_problems(raw: dict[str, Any]) -> list[str]:
-    """Constants that a file lacks, or that belong to another law.
+class _Recipe(NamedTuple):
+    """How an object is made from keys of a file.
 
-    Args:
-        raw: The file as it was read. What is wrong in itself is not judged here.
+    Attributes:
+        keys: Each with its field in the class, or in that of a part, and its type.
+        make: The object, from a function that has their values.
     """
-    material = raw.get("material")
-    if not isinstance(material, dict):
-        return []
-    law, elasticity = (material.get(key) for key in ("law", "elasticity"))
-    if not isinstance(law, str) or not isinstance(elasticity, str | None):
-        return []
-    own = constants_of(law, elasticity)
-    if not own:
-        return []
-    problems = []
-    if elasticity is not None and law not in _LINEAR:
-        owners = _listed(f'law = "{name}"' for name in _LINEAR)
-        problems.append(
-            f'material.elasticity: law = "{law}" has none; elasticity belongs to '
-            f"{owners}."
-        )
-        elasticity = None
-    problems += [
-        f"material.{key}: missing. Expected {CONSTANTS[key].words}."
-        for key in own
-        if key not in material and key not in _OPTIONAL
-    ]
-    choice = _choice(law, elasticity)
-    tables = {"material": material}
-    regions = material.get("regions")
-    if isinstance(regions, dict):
-        tables |= {f"material.regions.{name}": r for name, r in regions.items()}
-    for where, table in tables.items():
-        problems += [
-            f"{where}.{key}: {_foreign(key, own, choice)}"
-            for key in (table if isinstance(table, dict) else ())
-            if key not in own and _owners(key)
-        ]
-    return problems + _field_problems(raw.get("parameters"), own, choice)
+
+    keys: dict[str, tuple[dataclasses.Field, Any]]
+    make: Callable[[Callable[[str], Any]], Any]
 
 
-def _field_problems(tables: Any, own: tuple[str, ...], choice: str) -> list[str]:
-    """Parameters that set what the law does not have."""
-    problems = []
-    for table in tables if isinstance(tables, list) else ():
-        field = table.get("field") if isinstance(table, dict) else None
-        if isinstance(field, str) and field not in own and _owners(field):
-            problems.append(
-                f"parameters.{table.get('name', field)}.field: "
-                f"{_foreign(field, own, choice)}"
+@functools.cache
+def _recipe(kind: type[eqx.Module], elasticity: str) -> _Recipe:
+    """The recipe of a class.
+
+    Raises:
+        ValueError: If a field is a number without a unit.
+    """
+    keys, arguments = {}, {}
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        hint, key = hints[field.name], field.metadata.get("key", field.name)
+        if hint is AbstractElasticity:
+            hint = ELASTICITIES[elasticity]
+        if isinstance(hint, type) and issubclass(hint, eqx.Module):
+            part = _recipe(hint, elasticity)
+            keys |= part.keys
+            arguments[field.name] = part.make
+        elif "unit" in field.metadata or field.metadata.get("static"):
+            keys[key] = (field, hint)
+            arguments[field.name] = lambda value, key=key: value(key)
+        else:
+            raise ValueError(
+                f"{kind.__name__}.{field.name} has no unit: declare it with "
+                '`eqx.field(metadata=softcal_jax.materials.constant("Pa", ...))`.'
             )
-    return problems
+    return _Recipe(keys, lambda v: kind(**{k: get(v) for k, get in arguments.items()}))
 
 
-def _choice(law: str, elasticity: str | None) -> str:
-    if law not in _LINEAR:
-        return f'law = "{law}"'
-    return f'law = "{law}" with elasticity = "{elasticity or "isotropic"}"'
+def _constants(kind: type[eqx.Module], elasticity: str) -> dict[str, Constant]:
+    return {
+        key: Constant(*(field.metadata[k] for k in Constant._fields))
+        for key, (field, _) in _recipe(kind, elasticity).keys.items()
+        if "unit" in field.metadata
+    }
 
 
-def _foreign(key: str, own: tuple[str, ...], choice: str) -> str:
-    return (
-        f"{key} belongs to {_listed(_owners(key))}. This is {choice}, which has "
-        f"{', '.join(own)}."
-    )
+def _takes_elasticity(law: type[AbstractLaw]) -> bool:
+    return AbstractElasticity in typing.get_type_hints(law).values()
+
+
+def _without_parts() -> dict[str, type[eqx.Module]]:
+    """What of this package has constants itself, by how a file chooses it."""
+    kinds: dict[str, type[eqx.Module]] = {
+        f'elasticity = "{name}"': kind for name, kind in ELASTICITIES.items()
+    }
+    plain = {name: law for name, law in LAWS.items() if not _takes_elasticity(law)}
+    return kinds | {f'law = "{name}"': law for name, law in plain.items()}
 
 
 def _owners(key: str) -> list[str]:
-    """What has a constant, as a user chooses it; nobody owns what all have."""
-    owners = [
-        f'elasticity = "{e}"' for e, keys in _OF_ELASTICITY.items() if key in keys
-    ]
-    return owners + [f'law = "{law}"' for law, keys in _OF_LAW.items() if key in keys]
+    """What has a key, as a file chooses it; what all have nobody owns."""
+    if key == "elasticity":
+        linear = [name for name, law in LAWS.items() if _takes_elasticity(law)]
+        return [f'law = "{name}"' for name in linear]
+    kinds = _without_parts().items()
+    return [choice for choice, kind in kinds if key in _recipe(kind, "").keys]
 
 
-def _listed(texts: Iterable[str]) -> str:
-    *first, last = texts
-    return f"{', '.join(first)} or {last}" if first else last
+def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
+    """The law of an installed package.
 
-
-def build_law(table: "MaterialTable", value: Value) -> AbstractLaw:
-    """The law of a material, from the value of each of its constants."""
-    if table.law == "neo-hookean":
-        return NeoHookean(value("E"), value("nu"))
-    if table.law == "fibre-reinforced":
-        return FibreReinforced(
-            value("E_t"), value("E_l"), value("nu"), value("mu_l"), _fibre(table, value)
+    Raises:
+        ValueError: If it cannot be loaded, is no law, or two packages have the name.
+    """
+    packages = [entry.dist.name if entry.dist else entry.value for entry in found]
+    if len(packages) > 1:
+        raise ValueError(
+            f'the packages {" and ".join(packages)} both have a law "{name}"; '
+            "uninstall one of them."
         )
-    return _LINEAR[table.law](_elasticity(table, value))
-
-
-def _elasticity(table: "MaterialTable", value: Value) -> AbstractElasticity:
-    if table.elasticity == "transverse-isotropic":
-        return TransverseIsotropic(
-            value("E_t"),
-            value("E_l"),
-            value("nu_t"),
-            value("nu_tl"),
-            value("mu_l"),
-            _fibre(table, value),
+    (entry,) = found
+    what = f'the law "{name}" of the package {packages[0]} ({entry.value})'
+    try:
+        law = entry.load()
+    except Exception as error:  # whatever a foreign module raises
+        raise ValueError(
+            f"{what} cannot be loaded: {type(error).__name__}: {error}. Update or "
+            "uninstall the package."
+        ) from error
+    if not (isinstance(law, type) and issubclass(law, AbstractLaw)):
+        raise ValueError(
+            f"{what} is {law!r}, expected a subclass of "
+            "softcal_jax.materials.AbstractLaw."
         )
-    if table.elasticity == "reduced-transverse-isotropic":
-        return ReducedTransverseIsotropic(
-            value("E_t"), value("E_l"), value("nu"), _fibre(table, value)
-        )
-    return Isotropic(value("E"), value("nu"))
-
-
-def _fibre(table: "MaterialTable", value: Value) -> Fibre:
-    return Fibre(value("theta"), value("phi"), table.print_plane or "xz")
+    try:
+        _recipe(law, "isotropic")
+    except (ValueError, NameError) as error:
+        raise ValueError(f"{what} cannot be used: {error}") from error
+    return law

@@ -7,16 +7,17 @@ from typing import Any
 
 import jax
 
+from softcal_jax.actuators import AbstractActuator
+from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings
-from softcal_jax.configurations import Configuration, configuration_arrays
-from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.configurations import build_mechanism, configuration_arrays
+from softcal_jax.equilibrium import Model, NewtonSettings, build_model
 from softcal_jax.fields import check_parameters
-from softcal_jax.project._body import build_body, build_mesh
+from softcal_jax.mesh import TetMesh
+from softcal_jax.project._configurations import Pose, build_pose
 from softcal_jax.project._effectors import build_effectors
-from softcal_jax.project._mechanism import build_parts
 from softcal_jax.project._parameters import build_space
-from softcal_jax.project._poses import Pose, Robot, build_pose
-from softcal_jax.project._problems import at
+from softcal_jax.project._problems import WrongKeyError, in_file, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import read_tables
 from softcal_jax.project._schema import ProjectTable
@@ -52,25 +53,28 @@ def load_project(
         )
     path = Path(path)
     table = read_tables(path, changes)
-    mesh = build_mesh(path, table)
-    model = build_body(path, table, mesh, build_parts(path, table, mesh))
-    space = build_space(path, table)
+    with in_file(path):
+        return _built(path, table)
+
+
+def _built(path: Path, table: ProjectTable) -> Project:
+    """The project of a file, whose parts go wrong at their keys."""
+    model, space = _model(path.parent, table), build_space(table)
     if space is not None:
-        with at(path, "parameters"):
+        with under("parameters"):
             check_parameters(model, space)
             model = space.model_at(model, space.start())
-    poses, candidates = _poses(path, table, model)
+    poses, candidates = _poses(path.parent, table, model)
     of_role = lambda role: tuple(
         pose.configuration
         for pose, c in zip(poses, table.configurations, strict=True)
         if c.role == role
     )
-    given = table.settings.model_dump(
-        exclude={"noise", "starts", "seed", "intervals"}, exclude_none=True
-    )
-    with at(path, "settings"):
+    own = {"noise", "starts", "seed", "intervals"}
+    with under("settings"):
+        given = table.settings.model_dump(exclude=own, exclude_none=True)
         settings = CalibrationSettings(**given)
-    with at(path, "newton"):
+    with under("newton"):
         given = table.newton.model_dump(exclude={"solver"}, exclude_none=True)
         newton = NewtonSettings(**given)
     return Project(
@@ -80,11 +84,8 @@ def load_project(
         space=space,
         calibration=of_role("calibration"),
         validation=of_role("validation"),
-        candidates=tuple(candidates),
-        noise=table.settings.noise,
-        starts=table.settings.starts,
-        intervals=table.settings.intervals,
-        seed=table.settings.seed,
+        candidates=tuple(pose.configuration for pose in candidates),
+        **table.settings.model_dump(include=own),
         settings=settings,
         newton=newton,
         files=_files(path, table),
@@ -96,34 +97,78 @@ def load_project(
     )
 
 
+def _model(folder: Path, table: ProjectTable) -> Model:
+    """The body with the constants of the file, its rigid bodies and actuators."""
+    with under("mesh"):
+        mesh = table.mesh.build(folder)
+    for name, group in table.groups.items():
+        with under(f"groups.{name}"):
+            mesh = group.add(mesh, name)
+    bodies, actuators = _parts(table, mesh)
+    with under("material"):
+        return build_model(
+            mesh,
+            table.material.build(mesh),
+            density=table.material.values("density", mesh),
+            bodies=bodies,
+            actuators=actuators,
+            formulation=table.material.formulation,
+            solver=table.newton.solver,
+        )
+
+
+def _parts(
+    table: ProjectTable, mesh: TetMesh
+) -> tuple[list[RigidBody], list[AbstractActuator]]:
+    """Rigid bodies and actuators, each checked under its own key."""
+    bodies, actuators = [], []
+    for name, body in table.bodies.items():
+        with under(f"bodies.{name}"):
+            bodies.append(body.build(name))
+            # Alone it has nothing to be tied to, which is judged below.
+            if body.tied_to is None:
+                build_mechanism(mesh, bodies[-1:])
+    with under("bodies"):
+        build_mechanism(mesh, bodies)
+    for name, actuator in table.actuators.items():
+        with under(f"actuators.{name}"):
+            actuators.append(actuator.build(name))
+            build_mechanism(mesh, bodies, actuators[-1:])
+    with under("actuators"):
+        build_mechanism(mesh, bodies, actuators)
+    return bodies, actuators
+
+
 def _poses(
-    path: Path, table: ProjectTable, model: Model
-) -> tuple[list[Pose], list[Configuration]]:
+    folder: Path, table: ProjectTable, model: Model
+) -> tuple[list[Pose], list[Pose]]:
     """The configurations, and the candidates."""
-    mesh = model.mesh
-    robot = Robot(
-        table.markers,
-        table.effectors,
-        build_effectors(path, table.effectors, mesh, model.mechanism),
-        mesh,
-        model.mechanism,
-    )
-    pose = lambda own: build_pose(path, own, robot)
-    poses = [pose(c) for c in table.configurations]
-    candidates = [pose(c).configuration for c in table.candidates]
-    known = [pose.configuration for pose in poses]
-    for key, posed in (("configurations", known), ("candidates", candidates)):
-        if posed:
-            with at(path, key):
-                configuration_arrays(mesh, posed, model.mechanism)
-    with at(path, "candidates"):
-        _check_new(known, candidates)
-    return poses, candidates
+    with under("effectors"):
+        effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
+    found: dict[str, list[Pose]] = {"configurations": [], "candidates": []}
+    for key, poses in found.items():
+        for own in getattr(table, key):
+            with under(f"{key}.{own.name}"):
+                poses.append(build_pose(folder, own, table, model, effectors))
+    for key, poses in found.items():
+        with under(key):
+            posed = [pose.configuration for pose in poses]
+            if posed:
+                configuration_arrays(model.mesh, posed, model.mechanism)
+    names = {own.name for own in table.configurations}
+    for candidate in table.candidates:
+        if candidate.name in names:
+            raise WrongKeyError(
+                "candidates",
+                f"{candidate.name!r} is a configuration already; give the candidate a "
+                "name of its own.",
+            )
+    return found["configurations"], found["candidates"]
 
 
 def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
     """The file, and those that it names."""
-    names = [table.mesh.file]
+    names = [getattr(table.mesh, "file", None)]
     for configuration in table.configurations:
         measured = configuration.measured
         if measured is not None:
@@ -131,13 +176,3 @@ def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
             names += [measured.file, *(getattr(r, "file", None) for r in readings)]
     named = dict.fromkeys(name for name in names if name is not None)
     return (path, *(path.parent / name for name in named))
-
-
-def _check_new(known: list[Configuration], candidates: list[Configuration]) -> None:
-    names = {configuration.name for configuration in known}
-    for candidate in candidates:
-        if candidate.name in names:
-            raise ValueError(
-                f"{candidate.name!r} is a configuration already; give the candidate a "
-                "name of its own."
-            )

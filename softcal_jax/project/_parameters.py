@@ -1,11 +1,17 @@
-"""From the tables of a project file to the parameters that are calibrated."""
+"""The keys of a project file that say what is calibrated, and where it varies."""
 
-from collections.abc import Mapping
-from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import (
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
-from softcal_jax.export import readable_unit
+from softcal_jax._units import readable
 from softcal_jax.fields import (
     ControlPointParameters,
     ControlPoints,
@@ -14,142 +20,275 @@ from softcal_jax.fields import (
     ParameterSpace,
     check_names,
 )
-from softcal_jax.project._laws import ANGLES, CONSTANTS, RATIOS
-from softcal_jax.project._problems import at, suggestion
-from softcal_jax.project._schema import ProjectTable
-from softcal_jax.project._schema_material import MaterialTable
-from softcal_jax.project._schema_parameters import (
-    ControlPointsTable,
-    ParameterTable,
-    PerPoint,
+from softcal_jax.project._laws import Constant
+from softcal_jax.project._problems import one_of, shown, suggestion, under
+from softcal_jax.project._quantities import parse_in_si
+from softcal_jax.project._table import (
+    Integer,
+    Length,
+    Number,
+    Position,
+    Table,
+    table_or_vector,
 )
-from softcal_jax.project._setup import build_setup
+
+if TYPE_CHECKING:
+    from softcal_jax.project._schema import ProjectTable
+
+PerPoint = float | dict[str, float]
+"""One value for all control points, or a table of their names."""
 
 
-def build_space(path: Path, table: ProjectTable) -> ParameterSpace | None:
+class ControlPointsTable(Table):
+    """Places where fields of the law have values of their own."""
+
+    positions: Annotated[
+        Annotated[dict[str, Position], Tag("(table)")]
+        | Annotated[tuple[Position, ...], Tag("(vector)")],
+        Discriminator(table_or_vector),
+    ] = Field(
+        description='names and positions, { "CP 1" = "(0, 7.5, 7.5) mm" }, or a list '
+        "of positions"
+    )
+    names: tuple[str, ...] | None = None
+    power: Number = 2.0
+    nearest: Integer | None = None
+    axes: str = "xyz"
+    max_distance: Length | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "ControlPointsTable":
+        if self.names is not None and isinstance(self.positions, dict):
+            raise ValueError(
+                "`positions` is a table, which names its points; leave `names` out, or "
+                "give a list of positions."
+            )
+        return self
+
+    def build(self) -> ControlPoints:
+        """The control points.
+
+        Raises:
+            ValueError: If two coincide, or an option is out of its range.
+        """
+        positions = self.positions
+        if not isinstance(positions, dict):
+            positions = np.array(positions, float).reshape(-1, 3)
+        return ControlPoints(positions, **self.model_dump(exclude={"positions"}))
+
+
+class ParameterTable(Table):
+    """One unknown constant of the material, or one per control point.
+
+    Which constants there are, and in which units, tells the material of the file, which
+    is the context of the validation.
+    """
+
+    field: str = Field(description='a constant of the material, like "E" or "density"')
+    name: str | None = None
+    region: str | None = None
+    control_points: str | None = None
+    lower: PerPoint = Field(description='smallest value allowed: "50 kPa"')
+    upper: PerPoint = Field(description='largest value allowed: "1 MPa"')
+    start: PerPoint | None = None
+    scale: Literal["log", "linear"] | None = None
+    S: float | None = None
+    max_step: Number | None = None
+    interpolation: Literal["linear", "log", "director"] | None = None
+    sampling: Literal["centroids", "quadrature"] | None = None
+    fixed: dict[str, float] = Field(default_factory=dict)
+    tied: dict[str, str] = Field(default_factory=dict)
+    prior_std: float | None = None
+    core: float = 0.0
+
+    @property
+    def label(self) -> str:
+        """What a message calls it."""
+        own = self.field if self.region is None else f"{self.field}_{self.region}"
+        return self.name or own
+
+    @field_validator("field")
+    @classmethod
+    def _check_field(cls, value: str, info: Any) -> str:
+        material = info.context
+        if value not in material.constants:
+            unknown = (
+                f"got {shown(value)}; expected {one_of(value, material.constants)}"
+            )
+            raise ValueError(material.foreign(value) or unknown)
+        return value
+
+    @field_validator("lower", "upper", "start", "S", "fixed", mode="before")
+    @classmethod
+    def _parse(cls, value: Any, info: Any) -> Any:
+        # `field` stands first, so it is known here unless it was wrong itself.
+        constant = _constant(info)
+        if info.field_name == "fixed" and not isinstance(value, dict):
+            raise ValueError(
+                f"got {value!r}; expected a table of control points and their values, "
+                'like { "CP 1" = "700 kPa" }.'
+            )
+        if constant is None:
+            return {} if info.field_name == "fixed" else 0.0
+        if isinstance(value, dict) and info.field_name != "S":
+            return {name: _at_point(name, v, constant) for name, v in value.items()}
+        return parse_in_si(value, constant.unit)
+
+    @field_validator("prior_std", mode="before")
+    @classmethod
+    def _parse_prior(cls, value: Any, info: Any) -> Any:
+        constant = _constant(info)
+        if constant is None:
+            return None
+        if (info.data.get("scale") or constant.scale) == "linear":
+            return parse_in_si(value, constant.unit)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(
+                f"got {shown(value)}; on a log scale it is relative: expected a "
+                "number, like 0.3 for 30 %."
+            )
+        return float(value)
+
+    @field_validator("control_points", mode="before")
+    @classmethod
+    def _check_set(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            raise ValueError(
+                f"got {value!r}; expected the name of one set in [control_points], "
+                'like "ends". All control points of that set are calibrated.'
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _check(self) -> "ParameterTable":
+        if self.control_points is not None:
+            if self.name is not None:
+                raise ValueError(
+                    "`name` is for a single parameter; at control points the names are "
+                    f'made, like "{self.field} of CP 1". Leave it out.'
+                )
+            return self
+        options = ("interpolation", "sampling", "fixed", "tied", "core")
+        given = [key for key in options if getattr(self, key)]
+        given += [
+            f"a table for `{key}`"
+            for key in ("start", "lower", "upper")
+            if isinstance(getattr(self, key), dict)
+        ]
+        if given:
+            raise ValueError(
+                f"{given[0]} is for control points: name a set of them, like "
+                'control_points = "ends".'
+            )
+        return self
+
+    def build(self, project: "ProjectTable") -> list[Entry]:
+        """The parameter, or those at control points.
+
+        Raises:
+            ValueError: If bounds, start or scale do not fit, or there is no such set of
+                control points.
+        """
+        constant = type(project.material).constants[self.field]
+        common = {
+            "scale": self.scale or constant.scale,
+            "S": self.S,
+            "region": self.region,
+            "unit": constant.unit,
+            "max_step": self.max_step,
+            "prior_std": self.prior_std,
+        }
+        nominal = project.material.constant(self.field, self.region)
+        span: dict[str, Any] = {
+            "start": nominal if self.start is None else self.start,
+            "lower": self.lower,
+            "upper": self.upper,
+        }
+        if self.control_points is None:
+            assert isinstance(self.lower, float)  # a table is for control points
+            assert isinstance(self.upper, float)
+            # An axis at -90 degrees is the one at 90.
+            half_turn = constant.is_angle and np.isclose(self.upper - self.lower, np.pi)
+            span["periodic"] = bool(half_turn)
+            entry = Parameter(self.label, self.field, **span, **common)
+        else:
+            points = _set_of(self.control_points, project.control_points)
+            free = [n for n in points.names if n not in {*self.fixed, *self.tied}]
+            for key, value in span.items():
+                span[key] = _each(key, value, points.names, free, nominal)
+            entry = ControlPointParameters(
+                self.field,
+                points,
+                **span,
+                **common,
+                # The axis at +90 and at -90 degrees is the same, so is that between.
+                interpolation=self.interpolation
+                or ("director" if constant.is_angle else "linear"),
+                sampling=self.sampling or "centroids",
+                fixed=self.fixed,
+                tied=self.tied,
+                core=self.core,
+            )
+        for parameter in entry.parameters:
+            _check_within(parameter, constant.within)
+        return [entry]
+
+
+class ParameterSpaceTable(Table):
+    """What holds between parameters."""
+
+    order: tuple[tuple[str, str], ...] = ()
+    axes: tuple[tuple[str, str, str], ...] = ()
+
+
+def build_space(table: "ProjectTable") -> ParameterSpace | None:
     """The parameters; a start that is left out is the constant of the material.
 
     Returns:
         None if nothing is to be calibrated.
 
     Raises:
-        ProjectError: If bounds, start or scale do not fit, a set of control points is
-            unknown, or what holds between parameters cannot hold.
+        WrongKeyError: If bounds, start or scale do not fit, something is unknown, or
+            what holds between parameters cannot hold.
     """
-    sets = {}
     for name, points in table.control_points.items():
-        with at(path, f"control_points.{name}"):
-            sets[name] = _control_points(points)
+        with under(f"control_points.{name}"):
+            points.build()
     entries: list[Entry] = []
-    for own in table.parameters:
-        name = own.name or _name(own.field, own.region)
-        with at(path, f"parameters.{name}"):
-            if own.control_points is None:
-                entries.append(_parameter(name, own, table.material))
-            else:
-                points = _set_of(own.control_points, sets)
-                entries.append(_at_control_points(own, points, table.material))
-    entries += build_setup(path, table)
-    between = table.parameter_space
+    keyed = [(f"parameters.{own.label}", own) for own in table.parameters]
+    setups = enumerate(table.setup, start=1)
+    keyed += [(f"setup[{i}].{own.label}", own) for i, own in setups]
+    for key, own in keyed:
+        with under(key):
+            entries += own.build(table)
     if not entries:
         return None
-    with at(path, "parameters"):
+    with under("parameters"):
         check_names(tuple(entries))
-    with at(path, "parameter_space"):
+    between = table.parameter_space
+    with under("parameter_space"):
         return ParameterSpace(tuple(entries), order=between.order, axes=between.axes)
 
 
-def _name(field: str, region: str | None) -> str:
-    return field if region is None else f"{field}_{region}"
+def _constant(info: Any) -> Constant | None:
+    """The constant of a parameter; None if its field was wrong itself."""
+    return info.context.constants.get(info.data.get("field"))
 
 
-def _control_points(table: ControlPointsTable) -> ControlPoints:
-    return ControlPoints(
-        table.positions
-        if isinstance(table.positions, dict)
-        else np.array(table.positions, float).reshape(-1, 3),
-        names=table.names,
-        power=table.power,
-        nearest=table.nearest,
-        axes=table.axes,
-        max_distance=table.max_distance,
-    )
+def _at_point(name: str, value: Any, constant: Constant) -> float:
+    try:
+        return parse_in_si(value, constant.unit)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
 
 
-def _set_of(name: str, sets: Mapping[str, ControlPoints]) -> ControlPoints:
+def _set_of(name: str, sets: dict[str, ControlPointsTable]) -> ControlPoints:
     if name in sets:
-        return sets[name]
+        return sets[name].build()
     known = f"Known: {', '.join(sets)}." if sets else "Add a table"
     known += "" if sets else f" [control_points.{name}]."
     raise ValueError(
         f"there are no control points {name!r}.{suggestion(name, sets)} {known}"
-    )
-
-
-def _constant(table: ParameterTable, material: MaterialTable) -> float:
-    """The constant of the material, or of the region that the parameter is for."""
-    region = material.regions.get(table.region or "")
-    own = None if region is None else getattr(region, table.field)
-    return getattr(material, table.field) if own is None else own
-
-
-def _parameter(name: str, table: ParameterTable, material: MaterialTable) -> Parameter:
-    start, lower, upper = table.start, table.lower, table.upper
-    if start is None:
-        start = _constant(table, material)
-    assert isinstance(start, float)  # tables are for control points, says the schema
-    assert isinstance(lower, float)
-    assert isinstance(upper, float)
-    _check_range(table.field, material, start, lower, upper)
-    return Parameter(
-        name,
-        table.field,
-        start,
-        lower,
-        upper,
-        scale=table.chosen_scale,
-        S=table.S,
-        region=table.region,
-        unit=CONSTANTS[table.field].unit,
-        max_step=table.max_step,
-        prior_std=table.prior_std,
-        # An axis at -90 degrees is the one at 90.
-        periodic=table.field in ANGLES and bool(np.isclose(upper - lower, np.pi)),
-    )
-
-
-def _at_control_points(
-    table: ParameterTable, points: ControlPoints, material: MaterialTable
-) -> ControlPointParameters:
-    known = {*table.fixed, *table.tied}
-    free = [name for name in points.names if name not in known]
-    constant = _constant(table, material)
-    each = lambda key, value, default: _each(key, value, points.names, free, default)
-    start = each("start", constant if table.start is None else table.start, constant)
-    lower = each("lower", table.lower, None)
-    upper = each("upper", table.upper, None)
-    for name, *values in zip(points.names, start, lower, upper, strict=True):
-        if name in free:
-            _check_range(table.field, material, *values, at=f"{name}: ")
-    angle = table.field in ANGLES
-    return ControlPointParameters(
-        table.field,
-        points,
-        start=start,
-        lower=lower,
-        upper=upper,
-        scale=table.chosen_scale,
-        S=table.S,
-        region=table.region,
-        unit=CONSTANTS[table.field].unit,
-        # The axis at +90 and at -90 degrees is the same, so is that between them.
-        interpolation=table.interpolation or ("director" if angle else "linear"),
-        sampling=table.sampling or "centroids",
-        fixed=table.fixed,
-        tied=table.tied,
-        max_step=table.max_step,
-        prior_std=table.prior_std,
-        core=table.core,
     )
 
 
@@ -158,11 +297,11 @@ def _each(
     value: PerPoint,
     names: tuple[str, ...],
     free: list[str],
-    default: float | None,
-) -> np.ndarray:
+    nominal: float,
+) -> list[float]:
     """One value per control point; those that are fixed or tied need none."""
     if not isinstance(value, dict):
-        return np.full(len(names), value)
+        return [value] * len(names)
     for name in value:
         if name not in names:
             raise ValueError(
@@ -170,42 +309,18 @@ def _each(
                 f"{suggestion(name, names)} Known: {', '.join(names)}."
             )
     missing = [name for name in free if name not in value]
-    if missing and default is None:
+    if missing and key != "start":
         raise ValueError(f"{key} has no value for {', '.join(missing)}.")
-    spare = next(iter(value.values()), 0.0) if default is None else default
-    return np.array([value.get(name, spare) for name in names])
+    spare = nominal if key == "start" else next(iter(value.values()), 0.0)
+    return [value.get(name, spare) for name in names]
 
 
-def _check_range(
-    field: str,
-    material: MaterialTable,
-    start: float,
-    lower: float,
-    upper: float,
-    *,
-    at: str = "",
-) -> None:
-    """Raise unless bounds and start fit, in the units that a reader expects."""
-
-    def show(value: float) -> str:
-        factor, unit = readable_unit([value], CONSTANTS[field].unit)
-        return f"{factor * value:.6g} {unit}".rstrip()
-
-    if lower >= upper:
-        raise ValueError(
-            f"{at}the bounds are crossed, lower {show(lower)} is not below upper "
-            f"{show(upper)}."
-        )
-    if field == "nu" and material.law != "fibre-reinforced":
-        if not (-1.0 < lower and upper < 0.5):
+def _check_within(parameter: Parameter, within: tuple[float, float]) -> None:
+    """Raise unless the bounds lie where the law has a meaning."""
+    low, high = within
+    for bound in map(float, (parameter.lower, parameter.upper)):
+        if not low < bound < high:
             raise ValueError(
-                f"{at}the bounds of nu must lie in (-1, 0.5), got [{lower:g}, "
-                f"{upper:g}]."
+                f"the bounds of {parameter.name} must lie in ({low:g}, {high:g}), got "
+                f"{readable(bound, parameter.unit)}."
             )
-    if field not in RATIOS + ANGLES and lower <= 0.0:
-        raise ValueError(f"{at}lower must be positive, got {show(lower)}.")
-    if not lower <= start <= upper:
-        raise ValueError(
-            f"{at}the start, {show(start)}, lies outside the bounds, {show(lower)} to "
-            f"{show(upper)}. (Without `start` it is the constant of [material].)"
-        )

@@ -5,15 +5,16 @@ import re
 import typing
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, get_args
+from types import UnionType
+from typing import Any, NamedTuple, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
 from softcal_jax import _names
+from softcal_jax.project._table import own_keys
 
-# The parts of a union are told apart by these tags, which are no keys of the file.
-_TAGS = ("(table)", "(vector)")
+_UNIONS = (typing.Union, UnionType)
 
 _EXPECTED = {
     "string_type": "a text in quotes",
@@ -24,6 +25,7 @@ _EXPECTED = {
     "tuple_type": "a list in [ ]",
     "dict_type": "a table",
     "model_type": "a table",
+    "model_attributes_type": "a table",
 }
 
 
@@ -40,15 +42,47 @@ def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
     return ProjectError(f"{path}: {len(problems)} problems.{listed}")
 
 
+class WrongKeyError(ValueError):
+    """Something that is wrong at a key of a file.
+
+    Attributes:
+        key: The key, from where it was looked at.
+        problem: What is wrong.
+    """
+
+    def __init__(self, key: str, problem: object):
+        """The error of a problem at a key."""
+        super().__init__(f"{key}: {problem}")
+        self.key, self.problem = key, problem
+
+
 @contextlib.contextmanager
-def at(path: Path, key: str) -> Iterator[None]:
-    """Puts file and key in front of what goes wrong inside."""
+def under(key: str) -> Iterator[None]:
+    """Puts a key in front of what goes wrong inside, and of keys there."""
     try:
         yield
     except ProjectError:
         raise
+    except WrongKeyError as error:
+        raise WrongKeyError(f"{key}.{error.key}", error.problem) from error
     except (ValueError, OSError, ImportError) as error:
-        raise ProjectError(f"{path}: {key}: {error}") from error
+        raise WrongKeyError(key, error) from error
+
+
+@contextlib.contextmanager
+def in_file(path: Path) -> Iterator[None]:
+    """Puts a file in front of the key at which something goes wrong inside."""
+    try:
+        yield
+    except WrongKeyError as error:
+        raise ProjectError(f"{path}: {error}") from error
+
+
+@contextlib.contextmanager
+def at(path: Path, key: str) -> Iterator[None]:
+    """Puts file and key in front of what goes wrong inside."""
+    with in_file(path), under(key):
+        yield
 
 
 def describe(
@@ -70,24 +104,63 @@ def describe(
 def _message(
     details: ErrorDetails, schema: type[BaseModel], raw: dict[str, Any]
 ) -> str:
-    keys = tuple(key for key in details["loc"] if key not in _TAGS)
-    where, kind = _path(keys, raw), details["type"]
+    place, kind = _place(schema, details["loc"]), details["type"]
+    where, key = _path(place.keys, raw), str(place.keys[-1]) if place.keys else ""
     if kind == "extra_forbidden":
-        known = list(_model_at(schema, keys[:-1]).model_fields)
-        if len(keys) == 1 and "configurations" in known:
+        known = list(place.table.model_fields)
+        if len(place.keys) == 1 and "configurations" in known:
             known.append("shared")
-        return (
-            f"{where}: unknown key.{suggestion(str(keys[-1]), known)} "
-            f"Known here: {', '.join(known)}."
+        return f"{where}: " + (
+            _belonging(key, place)
+            or f"unknown key.{suggestion(key, known)} Known here: {', '.join(known)}."
         )
-    if kind == "missing" and isinstance(keys[-1], int):
+    if kind == "missing" and isinstance(place.keys[-1], int):
         return f"{where}: missing; the list is too short."
     if kind == "missing":
-        model, key = _model_at(schema, keys[:-1]), str(keys[-1])
-        field = model.model_fields.get(key)
+        field = place.table.model_fields.get(key)
         what = f" Expected {field.description}." if field and field.description else ""
         return f"{where}: missing.{what}"
+    if kind == "union_tag_not_found":
+        return (
+            f"{where}.type: missing. Expected {one_of('', map(_type_of, place.kinds))}"
+        )
+    if kind == "union_tag_invalid":
+        tag = details.get("ctx", {})["tag"]
+        known = map(_type_of, place.kinds)
+        return f'{where}.type: got "{tag}"; expected {one_of(tag, known)}'
     return f"{where or 'file'}: {_wrong_value(details)}"
+
+
+def one_of(value: str, known: Iterable[str]) -> str:
+    """The choices that there are instead of a value, and the near one."""
+    known = list(known)
+    listed = ", ".join(f'"{name}"' for name in known)
+    return f"one of {listed}.{suggestion(value, known)}"
+
+
+def _belonging(key: str, place: "_Place") -> str | None:
+    """Whose key it is, if another kind of table has it."""
+    owners = [_choice(k, place.kinds) for k in place.kinds if key in k.model_fields]
+    if owners:
+        has = ", ".join(k for k in place.table.model_fields if k != "type")
+        this = _choice(place.table, place.kinds)
+        return (
+            f"{key} belongs to {' or '.join(owners)}. This is {this}, which has {has}."
+        )
+    foreign = getattr(place.table, "foreign", lambda key: None)
+    return foreign(key)
+
+
+def _type_of(kind: type[BaseModel]) -> str:
+    (name,) = get_args(kind.model_fields["type"].annotation)
+    return name
+
+
+def _choice(kind: type[BaseModel], kinds: tuple[type[BaseModel], ...]) -> str:
+    """How a file chooses one of several kinds of tables."""
+    if "type" in kind.model_fields:
+        return f'type = "{_type_of(kind)}"'
+    return " and ".join(own_keys(kinds)[kinds.index(kind)])
 
 
 def _wrong_value(details: ErrorDetails) -> str:
@@ -98,8 +171,7 @@ def _wrong_value(details: ErrorDetails) -> str:
     if kind == "literal_error":
         # pydantic writes them as 'a', 'b' or 'c'.
         choices = re.findall("'([^']*)'", context["expected"])
-        listed = ", ".join(f'"{choice}"' for choice in choices)
-        return f"{got}one of {listed}.{suggestion(str(value), choices)}"
+        return got + one_of(str(value), choices)
     if kind == "too_long":
         return f"expected {context['max_length']} values, got {len(value)}."
     if kind in _EXPECTED:
@@ -175,32 +247,74 @@ def _has(raw: Any, keys: tuple[str | int, ...]) -> bool:
     return raw is not None
 
 
-def _model_at(schema: type[BaseModel], keys: tuple[str | int, ...]) -> type[BaseModel]:
-    """The model of the table that a path of keys leads to."""
-    here: Any = schema
-    for key in keys:
-        if isinstance(here, type) and issubclass(here, BaseModel):
-            here = here.model_fields[str(key)].annotation
-        else:
-            # Into a list by number or into a table of tables by name: its members.
-            here = next(a for a in get_args(here) if a is not str)
-        here = _plain(here)
-    return here
+class _Place(NamedTuple):
+    """Where in a file something is wrong.
+
+    Attributes:
+        keys: Keys that lead there, without the tags that pydantic tells unions by.
+        table: The table that has the last key, or should have it.
+        kinds: The kinds of tables that it is one of, or could be; empty for no union.
+    """
+
+    keys: tuple[str | int, ...]
+    table: type[BaseModel]
+    kinds: tuple[type[BaseModel], ...]
 
 
-def _plain(annotation: Any) -> Any:
-    """An annotation without its options: of a union, the part that is a table."""
-    while typing.get_origin(annotation) not in (None, dict, tuple, list):
-        parts = [a for a in get_args(annotation) if a is not type(None)]
-        if typing.get_origin(annotation) is typing.Annotated:
-            annotation = parts[0]
+def _place(schema: type[BaseModel], loc: tuple[str | int, ...]) -> _Place:
+    keys, here, table = [], schema, schema
+    kinds = of_table = ()
+    for step in loc:
+        arms = _arms(here)
+        if arms:
+            here, kinds = arms.get(str(step)), _tables(arms)
             continue
-        tables = [a for a in parts if _is_table(a)]
-        annotation = (tables or parts)[0]
+        here = _bare(here)
+        if _is_table(here):
+            table, of_table = here, kinds
+        here, kinds = _inside(here, step), ()
+        keys.append(step)
+    return _Place(tuple(keys), table, _tables(_arms(here)) or of_table)
+
+
+def _inside(annotation: Any, step: str | int) -> Any:
+    """The annotation of a key of a table, or of what a list or dictionary holds."""
+    if _is_table(annotation):
+        field = annotation.model_fields.get(str(step))
+        return field.annotation if field else None
+    members = [a for a in get_args(annotation) if a is not str]
+    return members[0] if members else None
+
+
+def _bare(annotation: Any) -> Any:
+    """An annotation without its options, and without None."""
+    parts = [a for a in get_args(annotation) if a is not type(None)]
+    if typing.get_origin(annotation) is typing.Annotated:
+        return _bare(parts[0])
+    if typing.get_origin(annotation) in _UNIONS and len(parts) == 1:
+        return _bare(parts[0])
     return annotation
 
 
+def _arms(annotation: Any) -> dict[str, Any]:
+    """The parts of a union by the tags that pydantic has for them; empty for others."""
+    annotation = _bare(annotation)
+    union = typing.get_origin(annotation) in _UNIONS
+    return {_tag(a): _bare(a) for a in get_args(annotation)} if union else {}
+
+
+def _tables(arms: dict[str, Any]) -> tuple[type[BaseModel], ...]:
+    return tuple(arm for arm in arms.values() if _is_table(arm))
+
+
+def _tag(arm: Any) -> str:
+    for option in getattr(arm, "__metadata__", ()):
+        if isinstance(option, Tag):
+            return option.tag
+    if _is_table(arm) and "type" in arm.model_fields:
+        return _type_of(arm)
+    return getattr(arm, "__name__", str(arm))
+
+
 def _is_table(annotation: Any) -> bool:
-    if typing.get_origin(annotation) is typing.Annotated:
-        return _is_table(get_args(annotation)[0])
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)

@@ -53,8 +53,16 @@ OF_UNIT = {
     "N": FORCE,
     "Pa": PRESSURE,
     "N m": TORQUE,
+    "kg/m3": DENSITY,
 }
-"""What is measured in the units of actuators and effectors."""
+"""What is measured in an SI unit, as laws, actuators and effectors name it."""
+
+
+def dimension_of(unit: str) -> Dimension:
+    """What is measured in an SI unit; one that is not listed goes by its own name."""
+    own = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}", (unit,))
+    return OF_UNIT.get(unit, own)
+
 
 # To pint an angle is a plain number, so it would take "20 %" for one.
 _ANGLES = ("degree", "radian", "milliradian", "turn")
@@ -77,6 +85,11 @@ def _wrong(problem: str, **context: Any) -> PydanticCustomError:
     return PydanticCustomError("quantity", "{problem}", {"problem": problem, **context})
 
 
+def _spelt(unit: str) -> str:
+    """A unit as pint reads it: people write "m3" for "m^3"."""
+    return re.sub(r"(?<=[A-Za-zµμ])(-?\d)", r"^\1", unit).replace("·", "*")
+
+
 @functools.cache
 def unit_factor(unit: str, dimension: Dimension) -> float:
     """Value of one `unit` in SI.
@@ -87,11 +100,9 @@ def unit_factor(unit: str, dimension: Dimension) -> float:
     expected = f'expected {dimension.name}, like "{dimension.example}"'
     if not _UNIT.fullmatch(unit):
         raise _wrong(f'cannot read the unit "{unit}"; {expected}.')
-    # "m3" is what people write for "m^3"; pint wants the sign of the power.
-    spelt = re.sub(r"(?<=[A-Za-zµμ])(-?\d)", r"^\1", unit).replace("·", "*")
     registry = _registry()
     try:
-        one = registry.Quantity(1.0, registry.parse_units(spelt))
+        one = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
     except pint.UndefinedUnitError as error:
         hint = suggestion(unit, dimension.usual, quote='"')
         raise _wrong(f'unknown unit "{unit}"; {expected}.{hint}') from error
@@ -135,6 +146,26 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
         return float(match[1]) * unit_factor(match[2], dimension)
     except PydanticCustomError as error:
         raise _wrong(f'"{value}": {error.message()}') from error
+
+
+def parse_in_si(value: Any, unit: str) -> float:
+    """A value as a project file writes it, in SI.
+
+    Args:
+        value: "200 kPa", or a plain number where there is no unit.
+        unit: SI unit of what it is a value of.
+
+    Raises:
+        ValueError: If it is no such value; the text says how to write one.
+    """
+    if unit:
+        try:
+            return parse_scalar(value, dimension_of(unit))
+        except PydanticCustomError as error:
+            raise ValueError(error.message()) from error
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"got {value!r}; expected a number, like 0.45.")
+    return float(value)
 
 
 def parse_either(

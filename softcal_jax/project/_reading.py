@@ -8,16 +8,16 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from softcal_jax.project._changes import with_changes
-from softcal_jax.project._kinds import kind_problems
-from softcal_jax.project._laws import law_problems
+from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
+from softcal_jax.project._laws import material_table
 from softcal_jax.project._problems import (
     ProjectError,
+    at,
     describe,
     one_by_one,
     suggestion,
 )
 from softcal_jax.project._schema import ProjectTable
-from softcal_jax.project._schema_poses import CandidateTable, ConfigurationTable
 
 _OF_CONFIGURATIONS = tuple(
     key
@@ -44,12 +44,14 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     if problems:
         raise one_by_one(path, problems)
     merged = _with_shared(raw, shared)
-    table = None
+    with at(path, "material.law"):
+        material = material_table(raw.get("material"))
+    schema, table = ProjectTable[material], None
     try:
-        table = ProjectTable.model_validate(merged)
+        table = schema.model_validate(merged, context=material)
     except ValidationError as error:
-        problems = describe(error, ProjectTable, raw)
-    problems += _measured_candidates(raw) + law_problems(raw) + kind_problems(raw)
+        problems = describe(error, schema, raw)
+    problems += _measured_candidates(raw)
     if not (raw.get("configurations") or raw.get("candidates")):
         problems.append(
             "configurations: missing. Expected at least one table [[configurations]]."

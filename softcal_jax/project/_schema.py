@@ -3,30 +3,27 @@
 The description of each key is also what a message says about it when it is missing.
 """
 
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 from pydantic import Field, field_validator
 
-from softcal_jax.project._problems import shown
-from softcal_jax.project._schema_effectors import EffectorTable
-from softcal_jax.project._schema_material import MaterialTable
-from softcal_jax.project._schema_mechanism import (
-    ActuatorTable,
-    BodyTable,
-    SetupTable,
-)
-from softcal_jax.project._schema_mesh import GroupTable, MeshTable
-from softcal_jax.project._schema_parameters import (
+from softcal_jax.project._actuators import AnyActuator
+from softcal_jax.project._bodies import BodyTable
+from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
+from softcal_jax.project._effectors import AnyEffector
+from softcal_jax.project._laws import Material
+from softcal_jax.project._markers import MarkersTable
+from softcal_jax.project._mesh import GroupTable, MeshTable
+from softcal_jax.project._parameters import (
     ControlPointsTable,
     ParameterSpaceTable,
     ParameterTable,
 )
-from softcal_jax.project._schema_poses import (
-    CandidateTable,
-    ConfigurationTable,
-    MarkersTable,
-)
+from softcal_jax.project._problems import shown
+from softcal_jax.project._setup import AnySetup
 from softcal_jax.project._table import Flag, Integer, Number, Table
+
+M = TypeVar("M", bound=Material)
 
 
 class SettingsTable(Table):
@@ -79,21 +76,21 @@ class NewtonTable(Table):
         return name
 
 
-class ProjectTable(Table):
-    """A whole project file."""
+class ProjectTable(Table, Generic[M]):
+    """A whole project file, whose law has a table of its own."""
 
     name: str = Field(description="name of the project")
     mesh: MeshTable = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
-    material: MaterialTable = Field(description="a table [material]")
+    material: M = Field(description="a table [material]")
     bodies: dict[str, BodyTable] = Field(default_factory=dict)
-    actuators: dict[str, ActuatorTable] = Field(default_factory=dict)
+    actuators: dict[str, AnyActuator] = Field(default_factory=dict)
     control_points: dict[str, ControlPointsTable] = Field(default_factory=dict)
     parameters: tuple[ParameterTable, ...] = ()
-    setup: tuple[SetupTable, ...] = ()
+    setup: tuple[AnySetup, ...] = ()
     parameter_space: ParameterSpaceTable = ParameterSpaceTable()
     markers: MarkersTable | None = None
-    effectors: dict[str, EffectorTable] = Field(default_factory=dict)
+    effectors: dict[str, AnyEffector] = Field(default_factory=dict)
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
     settings: SettingsTable = SettingsTable()

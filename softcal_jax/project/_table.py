@@ -3,9 +3,17 @@
 The description of each key is also what a message says about it when it is missing.
 """
 
-from typing import Annotated, Any
+from collections.abc import Iterable
+from typing import Annotated, Any, ClassVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Strict
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    Strict,
+)
+from pydantic_core import PydanticKnownError, core_schema
 
 from softcal_jax.project._quantities import (
     ACCELERATION,
@@ -26,10 +34,10 @@ Flag = Annotated[bool, Strict()]
 Triple = tuple[float, float, float]
 
 Length = Annotated[float, BeforeValidator(scalar(LENGTH))]
-Pressure = Annotated[float, BeforeValidator(scalar(PRESSURE))]
 Density = Annotated[float, BeforeValidator(scalar(DENSITY))]
 Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
 Mass = Annotated[float, BeforeValidator(scalar(MASS))]
+Newtons = Annotated[float, BeforeValidator(scalar(FORCE))]
 Position = Annotated[Triple, BeforeValidator(vector(LENGTH))]
 Acceleration = Annotated[Triple, BeforeValidator(vector(ACCELERATION))]
 Force = Annotated[Triple, BeforeValidator(vector(FORCE))]
@@ -49,18 +57,76 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @classmethod
+    def foreign(cls, key: str) -> str | None:
+        """What a message says of a key that belongs elsewhere; None if to nothing."""
+        del key
 
-def one_of(table: BaseModel, *keys: str) -> str:
-    """The one key of some that is given.
 
-    Raises:
-        ValueError: If none is, or more than one.
+class Maker(Table):
+    """A table of an object; its keys beside `type` are the arguments, in their order.
+
+    Attributes:
+        makes: The class of the object.
     """
-    given = [key for key in keys if getattr(table, key) is not None]
-    if len(given) != 1:
-        found = f"got {' and '.join(given)}" if given else "got none"
-        raise ValueError(f"expected exactly one of {', '.join(keys)}; {found}.")
-    return given[0]
+
+    makes: ClassVar[type[Any]]
+
+    def build(self, *first: Any) -> Any:
+        """The object.
+
+        Args:
+            first: Arguments in front of those in the table, like a name.
+        """
+        keys = [key for key in type(self).model_fields if key != "type"]
+        return self.makes(*first, *(getattr(self, key) for key in keys))
+
+
+class ByKeys:
+    """Marks a union of tables that are told apart by the keys that they need.
+
+    A table of the file is taken for the one most of whose own keys it has, and of
+    these for one that has all; where that leaves several, the error lists the choices.
+    A union of tables with a `type` needs `Field(discriminator="type")` instead.
+    """
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """The union, with an error of its own where no table or several fit."""
+        kinds = get_args(source)
+        own = dict(zip([k.__name__ for k in kinds], own_keys(kinds), strict=True))
+
+        def fitting(value: dict[str, Any]) -> list[str]:
+            given = {name: sum(k in value for k in keys) for name, keys in own.items()}
+            rank = {name: (n, n == len(own[name])) for name, n in given.items()}
+            return [name for name in own if rank[name] == max(rank.values())]
+
+        def check(value: Any) -> Any:
+            if not isinstance(value, dict):
+                raise PydanticKnownError("model_type", {"class_name": "table"})
+            if len(fitting(value)) != 1:
+                every = [key for keys in own.values() for key in keys]
+                given = " and ".join(key for key in value if key in every) or "none"
+                listed = ", ".join(" and ".join(keys) for keys in own.values())
+                raise ValueError(f"expected exactly one of {listed}; got {given}.")
+            return value
+
+        union = core_schema.tagged_union_schema(
+            {kind.__name__: handler.generate_schema(kind) for kind in kinds},
+            discriminator=lambda value: fitting(value)[0],
+        )
+        return core_schema.no_info_before_validator_function(check, union)
+
+
+def own_keys(kinds: Iterable[type[BaseModel]]) -> list[list[str]]:
+    """Keys that each of some tables needs, without those that all need."""
+    needed = [
+        [key for key, field in kind.model_fields.items() if field.is_required()]
+        for kind in kinds
+    ]
+    shared = set.intersection(*map(set, needed))
+    return [[key for key in keys if key not in shared] for keys in needed]
 
 
 def table_or_vector(value: Any) -> str:

@@ -62,8 +62,9 @@ CASES = {
     ),
     "elasticity of a law that has none": (
         ('law = "corotational"', 'law = "fibre-reinforced"'),
-        'material.elasticity: law = "fibre-reinforced" has none; elasticity belongs to '
-        'law = "corotational", law = "classical-corotational" or law = ',
+        'material.elasticity: elasticity belongs to law = "corotational", law = '
+        '"classical-corotational" or law = "st-venant-kirchhoff". This is law = "fibre'
+        '-reinforced", which has E_t, E_l, nu, mu_l, theta, phi, print_plane.',
     ),
     "unknown elasticity": (
         ('"reduced-transverse-isotropic"', '"reduced"'),
@@ -126,8 +127,8 @@ CASES = {
     ),
     "start outside": (
         ('{ "CP 2" = "0.6 MPa" }', '{ "CP 2" = "6 MPa" }'),
-        "parameters.E_t: CP 2: the start, 6 MPa, lies outside the bounds, 50 kPa to 1 "
-        "MPa.",
+        "parameters.E_t: parameter 'E_t of CP 2': the start 6 MPa lies outside its "
+        "bounds [50 kPa, 1 MPa].",
     ),
     "a bound for one of two": (
         (THETA_BOUNDS, 'lower = { "CP 1" = "-90 deg" }\nupper = "90 deg"'),
@@ -135,8 +136,8 @@ CASES = {
     ),
     "angles crossed": (
         (THETA_BOUNDS, 'lower = "90 deg"\nupper = "-90 deg"'),
-        "parameters.theta: CP 1: the bounds are crossed, lower 90 deg is not below "
-        "upper -90 deg.",
+        "parameters.theta: parameter 'theta of CP 1': the bounds are crossed, lower 90 "
+        "deg is not below upper -90 deg.",
     ),
     "more than half a turn": (
         (THETA_BOUNDS, 'lower = "-90 deg"\nupper = "120 deg"'),

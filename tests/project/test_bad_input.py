@@ -25,8 +25,12 @@ def refusal(folder, *changes):
 CASES = {
     "unknown key": (
         ('element = "linear"', 'elemnt = "linear"'),
-        'mesh.elemnt: unknown key. Did you mean "element"? Known here: file, '
-        "length_unit, unused_nodes, beam, element.",
+        'mesh.elemnt: unknown key. Did you mean "element"? Known here: element, beam.',
+    ),
+    "key of the other kind of mesh": (
+        ('element = "linear"', 'unused_nodes = "drop"'),
+        "mesh.unused_nodes: unused_nodes belongs to file and length_unit. This is beam,"
+        " which has element, beam.",
     ),
     "unknown key of an entry": (
         ('group = "x_min"', 'grup = "x_min", group = "x_min"'),
@@ -108,27 +112,28 @@ CASES = {
     ),
     "unknown parameter": (
         ('field = "E"', 'field = "young"'),
-        'parameters.young.field: got "young"; expected one of "E", "nu", "E_t", "E_l"',
+        'parameters.young.field: got "young"; expected one of "E", "nu", "density".',
     ),
     "bounds crossed": (
         ('lower = "100 kPa"', 'lower = "2 MPa"'),
-        "parameters.E: the bounds are crossed, lower 2 MPa is not below upper 1 MPa.",
+        "parameters.E: parameter 'E': the bounds are crossed, lower 2 MPa is not below "
+        "upper 1 MPa.",
     ),
     "start outside": (
         ('lower = "100 kPa"', 'lower = "250 kPa"'),
-        "parameters.E: the start, 200 kPa, lies outside the bounds, 250 kPa to 1 MPa. "
-        "(Without `start` it is the constant of [material].)",
+        "parameters.E: parameter 'E': the start 200 kPa lies outside its bounds "
+        "[250 kPa, 1 MPa].",
     ),
     "negative modulus": (
         ('lower = "100 kPa"', 'lower = "-1 Pa"\nscale = "linear"'),
-        "parameters.E: lower must be positive, got -1 Pa.",
+        "parameters.E: the bounds of E must lie in (0, inf), got -1 Pa.",
     ),
     "bounds of nu": (
         (
             'field = "E"\nlower = "100 kPa"\nupper = "1 MPa"',
             'field = "nu"\nlower = 0.2\nupper = 0.5',
         ),
-        "parameters.nu: the bounds of nu must lie in (-1, 0.5), got [0.2, 0.5].",
+        "parameters.nu: the bounds of nu must lie in (-1, 0.5), got 0.5.",
     ),
     "parameter twice": (
         (
@@ -166,15 +171,24 @@ CASES = {
     ),
     "load without a force": (
         (', force = "(20, 0, -50) mN"', ""),
-        "configurations.pulled.loads[1]: expected exactly one of force, traction; got",
+        "configurations.pulled.loads[1]: expected exactly one of point and force, edge "
+        "and force, surface and force, surface and traction; got surface.",
+    ),
+    "force at nothing that is known": (
+        ('surface = "x_max", force', 'point = "(60, 0, 0) mm", forse'),
+        "configurations.pulled.loads[1].force: missing. Expected the total force: ",
+    ),
+    "load in two places": (
+        ('surface = "x_max", force', 'surface = "x_max", edge = "x_max", force'),
+        "configurations.pulled.loads[1]: expected exactly one of point and force, ",
     ),
     "traction on an edge": (
         (
             'surface = "x_max", force = "(20, 0, -50) mN"',
             'edge = "x_max", traction = "(0, 0, 1) kPa"',
         ),
-        "configurations.pulled.loads[1]: a traction acts on a surface, not on the "
-        "edge; give a force.",
+        "configurations.pulled.loads[1]: expected exactly one of point and force, edge "
+        "and force, surface and force, surface and traction; got edge and traction.",
     ),
     "load on an unknown surface": (
         ('surface = "x_max"', 'surface = "tip"'),
@@ -271,11 +285,11 @@ CASES = {
     ),
     "mesh from nowhere": (
         (BEAM, ""),
-        "mesh: expected exactly one of file, beam; got none.",
+        "mesh: expected exactly one of file and length_unit, beam; got none.",
     ),
     "mesh without a unit": (
         (BEAM, 'file = "robot.msh"'),
-        'mesh: a mesh file needs its length_unit, like "mm".',
+        'mesh.length_unit: missing. Expected the length unit of the file: "mm".',
     ),
     "missing mesh": (
         (BEAM, 'file = "robot.msh"\nlength_unit = "mm"'),

@@ -52,7 +52,16 @@ CASES = {
     ),
     "another type's key": (
         (CABLE, f'{CABLE}\nbody = "plate"'),
-        'actuators.cable.body: type = "cable" has no body; it has guides.',
+        'actuators.cable.body: body belongs to type = "motor". This is type = "cable", '
+        "which has guides.",
+    ),
+    "no type": (
+        (CABLE, "[actuators.cable]"),
+        'actuators.cable.type: missing. Expected one of "cable", "chamber", "surface-p',
+    ),
+    "no table": (
+        (CABLE, f"[actuators]\nwinch = 3\n{CABLE}"),
+        "actuators.winch: got 3; expected a table.",
     ),
     "a missing key of a type": (
         (CABLE, '[actuators.turn]\ntype = "motor"\n' + CABLE),
@@ -271,7 +280,8 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
     for message in (
         'effectors.sensor.bdy: unknown key. Did you mean "body"?',
         "effectors.sensor.body: missing. Expected name of a rigid body",
-        'actuators.cable.guides: type = "motor" has no guides; it has body.',
+        'actuators.cable.guides: guides belongs to type = "cable". This is type = "moto'
+        'r", which has body.',
         "actuators.cable.body: missing. Expected the rigid body that it turns",
     ):
         assert f"\n- {message}" in str(caught.value)

@@ -1,0 +1,194 @@
+"""The keys of a project file that make actuators, and what is asked of them.
+
+A new actuator is one table here, with the keys of its class, and one line in
+`AnyActuator`.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from softcal_jax.actuators import (
+    AbstractActuator,
+    Cable,
+    Chamber,
+    ForceActuator,
+    Guide,
+    Motor,
+    SurfaceForceActuator,
+    SurfacePressure,
+)
+from softcal_jax.configurations import (
+    ImposedDisplacement,
+    ImposedForce,
+    Mechanism,
+    actuation_arrays,
+)
+from softcal_jax.project._problems import known_name, shown, under
+from softcal_jax.project._quantities import dimension_of, parse_either
+from softcal_jax.project._table import Direction, Maker, Position
+
+_SURFACE = Field(description='name of a surface group: "z_max"')
+_DIRECTION = Field(description='direction of a positive force: "-z", or [0, 0, -1]')
+
+
+class ActuatorTable(Maker):
+    """An actuator.
+
+    Attributes:
+        makes: The class.
+        asked: What may be imposed on it, with an example of each.
+    """
+
+    makes: ClassVar[type[AbstractActuator]]
+    asked: ClassVar[str] = 'its force, like "2 N", or its displacement, like "5 mm"'
+
+    def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
+        """A force or displacement that a configuration asks for, by its unit.
+
+        Raises:
+            ValueError: If it is neither.
+        """
+        kind = self.makes.kind
+        units = [unit for unit in (kind.force_unit, kind.displacement_unit) if unit]
+        dimensions = list(map(dimension_of, units))
+        what = f"of a {kind.noun}, {self.asked}"
+        number, dimension = parse_either(value, dimensions, what)
+        if dimension is dimensions[0]:
+            return ImposedForce(number)
+        return ImposedDisplacement(number)
+
+
+class GuideTable(Maker):
+    """A point that a cable runs through."""
+
+    makes = Guide
+
+    point: Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
+    on: str = "mesh"
+
+
+class CableTable(ActuatorTable):
+    """Pulls along its guides."""
+
+    makes = Cable
+    asked = 'its tension, like "2 N", or its shortening, like "5 mm"'
+
+    type: Literal["cable"]
+    guides: tuple[GuideTable, ...] = Field(
+        description="the points that it runs through, both ends included: "
+        '[{ point = "(0, 10, 0) mm", on = "ground" }, "(50, 10, 0) mm"]'
+    )
+
+    @field_validator("guides", mode="before")
+    @classmethod
+    def _check_guides(cls, value: Any) -> Any:
+        if not isinstance(value, list):
+            return value
+        return [g if isinstance(g, dict) else {"point": g} for g in value]
+
+    def build(self, *first: Any) -> Cable:
+        """The cable."""
+        return Cable(*first, guides=[guide.build() for guide in self.guides])
+
+
+class ChamberTable(ActuatorTable):
+    """Inflates a cavity."""
+
+    makes = Chamber
+    asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
+
+    type: Literal["chamber"]
+    surface: str = Field(description='the surface group of its whole wall: "cavity"')
+
+
+class SurfacePressureTable(ActuatorTable):
+    """Blows on a surface."""
+
+    makes = SurfacePressure
+    asked = 'its pressure, like "10 kPa"'
+
+    type: Literal["surface-pressure"]
+    surface: str = _SURFACE
+
+
+class MotorTable(ActuatorTable):
+    """Turns a rigid body."""
+
+    makes = Motor
+    asked = 'its torque, like "50 N*mm", or its angle, like "30 deg"'
+
+    type: Literal["motor"]
+    body: str = Field(description='the rigid body that it turns, with a hinge: "arm"')
+
+    def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
+        """A torque or an angle, see `ActuatorTable`."""
+        found = super().imposed(value)
+        if isinstance(found, ImposedDisplacement) and abs(found.value) > np.pi:
+            raise ValueError(
+                f"got {shown(value)}; a motor turns by half a turn at most, -180 to "
+                "180 deg."
+            )
+        return found
+
+
+class ForceActuatorTable(ActuatorTable):
+    """Pushes at a point."""
+
+    makes = ForceActuator
+
+    type: Literal["point-force"]
+    point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
+    direction: Direction = _DIRECTION
+
+
+class SurfaceForceActuatorTable(ActuatorTable):
+    """Pushes on a surface."""
+
+    makes = SurfaceForceActuator
+
+    type: Literal["surface-force"]
+    surface: str = _SURFACE
+    direction: Direction = _DIRECTION
+
+
+AnyActuator = Annotated[
+    CableTable
+    | ChamberTable
+    | SurfacePressureTable
+    | MotorTable
+    | ForceActuatorTable
+    | SurfaceForceActuatorTable,
+    Field(discriminator="type"),
+]
+
+Actuation = dict[str, ImposedForce | ImposedDisplacement]
+
+
+def build_actuation(
+    asked: Mapping[str, Any],
+    tables: Mapping[str, ActuatorTable],
+    mechanism: Mechanism,
+    name: str,
+) -> Actuation:
+    """Imposed forces and displacements; the unit of a value tells which it is.
+
+    Args:
+        asked: What is asked, by the names of actuators.
+        tables: The actuators, by name.
+        mechanism: The same attached to the mesh.
+        name: Name of the configuration, for messages.
+
+    Raises:
+        WrongKeyError: If an actuator is unknown, or a value is not what it can be
+            asked for.
+    """
+    imposed: Actuation = {}
+    for actuator, value in asked.items():
+        with under(actuator):
+            known_name("actuator", actuator, tables, "actuators")
+            imposed[actuator] = tables[actuator].imposed(value)
+            actuation_arrays(mechanism, {actuator: imposed[actuator]}, name)
+    return imposed

@@ -1,0 +1,115 @@
+"""The keys of a project file that make rigid bodies, and what they do."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
+from softcal_jax.configurations import Mechanism
+from softcal_jax.project._problems import known_name, under
+from softcal_jax.project._table import (
+    Direction,
+    Mass,
+    Names,
+    Position,
+    RotationVector,
+    Table,
+    table_or_vector,
+)
+
+
+class MotionTable(Table):
+    """A rigid motion: how far a frame moves, and by which rotation vector it turns."""
+
+    translation: Position = (0.0, 0.0, 0.0)
+    rotation_vector: RotationVector = (0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> Pose:
+        """The motion as an object."""
+        return Pose(self.translation, self.rotation_vector)
+
+
+class BodyTable(Table):
+    """Nodes that move as one."""
+
+    group: Names = Field(description='a group of the mesh: "x_max", or several')
+    origin: Position | None = None
+    hinge: Direction | None = None
+    axes: tuple[Direction, Direction, Direction] | None = None
+    mounting: MotionTable = MotionTable()
+    tied_to: str | None = None
+    mass: Mass = 0.0
+    centre_of_mass: Position | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "BodyTable":
+        if self.hinge is not None and self.axes is not None:
+            raise ValueError(
+                "got hinge and axes; the hinge is the third of the axes, so give one "
+                "of them."
+            )
+        return self
+
+    def build(self, name: str) -> RigidBody:
+        """The body.
+
+        Raises:
+            ValueError: If its axes are not orthogonal.
+        """
+        axes = None if self.axes is None else np.array(self.axes)
+        return RigidBody(
+            name=name,
+            where=self.group,
+            origin=self.origin,
+            axes=axes if self.hinge is None else hinge_axes(self.hinge),
+            mounting=self.mounting.pose,
+            tied_to=self.tied_to,
+            mass=self.mass,
+            centre_of_mass=self.centre_of_mass,
+        )
+
+
+class BodyStateTable(MotionTable):
+    """What a configuration does with a rigid body."""
+
+    state: Literal["held", "hinged", "free"] = "held"
+
+    @model_validator(mode="after")
+    def _check(self) -> "BodyStateTable":
+        if self.state == "free" and (any(self.translation + self.rotation_vector)):
+            raise ValueError(
+                'state = "free" has no pose; to hold the body there, leave `state` out.'
+            )
+        if self.state == "hinged" and any(self.rotation_vector):
+            raise ValueError(
+                'state = "hinged" turns as the balance has it; leave `rotation_vector` '
+                "out, or hold the body by leaving `state` out."
+            )
+        return self
+
+
+State = Annotated[
+    Annotated[BodyStateTable, Tag("(table)")]
+    | Annotated[Literal["held", "hinged", "free"], Tag("(vector)")],
+    Discriminator(table_or_vector),
+]
+
+
+def build_states(
+    table: Mapping[str, Any], mechanism: Mechanism
+) -> dict[str, BodyState | Pose | str]:
+    """What rigid bodies do, by their names.
+
+    Raises:
+        WrongKeyError: If a body is unknown.
+    """
+    states: dict[str, BodyState | Pose | str] = {}
+    for body, own in table.items():
+        with under(body):
+            known_name("rigid body", body, mechanism.bodies.names, "bodies")
+            word = isinstance(own, str)
+            states[body] = own if word else BodyState(own.state, own.pose)
+    return states

@@ -1,0 +1,171 @@
+"""The keys of a project file that make configurations, and how these are made."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator
+
+from softcal_jax.configurations import (
+    AbstractLoad,
+    Configuration,
+    Registration,
+    Support,
+)
+from softcal_jax.equilibrium import Model
+from softcal_jax.mesh import TetMesh
+from softcal_jax.project._actuators import build_actuation
+from softcal_jax.project._bodies import State, build_states
+from softcal_jax.project._effectors import Effectors, with_measured
+from softcal_jax.project._loads import AnyLoad, SupportTable
+from softcal_jax.project._markers import MeasuredTable
+from softcal_jax.project._problems import known_name, shown, under
+from softcal_jax.project._quantities import ACCELERATION, scalar
+from softcal_jax.project._table import (
+    Acceleration,
+    Direction,
+    Table,
+    Triple,
+    table_or_vector,
+)
+
+if TYPE_CHECKING:
+    from softcal_jax.project._schema import ProjectTable
+
+
+class GravityTable(Table):
+    """Gravity by size and direction."""
+
+    size: Annotated[float, BeforeValidator(scalar(ACCELERATION))] = Field(
+        description='"9.81 m/s^2"'
+    )
+    direction: Direction = Field(description='"-z", or [0, 0, -1]')
+
+
+class CandidateTable(Table):
+    """One posed robot that might be measured."""
+
+    name: str = Field(description="name in results, tables and pictures")
+    gravity: Annotated[
+        Annotated[GravityTable, Tag("(table)")]
+        | Annotated[Acceleration, Tag("(vector)")],
+        Discriminator(table_or_vector),
+    ] = Field(description='"(0, 0, -9.81) m/s^2", here or for all in [shared]')
+    supports: tuple[SupportTable, ...] = ()
+    loads: tuple[AnyLoad, ...] = ()
+    markers: tuple[str, ...] | None = None
+    effectors: tuple[str, ...] | None = None
+    actuation: dict[str, Any] = Field(default_factory=dict)
+    bodies: dict[str, State] = Field(default_factory=dict)
+
+    @field_validator("supports", mode="before")
+    @classmethod
+    def _check_supports(cls, value: Any) -> Any:
+        groups = value if isinstance(value, list) else [value]
+        if not groups or isinstance(groups[0], dict):
+            return value
+        names = ", ".join(f"{{ group = {shown(group)} }}" for group in groups)
+        raise ValueError(
+            f"got {shown(value)}; expected a list of tables, like [{names}]."
+        )
+
+    @property
+    def acceleration(self) -> Triple:
+        """Gravity [m/s2]."""
+        if not isinstance(self.gravity, GravityTable):
+            return self.gravity
+        x, y, z = (self.gravity.size * v for v in self.gravity.direction)
+        return x, y, z
+
+
+class ConfigurationTable(CandidateTable):
+    """One posed robot, measured or to be measured."""
+
+    role: Literal["calibration", "validation"] = "calibration"
+    measured: MeasuredTable | None = None
+
+
+class Pose(NamedTuple):
+    """A configuration, and what its camera frame left at the registered markers."""
+
+    configuration: Configuration
+    registration: Registration | None
+
+
+def build_pose(
+    folder: Path,
+    table: CandidateTable,
+    project: "ProjectTable",
+    model: Model,
+    effectors: Effectors,
+) -> Pose:
+    """One posed robot, with its measurement if it has one.
+
+    Args:
+        folder: Where relative paths begin.
+        table: The configuration or candidate, with [shared] merged in.
+        project: The whole file.
+        model: The robot.
+        effectors: The effectors of the project, not measured.
+
+    Raises:
+        WrongKeyError: If a group, a marker, a file or a value in it is wrong.
+    """
+    mechanism, markers = model.mechanism, None
+    supports, loads = _held_and_loaded(table, model.mesh)
+    with under("markers"):
+        if project.markers is not None:
+            markers = project.markers.build(table.markers)
+        elif table.markers is not None:
+            raise ValueError("the project has no markers; add a table [markers].")
+    with under("effectors"):
+        chosen = effectors if table.effectors is None else table.effectors
+        for name in chosen:
+            known_name("effector", name, effectors, "effectors")
+    with under("actuation"):
+        actuation = build_actuation(
+            table.actuation, project.actuators, mechanism, table.name
+        )
+    with under("bodies"):
+        states = build_states(table.bodies, mechanism)
+    own = table.measured if isinstance(table, ConfigurationTable) else None
+    positions = registration = None
+    if own is not None and own.file is not None:
+        with under("measured"):
+            if project.markers is None or markers is None:
+                raise ValueError("the project has no markers; add a table [markers].")
+            positions, registration = own.build(folder, project.markers, markers)
+    with under("measured.effectors"):
+        followed = with_measured(
+            {name: effectors[name] for name in chosen},
+            measured={} if own is None else own.effectors,
+            tables=project.effectors,
+            folder=folder,
+            mechanism=mechanism,
+        )
+    configuration = Configuration(
+        name=table.name,
+        supports=supports,
+        gravity=table.acceleration,
+        loads=loads,
+        markers=markers,
+        measured=positions,
+        effectors=followed,
+        bodies=states,
+        actuation=actuation,
+    )
+    return Pose(configuration, registration)
+
+
+def _held_and_loaded(
+    table: CandidateTable, mesh: TetMesh
+) -> tuple[list[Support], list[AbstractLoad]]:
+    supports, loads = [], []
+    for i, support in enumerate(table.supports, start=1):
+        with under(f"supports[{i}]"):
+            mesh.nodes(support.group)  # names a group that is not there
+            supports.append(support.build())
+    for i, load in enumerate(table.loads, start=1):
+        with under(f"loads[{i}]"):
+            loads.append(load.build())
+            loads[-1].nodal_forces(mesh)  # names a place that is not there
+    return supports, loads

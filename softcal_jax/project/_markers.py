@@ -1,0 +1,157 @@
+"""The keys of a project file that say where markers are, and what was measured."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations import Markers, Registration, read_markers, register
+from softcal_jax.project._effectors import Measured
+from softcal_jax.project._mesh import LengthUnit
+from softcal_jax.project._problems import suggestion
+from softcal_jax.project._sensors import Selection
+from softcal_jax.project._table import Length, Position, Table, table_or_vector
+
+
+class MarkerEntry(Table):
+    """A marker with its own precision."""
+
+    position: Position = Field(description='"(0, 15, 36) mm"')
+    std: Length | None = None
+
+
+class MarkersTable(Table):
+    """Where the markers stand at rest, in the frame of the mesh."""
+
+    positions: dict[
+        str,
+        Annotated[
+            Annotated[MarkerEntry, Tag("(table)")]
+            | Annotated[Position, Tag("(vector)")],
+            Discriminator(table_or_vector),
+        ],
+    ] = Field(description="names and positions of the markers")
+    std: Length = 1e-3
+    axes: str = "xyz"
+    max_distance: Length = 0.01
+    base_radius: Length = 0.0
+
+    def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_markers 3"]:
+        """Positions of some markers at rest [m].
+
+        Raises:
+            ValueError: If one is unknown.
+        """
+        entries = map(self._entry, names)
+        return np.array([entry.position for entry in entries], float).reshape(-1, 3)
+
+    def build(self, names: Sequence[str] | None) -> Markers:
+        """Some of the markers as an object; all without a list.
+
+        Raises:
+            ValueError: If one is unknown, or a standard deviation is not positive.
+        """
+        names = tuple(self.positions) if names is None else tuple(names)
+        if not names:
+            raise ValueError("the list of markers is empty; leave it out to use all.")
+        return Markers(
+            names=names,
+            positions=self.positions_of(names),
+            std=np.array([self._entry(name).std or self.std for name in names]),
+            axes=self.axes,
+            max_distance=self.max_distance,
+            base_radius=self.base_radius,
+        )
+
+    def _entry(self, name: str) -> MarkerEntry:
+        if name not in self.positions:
+            raise ValueError(
+                f"unknown marker {name!r}.{suggestion(name, self.positions)} "
+                f"Known: {', '.join(self.positions)}."
+            )
+        entry = self.positions[name]
+        if isinstance(entry, MarkerEntry):
+            return entry
+        return MarkerEntry.model_construct(position=entry)
+
+
+class RegistrationTable(Table):
+    """From the frame of the cameras to the frame of the mesh."""
+
+    markers: tuple[str, ...] = Field(description='markers to fit: ["4", "5", "6"]')
+    select: Selection = Field(default_factory=dict)
+
+
+class MeasuredTable(Table):
+    """Where the measured positions are, and how they become positions on the mesh.
+
+    `effectors` holds what was measured beside markers.
+    """
+
+    file: str | None = None
+    length_unit: LengthUnit | None = None
+    recording: Selection = Field(default_factory=dict)
+    select: Selection = Field(default_factory=dict)
+    registration: RegistrationTable | None = None
+    displacement_from: Selection | None = None
+    effectors: dict[str, Measured] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check(self) -> "MeasuredTable":
+        given = sorted(self.model_fields_set - {"file", "effectors"})
+        if self.file is None and (given or not self.effectors):
+            which = f"{given[0]} is for the file of the markers; " if given else ""
+            raise ValueError(
+                f'{which}expected file = "markers.csv", or `effectors` with what was '
+                "measured beside markers."
+            )
+        return self
+
+    def build(
+        self, folder: Path, nominal: MarkersTable, markers: Markers
+    ) -> "MeasuredMarkers":
+        """Measured positions in the frame of the mesh.
+
+        With `displacement_from`, the nominal position plus the motion between the two
+        states, so that where exactly a marker was glued does not matter.
+
+        Args:
+            folder: Where relative paths begin.
+            nominal: All markers of the project.
+            markers: Those that are measured.
+
+        Raises:
+            ValueError: If the file is wrong, or lacks a marker.
+        """
+
+        def read(select: Selection):
+            return read_markers(
+                folder / str(self.file),
+                length_unit=self.length_unit,
+                select={**self.recording, **select},
+            )
+
+        loaded = read(self.select).positions_of(markers.names)
+        start = None
+        if self.displacement_from is not None:
+            start = read(self.displacement_from).positions_of(markers.names)
+        registration = None
+        if self.registration is not None:
+            names = self.registration.markers
+            seen = read(self.registration.select).positions_of(names)
+            registration = register(seen, nominal.positions_of(names))
+            loaded = registration.apply(loaded)
+            start = None if start is None else registration.apply(start)
+        if start is not None:
+            loaded = markers.positions + (loaded - start)
+        return MeasuredMarkers(loaded, registration)
+
+
+class MeasuredMarkers(NamedTuple):
+    """Measured positions [m], and how the camera frame was placed, if it was."""
+
+    positions: Float[HostArray, "n_markers 3"]
+    registration: Registration | None

@@ -1,0 +1,162 @@
+"""The keys of a project file that make the mesh and its groups."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from softcal_jax.mesh import (
+    Box,
+    Plane,
+    Sphere,
+    TetMesh,
+    beam,
+    read_mesh,
+    select_faces,
+    select_nodes,
+)
+from softcal_jax.project._table import (
+    ByKeys,
+    Integer,
+    Length,
+    Maker,
+    Number,
+    Position,
+    Table,
+)
+
+LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
+
+
+class _MeshTable(Table):
+    element: Literal["quadratic", "linear"] = "quadratic"
+
+    @property
+    def order(self) -> int:
+        """Order of the shape functions."""
+        return 2 if self.element == "quadratic" else 1
+
+
+class MeshFileTable(_MeshTable):
+    """A mesh from a file."""
+
+    file: str = Field(description='a mesh file: "robot.msh"')
+    length_unit: LengthUnit = Field(description='the length unit of the file: "mm"')
+    unused_nodes: Literal["error", "drop"] = "error"
+
+    def build(self, folder: Path) -> TetMesh:
+        """The mesh; the path is relative to a folder."""
+        return read_mesh(
+            folder / self.file,
+            length_unit=self.length_unit,
+            order=self.order,
+            unused=self.unused_nodes,
+        )
+
+
+class BeamTable(Table):
+    """A box of tets, long axis along x; its sides are groups "x_min" to "z_max"."""
+
+    size: Position = Field(description='length, width, height: "(100, 30, 30) mm"')
+    cells: tuple[Integer, Integer, Integer] = Field(
+        description="cells along x, y and z: [14, 4, 4]"
+    )
+    origin: Position = (0.0, 0.0, 0.0)
+    pattern: Literal["mirrored", "centred"] = "mirrored"
+
+
+class BeamMeshTable(_MeshTable):
+    """A mesh of a beam."""
+
+    beam: BeamTable
+
+    def build(self, folder: Path) -> TetMesh:
+        """The mesh."""
+        del folder
+        made = self.beam
+        return beam(
+            *made.size,
+            made.cells,
+            origin=made.origin,
+            order=self.order,
+            pattern=made.pattern,
+        )
+
+
+MeshTable = Annotated[MeshFileTable | BeamMeshTable, ByKeys()]
+
+
+class BoxTable(Maker):
+    """All between two corners."""
+
+    makes = Box
+
+    lower: Position = Field(description='a corner: "(0, 0, 0) mm"')
+    upper: Position = Field(description='a corner: "(0, 30, 30) mm"')
+
+
+class PlaneTable(Maker):
+    """All on a plane."""
+
+    makes = Plane
+
+    point: Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
+    normal: tuple[Number, Number, Number] = Field(description="[0, 0, 1]")
+
+
+class SphereTable(Maker):
+    """All in a ball."""
+
+    makes = Sphere
+
+    centre: Position = Field(description='its centre: "(0, 0, 0) mm"')
+    radius: Length = Field(description='its radius: "5 mm"')
+
+
+class _GroupTable(Table):
+    """A named part of the mesh, by where it is."""
+
+    of: Literal["nodes", "faces", "tets"] = "nodes"
+    tolerance: Length | None = None
+
+    def add(self, mesh: TetMesh, name: str) -> TetMesh:
+        """The mesh with the group.
+
+        Raises:
+            ValueError: If nothing is there, or the mesh has a group of this name.
+        """
+        (where,) = (own for _, own in self if isinstance(own, Maker))
+        # A millionth of the body: far below a cell, far above the rounding of a file.
+        rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance
+        region = where.makes(**where.model_dump(), tolerance=rounding)
+        if self.of == "nodes":
+            return mesh.with_node_group(name, select_nodes(mesh, region))
+        if self.of == "faces":
+            return mesh.with_surface_group(name, select_faces(mesh, region))
+        centres = mesh.points[mesh.tets[:, :4]].mean(axis=1)
+        tets = np.flatnonzero(region(centres))
+        if not tets.size:
+            raise ValueError("no tet has its centre there; check the length unit.")
+        return mesh.with_tet_group(name, tets)
+
+
+class BoxGroupTable(_GroupTable):
+    """A group in a box."""
+
+    box: BoxTable
+
+
+class PlaneGroupTable(_GroupTable):
+    """A group on a plane."""
+
+    plane: PlaneTable
+
+
+class SphereGroupTable(_GroupTable):
+    """A group in a ball."""
+
+    sphere: SphereTable
+
+
+GroupTable = Annotated[BoxGroupTable | PlaneGroupTable | SphereGroupTable, ByKeys()]

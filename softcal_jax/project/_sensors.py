@@ -1,0 +1,211 @@
+"""The keys of a project file that say where 6-D sensors are, and what they read."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.bodies import Pose
+from softcal_jax.configurations import (
+    PoseTable,
+    average_poses,
+    in_frame,
+    read_polhemus,
+    read_poses,
+)
+from softcal_jax.project._mesh import LengthUnit
+from softcal_jax.project._table import (
+    Angle,
+    Integer,
+    Number,
+    Position,
+    RotationVector,
+    Table,
+)
+
+Selection = dict[str, str]
+"""Columns of a file of readings and the values that its rows must have."""
+
+
+_UNIT_LENGTH = 1e-3
+"""How far a quaternion may be from unit length: beyond what four digits round."""
+
+
+class OrientationTable(Table):
+    """Which way axes point: angles as trackers have them, or another form."""
+
+    azimuth: Angle | None = None
+    elevation: Angle | None = None
+    roll: Angle | None = None
+    quaternion: tuple[Number, Number, Number, Number] | None = None
+    rotation_vector: RotationVector | None = None
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """The keys of the forms that are given."""
+        angles = ("azimuth", "elevation", "roll")
+        found = [key for key in angles if getattr(self, key) is not None]
+        others = [
+            key
+            for key in ("quaternion", "rotation_vector")
+            if getattr(self, key) is not None
+        ]
+        return (*found[:1], *others)
+
+    @model_validator(mode="after")
+    def _check_form(self) -> "OrientationTable":
+        if len(self.forms) > 1:
+            raise ValueError(
+                f"got {' and '.join(self.forms)}; give the orientation in one form: "
+                "azimuth, elevation and roll, or a quaternion, or a rotation_vector."
+            )
+        return self
+
+    @property
+    def rotation(self) -> Float[HostArray, "3 3"]:
+        """Rotation matrix, from the axes of the frame to those it is given in [-].
+
+        The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll).
+
+        Raises:
+            ValueError: If a quaternion is not of unit length.
+        """
+        if self.quaternion is not None:
+            w, *xyz = self.quaternion
+            length = float(np.linalg.norm(self.quaternion))
+            if not abs(length - 1.0) <= _UNIT_LENGTH:
+                raise ValueError(
+                    f"quaternion has the length {length:.6g}, not 1: write four digits "
+                    "or more, the scalar part first."
+                )
+            return Rotation.from_quat([*xyz, w]).as_matrix()
+        if self.rotation_vector is not None:
+            return Rotation.from_rotvec(self.rotation_vector).as_matrix()
+        angles = [self.azimuth or 0.0, self.elevation or 0.0, self.roll or 0.0]
+        return Rotation.from_euler("ZYX", angles).as_matrix()
+
+
+class FrameTable(OrientationTable):
+    """Where a frame stands, in the frame of the mesh."""
+
+    position: Position = (0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> Pose:
+        """The frame as an object: from its coordinates to those it is given in."""
+        return Pose.from_matrix(self.rotation, np.array(self.position))
+
+
+class MeasuredPoseTable(OrientationTable):
+    """The pose of a 6-D sensor: written here, or in a file of readings."""
+
+    position: Position | None = None
+    file: str | None = None
+    format: Literal["table", "polhemus"] = "table"
+    length_unit: LengthUnit | None = None
+    angle_unit: Literal["deg", "rad"] = "deg"
+    sensor: str | None = None
+    station: Integer | None = None
+    select: Selection = Field(default_factory=dict)
+    displacement_from: Selection | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "MeasuredPoseTable":
+        given = self.model_fields_set - {"position", *OrientationTable.model_fields}
+        if self.file is None and self.position is None:
+            raise ValueError(
+                "expected the pose, { position = ..., azimuth = ..., elevation = ..., "
+                'roll = ... }, or where it was read, { file = "tracker.csv" }.'
+            )
+        if self.file is None and given:
+            raise ValueError(
+                f"{sorted(given)[0]} belongs to a file, which is not there; add `file`."
+            )
+        if self.file is None:
+            return self
+        if self.position is not None or self.forms:
+            raise ValueError("got a pose and a file; give one of them.")
+        of_other = {
+            "table": {"station", "angle_unit"},
+            "polhemus": {"sensor", "select", "displacement_from"},
+        }
+        foreign = sorted(given & of_other[self.format])
+        if foreign:
+            raise ValueError(
+                f'{foreign[0]} does not go with format = "{self.format}": a table has '
+                "a header and columns to select by (sensor, select, "
+                'displacement_from); "polhemus" is the bare text of a tracker '
+                "(station, angle_unit)."
+            )
+        if self.format == "polhemus" and self.length_unit is None:
+            raise ValueError(
+                'format = "polhemus" needs length_unit, what the tracker was set to: '
+                '"cm" or "inch".'
+            )
+        return self
+
+    def motion(
+        self,
+        folder: Path,
+        base: FrameTable,
+        mounted: OrientationTable,
+        rest: Float[HostArray, "3"],
+    ) -> Pose:
+        """Motion of a rigid body from rest, by the pose of the sensor on it.
+
+        With `displacement_from`, the motion between the two readings, so that where
+        exactly the sensor was glued does not matter.
+
+        Args:
+            folder: Where relative paths begin.
+            base: Where the base of the tracker stands.
+            mounted: Orientation of the sensor on the mesh at rest.
+            rest: Where it is then [m].
+
+        Returns:
+            Translation of the point `rest` [m], and rotation.
+
+        Raises:
+            ValueError: If a file or value is wrong, or readings are not of one pose.
+        """
+        position, rotation = self._mean(folder, base, self.select)
+        before, mounting = rest, mounted.rotation
+        if self.displacement_from is not None:
+            earlier = {**self.select, **self.displacement_from}
+            before, mounting = self._mean(folder, base, earlier)
+        return Pose.from_matrix(rotation @ mounting.T, position - before)
+
+    def _mean(
+        self, folder: Path, base: FrameTable, select: Selection
+    ) -> tuple[Float[HostArray, "3"], Float[HostArray, "3 3"]]:
+        """Mean position [m] and axes of the selected readings, in the mesh's frame."""
+        readings = in_frame(self._readings(folder, select), base=base.pose)
+        names = list(dict.fromkeys(readings.names))
+        if self.sensor is None and len(names) > 1:
+            raise ValueError(
+                f"{readings.source} has the sensors {', '.join(names)}; say which one "
+                f'is meant, like sensor = "{names[0]}".'
+            )
+        name = self.sensor or names[0]
+        mean = average_poses(readings.readings_of(name))[name]
+        return mean.position, mean.rotation
+
+    def _readings(self, folder: Path, select: Selection) -> PoseTable:
+        if self.file is None:
+            position = np.array([self.position], float)
+            return PoseTable(
+                ("sensor",), position, self.rotation[None], (1,), "the pose"
+            )
+        path = folder / self.file
+        if self.format == "table":
+            return read_poses(path, length_unit=self.length_unit, select=select)
+        station = self.station
+        return read_polhemus(
+            path,
+            length_unit=str(self.length_unit),
+            angle_unit=self.angle_unit,
+            stations=None if station is None else {station: f"station {station}"},
+        )
