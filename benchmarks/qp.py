@@ -15,8 +15,9 @@ import numpy as np
 from benchmarks._problem import Better, Figure, Options, Outcome, Table
 from softcal_jax.calibration import KKT_TOLERANCE, _qp
 
-PROBLEMS = 10_000
-SIZES = (1, 3, 6, 12, 36)
+PROBLEMS = {1: 2000, 3: 2500, 6: 2500, 12: 2500, 36: 500}
+"""Number of problems by number of parameters."""
+
 KINDS = ("none", "order", "degenerate", "dense", "away")
 STAGES = ("polish", "boxosqp", "all")
 """The active-set method and BoxOSQP, each alone from no step; then both in turn."""
@@ -26,11 +27,14 @@ def run(options: Options) -> Outcome:
     """Solve all problems with every stage."""
     residuals: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
     figures: dict[str, Figure] = {}
-    each = PROBLEMS // (len(SIZES) * len(KINDS))
-    for n in SIZES:
+    for n, count in PROBLEMS.items():
         options.say(f"{n} parameters")
         random = np.random.default_rng(n)
-        drawn = [random_qp(random, n, kind) for kind in KINDS for _ in range(each)]
+        drawn = [
+            random_qp(random, n, kind)
+            for kind in KINDS
+            for _ in range(count // len(KINDS))
+        ]
         problems = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *drawn)
         found = np.split(np.asarray(_stages(problems)), len(KINDS))
         for kind, rows in zip(KINDS, found, strict=True):
