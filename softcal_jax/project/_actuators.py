@@ -51,14 +51,23 @@ class ActuatorTable(Maker):
         Raises:
             ValueError: If it is neither.
         """
+        releasing = False
+        if isinstance(value, dict):  # with the sense in which a cable last moved
+            unknown = set(value) - {"value", "releasing"}
+            if unknown or not isinstance(value.get("releasing", False), bool):
+                raise ValueError(
+                    f"got {shown(value)}; expected a table like "
+                    '{ value = "2 N", releasing = true }.'
+                )
+            releasing, value = value.get("releasing", False), value.get("value")
         kind = self.makes.kind
         units = [unit for unit in (kind.force_unit, kind.displacement_unit) if unit]
         dimensions = list(map(dimension_of, units))
         what = f"of a {kind.noun}, {self.asked}"
         number, dimension = parse_either(value, dimensions, what)
         if dimension is dimensions[0]:
-            return ImposedForce(number)
-        return ImposedDisplacement(number)
+            return ImposedForce(number, releasing)
+        return ImposedDisplacement(number, releasing)
 
 
 class GuideTable(Maker):
@@ -81,6 +90,8 @@ class CableTable(ActuatorTable):
         description="the points that it runs through, both ends included: "
         '[{ point = "(0, 10, 0) mm", on = "ground" }, "(50, 10, 0) mm"]'
     )
+    friction: float | None = None
+    pulled_from: Literal["first", "last"] | None = None
 
     @field_validator("guides", mode="before")
     @classmethod
@@ -91,7 +102,9 @@ class CableTable(ActuatorTable):
 
     def build(self, *first: Any) -> Cable:
         """The cable."""
-        return Cable(*first, guides=[guide.build() for guide in self.guides])
+        guides = [guide.build() for guide in self.guides]
+        options = {"friction": self.friction, "pulled_from": self.pulled_from}
+        return Cable(*first, guides=guides, **options)
 
 
 class ChamberTable(ActuatorTable):

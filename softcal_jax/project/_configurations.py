@@ -81,6 +81,7 @@ class ConfigurationTable(CandidateTable):
     """One posed robot, measured or to be measured."""
 
     role: Literal["calibration", "validation"] = "calibration"
+    recording: str | None = None
     measured: MeasuredTable | None = None
 
 
@@ -152,6 +153,7 @@ def build_pose(
         effectors=followed,
         bodies=states,
         actuation=actuation,
+        recording=getattr(table, "recording", None),
     )
     return Pose(configuration, registration)
 

@@ -5,7 +5,7 @@ A new load is one table here and one line in `AnyLoad`.
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from softcal_jax.configurations import (
     EdgeForce,
@@ -14,6 +14,7 @@ from softcal_jax.configurations import (
     SurfaceForce,
     SurfaceTraction,
 )
+from softcal_jax.project._quantities import BEDDING, scalar
 from softcal_jax.project._table import ByKeys, Force, Maker, Position, Traction
 
 _SURFACE = Field(description='name of a surface group: "z_max"')
@@ -28,6 +29,7 @@ class SupportTable(Maker):
     group: str = Field(description="name of a group of the mesh")
     axes: str = "xyz"
     displacement: Position = (0.0, 0.0, 0.0)
+    stiffness: Annotated[float, BeforeValidator(scalar(BEDDING))] | None = None
 
 
 class PointForceTable(Maker):

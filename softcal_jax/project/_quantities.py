@@ -45,6 +45,7 @@ ANGLE = Dimension("an angle", "rad", "20 deg", ("deg", "rad", "mrad"))
 MASS = Dimension("a mass", "kg", "10 g", ("kg", "g", "mg"))
 VOLUME = Dimension("a volume", "m^3", "2 ml", ("ml", "mm^3", "cm^3", "l", "m^3"))
 TORQUE = Dimension("a torque", "N*m", "50 N*mm", ("N*m", "N*mm", "mN*m"))
+BEDDING = Dimension("a stiffness per area", "Pa/m", "1 GPa/m", ("N/mm^3", "GPa/m"))
 
 OF_UNIT = {
     "m": LENGTH,
@@ -54,6 +55,7 @@ OF_UNIT = {
     "Pa": PRESSURE,
     "N m": TORQUE,
     "kg/m3": DENSITY,
+    "N/m3": BEDDING,
 }
 """What is measured in an SI unit, as laws, actuators and effectors name it."""
 

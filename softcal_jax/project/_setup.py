@@ -6,14 +6,24 @@ makes, and one line in `AnySetup`.
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from softcal_jax.fields import Entry, motor_zero, mounting
-from softcal_jax.project._problems import known_name
+from softcal_jax.fields import (
+    Entry,
+    actuator_factor,
+    clamp_stiffness,
+    friction,
+    gravity_tilt,
+    load_factor,
+    motor_zero,
+    mounting,
+    recording_offset,
+)
+from softcal_jax.project._problems import known_name, shown
 from softcal_jax.project._quantities import ANGLE, LENGTH, Dimension, parse_scalar
-from softcal_jax.project._table import ByKeys, Names, Table
+from softcal_jax.project._table import Angle, ByKeys, Names, Table
 
 if TYPE_CHECKING:
     from softcal_jax.project._schema import ProjectTable
@@ -24,11 +34,11 @@ class SetupTable(Table):
 
     Attributes:
         label: Its key.
-        measures: What `limit` and `prior_std` measure.
+        measures: What `limit` and `prior_std` measure; None for plain numbers.
     """
 
     label: ClassVar[str]
-    measures: ClassVar[Dimension]
+    measures: ClassVar[Dimension | None]
 
     limit: float = Field(description='largest error looked for: "3 deg", "2 mm"')
     prior_std: float | None = None
@@ -36,7 +46,12 @@ class SetupTable(Table):
     @field_validator("limit", "prior_std", mode="before")
     @classmethod
     def _parse(cls, value: Any) -> float:
-        number = parse_scalar(value, cls.measures)
+        if cls.measures is not None:
+            number = parse_scalar(value, cls.measures)
+        elif isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"got {shown(value)}; expected a number, like 0.05.")
+        else:
+            number = float(value)
         if not number > 0.0:
             raise ValueError(f'got "{value}"; expected more than zero.')
         return number
@@ -89,4 +104,155 @@ class MountingTable(SetupTable):
         return entries
 
 
-AnySetup = Annotated[MotorZeroTable | MountingTable, ByKeys()]
+class ScopedTable(SetupTable):
+    """Something that all configurations share, or that each has of its own."""
+
+    each: Literal["configuration", "recording"] | tuple[str, ...] | None = None
+
+    def scope(self, project: "ProjectTable") -> dict[str, Any]:
+        """Whose it is, as the functions of `fields` take it.
+
+        Raises:
+            ValueError: If a recording is unknown.
+        """
+        fitted = [c for c in project.configurations if c.role == "calibration"]
+        recordings = list(dict.fromkeys(c.recording or c.name for c in fitted))
+        if self.each is None:
+            return {}
+        if self.each == "configuration":
+            return {"each": [c.name for c in fitted], "by": "configuration"}
+        if self.each == "recording":
+            return {"each": recordings}
+        for name in self.each:
+            known_name("recording", name, recordings, "configurations")
+        return {"each": self.each}
+
+
+class GravityTiltTable(ScopedTable):
+    """Two angles by which the direction of gravity is off."""
+
+    label = "gravity_tilt"
+    measures = ANGLE
+
+    gravity_tilt: Literal[True]
+
+    def build(self, project: "ProjectTable") -> Sequence[Entry]:
+        """Two parameters, for all or for each recording."""
+        known = {"limit": self.limit, "prior_std": self.prior_std}
+        return gravity_tilt(**known, **self.scope(project))
+
+
+class RecordingOffsetTable(ScopedTable):
+    """How far the frame of a recording, or the base of a tracker, is off."""
+
+    label = "recording_offset"
+    measures = LENGTH
+
+    recording_offset: Literal[True]
+    turn_limit: Angle | None = None
+    turn_prior_std: Angle | None = None
+
+    def build(self, project: "ProjectTable") -> Sequence[Entry]:
+        """Three parameters, six if it may turn, for all or for each recording."""
+        return recording_offset(
+            limit=self.limit,
+            prior_std=self.prior_std,
+            turn_limit=self.turn_limit,
+            turn_prior_std=self.turn_prior_std,
+            **self.scope(project),
+        )
+
+
+class FactorTable(ScopedTable):
+    """A factor: `limit` is the largest, `prior_std` relative."""
+
+    measures = None
+    limit: float = 2.0
+
+    def known(self, project: "ProjectTable") -> dict[str, Any]:
+        """What is known of it, and whose it is."""
+        own = {"limit": self.limit, "prior_std": self.prior_std}
+        return own | self.scope(project)
+
+
+class LoadFactorTable(FactorTable):
+    """A factor on the dead loads."""
+
+    label = "load_factor"
+
+    load_factor: Literal[True]
+
+    def build(self, project: "ProjectTable") -> Sequence[Entry]:
+        """One parameter, for all or for each recording."""
+        return [load_factor(**self.known(project))]
+
+
+class ActuatorFactorTable(FactorTable):
+    """A factor on the imposed forces of actuators."""
+
+    label = "actuator_factor"
+
+    actuator_factor: Names
+
+    def build(self, project: "ProjectTable") -> Sequence[Entry]:
+        """One parameter per actuator, for all or for each recording."""
+        for name in self.actuator_factor:
+            known_name("actuator", name, project.actuators, "actuators")
+        known = self.known(project)
+        return [actuator_factor(name, **known) for name in self.actuator_factor]
+
+
+class ClampStiffnessTable(FactorTable):
+    """The stiffness of elastic supports: `limit` is a factor, `prior_std` relative."""
+
+    label = "clamp_stiffness"
+    limit: float = 1e3
+
+    clamp_stiffness: Names
+
+    def build(self, project: "ProjectTable") -> Sequence[Entry]:
+        """One parameter per group, for all or for each recording."""
+        nominal = {
+            support.group: support.stiffness
+            for c in project.configurations
+            for support in c.supports
+            if support.stiffness is not None
+        }
+        for group in self.clamp_stiffness:
+            known_name("support with a stiffness", group, nominal, "supports")
+        known = self.known(project)
+        return [clamp_stiffness(g, nominal[g], **known) for g in self.clamp_stiffness]
+
+
+class FrictionTable(SetupTable):
+    """Coefficients of friction of cables."""
+
+    label = "friction"
+    measures = None
+
+    friction: Names
+
+    def build(self, project: "ProjectTable") -> Sequence[Entry]:
+        """One parameter per cable."""
+        nominal = {
+            name: own.friction
+            for name, own in project.actuators.items()
+            if getattr(own, "friction", None)
+        }
+        for name in self.friction:
+            known_name("cable with friction", name, nominal, "actuators")
+        known = {"limit": self.limit, "prior_std": self.prior_std}
+        return [friction(name, nominal[name], **known) for name in self.friction]
+
+
+AnySetup = Annotated[
+    MotorZeroTable
+    | MountingTable
+    | GravityTiltTable
+    | RecordingOffsetTable
+    | LoadFactorTable
+    | ActuatorFactorTable
+    | ClampStiffnessTable
+    | FrictionTable,
+    ByKeys(),
+]

@@ -1,0 +1,141 @@
+"""Everything that is only roughly known of setup, loads and recordings, as [[setup]]."""
+
+import numpy as np
+import pytest
+
+from softcal_jax.fields import SetupParameter
+from softcal_jax.project import ProjectError, load_project
+
+BEAM = """\
+name = "roughly known"
+
+[mesh]
+beam = { size = "(60, 20, 20) mm", cells = [3, 1, 1] }
+element = "linear"
+
+[material]
+law = "corotational"
+E = "300 kPa"
+nu = 0.3
+density = "1 g/cm^3"
+
+[actuators.tendon]
+type = "cable"
+guides = ["(10, 10, 20) mm", "(30, 10, 20) mm", "(50, 10, 15) mm"]
+friction = 0.2
+pulled_from = "first"
+
+[[parameters]]
+field = "E"
+lower = "100 kPa"
+upper = "1 MPa"
+
+[effectors.shortening]
+type = "actuator-displacement"
+actuator = "tendon"
+std = "0.1 mm"
+
+[shared]
+gravity = "(0, 0, -9.81) m/s^2"
+supports = [{ group = "x_min", stiffness = "1 GPa/m" }]
+loads = [{ surface = "x_max", force = "(0, 0, -0.1) N" }]
+
+[[configurations]]
+name = "a"
+recording = "monday"
+actuation = { tendon = "1 N" }
+measured = { effectors = { shortening = "1 mm" } }
+
+[[configurations]]
+name = "b"
+recording = "monday"
+actuation = { tendon = { value = "2 N", releasing = true } }
+measured = { effectors = { shortening = "2 mm" } }
+
+[[configurations]]
+name = "c"
+actuation = { tendon = "3 N" }
+measured = { effectors = { shortening = "3 mm" } }
+"""
+
+KINDS = """
+[[setup]]
+gravity_tilt = true
+limit = "5 deg"
+prior_std = "1 deg"
+
+[[setup]]
+load_factor = true
+prior_std = 0.05
+each = "configuration"
+
+[[setup]]
+actuator_factor = "tendon"
+limit = 1.5
+
+[[setup]]
+recording_offset = true
+limit = "2 mm"
+turn_limit = "3 deg"
+each = "recording"
+
+[[setup]]
+clamp_stiffness = "x_min"
+prior_std = 0.5
+
+[[setup]]
+friction = "tendon"
+limit = 0.1
+"""
+
+
+def load(tmp_path, text):
+    path = tmp_path / "project.toml"
+    path.write_text(text)
+    return load_project(path)
+
+
+def test_every_kind_becomes_parameters(tmp_path):
+    project = load(tmp_path, BEAM + KINDS)
+    entries = [e for e in project.space.entries if isinstance(e, SetupParameter)]
+    assert [q.name for e in entries for q in e.parameters] == [
+        "first tilt of gravity",
+        "second tilt of gravity",
+        *(f"factor of loads in {c}" for c in "abc"),
+        "factor of tendon",
+        *(f"offset {axis} in {r}" for axis in "xyz" for r in ("monday", "c")),
+        *(f"turn {axis} in {r}" for axis in "xyz" for r in ("monday", "c")),
+        "stiffness of x_min",
+        "friction of tendon",
+    ]
+    own = {q.name: q for e in entries for q in e.parameters}
+    np.testing.assert_allclose(own["first tilt of gravity"].prior_std, np.pi / 180)
+    np.testing.assert_allclose(own["turn z in c"].upper, 3 * np.pi / 180)
+    np.testing.assert_allclose(own["factor of tendon"].upper, 1.5)
+    np.testing.assert_allclose(own["stiffness of x_min"].start, 1e9)
+    np.testing.assert_allclose(own["friction of tendon"].lower, 0.1)
+    b = project.configurations[1]
+    assert b.recording == "monday"
+    assert b.actuation["tendon"].releasing
+    assert b.supports[0].stiffness == 1e9
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ('load_factor = true\neach = ["tuesday"]', "there is no recording .tuesday."),
+        ("load_factor = true\nprior_std = true", "expected a number, like 0.05"),
+        ('clamp_stiffness = "x_max"', "no support with a stiffness .x_max."),
+        ('friction = "rope"\nlimit = 0.1', "no cable with friction .rope."),
+        ('actuator_factor = "rope"', "there is no actuator .rope."),
+    ],
+)
+def test_what_the_project_does_not_have(tmp_path, table, message):
+    with pytest.raises(ProjectError, match=message):
+        load(tmp_path, f"{BEAM}\n[[setup]]\n{table}\n")
+
+
+def test_a_cable_is_asked_for_in_known_words(tmp_path):
+    wrong = BEAM.replace("releasing = true", "relasing = true")
+    with pytest.raises(ProjectError, match=r"expected a table like \{ value"):
+        load(tmp_path, wrong)
