@@ -154,11 +154,12 @@ def steps_until(curve: HostArray, size: float) -> int | None:
 
 def parameter_errors(
     space: ParameterSpace,
-    z: Float[Array, " n_p"],
+    z: Float[Array | HostArray, " n_p"],
     target: Float[Array, " n_p"],
 ) -> HostArray:
     """Errors of the parameters: relative for moduli, modulo 180 degrees for angles."""
-    p, p_target = (np.asarray(space.from_scaled(v)) for v in (z, target))
+    in_si = lambda v: np.asarray(space.from_scaled(jnp.asarray(v)))
+    p, p_target = in_si(z), in_si(target)
     gap = p - p_target
     turn = np.abs(np.mod(gap + 0.5 * np.pi, np.pi) - 0.5 * np.pi)
     angles = np.array([q.unit == "rad" for q in space.parameters])

@@ -138,6 +138,8 @@ def newton_direction(
     # The force of a slack cable is gone before the step.
     lambda_a = jnp.where(active, lambda_a, 0.0)
     if has_volume_unknowns(model):
+        assert theta is not None
+        assert strict is not None
         at_u = dilatation(model, theta, u, jnp.zeros_like(u))
         values, force = mixed_tangent(model, u, jnp.where(strict, at_u, theta))
     else:

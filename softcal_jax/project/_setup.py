@@ -21,6 +21,7 @@ from softcal_jax.fields import (
     mounting,
     recording_offset,
 )
+from softcal_jax.project._actuators import CableTable
 from softcal_jax.project._problems import known_name, shown
 from softcal_jax.project._quantities import ANGLE, LENGTH, Dimension, parse_scalar
 from softcal_jax.project._table import Angle, ByKeys, Names, Table
@@ -237,7 +238,7 @@ class FrictionTable(SetupTable):
         nominal = {
             name: own.friction
             for name, own in project.actuators.items()
-            if getattr(own, "friction", None)
+            if isinstance(own, CableTable) and own.friction
         }
         for name in self.friction:
             known_name("cable with friction", name, nominal, "actuators")
