@@ -4,7 +4,7 @@ Nothing here calls the physics of the package: numbers come from closed forms, f
 named publications, or from an ordinary differential equation solved by SciPy.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -270,6 +270,35 @@ def central_difference(function, x, tangent, h):
     plus = function(jax.tree.map(lambda a, t: a + h * t, x, tangent))
     minus = function(jax.tree.map(lambda a, t: a - h * t, x, tangent))
     return jax.tree.map(lambda p, m: (p - m) / (2.0 * h), plus, minus)
+
+
+class BothWays(NamedTuple):
+    """A function's value, its derivative along a tangent, and its pull-back."""
+
+    value: Any
+    forward: Any
+    reverse: Any
+
+
+def both_ways(function):
+    """Make one program of a function and its derivatives, forward and reverse.
+
+    Each of the three alone would compile the solves in the function once more.
+
+    Args:
+        function: Takes `x` and any other arrays, which are held.
+
+    Returns:
+        A compiled function of (x, tangent, cotangent, *others).
+    """
+
+    @jax.jit
+    def of(x, tangent, cotangent, *others):
+        value, along = jax.linearize(lambda x: function(x, *others), x)
+        (reverse,) = jax.linear_transpose(along, x)(cotangent)
+        return BothWays(value, along(tangent), reverse)
+
+    return of
 
 
 def straight_mid_nodes(mesh: TetMesh) -> np.ndarray:

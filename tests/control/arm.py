@@ -6,11 +6,14 @@ positive angle lifts the tip; the cables run above and below it, from base to ti
 
 from functools import cache
 
+import equinox as eqx
 import jax
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import RigidBody, hinge_axes
 from softcal_jax.configurations import (
+    ActuatorDisplacement,
+    ActuatorForce,
     BodyFrame,
     Centroid,
     Configuration,
@@ -18,7 +21,13 @@ from softcal_jax.configurations import (
     ImposedForce,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings, build_model
+from softcal_jax.control import actuator_state, with_inputs
+from softcal_jax.equilibrium import (
+    Model,
+    NewtonSettings,
+    build_model,
+    solve_equilibrium,
+)
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -67,4 +76,18 @@ def arrays(configuration: Configuration):
     return jax.tree.map(lambda leaf: leaf[0], lanes)
 
 
-FRAME = BodyFrame("frame", "tip")
+EFFECTORS = [
+    Centroid("tip", "x_max"),
+    BodyFrame("frame", "tip"),
+    ActuatorDisplacement("pull", "top"),
+    ActuatorForce("tension", "bottom"),
+    ActuatorForce("torque", "motor"),
+]
+
+
+@eqx.filter_jit
+def solved(model, configuration, value):
+    """Equilibrium for one actuation, and what follows from it."""
+    lane = with_inputs(configuration, value)
+    solution = solve_equilibrium(model, lane, settings=TIGHT)
+    return solution, actuator_state(model, lane, solution)

@@ -5,32 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm import FRAME, REST, TIGHT, arm, arrays, pose
+from arm import EFFECTORS, REST, arm, arrays, pose, solved
 
-from softcal_jax.configurations import (
-    ActuatorDisplacement,
-    ActuatorForce,
-    Centroid,
-    ImposedDisplacement,
-    ImposedForce,
-)
-from softcal_jax.control import (
-    ControlSettings,
-    actuator_compliance,
-    actuator_state,
-    with_inputs,
-)
+from softcal_jax.configurations import ImposedDisplacement, ImposedForce
+from softcal_jax.control import ControlSettings, actuator_compliance, with_inputs
 from softcal_jax.control._problem import linearise
 from softcal_jax.control._solve import _prepare
-from softcal_jax.equilibrium import solve_equilibrium
 
-EFFECTORS = [
-    Centroid("tip", "x_max"),
-    FRAME,
-    ActuatorDisplacement("pull", "top"),
-    ActuatorForce("tension", "bottom"),
-    ActuatorForce("torque", "motor"),
-]
 DRIVES = {
     "tensions and an angle": {"top": 1.0, "bottom": 0.4, "motor": 0.3},
     "shortenings and a torque": {
@@ -48,13 +29,6 @@ HANGING = (2.0, 0.0, -0.5)
 """Gravity along the arm: stable with its motor free, too."""
 
 UNITS = jnp.array([0.1, 0.1, 0.1])
-
-
-@eqx.filter_jit
-def solved(model, configuration, value):
-    lane = with_inputs(configuration, value)
-    solution = solve_equilibrium(model, lane, settings=TIGHT)
-    return solution, actuator_state(model, lane, solution)
 
 
 compliance = eqx.filter_jit(actuator_compliance)

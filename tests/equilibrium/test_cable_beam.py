@@ -148,7 +148,10 @@ def test_a_straight_strut_is_stable_up_to_its_buckling_load(load, critical):
     model, outcomes = pulled(0.0), []
     for share in (0.99, 1.01, 1.5):
         asked = LOADS[load](share * critical * np.pi**2 * EI)
-        lane = arrays(model, Configuration("strut", "x_min", NO_GRAVITY, **asked))
+        strut = Configuration(
+            "strut", "x_min", NO_GRAVITY, effectors=EFFECTORS, **asked
+        )
+        lane = arrays(model, strut)
         solution, _ = solve(model, lane, jnp.zeros((model.n_points, 3)), TIGHT)
         outcomes.append((solution.result, int(solution.n_negative)))
     stable, unstable = (RESULTS.converged, 0), (RESULTS.unstable, 2)

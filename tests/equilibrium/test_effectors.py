@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from mechanisms import LENGTH, SIDE, TIGHT, arrays, positions, solved, strip
+from problems import both_ways
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.actuators import Cable, Guide, Motor
@@ -56,8 +57,9 @@ EFFECTORS = (
     ActuatorForce("lambda cable", "cable"),
     ActuatorForce("lambda motor", "motor"),
     SupportReaction("clamp", "x_min"),
+    SupportReaction("tip", "at 6"),
 )
-# Points: two markers, frame, centroid; a turn; three scalars; two forces; a reaction.
+# Points: two markers, frame, centroid; a turn; three scalars; two forces; reactions.
 TURN, SCALARS, LAMBDA, REACTION = 4, slice(5, 8), slice(8, 10), 10
 SPACE = ParameterSpace(
     (
@@ -115,10 +117,9 @@ def test_values_of_all_kinds():
 @pytest.mark.parametrize("cable", [BY_FORCE, BY_DISPLACEMENT])
 def test_reactions_balance_all_loads(cable):
     """Clamp and hinge together carry all weight and the pull of the cable."""
-    effectors = (*EFFECTORS, SupportReaction("tip", "at 6"))
     masses = jnp.array([0.01, 0.03])  # of the plate, and of what is held at the tip
     heavy = eqx.tree_at(lambda m: m.mechanism.bodies.mass, MODEL, masses)
-    solution, values, _ = solved(heavy, watched(cable, effectors), TIGHT)
+    solution, values, _ = solved(heavy, watched(cable), TIGHT)
     weight = (1000.0 * LENGTH * SIDE**2 + 0.04) * np.array([1.0, 2.0, -9.0])
     x = positions(MODEL, solution)
     X = MESH.points
@@ -129,20 +130,17 @@ def test_reactions_balance_all_loads(cable):
     np.testing.assert_allclose(total, -weight - pull, rtol=0, atol=1e-9)
 
 
-@jax.jit
-def both_ways(lane, z):
-    """W_ep, and the derivative of the solved effectors along each parameter."""
-
-    def values(z):
-        model = SPACE.model_at(MODEL, z)
-        solution = solve_equilibrium(model, lane, settings=TIGHT)
-        return effector_values(model, lane, solution.displacement).ravel()
-
+@both_ways
+def effectors(z, lane):
+    """Displacement at the equilibrium, and the effectors there."""
     model = SPACE.model_at(MODEL, z)
-    solution = solve_equilibrium(model, lane, settings=TIGHT)
-    W = parameter_compliance(model, lane, solution.displacement, SPACE, z)
-    slopes = [jax.jvp(values, (z,), (dz,))[1] for dz in jnp.eye(z.shape[0])]
-    return W.W_ep, jnp.stack(slopes, axis=1), values(z)
+    u = solve_equilibrium(model, lane, settings=TIGHT).displacement
+    return u, effector_values(model, lane, u).ravel()
+
+
+@jax.jit
+def compliance(z, lane, u):
+    return parameter_compliance(SPACE.model_at(MODEL, z), lane, u, SPACE, z).W_ep
 
 
 @pytest.mark.parametrize(
@@ -151,7 +149,10 @@ def both_ways(lane, z):
 def test_parameter_compliance_of_all_kinds_of_effectors(cable):
     """W_ep meets the implicit derivative, and that meets differences."""
     lane, z = arrays(MODEL, watched(cable)), SPACE.start()
-    W, slopes, _ = both_ways(lane, z)
+    still = jnp.zeros((MODEL.n_points, 3)), jnp.zeros(lane.effectors.measured.size)
+    along = [effectors(z, dz, still, lane) for dz in jnp.eye(3)]
+    W = compliance(z, lane, along[0].value[0])
+    slopes = jnp.stack([way.forward[1] for way in along], axis=1)
     # The same linear systems, in another order of sums; what is imposed has rows of
     # zeros, where only rounding is left.
     scale = np.abs(W).max(axis=1, keepdims=True) + 1e-9
@@ -164,7 +165,9 @@ def test_parameter_compliance_of_all_kinds_of_effectors(cable):
     for h in (0.04, 0.02):
         columns = []
         for dz in h * jnp.eye(3):
-            ahead, behind = both_ways(lane, z + dz)[2], both_ways(lane, z - dz)[2]
+            ahead, behind = (
+                effectors(z + step, dz, still, lane).value[1] for step in (dz, -dz)
+            )
             columns.append((ahead - behind) / (2 * h))
         error.append(np.abs(np.stack(columns, axis=1) - slopes).max(axis=0))
     # Half the step leaves a quarter of the error, up to terms of fourth order.

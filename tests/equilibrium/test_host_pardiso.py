@@ -77,7 +77,7 @@ def test_another_set_of_right_hand_sides_takes_no_factorization(monkeypatch):
         "_call_pardiso",
         lambda self, A, b: (phases.append(self.phase), call(self, A, b))[1],
     )
-    model, configuration = built((5, 1, 1))
+    model, configuration = built((8, 2, 2))
     softer = eqx.tree_at(lambda m: m.law.elasticity.E, model, jnp.asarray(1e3))
     for body, seed in ((model, 0), (model, 1), (softer, 2)):
         solved(body, configuration, seed)

@@ -3,7 +3,6 @@
 One arm on a motor, with a plate at its tip, two cables and a force.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,7 +22,7 @@ from mechanisms import (
     strip,
     values_of,
 )
-from problems import central_difference
+from problems import both_ways, central_difference
 
 from softcal_jax.actuators import Cable, ForceActuator, Guide, Motor
 from softcal_jax.bodies import RigidBody, hinge_axes
@@ -232,15 +231,17 @@ def _inputs(both):
     return Inputs(both[1].actuation.value, both[0].mechanism.motor_zero)
 
 
-@jax.jit
-def sensors(both, inputs):
+def sensors(inputs, both):
     model, lane, guess = both
     return values_of(model, lane, guess, _inputs, inputs)
 
 
-@jax.jit
+forward_and_reverse = both_ways(sensors)
+
+
 def derivative(both, inputs, tangent):
-    return jax.jvp(partial(sensors, both), (inputs,), (tangent,))[1]
+    cotangent = jnp.zeros(both[1].effectors.measured.shape)
+    return forward_and_reverse(inputs, tangent, cotangent, both).forward
 
 
 TORQUE = pytest.param("torque", marks=pytest.mark.slow)
@@ -280,7 +281,7 @@ def test_derivatives_meet_differences_at_second_order(start, a):
     tangent = direction(both, inputs, a)
     jvp = derivative(both, inputs, tangent)
     assert jnp.max(jnp.abs(jvp)) > 1e-4
-    function = partial(sensors, both)
+    function = lambda inputs: sensors(inputs, both)
     error = lambda h: jnp.max(
         jnp.abs(central_difference(function, inputs, tangent, h) - jvp)
     )
@@ -310,10 +311,8 @@ def test_forward_equals_reverse(start):
     parts = [direction(both, inputs, a) for a in range(4)]
     tangent = jax.tree.map(lambda *same: sum(same), *parts)
     tangent = tangent._replace(motor_zero=jnp.array([0.0, 0.0, 0.0, 0.1]))
-    forward = derivative(both, inputs, tangent)
-    cotangent = jr.normal(jr.key(5), forward.shape)
-    pull_back = jax.jit(lambda x, c: jax.vjp(partial(sensors, both), x)[1](c)[0])
-    reverse = pull_back(inputs, cotangent)
+    cotangent = jr.normal(jr.key(5), both[1].effectors.measured.shape)
+    _, forward, reverse = forward_and_reverse(inputs, tangent, cotangent, both)
     products = [float(jnp.vdot(a, b)) for a, b in zip(reverse, tangent, strict=True)]
     # Both solve with the same factor; rounding times its condition remains.
     np.testing.assert_allclose(sum(products), jnp.vdot(cotangent, forward), rtol=1e-9)
