@@ -11,8 +11,8 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     _PROGRAMS = tempfile.TemporaryDirectory(prefix="softcal_jax_tests_")
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _PROGRAMS.name
 # Most of the time goes into compiling programs that run for milliseconds. One program
-# is not compiled in many parts at once, since other tests want the cores; and nothing is
-# moved out of loops, which takes a fifth of the time for Newton's.
+# is not compiled in many parts at once, since other tests want the cores; and nothing
+# is moved out of loops, which takes a fifth of the time for Newton's.
 os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "

@@ -1,4 +1,4 @@
-"""Everything that is only roughly known of setup, loads and recordings, as [[setup]]."""
+"""What is only roughly known of setup, loads and recordings, as [[setup]]."""
 
 import numpy as np
 import pytest

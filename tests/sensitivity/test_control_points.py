@@ -76,7 +76,7 @@ def body():
 @jax.jit
 def solved(z, space, model, lane):
     """Displacements, and the markers there."""
-    changed = space.apply(model, z)
+    changed = space.model_at(model, z)
     solution = solve_equilibrium(changed, lane, settings=TIGHT)
     return solution.displacement, marker_positions(changed, lane, solution).ravel()
 
