@@ -130,13 +130,12 @@ def continue_equilibrium(
         solution = as_solution(newton(model, configuration, guess, settings))
         u, lambda_a = solution.displacement, solution.multipliers
         return Continuation(solution, linearise(model, configuration, u, lambda_a))
-    posed = Posed.of(model.tabulated(), configuration)
-    quick = _QuickSteps(posed, settings, precise)
+    quick = _QuickSteps(Posed.of(model.tabulated(), configuration), settings, precise)
     state = jax.lax.while_loop(
         lambda s: ~s.done, quick.step, quick.start(guess, before)
     )
     linearisation = Linearisation(
-        posed=posed,
+        posed=Posed.of(model, configuration),
         u=state.solution.displacement,
         lambda_a=state.solution.multipliers,
         system=state.factor.system,

@@ -3,7 +3,7 @@
 The description of each key is also what a message says about it when it is missing.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, get_args
 
 from pydantic import (
@@ -119,13 +119,13 @@ class ByKeys:
         return core_schema.no_info_before_validator_function(check, union)
 
 
-def own_keys(kinds: Iterable[type[BaseModel]]) -> list[list[str]]:
-    """Keys that each of some tables needs, without those that all need."""
+def own_keys(kinds: Sequence[type[BaseModel]]) -> list[list[str]]:
+    """Keys that each of some tables needs, without those that all have."""
     needed = [
         [key for key, field in kind.model_fields.items() if field.is_required()]
         for kind in kinds
     ]
-    shared = set.intersection(*map(set, needed))
+    shared = set.intersection(*(set(kind.model_fields) for kind in kinds))
     return [[key for key in keys if key not in shared] for keys in needed]
 
 

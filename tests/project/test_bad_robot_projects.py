@@ -53,7 +53,7 @@ CASES = {
     "another type's key": (
         (CABLE, f'{CABLE}\nbody = "plate"'),
         'actuators.cable.body: body belongs to type = "motor". This is type = "cable", '
-        "which has guides.",
+        "which has guides, friction, pulled_from.",
     ),
     "no type": (
         (CABLE, "[actuators.cable]"),
@@ -239,7 +239,9 @@ CASES = {
     ),
     "an empty setup": (
         (WOUND, f'[[setup]]\nlimit = "3 mm"\n{WOUND}'),
-        "setup[1]: expected exactly one of motor_zero, mounting; got none.",
+        "setup[1]: expected exactly one of motor_zero, mounting, gravity_tilt, "
+        "recording_offset, load_factor, actuator_factor, clamp_stiffness, friction; "
+        "got none.",
     ),
     "an absolute prior on a log scale": (
         ("# prior_std = 0.3", 'prior_std = "50 kPa"'),
