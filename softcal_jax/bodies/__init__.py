@@ -4,10 +4,11 @@ from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays, body_arrays
 from softcal_jax.bodies._body import KINDS, BodyState, RigidBody, hinge_axes
 from softcal_jax.bodies._kinematics import (
     Frames,
+    Mounted,
     blocked,
     frame_nodes,
     frames_at,
-    mounted_axes,
+    mounted,
     place,
 )
 from softcal_jax.bodies._pose import Pose
@@ -23,6 +24,7 @@ __all__ = [
     "BodyState",
     "BodyStateArrays",
     "Frames",
+    "Mounted",
     "Pose",
     "RigidBody",
     "blocked",
@@ -31,7 +33,7 @@ __all__ = [
     "frame_nodes",
     "frames_at",
     "hinge_axes",
-    "mounted_axes",
+    "mounted",
     "place",
     "rotation_matrix",
     "rotation_vector",

@@ -60,16 +60,30 @@ def _apply(R: Float[Array, "... 3 3"], v: Float[Array, "... 3"]):
     return jnp.sum(R * v[..., None, :], axis=-1)
 
 
-def mounted_axes(bodies: BodyArrays, load: Float[Array, ""]) -> Float[Array, "n_b 3 3"]:
-    """Axes of the frames after a share of the mounting, by rows [-]."""
+class Mounted(NamedTuple):
+    """Frames after a share of their mounting.
+
+    Attributes:
+        load: The share, also of poses that are imposed [-].
+        rotation: Rotations of the mountings.
+        axes: Axes of the frames, by rows [-].
+    """
+
+    load: Float[Array, ""]
+    rotation: Float[Array, "n_b 3 3"]
+    axes: Float[Array, "n_b 3 3"]
+
+
+def mounted(bodies: BodyArrays, load: Float[Array, ""]) -> Mounted:
+    """Turn the frames by a share of their mounting."""
     R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
-    return _apply(R[:, None], jnp.asarray(bodies.axes))
+    return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)))
 
 
 def place(
     bodies: BodyArrays,
     state: BodyStateArrays,
-    load: Float[Array, ""],
+    mounted: Mounted,
     frames: Frames,
     twist: Float[Array, "n_b 6"],
 ) -> Frames:
@@ -78,27 +92,31 @@ def place(
     Args:
         bodies: The bodies.
         state: What the configuration does with them.
-        load: Share of mountings and imposed poses that is applied [-].
+        mounted: Share of mountings and imposed poses that is applied.
         frames: Frames before the twist.
         twist: Twist of each body along its mounted axes, angles in metres [m].
 
     Returns:
         The frames.
     """
-    axes = mounted_axes(bodies, load)
+    load, mounting, axes = mounted
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
-    turn = jax.vmap(rotation_matrix)
-    mounting = turn(load * bodies.mounting_rotation)
     rest = jnp.asarray(bodies.origin)
     home = rest + load * (bodies.mounting_translation + state.translation)
-    free = Frames(
-        frames.origin + along(twist[:, :3]),
-        _product(turn(along(twist[:, 3:]) / bodies.length), frames.rotation),
-    )
     angle = _hinge_angle(_product(frames.rotation, _transposed(mounting)), axes)
     angle = angle + twist[:, 5] / bodies.length
-    hinged = Frames(home, _product(turn(angle[:, None] * axes[:, 2]), mounting))
-    held = Frames(home, _product(turn(load * state.rotation), mounting))
+    turns = [
+        along(twist[:, 3:]) / bodies.length,
+        angle[:, None] * axes[:, 2],
+        load * state.rotation,
+    ]
+    # All at once: each call would be compiled on its own.
+    by_twist, by_angle, by_pose = jax.vmap(jax.vmap(rotation_matrix))(jnp.stack(turns))
+    free = Frames(
+        frames.origin + along(twist[:, :3]), _product(by_twist, frames.rotation)
+    )
+    hinged = Frames(home, _product(by_angle, mounting))
+    held = Frames(home, _product(by_pose, mounting))
     kind = state.kind[:, None]
     pick = lambda a, b, c: jnp.where(
         kind == KINDS.index("free"), a, jnp.where(kind == KINDS.index("hinged"), b, c)

@@ -198,9 +198,9 @@ def _on_hinges(posed: Posed, twists, slope, moving):
     round, or up to where it balances on its head.
     """
     one, model = jnp.ones(()), posed.model
-    if model.reduction is None:
+    if posed.states is None:
         return one, one
-    hinged = (posed.body_states().kind == KINDS.index("hinged")) & ~moving
+    hinged = (posed.states.kind == KINDS.index("hinged")) & ~moving
     turns = jnp.abs(twists.reshape(-1, 6)[:, 5]) / model.mechanism.bodies.length
     largest = jnp.max(jnp.where(hinged, turns, 0.0))
     uphill = jnp.any(hinged) & (slope > 0.0) & ~jnp.any(by_multiplier(posed))

@@ -85,15 +85,17 @@ def line_search(
         return Trial(new, lambda_a, size, good)
 
     def keep_trying(carry):
-        _, backtracks, tried = carry
-        return ~tried.good & (backtracks < max_backtracks) & ~moving
+        _, trials, tried = carry
+        again = ~tried.good & (trials <= max_backtracks) & ~moving
+        return (trials == 0) | again
 
     def halve(carry):
-        alpha, backtracks, _ = carry
-        return 0.5 * alpha, backtracks + 1, trial(0.5 * alpha)
+        alpha, trials, _ = carry
+        return 0.5 * alpha, trials + 1, trial(alpha)
 
-    start = (direction.reach, 0, trial(direction.reach))
-    return jax.lax.while_loop(keep_trying, halve, start)[2]
+    # The first trial is in the loop, too: another would be compiled once more.
+    none = Trial(at, step.lambda_a, jnp.zeros(()), jnp.zeros((), bool))
+    return jax.lax.while_loop(keep_trying, halve, (direction.reach, 0, none))[2]
 
 
 def _lower(posed: Posed, at: Point, direction: Direction, merit_before):

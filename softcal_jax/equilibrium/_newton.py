@@ -67,7 +67,7 @@ class NewtonSettings(eqx.Module):
 
 
 class NewtonState(NamedTuple):
-    """State of the loop; `*_ok` is the last equilibrium on the load path.
+    """State of the loop; `ok` and `*_ok` are of the last equilibrium on the load path.
 
     `theta` is the volume ratio of each tet in the mixed Newton step; everything else,
     the stopping rule too, is of the body with theta = J_bar(u). `turned` tells whether
@@ -79,7 +79,7 @@ class NewtonState(NamedTuple):
     at: Point
     theta: Float[Array, "n_blocks block"]
     lambda_a: Float[Array, " n_a"]
-    u_ok: Float[Array, "n_points 3"]
+    ok: Point
     lambda_ok: Float[Array, " n_a"]
     load: Float[Array, ""]
     load_ok: Float[Array, ""]
@@ -207,7 +207,7 @@ class NewtonLoop:
         outcome = RESULTS.where(sound, RESULTS.converged, RESULTS.inverted)
         outcome = RESULTS.where(s.n_negative > 0, RESULTS.unstable, outcome)
         return s._replace(
-            u_ok=s.at.u,
+            ok=s.at,
             lambda_ok=s.lambda_a,
             load_ok=s.load,
             load=jnp.minimum(s.load + increment, 1.0),
@@ -229,8 +229,8 @@ class NewtonLoop:
         why = RESULTS.where(s.any_singular, RESULTS.singular, buckled)
         why = RESULTS.where(s.turned, RESULTS.inverted, why)
         return s._replace(
-            at=evaluate(self.model, s.u_ok),
-            theta=dilatation(self.model, s.theta, s.u_ok, jnp.zeros_like(s.u_ok)),
+            at=s.ok,
+            theta=dilatation(self.model, s.theta, s.ok.u, jnp.zeros_like(s.ok.u)),
             lambda_a=s.lambda_ok,
             load=s.load_ok + increment,
             increment=increment,
@@ -256,7 +256,7 @@ class NewtonLoop:
             at=at,
             theta=zero,
             lambda_a=lambda_a,
-            u_ok=rest.u,
+            ok=rest,
             lambda_ok=none,
             load=one,
             load_ok=zero,

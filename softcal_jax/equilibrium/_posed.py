@@ -18,10 +18,11 @@ from softcal_jax.bodies import (
     KINDS,
     BodyStateArrays,
     Frames,
+    Mounted,
     blocked,
     frame_nodes,
     frames_at,
-    mounted_axes,
+    mounted,
     place,
     rotation_matrix,
 )
@@ -32,6 +33,28 @@ from softcal_jax.equilibrium._reduction import reduce_values
 
 _UNMOVED = 1e-12
 """Distance to where a body is held, in sizes of its frame, that is only rounding."""
+
+
+def _body_states(
+    model: Model, configuration: ConfigurationArrays, mounted: Mounted
+) -> BodyStateArrays:
+    """What the configuration does with the bodies, its motors included.
+
+    A motor whose angle is imposed holds its body there; one whose torque is imposed
+    leaves it on the hinge.
+    """
+    mechanism = model.mechanism
+    state, actuation = configuration.bodies, configuration.actuation
+    kind, rotation = jnp.asarray(state.kind), jnp.asarray(state.rotation)
+    for a, body in enumerate(mechanism.actuators.motor_body):
+        if body >= 0:
+            by_angle = actuation.by_displacement[a]
+            angle = actuation.value[a] + mechanism.motor_zero[a]
+            there = jnp.where(by_angle, KINDS.index("held"), KINDS.index("hinged"))
+            kind = kind.at[body].set(there.astype(kind.dtype))
+            turned = jnp.where(by_angle, angle, 0.0) * mounted.axes[body, 2]
+            rotation = rotation.at[body].set(turned)
+    return BodyStateArrays(kind, jnp.asarray(state.translation), rotation)
 
 
 def external_force(
@@ -49,12 +72,16 @@ class Posed(NamedTuple):
         configuration: Its supports, loads, and what it does with bodies and actuators.
         f_ext: External forces at full load [N].
         load: Share of the load that is applied [-].
+        states: What the configuration does with the bodies, its motors included.
+        mounted: Frames of the bodies at this load; None without bodies.
     """
 
     model: Model
     configuration: ConfigurationArrays
     f_ext: Float[Array, "n_points 3"]
     load: Float[Array, ""]
+    states: BodyStateArrays | None
+    mounted: Mounted | None
 
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
@@ -68,11 +95,18 @@ class Posed(NamedTuple):
                 model.mechanism.actuators, configuration.actuation.releasing
             )
             model = eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
-        return cls(model, configuration, f_ext, jnp.ones((), f_ext.dtype))
+        load, states, frames = jnp.ones((), f_ext.dtype), None, None
+        if model.reduction is not None:
+            frames = mounted(model.mechanism.bodies, load)
+            states = _body_states(model, configuration, frames)
+        return cls(model, configuration, f_ext, load, states, frames)
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
         """The same configuration under another share of its load."""
-        return self._replace(load=load)
+        if self.mounted is None:
+            return self._replace(load=load)
+        frames = mounted(self.model.mechanism.bodies, load)
+        return self._replace(load=load, mounted=frames)
 
     @property
     def _has_bodies(self) -> bool:
@@ -91,34 +125,13 @@ class Posed(NamedTuple):
         stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)
         return 0.5 * jnp.sum(self.spring_force(u) * stretch)
 
-    def body_states(self) -> BodyStateArrays:
-        """What the configuration does with the bodies, its motors included.
-
-        A motor whose angle is imposed holds its body there; one whose torque is imposed
-        leaves it on the hinge.
-        """
-        mechanism = self.model.mechanism
-        state, actuation = self.configuration.bodies, self.configuration.actuation
-        kind, rotation = jnp.asarray(state.kind), jnp.asarray(state.rotation)
-        third = mounted_axes(mechanism.bodies, jnp.ones(()))[:, 2]
-        for a, body in enumerate(mechanism.actuators.motor_body):
-            if body >= 0:
-                by_angle = actuation.by_displacement[a]
-                angle = actuation.value[a] + mechanism.motor_zero[a]
-                there = jnp.where(by_angle, KINDS.index("held"), KINDS.index("hinged"))
-                kind = kind.at[body].set(there.astype(kind.dtype))
-                turned = jnp.where(by_angle, angle, 0.0) * third[body]
-                rotation = rotation.at[body].set(turned)
-        return BodyStateArrays(kind, jnp.asarray(state.translation), rotation)
-
     def fixed(self) -> Bool[Array, " n_dof"]:
         """Which of them are not free: held, or of a node that belongs to a body."""
         held = jnp.asarray(self.configuration.fixed)
-        plan = self.model.reduction
-        if plan is None:
+        plan, states = self.model.reduction, self.states
+        if plan is None or states is None:
             return held.ravel()
-        bodies = self.model.mechanism.bodies
-        twists = blocked(self.body_states(), bodies)
+        twists = blocked(states, self.model.mechanism.bodies)
         return jnp.concatenate([held.at[plan.rigid].set(True).ravel(), twists.ravel()])
 
     def gather(
@@ -171,13 +184,11 @@ class Posed(NamedTuple):
         Bodies move rigidly and stay so. Held bodies go to where they are held at this
         load; the step of supported nodes is already part of d.
         """
-        plan = self.model.reduction
-        if plan is None:
+        if self.states is None or self.mounted is None:
             return u + d.reshape(u.shape)
         bodies = self.model.mechanism.bodies
-        states = self.body_states()
         twists = d[u.size :].reshape(-1, 6)
-        frames = place(bodies, states, self.load, self._frames(u), twists)
+        frames = place(bodies, self.states, self.mounted, self._frames(u), twists)
         return self._with_bodies(u + d[: u.size].reshape(u.shape), frames)
 
     def swing(
@@ -188,16 +199,16 @@ class Posed(NamedTuple):
         In `move`, free nodes follow a turn of the hinge along straight lines, which
         stretches stiff parts by far more energy than the work of weight and torque.
         """
-        if not self._has_bodies:
+        if self.states is None or self.mounted is None:
             return self.move(u, d)
         bodies, points = self.model.mechanism.bodies, self.model.mechanism.points
-        kind = self.body_states().kind
+        kind = self.states.kind
         own = bodies.owner == jnp.arange(bodies.n_bodies, dtype=jnp.int32)
         hinged = own & (kind == KINDS.index("hinged"))
         held = jnp.any(own & (kind == KINDS.index("held")))
         alone = (jnp.sum(hinged) == 1) & ~held & ~jnp.any(self.configuration.fixed)
         k = jnp.argmax(hinged)
-        axes, origins = mounted_axes(bodies, self.load), self._frames(u).origin
+        axes, origins = self.mounted.axes, self._frames(u).origin
         twists = d[u.size :].reshape(-1, 6)
         turn = jnp.where(alone, twists[k, 5] / bodies.length, 0.0) * axes[k, 2]
         along = lambda v: jnp.sum(axes * v[:, None], axis=2)
@@ -287,7 +298,8 @@ class Posed(NamedTuple):
         """How rigid nodes follow the twists of their bodies, G [-]."""
         plan, bodies = self.model.reduction, self.model.mechanism.bodies
         assert plan is not None
-        axes = mounted_axes(bodies, self.load)[plan.owner]
+        assert self.mounted is not None
+        axes = self.mounted.axes[plan.owner]
         arms = self._arms(u) / bodies.length
         # w x r for the three axes w.
         turns = jnp.cross(axes, jnp.broadcast_to(arms[:, None], axes.shape))
@@ -300,11 +312,12 @@ class Posed(NamedTuple):
         """
         plan, bodies = self.model.reduction, self.model.mechanism.bodies
         assert plan is not None
+        assert self.mounted is not None
         r, g = self._arms(u), unbalanced[plan.rigid]
         both = 0.5 * (g[:, :, None] * r[:, None] + r[:, :, None] * g[:, None])
         work = jnp.sum(g * r, axis=1)
         blocks = both - work[:, None, None] * jnp.eye(3)[None]
         total = jax.ops.segment_sum(blocks, jnp.asarray(plan.owner), self._n_bodies)
-        B = mounted_axes(bodies, self.load) / bodies.length
+        B = self.mounted.axes / bodies.length
         turned = jnp.einsum("bij,bjk,blk->bil", B, total, B)
         return jnp.zeros((self._n_bodies, 6, 6)).at[:, 3:, 3:].set(turned)
