@@ -84,7 +84,8 @@ def relative_error(result):
 
     From the design matrix of these two, at their values in the best fit.
     """
-    weight, both = ((f.after - f.at_rest).ravel() / STD for f in result.configurations)
+    moved = lambda f: np.ravel([p.simulated - p.at_rest for p in f.points])
+    weight, both = (moved(f) / STD for f in result.configurations)
     design = np.stack([np.append(0 * weight, both - weight), np.append(weight, weight)])
     return float(np.sqrt(np.linalg.inv(design @ design.T)[0, 0]))
 
