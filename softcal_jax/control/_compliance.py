@@ -110,7 +110,9 @@ def actuator_compliance(
         The derivatives.
     """
     value = jnp.asarray(configuration.actuation.value)
-    u, lambda_a = solution.displacement, solution.multipliers
+    u = solution.displacement
+    lin = linearise(model, configuration, u)
+    lambda_a = lin.lambda_a
     shapes = jax.eval_shape(_state, model, configuration, u, lambda_a)
     ends = np.cumsum([leaf.size for leaf in jax.tree.leaves(shapes)])[:-1]
 
@@ -124,7 +126,7 @@ def actuator_compliance(
         return input_rows(model, configuration, u, lambda_a, along, readings)
 
     rows = jax.vmap(row)(jnp.eye(value.size))
-    found = sensitivity(linearise(model, configuration, u, lambda_a), rows, readings)
+    found = sensitivity(lin, rows, readings)
     ok = found.ok & solution.converged
     or_nan = lambda a: jnp.where(ok, a, jnp.nan)
     W_ea, forces, displacements = jnp.split(or_nan(found.W_ep), ends)

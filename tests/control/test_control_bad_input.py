@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from arm import FRAME, arm, pose
+from arm import arm, pose
 
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import (
     BodyAngle,
+    BodyFrame,
     Centroid,
     ImposedDisplacement,
     Markers,
@@ -14,7 +15,7 @@ from softcal_jax.configurations import (
 from softcal_jax.control import ControlSettings, Limits, solve_inverse, with_goals
 
 EFFECTORS = [
-    FRAME,
+    BodyFrame("frame", "tip"),
     Centroid("tip", "x_max"),
     BodyAngle("bend", "tip", "base", (0, -1, 0)),
 ]
