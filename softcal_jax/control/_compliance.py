@@ -137,7 +137,7 @@ def actuator_compliance(
     slack = by_displacement & jnp.asarray(actuators.unilateral) & stands_still
     acts = ~slack & jnp.asarray(actuators.has_displacement)
     return ActuatorCompliance(
-        state=_state(model, configuration, u, lambda_a),
+        state=actuator_state(model, configuration, solution),
         W_ea=W_ea,
         by_force=forces,
         by_displacement=displacements,
