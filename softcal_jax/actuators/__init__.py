@@ -16,7 +16,6 @@ from softcal_jax.actuators._arrays import (
     clique_nodes,
     curvature_entries,
     displacement_rows,
-    with_friction,
 )
 from softcal_jax.actuators._cable import Cable, Guide
 from softcal_jax.actuators._chamber import Chamber
@@ -45,5 +44,4 @@ __all__ = [
     "clique_nodes",
     "curvature_entries",
     "displacement_rows",
-    "with_friction",
 ]

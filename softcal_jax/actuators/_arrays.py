@@ -62,6 +62,35 @@ class ActuatorArrays(eqx.Module):
         """Whether all have a potential, which makes their tangent symmetric."""
         return all(isinstance(g, AbstractPotentialCliques) for g in self.groups)
 
+    def with_friction(
+        self, index: int, mu: Float[Array, ""] | float
+    ) -> "ActuatorArrays":
+        """Change the coefficient of friction of one actuator.
+
+        Traceable and differentiable in the coefficient, to calibrate it.
+
+        Args:
+            index: Which actuator.
+            mu: Its coefficient of friction [-], not negative.
+
+        Raises:
+            ValueError: If it was made without friction.
+        """
+        if not self.has_friction[index]:
+            raise ValueError(
+                f"{self.kinds[index].noun} {self.names[index]!r} has no friction whose "
+                "coefficient could change; make it with a positive one, like "
+                "Cable(..., friction=0.1, pulled_from='first')."
+            )
+
+        def changed(group: AbstractCliques) -> AbstractCliques:
+            if not isinstance(group, AbstractFrictionalCliques):
+                return group
+            friction = jnp.where(group.owner == index, mu, group.friction)
+            return eqx.tree_at(lambda g: g.friction, group, friction)
+
+        return eqx.tree_at(lambda a: a.groups, self, tuple(map(changed, self.groups)))
+
 
 def actuator_arrays(
     mesh: TetMesh,
@@ -192,37 +221,6 @@ def actuators_moving(
         for group in arrays.groups
     )
     return eqx.tree_at(lambda a: a.groups, arrays, groups)
-
-
-def with_friction(
-    arrays: ActuatorArrays, index: int, mu: Float[Array, ""] | float
-) -> ActuatorArrays:
-    """The actuators, one of them with another coefficient of friction.
-
-    Traceable and differentiable in the coefficient, to calibrate it.
-
-    Args:
-        arrays: The actuators.
-        index: Which one.
-        mu: Its coefficient of friction [-], not negative.
-
-    Raises:
-        ValueError: If it was made without friction.
-    """
-    if not arrays.has_friction[index]:
-        raise ValueError(
-            f"{arrays.kinds[index].noun} {arrays.names[index]!r} has no friction whose "
-            "coefficient could change; make it with a positive one, like "
-            "Cable(..., friction=0.1, pulled_from='first')."
-        )
-
-    def changed(group: AbstractCliques) -> AbstractCliques:
-        if not isinstance(group, AbstractFrictionalCliques):
-            return group
-        friction = jnp.where(group.owner == index, mu, group.friction)
-        return eqx.tree_at(lambda g: g.friction, group, friction)
-
-    return eqx.tree_at(lambda a: a.groups, arrays, tuple(map(changed, arrays.groups)))
 
 
 def curvature_entries(

@@ -21,10 +21,11 @@ from softcal_jax.calibration._notes import (
     misfit_notes,
     order_notes,
     uncertainty_notes,
+    unscoped_notes,
     warn_if_locking,
     warn_if_too_few_data,
 )
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, configurations_at
 from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
@@ -38,6 +39,7 @@ from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
     configuration_lanes,
+    spring_names,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
 from softcal_jax.fields import (
@@ -45,6 +47,7 @@ from softcal_jax.fields import (
     ParameterSpace,
     as_space,
     check_parameters,
+    check_scopes,
 )
 
 
@@ -68,13 +71,16 @@ def build_problem(
     Raises:
         ValueError: If a configuration has no measurement, or a parameter no field.
     """
-    return _build(model, parameters, as_sequence(configurations), newton)[0]
+    configurations = as_sequence(configurations)
+    springs = spring_names(configurations)
+    return _build(model, parameters, configurations, springs, newton)[0]
 
 
 def _build(
     model: Model,
     parameters: ParameterSpace | Entry | Sequence[Entry],
     configurations: Sequence[Configuration],
+    springs: tuple[str, ...],
     newton: NewtonSettings | None,
 ) -> tuple[CalibrationProblem, ConfigurationLanes]:
     """The calibration as arrays, and what the effectors of its configurations are."""
@@ -85,7 +91,7 @@ def _build(
                 "`markers` and `measured`, or `effectors` with measured values."
             )
     space = as_space(parameters)
-    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism, springs)
     check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], lanes.arrays))
     warn_if_locking(model, space)
     newton = newton or NewtonSettings()
@@ -152,9 +158,13 @@ def calibrate(
     settings = settings or CalibrationSettings()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
-    problem, lanes = _build(model, parameters, configurations, newton)
+    springs = spring_names((*configurations, *validation))
+    problem, lanes = _build(model, parameters, configurations, springs, newton)
+    check_scopes(problem.space, configurations)
     # Built now, so that a wrong held-out configuration is found before the fit.
-    held_out = _build(model, parameters, validation, newton) if validation else None
+    held_out = None
+    if validation:
+        held_out = _build(model, parameters, validation, springs, newton)
     _check_names(configurations, validation)
     warn_if_too_few_data(problem)
 
@@ -187,7 +197,7 @@ def calibrate(
         fits = configuration_results(
             problem.space.model_at(model, state.z),
             configurations,
-            lanes,
+            lanes._replace(arrays=configurations_at(problem, state.z)),
             role="calibration",
             before=before.effectors,
             after=after.effectors,
@@ -259,11 +269,12 @@ def _predict(
         for lane, c in enumerate(validation)
         if not ok[lane]
     ]
+    notes += unscoped_notes(problem.space, validation)
     model = problem.space.model_at(problem.model, z)
     fits = configuration_results(
         model,
         validation,
-        lanes,
+        lanes._replace(arrays=configurations_at(problem, z)),
         role="validation",
         before=before,
         after=last.effectors,

@@ -2,7 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -57,7 +57,7 @@ class Evaluator:
         self._program = program_key(
             "evaluate_lane", self._shared, self._configurations[0]
         )
-        self._on: dict[int, CalibrationProblem] = {}
+        self._on: dict[int, tuple[Any, CalibrationProblem]] = {}
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":
         """The same lanes for parameters that differ in their steps or their pin.
@@ -104,9 +104,10 @@ class Evaluator:
         return (yield from self(z, guess))
 
     def _evaluate(self, solver, lane) -> Lane:
-        shared = self._on.get(id(solver))  # which the problem keeps alive
-        if shared is None:
-            shared = self._on[id(solver)] = with_solver(self._shared, solver)
+        # The solver is kept beside, so that its id is not given to another one.
+        if id(solver) not in self._on:
+            self._on[id(solver)] = solver, with_solver(self._shared, solver)
+        shared = self._on[id(solver)][1]
         return jax.block_until_ready(_evaluate_lane(shared, *lane))
 
     def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:

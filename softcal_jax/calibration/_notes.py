@@ -11,8 +11,9 @@ from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.calibration._uncertainty import Uncertainty
+from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, SetupParameter
 
 EQUAL = 1e-6
 """Difference of scaled parameters that counts as none [-]."""
@@ -190,3 +191,22 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
             CalibrationWarning,
             stacklevel=3,
         )
+
+
+def unscoped_notes(
+    space: ParameterSpace, held_out: Sequence[Configuration]
+) -> list[str]:
+    """Say which held-out configurations have no unknown of their own.
+
+    Args:
+        space: The parameters.
+        held_out: Configurations that are only predicted.
+    """
+    return [
+        f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
+        "fitted have of their own: it counts as stated."
+        for entry in space.entries
+        if isinstance(entry, SetupParameter) and entry.each
+        for c in held_out
+        if entry.member(c) not in entry.each
+    ]

@@ -93,11 +93,23 @@ def simulate(
     Returns:
         Solutions and effectors, one lane per configuration.
     """
-    configurations = jax.vmap(lambda c: problem.space.apply(problem.model, c, z)[1])(
-        problem.configurations
-    )
     model = problem.space.model_at(problem.model, z)
-    return simulate_model(model, configurations, guess, problem.newton)
+    return simulate_model(model, configurations_at(problem, z), guess, problem.newton)
+
+
+def configurations_at(
+    problem: CalibrationProblem, z: Float[Array, " n_p"]
+) -> ConfigurationArrays:
+    """Set the parameters that belong to configurations, lane by lane.
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+    """
+    if all(problem.space.sets_fields):
+        return problem.configurations
+    apply = lambda c: problem.space.apply(problem.model, c, z)[1]
+    return jax.vmap(apply)(problem.configurations)
 
 
 def simulate_model(
@@ -245,7 +257,7 @@ def first_guess(
         z: Scaled parameters [-].
     """
     model = problem.space.model_at(problem.model, z)
-    return chained_guess(model, problem.configurations, problem.newton)
+    return chained_guess(model, configurations_at(problem, z), problem.newton)
 
 
 def chained_guess(

@@ -24,6 +24,7 @@ from softcal_jax.configurations._configuration import (
     ConfigurationLanes,
     configuration_arrays,
     configuration_lanes,
+    spring_names,
 )
 from softcal_jax.configurations._effector import (
     AbstractEffector,
@@ -97,4 +98,5 @@ __all__ = [
     "read_polhemus",
     "read_poses",
     "register",
+    "spring_names",
 ]

@@ -132,6 +132,12 @@ class ConfigurationLanes(NamedTuple):
     effectors: tuple[tuple[EffectorRecord, ...], ...]
 
 
+def spring_names(configurations: Iterable[Configuration]) -> tuple[str, ...]:
+    """Groups of the elastic supports of configurations that share a program."""
+    supports = [support for c in configurations for support in c.supports]
+    return tuple(dict.fromkeys(s.name for s in supports if s.stiffness is not None))
+
+
 def configuration_arrays(
     mesh: TetMesh,
     configurations: Sequence[Configuration],
@@ -151,6 +157,7 @@ def configuration_lanes(
     mesh: TetMesh,
     configurations: Sequence[Configuration],
     mechanism: Mechanism | None = None,
+    springs: tuple[str, ...] | None = None,
 ) -> ConfigurationLanes:
     """Stack configurations of one mesh, and describe their effectors.
 
@@ -158,6 +165,8 @@ def configuration_lanes(
         mesh: The mesh that all of them share.
         configurations: At least one; they may differ in everything but the mesh.
         mechanism: Rigid bodies and actuators of the model; none by default.
+        springs: Groups of elastic supports, see `spring_names`; those of these
+            configurations by default.
 
     Returns:
         The batch that is solved at once, and the records of its effectors.
@@ -175,8 +184,7 @@ def configuration_lanes(
         if names.count(name) > 1:
             raise ValueError(f"configuration {name!r} is named more than once.")
     rows = [effector_rows(mesh, c, mechanism) for c in configurations]
-    supports = [support for c in configurations for support in c.supports]
-    springs = tuple(dict.fromkeys(s.name for s in supports if s.stiffness is not None))
+    springs = spring_names(configurations) if springs is None else springs
     indices = row_indices(rows)
     stacked = stack_effectors(rows, indices)
     lanes = [
@@ -204,7 +212,7 @@ def _lane(
     for support in c.supports:
         rigid = support.stiffness is None
         support.apply(mesh, *((fixed, imposed) if rigid else (sprung, rest)))
-    _check_apart(mesh, mechanism, fixed, c.name)
+    _check_apart(mesh, mechanism, fixed | sprung, c.name)
     bodies = body_state_arrays(mechanism, c.bodies, c.name)
     actuation = actuation_arrays(mechanism, c.actuation, c.name)
     force = np.zeros((mesh.n_nodes, 3))

@@ -141,13 +141,15 @@ def actuator_compliance(
         W_ea=W_ea,
         by_force=forces,
         by_displacement=displacements,
-        W_aa=_force_compliance(forces, displacements, acts),
+        W_aa=_force_compliance(
+            forces, displacements, acts, symmetric=not any(actuators.has_friction)
+        ),
         slack=slack,
         displacement=or_nan(found.displacement),
     )
 
 
-def _force_compliance(by_force, by_displacement, acts):
+def _force_compliance(by_force, by_displacement, acts, *, symmetric: bool):
     """W_aa from the changes along the inputs: delta = W_aa lambda along each of them.
 
     Solved for, so that motors, whose bodies are held and no unknowns, have theirs too.
@@ -156,4 +158,4 @@ def _force_compliance(by_force, by_displacement, acts):
     by_force = jnp.where(both, by_force, jnp.eye(acts.size, dtype=by_force.dtype))
     by_displacement = jnp.where(both, by_displacement, 0.0)
     W = jnp.linalg.solve(by_force.T, by_displacement.T).T
-    return 0.5 * (W + W.T)
+    return 0.5 * (W + W.T) if symmetric else W

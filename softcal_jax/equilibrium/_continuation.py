@@ -242,7 +242,7 @@ class _QuickSteps(NamedTuple):
             step, factor = newton_step()
         else:
             step, factor = jax.lax.cond(
-                s.chord, lambda: self.chord_step(s), newton_step
+                s.chord & ~was_careful, lambda: self.chord_step(s), newton_step
             )
         # A careful solution is an equilibrium already.
         share = jnp.where(was_careful, 0.0, 1.0)

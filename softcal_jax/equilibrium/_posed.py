@@ -207,6 +207,7 @@ class Posed(NamedTuple):
         hinged = own & (kind == KINDS.index("hinged"))
         held = jnp.any(own & (kind == KINDS.index("held")))
         alone = (jnp.sum(hinged) == 1) & ~held & ~jnp.any(self.configuration.fixed)
+        alone = alone & ~jnp.any(jnp.asarray(self.configuration.springs.area) > 0.0)
         k = jnp.argmax(hinged)
         axes, origins = self.mounted.axes, self._frames(u).origin
         twists = d[u.size :].reshape(-1, 6)

@@ -21,6 +21,7 @@ from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._effectors import actuator_forces
 from softcal_jax.equilibrium._linearisation import residual
 from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
@@ -96,7 +97,7 @@ class RobotState(eqx.Module):
 class _Balance(eqx.Module):
     """What follows from the balance of forces of one configuration."""
 
-    unbalanced: Float[Array, "n_points 3"]
+    of_ground: Float[Array, "n_points 3"]
     forces: Float[Array, " n_a"]
     displacements: Float[Array, " n_a"]
     rotation: Float[Array, "n_b 3 3"]
@@ -109,7 +110,8 @@ def _balance(model: Model, lane: ConfigurationArrays, u, multipliers) -> _Balanc
     none = jnp.zeros(0)
     x = actuation.positions(model, u)
     return _Balance(
-        unbalanced,
+        # What springs of the ground hold is balanced already.
+        unbalanced - Posed.of(model, lane).spring_force(u),
         actuator_forces(model, lane, u, multipliers, unbalanced) if n else none,
         actuation.displacements(model, u) if n else none,
         frames_at(bodies, x[model.mesh.n_nodes :]).rotation
@@ -159,12 +161,12 @@ def _state(
     u: Float[HostArray, "n_points 3"],
     found: _Balance,
 ) -> RobotState:
-    unbalanced = np.asarray(found.unbalanced)
+    of_ground = np.asarray(found.of_ground)
     return RobotState(
         _bodies(model, lane, u, np.asarray(found.rotation)),
         _actuators(model, lane, found),
         tuple(
-            Reaction(name, unbalanced[nodes].sum(axis=0))
+            Reaction(name, of_ground[nodes].sum(axis=0))
             for name, nodes in _grounds(model, configuration, lane)
         ),
         u,

@@ -18,7 +18,7 @@ from softcal_jax.fields._setup_parameters import (
 from softcal_jax.fields._space import Entry, ParameterSpace, Pin, as_space, check_names
 from softcal_jax.fields._spread import ControlPointParameters
 from softcal_jax.fields._unnamed import unnamed
-from softcal_jax.fields._validation import check_parameters
+from softcal_jax.fields._validation import check_parameters, check_scopes
 
 __all__ = [
     "AbstractEntry",
@@ -33,6 +33,7 @@ __all__ = [
     "as_space",
     "check_names",
     "check_parameters",
+    "check_scopes",
     "clamp_stiffness",
     "find_field",
     "friction",

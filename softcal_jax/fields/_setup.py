@@ -23,11 +23,16 @@ _SCOPES: tuple[Scope, ...] = ("configuration", "recording")
 XYZ = ("x", "y", "z")
 
 
+Change = Callable[[Any], Any]
+Put = Callable[[Any, tuple[int, ...], Change], Any]
+
+
 class Quantity(NamedTuple):
     """An array of the model, or of its configurations, whose entries can be unknown.
 
     Attributes:
-        where: Accessor of the array, as `eqx.tree_at` takes it.
+        put: Changes an entry: of (model or configuration, index, function of the old
+            value).
         of_configuration: Whether configurations hold it, or the model.
         noun: What its first axis counts, like "motor"; empty if it counts nothing.
         names: Names along the first axis, from the model or the configuration.
@@ -35,12 +40,23 @@ class Quantity(NamedTuple):
         scales: Scales that a parameter of it may have.
     """
 
-    where: Callable[[Any], Any]
+    put: Put
     of_configuration: bool
     noun: str = ""
     names: Callable[[Any], Sequence[str]] = lambda _: ()
     components: tuple[str, ...] = ()
     scales: tuple[str, ...] = ("linear",)
+
+
+def _entry_of(path: str) -> Put:
+    """Make the function that changes an entry of the array with a dotted path."""
+    where = attrgetter(path)
+
+    def put(owner: Any, index: tuple[int, ...], change: Change) -> Any:
+        old = jnp.asarray(where(owner))
+        return eqx.tree_at(where, owner, old.at[index].set(change(old[index])))
+
+    return put
 
 
 def _motors(model: Any) -> list[str]:
@@ -50,60 +66,60 @@ def _motors(model: Any) -> list[str]:
     return [name if body >= 0 else "" for name, body in both]
 
 
-def _friction(model: Any) -> Any:
-    """Coefficients of friction of the actuators that have one."""
-    groups = model.mechanism.actuators.groups
-    return next(group.friction for group in groups if hasattr(group, "friction"))
-
-
-def _with_friction(model: Any) -> list[str]:
-    """Names of these actuators, in the same order."""
+def _rough(model: Any) -> list[str]:
+    """Names of all actuators, empty for those without friction."""
     actuators = model.mechanism.actuators
     both = zip(actuators.names, actuators.has_friction, strict=True)
-    return [name for name, has_friction in both if has_friction]
+    return [name if has_friction else "" for name, has_friction in both]
+
+
+def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
+    # One for all configurations, so that the old one is not asked for.
+    actuators = model.mechanism.actuators.with_friction(*index, change(None))
+    return eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
 
 
 QUANTITIES = {
     "motor_zero": Quantity(
-        attrgetter("mechanism.motor_zero"),
+        _entry_of("mechanism.motor_zero"),
         of_configuration=False,
         noun="motor",
         names=_motors,
     ),
     "mounting": Quantity(
-        attrgetter("mechanism.bodies.mounting_translation"),
+        _entry_of("mechanism.bodies.mounting_translation"),
         of_configuration=False,
         noun="rigid body",
         names=attrgetter("mechanism.bodies.names"),
         components=XYZ,
     ),
     "friction": Quantity(
-        _friction,
+        _put_friction,
         of_configuration=False,
         noun="actuator with friction",
-        names=_with_friction,
+        names=_rough,
     ),
     "gravity_tilt": Quantity(
-        attrgetter("tilt"), of_configuration=True, components=("first", "second")
+        _entry_of("tilt"), of_configuration=True, components=("first", "second")
     ),
     "load_factor": Quantity(
-        attrgetter("load_factor"), of_configuration=True, scales=("linear", "log")
+        _entry_of("load_factor"), of_configuration=True, scales=("linear", "log")
     ),
     "actuator_factor": Quantity(
-        attrgetter("actuation.force_factor"),
+        _entry_of("actuation.force_factor"),
         of_configuration=True,
         noun="actuator",
         names=attrgetter("actuation.names"),
         scales=("linear", "log"),
     ),
     "recording_offset": Quantity(
-        attrgetter("effectors.base.translation"), of_configuration=True, components=XYZ
+        _entry_of("effectors.base.translation"), of_configuration=True, components=XYZ
     ),
     "recording_turn": Quantity(
-        attrgetter("effectors.base.rotation"), of_configuration=True, components=XYZ
+        _entry_of("effectors.base.rotation"), of_configuration=True, components=XYZ
     ),
     "clamp_stiffness": Quantity(
-        attrgetter("springs.stiffness"),
+        _entry_of("springs.stiffness"),
         of_configuration=True,
         noun="support with a stiffness",
         names=attrgetter("springs.names"),
@@ -208,6 +224,21 @@ class SetupParameter(AbstractEntry):
         """Names of its unknowns."""
         return ", ".join(parameter.name for parameter in self.parameters)
 
+    @property
+    def noun(self) -> str:
+        """What is unknown, like "load factor of left"."""
+        kind = self.kind.replace("_", " ")
+        return f"{kind} of {self.of}" if self.of else kind
+
+    def member(self, configuration: Any) -> str:
+        """Name of what a configuration belongs to: its own, or that of its recording.
+
+        Args:
+            configuration: Anything with `name` and `recording`.
+        """
+        recording = configuration.recording if self.by == "recording" else None
+        return recording or configuration.name
+
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
         if not self.quantity.of_configuration:
@@ -239,16 +270,16 @@ class SetupParameter(AbstractEntry):
         owner = configuration if of_configuration else model
         if owner is None:
             return model, configuration
-        index, where = self._index(owner), self.quantity.where
-        old = jnp.asarray(where(owner))
-        new = old[index]
-        if self.each:
+
+        def change(old):
+            if not self.each:
+                return values[self.unknowns[0].name]
             own = configuration.key[_SCOPES.index(self.by)]
-            for name, parameter in zip(self.each, self.parameters, strict=True):
-                new = jnp.where(own == name_key(name), values[parameter.name], new)
-        else:
-            new = values[self.parameters[0].name]
-        owner = eqx.tree_at(where, owner, old.at[index].set(new))
+            for name, parameter in zip(self.each, self.unknowns, strict=True):
+                old = jnp.where(own == name_key(name), values[parameter.name], old)
+            return old
+
+        owner = self.quantity.put(owner, self._index(owner), change)
         return (model, owner) if of_configuration else (owner, configuration)
 
     def renamed(

@@ -1,5 +1,6 @@
 """Whether parameters fit the model they are to calibrate."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -7,8 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import HostArray
 from softcal_jax.fields._model_fields import find_field, region_tets
+from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._space import ParameterSpace
 from softcal_jax.materials import is_point_values
 
@@ -33,6 +36,7 @@ def check_parameters(
     for entry in space.entries:
         entry.check(model)
     _check_overlaps(model, space)
+    _check_twice(space)
     _check_effects(model, space, configuration)
     _check_order(space)
     for side, z in (("lower", space.lower()), ("upper", space.upper())):
@@ -64,6 +68,40 @@ def _check_overlaps(model: Any, space: ParameterSpace) -> None:
                     f"of tet {taken[0]}: give them regions that do not overlap."
                 )
             owner[tets] = i
+
+
+def _check_twice(space: ParameterSpace) -> None:
+    """Raise if two entries set the same quantity of the setup in one place."""
+    taken: dict[tuple[str, ...], SetupParameter] = {}
+    for entry in space.entries:
+        if not isinstance(entry, SetupParameter):
+            continue
+        key = (entry.kind, entry.of, entry.axis)
+        other = taken.setdefault(key, entry)
+        if other is not entry:
+            raise ValueError(
+                f"parameters {other.label!r} and {entry.label!r} are the same "
+                f"quantity, {entry.noun}: give one entry, with all names in `each`."
+            )
+
+
+def check_scopes(space: ParameterSpace, configurations: Sequence[Any]) -> None:
+    """Raise unless every unknown of a configuration or recording belongs to one.
+
+    Args:
+        space: The parameters.
+        configurations: The fitted ones, each with `name` and `recording`.
+
+    Raises:
+        ValueError: If a name in `each` is that of none of them.
+    """
+    for entry in space.entries:
+        if isinstance(entry, SetupParameter):
+            known = {entry.member(c) for c in configurations}
+            for name in entry.each:
+                if name not in known:
+                    what = f"{entry.by} of parameter {entry.label!r}"
+                    raise unknown_name(what, name, known)
 
 
 def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> None:

@@ -213,12 +213,16 @@ class ClampStiffnessTable(FactorTable):
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
         """One parameter per group, for all or for each recording."""
-        nominal = {
-            support.group: support.stiffness
-            for c in project.configurations
-            for support in c.supports
-            if support.stiffness is not None
-        }
+        nominal: dict[str, float] = {}
+        for c in project.configurations:
+            for own in c.supports:
+                if own.stiffness is None:
+                    continue
+                if nominal.setdefault(own.group, own.stiffness) != own.stiffness:
+                    raise ValueError(
+                        f"configurations state several stiffnesses for {own.group!r}; "
+                        "state one, about which it is calibrated."
+                    )
         for group in self.clamp_stiffness:
             known_name("support with a stiffness", group, nominal, "supports")
         known = self.known(project)

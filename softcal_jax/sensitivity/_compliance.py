@@ -4,8 +4,9 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     InputRows,
@@ -110,23 +111,26 @@ def energy_compliance(
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z)
     found = sensitivity(lin, rows, effector_values)
-    W_pp = _relaxation(lin, rows, found, moves_held=not all(space.sets_fields))
+    W_pp = _relaxation(lin, rows, found, np.asarray(space.sets_fields))
     ok = found.ok & jnp.all(jnp.isfinite(W_pp)) & jnp.all(jnp.isfinite(found.W_ep))
     return EnergyCompliance(found.W_ep, W_pp, ok)
 
 
 def _relaxation(
-    lin: Linearisation, rows: InputRows, found: Sensitivity, *, moves_held: bool
+    lin: Linearisation, rows: InputRows, found: Sensitivity, fields: HostArray
 ) -> Float[Array, "n_p n_p"]:
-    """W_pp = u'_i . K u'_j, with the motion of what is held where there is any."""
+    """W_pp = u'_i . K u'_j, with the motion of what is held where there may be any.
+
+    Parameters that set `fields` of the law move nothing that is held.
+    """
     moved, unknowns = found.displacement, found.unknowns
     assert moved is not None
     assert unknowns is not None
-    if moves_held:
+    W = rows.force @ unknowns.T  # the force is K u' on the free unknowns
+    if not np.all(fields):
         force = lambda u: residual(lin.model, lin.configuration, u, lin.lambda_a)
         stiff = jax.vmap(lambda du: jax.jvp(force, (lin.u,), (du,))[1])(moved)
-        W = jnp.einsum("ink,jnk->ij", moved, stiff)
-    else:
-        W = rows.force @ unknowns.T  # the force is K u'
+        whole = jnp.einsum("ink,jnk->ij", moved, stiff)
+        W = jnp.where(fields[:, None] & fields[None], W, whole)
     # Symmetric but for the rounding of the factorization.
     return 0.5 * (W + W.T)

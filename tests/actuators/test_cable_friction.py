@@ -22,7 +22,6 @@ from softcal_jax.actuators import (
     clique_nodes,
     curvature_entries,
     displacement_rows,
-    with_friction,
 )
 from softcal_jax.mesh import beam
 
@@ -122,9 +121,7 @@ def test_the_limit_of_no_friction_is_the_frictionless_cable(robot):
     np.testing.assert_allclose(displacement_rows(arrays, x), H_a, atol=1e-14)
     for mu in (0.0, 1e-4, 1e-5):
         gap.append(
-            float(
-                jnp.max(jnp.abs(actuator_rows(with_friction(arrays, 1, mu), x) - H_a))
-            )
+            float(jnp.max(jnp.abs(actuator_rows(arrays.with_friction(1, mu), x) - H_a)))
         )
     assert gap[0] < 1e-14
     np.testing.assert_allclose(gap[1] / gap[2], 10.0, rtol=1e-3)
@@ -179,7 +176,7 @@ def test_tangent_meets_differences_at_second_order_and_is_not_symmetric(
 def test_derivative_by_friction(robot):
     """dF_a/dmu by forward mode, against differences; of the plain cable it is zero."""
     arrays, x = robot
-    force = lambda mu: actuator_rows(with_friction(arrays, 1, mu), x)
+    force = lambda mu: actuator_rows(arrays.with_friction(1, mu), x)
     _, exact = jax.jvp(force, (jnp.asarray(MU),), (jnp.ones(()),))
     assert not np.any(exact[0])
     coarse, fine = (
@@ -214,7 +211,7 @@ def test_cables_with_other_numbers_of_guides_stand_beside_each_other():
         np.testing.assert_allclose(
             function(both, x), np.concatenate(alone), rtol=1e-14, atol=1e-16
         )
-    changed = with_friction(both, 1, 0.5)
+    changed = both.with_friction(1, 0.5)
     np.testing.assert_array_equal(
         actuator_rows(changed, x)[0], actuator_rows(both, x)[0]
     )
@@ -251,4 +248,4 @@ def test_bad_friction(changes, message, unchecked):
 def test_a_cable_without_friction_has_no_coefficient_to_change():
     arrays = arrays_of(MESH, Cable("c", PATH))
     with pytest.raises(ValueError, match="cable 'c' has no friction whose coefficient"):
-        with_friction(arrays, 0, 0.1)
+        arrays.with_friction(0, 0.1)

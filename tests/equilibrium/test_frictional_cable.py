@@ -13,7 +13,7 @@ import pytest
 from mechanisms import LENGTH, NO_GRAVITY, SIDE, TIGHT, arrays, solve, solved, strip
 from problems import central_difference
 
-from softcal_jax.actuators import Cable, Guide, with_friction
+from softcal_jax.actuators import Cable, Guide
 from softcal_jax.configurations import (
     ActuatorDisplacement,
     ActuatorForce,
@@ -62,7 +62,7 @@ def driven(asked) -> Configuration:
 
 def rubbed(mu) -> Model:
     """The finger with another coefficient of friction."""
-    actuators = with_friction(ROUGH.mechanism.actuators, 0, mu)
+    actuators = ROUGH.mechanism.actuators.with_friction(0, mu)
     return eqx.tree_at(lambda m: m.mechanism.actuators, ROUGH, actuators)
 
 

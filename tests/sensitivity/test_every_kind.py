@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softcal_jax.actuators import Cable, Guide, Motor
+from softcal_jax.actuators import Cable, Guide, Motor, actuator_rows
 from softcal_jax.bodies import RigidBody, hinge_axes
 from softcal_jax.configurations import (
     ActuatorForce,
@@ -38,6 +38,7 @@ from softcal_jax.fields import (
     SetupParameter,
     actuator_factor,
     check_parameters,
+    check_scopes,
     clamp_stiffness,
     friction,
     gravity_tilt,
@@ -90,6 +91,7 @@ POSE = Configuration(
     actuation={"m": ImposedDisplacement(0.2), "c": ImposedForce(0.5)},
     recording="tuesday",
 )
+PLAIN = Configuration("plain", "x_min", markers=MARKERS, measured=MARKERS.positions)
 KNOWN = {"prior_std": None}
 SPACE = ParameterSpace(
     (
@@ -267,3 +269,73 @@ def test_a_forgotten_kind_fails_loudly(lie, message):
 def test_what_no_configuration_has_is_refused(entry, message):
     with pytest.raises(ValueError, match=message):
         check_parameters(MODEL, ParameterSpace((entry,)), LANE)
+
+
+def test_friction_of_one_cable_among_others_of_other_sizes():
+    """Cables of other sizes stand in other arrays; each is found by its name."""
+    paths = {
+        "c1": [(0.0, 0.01, 0.02), (0.03, 0.01, 0.02), (0.07, 0.01, 0.01)],
+        "c2": [
+            (0.0, 0.005, 0.02),
+            (0.02, 0.005, 0.01),
+            (0.05, 0.005, 0.02),
+            (0.09, 0.005, 0.01),
+        ],
+        "c3": [(0.0, 0.015, 0.02), (0.04, 0.015, 0.02), (0.08, 0.015, 0.01)],
+    }
+    cables = [
+        Cable(name, path, friction=0.2, pulled_from="first")
+        for name, path in paths.items()
+    ]
+    model = build_model(
+        MESH, Corotational(Isotropic(5e5, 0.3)), density=1e3, actuators=cables
+    )
+    x = jnp.asarray(model.mechanism.points)
+    rows = lambda model: actuator_rows(model.mechanism.actuators, x)
+    for index, name in enumerate(paths):
+        entry = friction(name, 0.2, limit=0.1, **KNOWN)
+        changed, _ = entry.apply(model, None, {f"friction of {name}": jnp.array(0.4)})
+        moved = jnp.any(rows(changed) != rows(model), axis=(1, 2))
+        np.testing.assert_array_equal(moved, np.arange(3) == index)
+
+
+def test_relaxation_of_a_modulus_does_not_depend_on_other_parameters():
+    """A body that hangs freely on the beam turns with it."""
+    hanging = build_model(
+        MESH,
+        Corotational(Isotropic(5e5, 0.3)),
+        density=1000.0,
+        bodies=[RigidBody("plate", "x_max", mass=0.2)],
+    )
+    lanes = configuration_arrays(MESH, [PLAIN], hanging.mechanism)
+    lane = jax.tree.map(lambda leaf: leaf[0], lanes)
+    u = jax.jit(solve_equilibrium)(hanging, lane).displacement
+    E, tilt = Parameter("E", "E", 5e5, 1e5, 2e6), gravity_tilt(**KNOWN)
+    alone, beside = (
+        energy_compliance(hanging, lane, u, space, space.start()).W_pp[0, 0]
+        for space in (ParameterSpace((E,)), ParameterSpace((E, *tilt)))
+    )
+    np.testing.assert_allclose(beside, alone, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        (
+            recording_offset(limit=1e-3, each=["tuesdya"], **KNOWN),
+            r"recording of parameter 'offset x in tuesdya' 'tuesdya'. Did you mean",
+        ),
+    ],
+)
+def test_an_unknown_of_no_recording_is_refused(entries, message):
+    with pytest.raises(ValueError, match=message):
+        check_scopes(ParameterSpace(entries), [POSE])
+
+
+def test_one_quantity_is_not_set_twice():
+    twice = (
+        load_factor(each=["tuesday"], **KNOWN),
+        load_factor(**KNOWN),
+    )
+    with pytest.raises(ValueError, match="are the same quantity, load factor"):
+        check_parameters(MODEL, ParameterSpace(twice), LANE)
