@@ -104,7 +104,8 @@ class Evaluator:
         return (yield from self(z, guess))
 
     def _evaluate(self, solver, lane) -> Lane:
-        shared = self._on.get(id(solver))  # the id is safe: `shared` keeps it alive
+        # The id is unique while the solvers live, in one context of `Workers`.
+        shared = self._on.get(id(solver))
         if shared is None:
             shared = self._on[id(solver)] = with_solver(self._shared, solver)
         return jax.block_until_ready(_evaluate_lane(shared, *lane))
