@@ -83,7 +83,7 @@ def _build(
     springs: tuple[str, ...],
     newton: NewtonSettings | None,
 ) -> tuple[CalibrationProblem, ConfigurationLanes]:
-    """The calibration as arrays, and what the effectors of its configurations are."""
+    """Stack a calibration into arrays, and return its lanes with effector records."""
     for configuration in configurations:
         if not configuration.is_measured:
             raise ValueError(
@@ -129,18 +129,17 @@ def calibrate(
             takes their ratios and finds the level from the residuals.
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
-        starts: From how many starts the optimum is looked for: that of the parameters,
-            and random ones in the whole bounds; see `multi_start`. The fit then goes on
-            from the best.
+        starts: Number of starts of the search: that of the parameters, and random ones
+            within the bounds; see `multi_start`. The fit then continues from the best.
         seed: Seed of the random starts.
-        start: Scaled parameters to start from, instead of the start of the parameters,
-            which stays where a prior has its middle [-].
-        checkpoint: File in which the state is kept: after every step, and in a search
-            from many starts when a run ends or goes on from an image. If it is there,
-            the calibration goes on from it, to the same result.
+        start: Scaled parameters to start from, instead of the start of the parameters;
+            priors stay centred on the latter [-].
+        checkpoint: File in which the state is saved: after every step, and in a search
+            from many starts after every image of a run. If it exists, the calibration
+            resumes from it, with the same result.
         progress: Called after the first evaluation and after each step.
-        search_progress: Called when a run of a search from many starts has ended; it
-            must not solve anything itself, see `multi_start`.
+        search_progress: Called when a run of a search from many starts has ended, see
+            `multi_start`.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished.
@@ -224,7 +223,7 @@ def calibrate(
 def _admissible(
     space: ParameterSpace, start: Float[Array, " n_p"] | None
 ) -> Float[Array, " n_p"]:
-    """Where the search begins."""
+    """Return the first start, moved within bounds and order."""
     if start is None:
         start = space.start()
     if start.shape != (len(space.names),):
@@ -236,7 +235,7 @@ def _admissible(
 
 
 def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):
-    """The user's start and n - 1 random ones."""
+    """Return the user's start and n - 1 random ones."""
     others = random_starts(problem.space, n - 1, seed=seed)
     return jnp.concatenate([start[None], others])
 
@@ -249,13 +248,11 @@ def _predict(
     start: Float[Array, " n_p"],
     z: Float[Array, " n_p"],
 ):
-    """The held-out configurations with the start and the calibrated parameters.
+    """Predict held-out configurations with the start and the calibrated parameters.
 
-    By the program of the fit, which need not be compiled again; its compliances are not
-    looked at.
-
-    One that has no equilibrium is left out, with a note: it must neither pass for a
-    prediction nor cost the user the fit.
+    Uses the program of the fit, which is compiled already; its compliances are ignored.
+    A configuration without equilibrium is left out with a note: it must neither count
+    as a prediction nor cost the user the fit.
     """
     problem = evaluate.problem
     first, last = workers.ends(evaluate.from_rest(p) for p in (start, z))
@@ -329,7 +326,7 @@ def _check_names(configurations, validation) -> None:
 def as_sequence(
     configurations: Configuration | Sequence[Configuration],
 ) -> tuple[Configuration, ...]:
-    """Configurations, where one alone may be given as it is."""
+    """Return configurations as a tuple; a single one may be given by itself."""
     if isinstance(configurations, Configuration):
         return (configurations,)
     return tuple(configurations)

@@ -1,4 +1,4 @@
-"""A calibration on disk as it goes on, so that it can be stopped and resumed."""
+"""The progress of a calibration, saved so that it can be stopped and resumed."""
 
 import hashlib
 import json
@@ -21,11 +21,11 @@ from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 
 
 class Journal:
-    """History of a calibration: told to the user, and kept on disk if asked for.
+    """History of a calibration: reported to the user, and saved if a file is given.
 
-    On disk are the last state and, of a search from many starts, the best end of each
-    run after each of its images: what is needed to go on exactly as if nothing had
-    stopped the calibration.
+    The file holds the last state and, for a search from many starts, the best end of
+    each run after each of its images, so that a resumed calibration gives the same
+    result as one that was never stopped.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Journal:
         *,
         search: tuple = (1, 0),
     ):
-        """A journal with nothing in it.
+        """Begin an empty journal.
 
         Args:
             problem: The calibration.
@@ -71,7 +71,7 @@ class Journal:
             self._progress(self.history[-1])
 
     def begin(self, state: CalibrationState) -> CalibrationState:
-        """Return the last state that was kept; else record this one and return it.
+        """Return the saved state; without one, record this state and return it.
 
         Args:
             state: State before the first step.
@@ -82,11 +82,11 @@ class Journal:
         return kept or state
 
     def note_run(self, index: int, begun: Begun) -> None:
-        """Record how far a run from one of many starts is."""
+        """Record the progress of a run from one of many starts."""
         self._keep(f"run{index}", begun)
 
     def begun(self, index: int, like: Begun) -> Begun:
-        """Return how far a run from one of many starts is.
+        """Return the progress of a run from one of many starts.
 
         Args:
             index: Index of the start.
@@ -117,7 +117,7 @@ class Journal:
 
 
 def _alike(leaf, array: HostArray):
-    """What was kept, as the type that it was."""
+    """Convert a saved array to the type of the leaf that it replaces."""
     if isinstance(leaf, np.ndarray):
         return array
     return jnp.asarray(array) if isinstance(leaf, jax.Array) else type(leaf)(array)
@@ -126,10 +126,10 @@ def _alike(leaf, array: HostArray):
 def history_entry(
     state: CalibrationState, problem: CalibrationProblem, seconds: float
 ) -> HistoryEntry:
-    """What a step is remembered by."""
+    """Summarise a step for the history."""
     evaluation = state.evaluation
     effectors = problem.configurations.effectors
-    n_points = effectors.nodes.shape[-2]  # a mean of lengths, not of angles
+    n_points = effectors.nodes.shape[-2]  # rms of distances: leave out angles, forces
     weight = effectors.inverse_std[:, :n_points]
     delta_e = evaluation.delta_e[:, :n_points]
     squares = jnp.sum(jnp.where(weight > 0, delta_e, 0.0) ** 2)
@@ -152,7 +152,7 @@ def history_entry(
 def fingerprint(
     problem: CalibrationProblem, settings: CalibrationSettings, search: tuple
 ) -> str:
-    """Digest of everything that a calibration depends on."""
+    """Digest everything that a calibration depends on."""
     digest = hashlib.sha256(repr((settings, problem.newton, search)).encode())
     for part in (
         problem.model.mesh,
@@ -174,7 +174,7 @@ def save_checkpoint(
     arrays: Mapping[str, HostArray],
     history: list[HistoryEntry],
 ) -> None:
-    """Write a checkpoint; the file is replaced whole or not at all."""
+    """Write a checkpoint atomically: the file is replaced whole or not at all."""
     entries = json.dumps([vars(entry) for entry in history])
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as file:
@@ -191,7 +191,7 @@ def load_checkpoint(
         ValueError: If the file is no checkpoint, or one of another calibration.
     """
     try:
-        # Opened here: np.load leaves a file open that it cannot read.
+        # Opened here, since np.load does not close a file that it cannot read.
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
         written = str(content.pop("mark"))

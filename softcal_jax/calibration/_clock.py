@@ -1,4 +1,4 @@
-"""Where the time of a run goes: compiling, or solving."""
+"""Wall time split into compiling and solving."""
 
 import time
 
@@ -6,10 +6,10 @@ import jax
 
 
 class Clock:
-    """Context that tells the seconds JAX spent tracing and compiling from the rest.
+    """Context that splits its wall time into compiling by JAX and everything else.
 
-    JAX reports how long each trace, lowering and compilation took when it ends; nested
-    ones are counted once.
+    JAX reports the duration of each trace, lowering and compilation when it ends;
+    nested ones are counted once.
 
     Attributes:
         seconds: "compile" and "solve", after the context has ended [s].
@@ -33,7 +33,7 @@ class Clock:
         self.seconds = {"compile": compiling, "solve": self.elapsed() - compiling}
 
     def elapsed(self) -> float:
-        """Seconds since the context began [s]."""
+        """Return the wall time since the context began [s]."""
         return time.perf_counter() - self._begin
 
     def _listen(self, event: str, duration_secs: float, **_) -> None:

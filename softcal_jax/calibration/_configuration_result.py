@@ -16,11 +16,11 @@ class ConfigurationResult(eqx.Module):
 
     Attributes:
         name: Name of the configuration.
-        role: Whether it was fitted, predicted with what others told, or simulated with
-            the parameters as they were.
+        role: Whether it was fitted, predicted with parameters fitted to others, or
+            simulated with given parameters.
         converged: Whether it has an equilibrium.
-        outcome: How the search for it ended, in words.
-        effectors: What its effectors showed: markers, then the others.
+        outcome: How the solve ended, in words.
+        effectors: Measured and simulated values: markers, then other effectors.
         displacement: Nodal displacement [m].
         newton_steps: Newton iterations of the equilibrium.
         load_steps: Its load steps.
@@ -78,10 +78,7 @@ class ConfigurationResult(eqx.Module):
 
     @property
     def motion(self) -> float:
-        """Root mean square of how far the markers moved from rest [m].
-
-        Over the measured coordinates, like the distances.
-        """
+        """Root mean square displacement of the markers, in measured coordinates [m]."""
         return _rms([e.error(e.at_rest) for e in self.points])
 
     @property
@@ -119,7 +116,7 @@ class SimulationResult(eqx.Module):
 
     Attributes:
         model: The model that was simulated.
-        configurations: What it does in each configuration.
+        configurations: Its equilibrium in each configuration.
     """
 
     model: Model

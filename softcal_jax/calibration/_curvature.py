@@ -1,13 +1,14 @@
 """The part of the cost's Hessian that Gauss-Newton leaves out, from past steps.
 
 The Hessian of ||error||^2 / 2 is W^T W + sum_i error_i H_i, with H_i the Hessian of
-each error. The second part vanishes with the errors. Where a fit leaves some, by noise
-or because the model is not the robot, it decides along directions that the data hardly
-see, and Gauss-Newton steps converge slowly there, if at all. The gradients at both ends
-of each step tell it for nothing (Dennis, Gay and Welsch, ACM Trans. Math. Softw. 7,
-1981), here by the symmetric update of rank one, which may become indefinite as the true
-one (Conn, Gould and Toint, Math. Prog. 50, 1991). It is used while the cost falls
-slowly (Fletcher and Xu, IMA J. Numer. Anal. 7, 1987), if it told the last step better.
+each error. The second term vanishes with the errors. Where errors remain, from noise or
+an imperfect model, it dominates along directions that the data hardly see, and
+Gauss-Newton steps converge slowly there, if at all. It is estimated at no extra cost
+from the gradients at both ends of each step (Dennis, Gay and Welsch, ACM Trans. Math.
+Softw. 7, 1981), by the symmetric rank-one update, which can become indefinite, as the
+true term can (Conn, Gould and Toint, Math. Prog. 50, 1991). It is used while the cost
+falls slowly (Fletcher and Xu, IMA J. Numer. Anal. 7, 1987) and only if it predicted the
+last step better than Gauss-Newton.
 """
 
 import equinox as eqx
@@ -16,21 +17,21 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Bool, Float
 
 QUICK = 0.2
-"""Fall of the cost, relative to it, at which Gauss-Newton needs no help [-]."""
+"""Relative fall of the cost from which plain Gauss-Newton is used [-]."""
 
 BOUNDED = 1e-4
-"""Smallest cosine between a step and what it tells, for a bounded update [-]."""
+"""Smallest cosine between step and residual of the update: keeps it bounded [-]."""
 
 FLATTEST = 1e-8
 """Smallest curvature of the convex model, relative to the largest [-]."""
 
 
 class Curvature(eqx.Module):
-    """What is known of the second part of the Hessian.
+    """Estimate of the second term of the Hessian.
 
     Attributes:
         matrix: The matrix, in step coordinates [-].
-        used: Whether the next step is taken with it.
+        used: Whether the next step uses it.
     """
 
     matrix: Float[Array, "n_p n_p"]
@@ -38,7 +39,7 @@ class Curvature(eqx.Module):
 
 
 def no_curvature(z: Float[Array, " n_p"]) -> Curvature:
-    """What is known before the first step."""
+    """Return the estimate before the first step: zero, unused."""
     return Curvature(jnp.zeros((z.shape[0], z.shape[0]), z.dtype), jnp.zeros((), bool))
 
 
@@ -50,15 +51,16 @@ def learned(
     after: Float[Array, ""],
     predicted: Float[Array, "2"],
 ) -> Curvature:
-    """What is known after a step, kept or not.
+    """Update the estimate after a step, accepted or refused.
 
     Args:
-        curvature: What was known before.
+        curvature: Estimate before the step.
         step: The step.
         change: Change of W along it, transposed, times the errors.
         before: Cost before the step.
-        after: Cost after it; infinite if there is none.
-        predicted: That of the linear model of the errors, and with the curvature.
+        after: Cost after it; infinite if there is no equilibrium.
+        predicted: Costs after it by the linear model of the errors, without and with
+            the curvature.
     """
     left = change - curvature.matrix @ step
     along = jnp.sum(left * step)
@@ -77,15 +79,15 @@ def convex_model(
     error: Float[Array, " n_e"],
     matrix: Float[Array, "n_p n_p"],
 ) -> tuple[Float[Array, "n_p n_p"], Float[Array, " n_p"]]:
-    """W' and error' with the gradient of the cost and, if convex, its whole Hessian.
+    """Return W' and error' that have the cost's gradient and, if convex, its Hessian.
 
-    Curvatures are those along the eigenvectors of the Hessian, for columns of W of unit
-    length; negative ones count by their size, so that a step goes downhill.
+    The Hessian is taken apart into eigenvalues, with the columns of W scaled to unit
+    length. Negative ones are replaced by their size, so that a step goes downhill.
 
     Args:
         W: Stacked compliances [-].
         error: Stacked errors [-].
-        matrix: Second part of the Hessian [-].
+        matrix: Second term of the Hessian [-].
     """
     size = jnp.linalg.norm(W, axis=0)
     size = jnp.where(size > 0.0, size, 1.0)

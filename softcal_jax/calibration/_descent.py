@@ -49,10 +49,10 @@ def descend(
     state: CalibrationState,
     note: Callable[[CalibrationState], None],
 ) -> Job[CalibrationState]:
-    """Take steps until lambda_p vanishes, none is left, or there were `max_steps`.
+    """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
 
     Args:
-        evaluate: Of the calibration.
+        evaluate: Evaluator of the calibration.
         settings: Settings of the outer loop.
         state: State to begin with, its evaluation included.
         note: Called with the state after each step.
@@ -78,7 +78,7 @@ def minimise(
     """Run the outer loop from one start to its end.
 
     Args:
-        evaluate: Of the calibration.
+        evaluate: Evaluator of the calibration.
         settings: Settings of the outer loop.
         start: Scaled parameters to start from [-].
     """

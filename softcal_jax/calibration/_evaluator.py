@@ -32,8 +32,8 @@ _first_guess = eqx.filter_jit(first_guess)
 class Evaluator:
     """Evaluates a calibration, its configurations as lanes of one program.
 
-    One program serves every configuration and any number of them, all data, and all
-    ways to step in the same parameters.
+    The program does not depend on the number of configurations, on the data, or on how
+    the parameters are stepped, so it is compiled once for all of these.
 
     Attributes:
         problem: The calibration.
@@ -41,14 +41,14 @@ class Evaluator:
     """
 
     def __init__(self, problem: CalibrationProblem):
-        """Evaluations of one calibration.
+        """Split the calibration into what all lanes share, and the lanes.
 
         Args:
             problem: The calibration.
         """
         self.problem, self.numbered = problem, without_names(problem)
-        # Without the batch, whose size would make it another program, and without what
-        # concerns the steps alone.
+        # The number of lanes and what concerns steps alone would each give another
+        # program, so both are left out.
         space = replace(self.numbered.space, order=(), tensor_steps=True, pin=None)
         where = lambda p: (p.configurations, p.space)
         self._shared = eqx.tree_at(where, self.numbered, (None, space))
@@ -60,10 +60,10 @@ class Evaluator:
         self._on: dict[int, tuple[Any, CalibrationProblem]] = {}
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":
-        """The same lanes for parameters that differ in their steps or their pin.
+        """Return an evaluator of the same lanes with another order, chart or pin.
 
         Args:
-            space: The parameters, numbered.
+            space: The parameters, without names.
         """
         other = copy(self)
         other.numbered = eqx.tree_at(lambda p: p.space, self.numbered, space)
@@ -76,7 +76,7 @@ class Evaluator:
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
     ) -> Job[Evaluation]:
-        """Equilibria, errors and compliances, as `evaluate` gives them.
+        """Compute equilibria, errors and compliances, like `evaluate`.
 
         Args:
             z: Scaled parameters [-].
@@ -92,7 +92,7 @@ class Evaluator:
         return _stacked(self.numbered, z, found)
 
     def from_rest(self, z: Float[Array, " n_p"]) -> Job[Evaluation]:
-        """The evaluation from nothing but the configurations, see `first_guess`.
+        """Evaluate without a guess from another evaluation, see `first_guess`.
 
         Args:
             z: Scaled parameters [-].
@@ -121,10 +121,10 @@ def _stacked(problem, z, lanes: list[Lane]) -> Evaluation:
 
 
 def with_solver(problem: CalibrationProblem, solver) -> CalibrationProblem:
-    """The calibration with another sparse solver of its pattern."""
+    """Return the calibration with another sparse solver of its pattern."""
     return eqx.tree_at(lambda p: p.model.solver, problem, solver)
 
 
 def _lane(batch: T, index: int) -> T:
-    # On the host: each shape would be two more programs to compile.
+    # Sliced on the host: on the device, each shape compiles two more programs.
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))

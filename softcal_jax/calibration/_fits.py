@@ -39,13 +39,13 @@ def parameter_estimates(
     spread: Uncertainty,
     start: Float[Array, " n_p"] | None = None,
 ) -> tuple[ParameterEstimate, ...]:
-    """Values and standard errors of the parameters, in SI units.
+    """Return values and standard errors of the parameters, in SI units.
 
     Args:
         space: The parameters.
         z: Scaled values [-].
         spread: Their uncertainty.
-        start: Scaled values before, if not the start of the parameters [-].
+        start: Scaled values at the start, if not that of the parameters [-].
     """
     values = np.asarray(space.from_scaled(z))
     before = [parameter.start for parameter in space.parameters]
@@ -120,8 +120,8 @@ def simulation_result(
 
     Args:
         model: The model.
-        configurations: What was simulated; what was measured of them does not count,
-            and turns are counted from rest.
+        configurations: What was simulated; measured values are ignored, and turns are
+            counted from rest.
         solution: Their equilibria, one lane per configuration.
 
     Returns:
@@ -163,7 +163,7 @@ def _simulated(
     )
     if not (records and solution.converged):
         return records
-    # Rows of positions are cheap enough to need no compiling.
+    # Positions are cheap enough to compute without compiling.
     compute = _effector_values if lane.effectors.has_forces else effector_values
     values = np.asarray(
         compute(model, lane, solution.displacement, solution.multipliers)
@@ -201,5 +201,5 @@ def _results(
 
 
 def _lane(batch, i: int):
-    """One configuration of a batch."""
+    """Pick one configuration of a batch."""
     return jax.tree.map(lambda leaf: leaf[i], batch)

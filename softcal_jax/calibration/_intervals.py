@@ -27,21 +27,21 @@ def profile_intervals(
     parameters: str | Sequence[str] | None = None,
     level: float = 0.95,
 ) -> tuple[ParameterInterval, ...]:
-    """Confidence intervals from the likelihood itself, not from its first derivatives.
+    """Find confidence intervals from the likelihood itself, not its linearisation.
 
     Value +- 1.96 standard errors holds where the errors are linear in the parameters
     over that range. Where the data determine a parameter only to a third of its value
     or worse, they are not. Here a parameter is moved away from the fit and held, all
-    others are calibrated anew, and the interval ends where the squared errors have
+    others are calibrated again, and the interval ends where the squared errors have
     risen by what chance allows (Bates and Watts, Nonlinear Regression Analysis, 1988,
-    sec. 6.1). It need not be symmetric, and it may end at a bound that the data do not
-    exclude. Each holds for itself, not all of them together, and it is the part around
-    the fit: other optima are not looked for. It takes a few calibrations per end, from
-    near their optimum; an end is nan if they do not converge.
+    sec. 6.1). It need not be symmetric, and may end at a bound that the data do not
+    exclude. The confidence is that of each interval alone, not of all together, and
+    other optima than the fit are not searched for. Each end takes a few calibrations
+    from near their optimum, and is nan if they do not converge.
 
     Args:
         result: A calibration that converged.
-        configurations: Those that were fitted.
+        configurations: The configurations that were fitted.
         parameters: Names of parameters; all by default.
         level: Confidence [-].
 
@@ -50,11 +50,12 @@ def profile_intervals(
 
     Raises:
         ValueError: If the calibration did not converge, the configurations are not
-            those that it fitted, a parameter or the level is not known, or the noise
-            was estimated from residuals of which there are too few, or beside a prior.
+            those that it fitted, a parameter is unknown, the level is not between 0 and
+            1, or the noise was estimated from too few residuals, or with a prior.
         RuntimeError: If a configuration has no equilibrium with the fitted parameters.
-        LowerCostFound: If a fit along the way beats the calibration, which then is not
-            in the best optimum; the error tells from where to calibrate again.
+        LowerCostFound: If a fit along the way has a lower cost than the calibration,
+            which then is not in the best optimum; the error holds its parameters, to
+            calibrate again from.
     """
     space = result.space
     if not 0.0 < level < 1.0:
@@ -104,7 +105,7 @@ def profile_intervals(
 
 
 def _rise(result: CalibrationResult, level: float) -> float:
-    """Root of what chance allows the squared errors to rise by."""
+    """Return the root of the rise of the squared errors that chance allows."""
     spread, tail = result.uncertainty, 0.5 * (1.0 + level)
     if spread.noise == "stated":
         return float(norm.ppf(tail))

@@ -18,10 +18,10 @@ def levenberg_marquardt(
     atol: float = 1e-10,
     max_steps: int = 100,
 ) -> tuple[Float[Array, " n_p"], bool]:
-    """Fit by `optimistix.least_squares`, the second, independent optimiser.
+    """Fit by Levenberg-Marquardt of optimistix, without bounds, to check `calibrate`.
 
-    Levenberg-Marquardt on the same stacked errors, with the Jacobian by autodiff
-    through the implicit derivative of the equilibrium. It knows no bounds.
+    It minimises the same stacked errors, with the Jacobian by autodiff through the
+    implicit derivative of the equilibrium.
 
     Args:
         problem: The calibration.
@@ -32,7 +32,7 @@ def levenberg_marquardt(
     Returns:
         Scaled parameters, and whether it converged inside the bounds.
     """
-    import optimistix as optx  # a fifth of the import of the package, and only for this
+    import optimistix as optx  # here, as it takes a fifth of the package's import time
 
     guess = first_guess(problem, problem.space.start())
     weight = problem.configurations.effectors.inverse_std
@@ -40,7 +40,7 @@ def levenberg_marquardt(
     def errors(z, problem):
         solution, positions = simulate(problem, z, guess)
         delta_e = effector_errors(problem, positions)
-        # A configuration without equilibrium makes the step cost infinitely much.
+        # A step to parameters without equilibrium must be refused.
         ok = solution.converged[:, None, None]
         of_data = jnp.where(ok, weight * delta_e, jnp.inf).ravel()
         return jnp.concatenate([of_data, problem.space.from_prior(z)])

@@ -1,4 +1,4 @@
-"""What a user should know about a fit, in words."""
+"""Notes and warnings on a calibration, in words."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,14 +16,13 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace, SetupParameter
 
 EQUAL = 1e-6
-"""Difference of scaled parameters that counts as none [-]."""
-
+"""Difference of scaled parameters below which they count as equal [-]."""
 
 ROUGH = 0.3
-"""Relative standard error from which an interval of first order is only rough [-]."""
+"""Relative standard error from which a linearised interval is only rough [-]."""
 
 ROUGH_SHARE = 0.1
-"""The same of a parameter on a linear scale, over its range [-]."""
+"""The same for a parameter on a linear scale, relative to its range [-]."""
 
 
 class CalibrationWarning(UserWarning):
@@ -33,7 +32,7 @@ class CalibrationWarning(UserWarning):
 def fit_notes(
     problem: CalibrationProblem, state: CalibrationState, settings: CalibrationSettings
 ) -> list[str]:
-    """What the user should know about the fit."""
+    """Say why a fit did not converge, if it did not."""
     notes = []
     size = float(jnp.max(jnp.abs(state.lambda_p)))
     if bool(state.stalled):
@@ -53,7 +52,7 @@ def fit_notes(
 
 
 def misfit_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
-    """Configurations that the calibrated model does not explain."""
+    """Name configurations that the calibrated model does not explain."""
     notes = []
     for fit in fits:
         if fit.role == "calibration" and fit.rms_after > fit.rms_before:
@@ -74,7 +73,7 @@ def misfit_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
 
 
 def mesh_notes(problem: CalibrationProblem) -> list[str]:
-    """What the mesh does to the moduli."""
+    """Say what linear tets do to the moduli."""
     if problem.model.mesh.order == 2:
         return []
     return [
@@ -85,7 +84,7 @@ def mesh_notes(problem: CalibrationProblem) -> list[str]:
 
 
 def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
-    """Moduli that ended equal, with nothing but their order in between."""
+    """Name pairs of moduli that ended equal, held apart by their order alone."""
     A, b = space.order_rows()
     held = list(np.asarray(A @ z - b) >= -EQUAL)
     pairs = space.order_names()
@@ -104,7 +103,7 @@ def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
 
 
 def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[str]:
-    """What the user should know about the standard errors."""
+    """Say which standard errors are missing or rough, and what they rest on."""
     names, dof = problem.space.names, spread.degrees_of_freedom
     notes = [
         f"{name} ended on a bound: widen it, or the model cannot match the data. It "
@@ -146,7 +145,7 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
 
 
 def _rough(space: ParameterSpace, spread: Uncertainty) -> list[str]:
-    """Parameters that are known too badly for the errors to be linear in them."""
+    """Name parameters too poorly determined for linearised standard errors."""
     std = np.sqrt(np.diag(spread.covariance))
     ranges = np.asarray(space.upper() - space.lower())
     log = np.array([q.scale == "log" for q in space.parameters])
@@ -162,7 +161,7 @@ def _rough(space: ParameterSpace, spread: Uncertainty) -> list[str]:
 
 
 def warn_if_locking(model: Model, space: ParameterSpace) -> None:
-    """A Poisson's ratio may be calibrated into the range where tets lock."""
+    """Warn if a Poisson's ratio may be calibrated into the range where tets lock."""
     if model.mesh.order == 1 or model.formulation == "mean-dilatation":
         return
     for parameter in space.parameters:
@@ -178,8 +177,9 @@ def warn_if_locking(model: Model, space: ParameterSpace) -> None:
 
 
 def warn_if_too_few_data(problem: CalibrationProblem) -> None:
+    """Warn if there are fewer measured coordinates than parameters."""
     measured = int(np.sum(problem.configurations.effectors.inverse_std > 0))
-    # A parameter with a prior has one datum of its own.
+    # A prior counts as a measurement of its parameter.
     wanted = int(np.sum(np.asarray(problem.space.prior_weights()) == 0.0))
     if wanted > measured:
         without = " without a prior" if problem.space.has_prior else ""

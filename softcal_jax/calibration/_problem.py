@@ -36,7 +36,7 @@ class CalibrationProblem(eqx.Module):
 
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
-    """The same calibration for compiled programs, which names would tell apart.
+    """Return the calibration without names, which would compile other programs.
 
     Args:
         problem: The calibration.
@@ -50,11 +50,11 @@ class Evaluation(eqx.Module):
     Attributes:
         equilibrium: Solutions, one lane per configuration.
         effectors: Simulated effector coordinates: positions [m], turns [rad], ...
-        delta_e: Simulated minus measured ones; 0 where nothing is measured.
+        delta_e: Simulated minus measured values; 0 where nothing is measured.
         error: The same in units of the noise, stacked over configurations [-].
         W_ep: Stacked compliances in units of the noise, per unit of lambda_p [-].
-        prior: Distance of the parameters from what was known of them, in units of its
-            standard deviation [-].
+        prior: Distance of the parameters from the middle of their priors, in standard
+            deviations of these [-].
         tangents: du/dz of each lane, or None where W_ep came from the adjoint side [m].
         ok: Whether every lane has an equilibrium and a regular tangent.
     """
@@ -72,7 +72,7 @@ class Evaluation(eqx.Module):
     def cost(self) -> Float[Array, ""]:
         """Half the sum of squared errors in noise units; infinite if not ok [-].
 
-        The distance from the prior counts as errors do.
+        Distances from the prior count like errors.
         """
         squares = jnp.sum(self.error**2) + jnp.sum(self.prior**2)
         return jnp.where(self.ok, 0.5 * squares, jnp.inf)
@@ -83,7 +83,7 @@ def simulate(
     z: Float[Array, " n_p"],
     guess: Float[Array, "n_c n_points 3"],
 ) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-    """Equilibria of all configurations and their effector coordinates.
+    """Compute equilibria and effector coordinates of all configurations.
 
     Args:
         problem: The calibration.
@@ -118,7 +118,7 @@ def simulate_model(
     guess: Float[Array, "n_c n_points 3"],
     newton: NewtonSettings,
 ) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-    """Solve and read model and configurations as they are.
+    """Compute equilibria and effector coordinates of a model with given parameters.
 
     Args:
         model: The body.
@@ -143,14 +143,14 @@ def _effectors(model: Model, configuration: ConfigurationArrays, solution):
 def effector_errors(
     problem: CalibrationProblem, e: Float[Array, "n_c n_rows 3"]
 ) -> Float[Array, "n_c n_rows 3"]:
-    """Delta_e, simulated minus measured values; 0 where nothing is measured."""
+    """Return Delta_e, simulated minus measured values; 0 where nothing is measured."""
     effectors = problem.configurations.effectors
     seen = effectors.inverse_std > 0.0
     return jnp.where(seen, e - effectors.measured, 0.0)
 
 
 class Lane(NamedTuple):
-    """What one configuration tells; from a batch, arrays with a leading axis."""
+    """Evaluation of one configuration; of a batch, with a leading axis."""
 
     response: Response
     effectors: Float[Array, "*n_c n_rows 3"]
@@ -164,16 +164,16 @@ def evaluate_lane(
     before: Float[Array, "n_points 3"],
     precise: bool | Bool[Array, ""] = False,
 ) -> Lane:
-    """Equilibrium, effectors and compliances of one configuration.
+    """Compute equilibrium, effectors and compliances of one configuration.
 
     Args:
         problem: The calibration.
         z: Scaled parameters [-].
         configuration: One of its configurations.
         guess: Displacements to start from [m].
-        before: Those of the equilibrium from which they were extrapolated [m].
-        precise: Whether the compliances are exact, for one more Newton step; otherwise
-            they are off by the way of the last.
+        before: Displacements of the equilibrium that the guess extrapolates [m].
+        precise: Whether to linearise at the converged state, for one more Newton step;
+            otherwise the compliances belong to the state before the last step.
     """
     response = equilibrium_response(
         problem.model,
@@ -191,12 +191,12 @@ def evaluate_lane(
 def stacked(
     problem: CalibrationProblem, z: Float[Array, " n_p"], lanes: Lane
 ) -> Evaluation:
-    """All lanes together: stacked errors and compliances.
+    """Stack the errors and compliances of all lanes.
 
     Args:
         problem: The calibration.
         z: Scaled parameters [-].
-        lanes: What every configuration tells.
+        lanes: Evaluations of all configurations.
     """
     response, effectors = lanes
     delta_e = effector_errors(problem, effectors)
@@ -218,16 +218,15 @@ def evaluate(
     before: Float[Array, "n_c n_points 3"] | None = None,
     precise: bool | Bool[Array, ""] = False,
 ) -> Evaluation:
-    """Equilibria, stacked errors Delta_e and compliances W_ep (paper Eqs. 9, 10).
+    """Compute equilibria, stacked errors and compliances W_ep (paper Eqs. 9, 10).
 
     Args:
         problem: The calibration.
         z: Scaled parameters [-].
         guess: Displacements to start from [m].
-        before: Equilibria from which the guess was extrapolated to first order, if it
-            was [m].
-        precise: Whether the compliances are exact, for one more Newton step of each
-            equilibrium; otherwise they are off by the way of the last.
+        before: Displacements of the equilibria that the guess extrapolates to first
+            order, if it does [m].
+        precise: Whether the compliances are exact, see `evaluate_lane`.
 
     Returns:
         Everything that one step of the outer loop needs.
@@ -239,7 +238,7 @@ def evaluate(
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
-    """Displacements of zero, as a guess [m]."""
+    """Return displacements of zero, as a guess [m]."""
     n_c = problem.configurations.gravity.shape[0]
     return jnp.zeros((n_c, problem.model.n_points, 3))
 
@@ -247,10 +246,10 @@ def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
 def first_guess(
     problem: CalibrationProblem, z: Float[Array, " n_p"]
 ) -> Float[Array, "n_c n_points 3"]:
-    """Displacements to start from when there is nothing better [m].
+    """Return displacements to start from without an earlier equilibrium [m].
 
-    Rest; for a robot with rigid bodies the equilibrium of the configuration before:
-    its poses lie near each other, and far from the parts before they were mounted.
+    They are zero; with rigid bodies, those of the preceding configuration: its poses
+    lie near each other, and far from the unmounted parts.
 
     Args:
         problem: The calibration.
@@ -263,7 +262,7 @@ def first_guess(
 def chained_guess(
     model: Model, configurations: ConfigurationArrays, newton: NewtonSettings
 ) -> Float[Array, "n_c n_points 3"]:
-    """The same for a model as it is.
+    """Return the guess of `first_guess` for a model with given parameters.
 
     Args:
         model: The body.

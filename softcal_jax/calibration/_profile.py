@@ -18,23 +18,23 @@ from softcal_jax.equilibrium import Job, Workers
 from softcal_jax.fields import ParameterSpace, Pin
 
 FIRM = 10.0
-"""How much better than by the data a held parameter is known [-].
+"""Precision of the pin of a held parameter, relative to that of the data [-].
 
-Where the profile is a parabola it gives way by a hundredth of its distance from the
-fit; the profile is that of where it comes to rest. At a bound it is held ten times
-as firmly, since the question is what the data say there.
+On a parabolic profile the parameter yields by a hundredth of its distance from the fit;
+the distance counts where it ends, not at the pin. At a bound the pin is ten times as
+firm, since the question is what the data say there.
 """
 
 CLOSE_ENOUGH = 0.005
-"""Error of an end of an interval, over its distance [-]."""
+"""Relative error allowed in the root of the rise at an end of an interval [-]."""
 
 NARROW = 0.02
-"""Step out, over how far it is, below which a fit that is lost stays so [-]."""
+"""Gap to a fit that failed, over the distance, below which the search ends [-]."""
 
 LOWER = 1e-3
-"""Fall of twice the cost, over its rise at an end, which tells of another optimum [-].
+"""Fall of twice the cost, over its rise at an end, that means another optimum [-].
 
-It is no rounding then, and no end of a loop that stopped a little early.
+It is more than rounding, or a loop that stopped a little early, can explain.
 """
 
 
@@ -42,10 +42,10 @@ class ProfileEnd(NamedTuple):
     """One end of an interval.
 
     Attributes:
-        distance: How far it is from the fit, scaled; nan if it was not found [-].
+        distance: Scaled distance from the fit; nan if it was not found [-].
         why: What ends the interval: the likelihood; the bound of the parameter, or half
-            a turn of an angle, which the data do not exclude; or that there is no end,
-            since fits along the profile did not converge, or jumped.
+            a turn of an angle, if the data do not exclude it; or "not found", if fits
+            along the profile did not converge, or jumped.
     """
 
     distance: float
@@ -62,12 +62,12 @@ class LowerCostFound(RuntimeError):
     """
 
     def __init__(self, z: Float[Array, " n_p"], cost: float, before: float):
-        """A cost below that of the calibration."""
+        """Keep a cost below that of the calibration, and its parameters."""
         super().__init__(z, cost, before)
         self.z, self.cost, self.before = z, cost, before
 
     def __str__(self) -> str:
-        """What it means, and what to do."""
+        """Say what it means, and what to do."""
         return (
             f"along the profile the cost falls from {self.before:.6g} to "
             f"{self.cost:.6g}, so the calibration is not in the best optimum: "
@@ -90,11 +90,11 @@ def profile_ends(
     rise: float,
     which: Sequence[int],
 ) -> list[tuple[ProfileEnd, ProfileEnd]]:
-    """How far parameters may go before the best fit of the others is too bad.
+    """Find how far parameters can move before the best fit of the others is too bad.
 
-    A parameter is held, all others are calibrated, and the distance is looked for at
-    which twice the cost has risen by `rise`^2 (Venzon and Moolgavkar, Appl. Stat. 37,
-    1988). All ends are found side by side, on the cores of this machine.
+    A parameter is held and all others are calibrated; the end is the distance at which
+    twice the cost has risen by `rise`^2 (Venzon and Moolgavkar, Appl. Stat. 37, 1988).
+    All ends are found side by side, on the cores of this machine.
 
     Args:
         problem: The calibration.
@@ -127,7 +127,7 @@ def profile_ends(
 
 
 class _Fit(NamedTuple):
-    """A calibration where it ended."""
+    """A calibration at its end."""
 
     evaluate: Evaluator
     settings: CalibrationSettings
@@ -138,7 +138,7 @@ class _Fit(NamedTuple):
 
 
 def _spread(problem: CalibrationProblem, W) -> Float[HostArray, "n_p n_p"]:
-    """Covariance to first order, finite whatever the data lack: with the bounds."""
+    """Return the covariance to first order; the bounds count, to keep it finite."""
     space = problem.space
     size = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
     known = 1.0 / size**2 + np.asarray(space.prior_weights()) ** 2
@@ -146,7 +146,7 @@ def _spread(problem: CalibrationProblem, W) -> Float[HostArray, "n_p n_p"]:
 
 
 def _end(profile: "_Profile") -> Job[ProfileEnd]:
-    """One end of the interval of one parameter."""
+    """Find one end of the interval of one parameter."""
     try:
         bracket = yield from _bracket(
             profile.excess, profile.at.rise, profile.reach, profile.limit
@@ -160,10 +160,10 @@ def _end(profile: "_Profile") -> Job[ProfileEnd]:
 
 
 class _Rest(NamedTuple):
-    """Where a fit came to rest that held a parameter.
+    """End of a fit with a held parameter.
 
-    `distance` is how far the parameter is from the fit, `excess` the root of the rise
-    of twice the cost, less what is looked for.
+    `distance` is that of the parameter from the calibration, `excess` the root of the
+    rise of twice the cost, minus its value at the end of the interval.
     """
 
     distance: float
@@ -172,7 +172,7 @@ class _Rest(NamedTuple):
 
 
 class _Profile:
-    """Fits that hold one parameter further and further away on one side."""
+    """Fits with one parameter held at several distances on one side."""
 
     def __init__(self, at: _Fit, column: int, sign: int):
         self.space = space = at.evaluate.numbered.space
@@ -184,7 +184,7 @@ class _Profile:
         self.seen = {0.0: _Rest(0.0, at.z, -at.rise)}
 
     def excess(self, distance: float) -> Job[float]:
-        """How much too high the cost is; 0 where that is close to nothing."""
+        """Return the excess of the fit at a distance; 0 within the tolerance."""
         if distance not in self.seen:
             self.seen[distance] = yield from self._fit(distance)
         return self.seen[distance].excess
@@ -192,7 +192,7 @@ class _Profile:
     def _fit(self, distance: float) -> Job[_Rest]:
         at = self.at
         within = [other for other, rest in self.seen.items() if rest.excess <= 0.0]
-        near = min(within, key=lambda other: abs(other - distance))  # none lost beyond
+        near = min(within, key=lambda other: abs(other - distance))  # start inside
         start = self.seen[near].z + (distance - near) * self.path
         firm = FIRM if distance < self.limit else 10.0 * FIRM
         pin = Pin(
@@ -213,13 +213,17 @@ class _Profile:
         return _Rest(distance + self.sign * far, run.z, value)
 
     def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Job[Run]:
-        """The calibration with the parameter held."""
+        """Calibrate with the parameter held."""
         own = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
         evaluate = self.at.evaluate.with_space(own)
         return minimise(evaluate, self.at.settings, jnp.asarray(start))
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
-        """How far beyond its pin a parameter is, and the rise of twice the cost."""
+        """Return how far the parameter is from its pin, and the rise of twice the cost.
+
+        Raises:
+            LowerCostFound: If the cost is below that of the calibration.
+        """
         far, cost = _without_pin(self.space, pin, run.z, run.cost)
         higher = 2.0 * (float(cost) - self.at.cost)
         if higher < -LOWER * self.at.rise**2:
@@ -231,16 +235,16 @@ Excess = Callable[[float], Job[float]]
 
 
 def _root(excess: Excess, inside: float, outside: float) -> Job[float]:
-    """Where an excess of two signs vanishes, which it does over some distance.
+    """Find the zero of an excess between two distances where its signs differ.
 
-    By inverse quadratic interpolation, or halves where that is not safe (Chandrupatla,
-    Adv. Eng. Softw. 28, 1997); along a parabola of the cost the first guess, by a
-    straight line, is the last.
+    Uses inverse quadratic interpolation, and bisection where that is not safe
+    (Chandrupatla, Adv. Eng. Softw. 28, 1997). Where the cost is a parabola the excess
+    is linear, and the first guess is the root.
 
     Raises:
-        _NotFound: If the excess jumps instead.
+        _NotFound: If the excess jumps over zero.
     """
-    a, b = outside, inside  # the newest, and one with the other sign
+    a, b = outside, inside  # the newest point, and one where the sign differs
     f_a, f_b = (yield from excess(a)), (yield from excess(b))
     share, smallest = f_a / (f_a - f_b), 0.01 * CLOSE_ENOUGH * outside
     while f_a != 0.0:
@@ -264,9 +268,9 @@ def _root(excess: Excess, inside: float, outside: float) -> Job[float]:
 def _bracket(
     excess: Excess, rise: float, reach: float, limit: float
 ) -> Job[tuple[float, float] | None]:
-    """Two distances with the end between them; None if it is beyond the limit.
+    """Return two distances with the end between them; None if it is beyond the limit.
 
-    Further and further out, and half the way back where a fit does not converge.
+    The distance grows step by step; where a fit does not converge, the step is halved.
     """
     inside, outside, lost = 0.0, reach, np.inf
     while inside < limit:
@@ -287,7 +291,7 @@ def _bracket(
 
 
 def _room(space: ParameterSpace, z, column: int, sign: int) -> float:
-    """How far a parameter may go; half a turn if it is periodic."""
+    """Return the distance to the bound of a parameter; half a turn if periodic."""
     down, up = space.room(jnp.asarray(z))
     room = float(up[column] if sign > 0 else -down[column])
     turn = float(space.upper()[column] - space.lower()[column])
@@ -295,10 +299,10 @@ def _room(space: ParameterSpace, z, column: int, sign: int) -> float:
 
 
 def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
-    """The parameters with steps of moduli and angles, not of tensors.
+    """Return the parameters with steps of moduli and angles instead of tensors.
 
-    Where both moduli of an axis are equal a step of tensors has a kink: beyond it the
-    axis is another one. With their order as a constraint an optimum there is regular.
+    Where both moduli of an axis are equal, a step of tensors has a kink, since the axis
+    switches there. With their order as a constraint such an optimum is regular.
 
     Args:
         space: The parameters.
@@ -313,7 +317,7 @@ def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
 
 @eqx.filter_jit
 def _without_pin(space: ParameterSpace, pin: Pin, z, cost):
-    """How far beyond its pin a parameter lies, and the cost without the pin."""
+    """Return how far a parameter is from its pin, and the cost without the pin."""
     middle = space.start().at[pin.column].set(pin.value)
     far = space.shorter(z - middle)[pin.column]
     own = space.from_prior(z)[pin.column]

@@ -15,35 +15,35 @@ from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
 
 KKT_TOLERANCE = 1e-6
-"""Largest optimality residual with which a vanishing QP step is believed [-]."""
+"""Largest optimality residual with which a vanishing QP step is trusted [-]."""
 
 SMALLEST_FALL = 1e-8
-"""Fall of the cost that is not worth a step, relative to the cost [-].
+"""Relative fall of the cost that is not worth a step [-].
 
-Where the fit leaves an error, a Gauss-Newton step only goes a share of the way, and
-many small ones would follow that hardly change the fit.
+Where the fit leaves an error, Gauss-Newton converges linearly, and many small steps
+would follow that hardly change the fit.
 """
 
 SLOW = 1e-2
-"""Predicted fall of the cost, relative to it, from which gradients must be exact [-].
+"""Predicted relative fall of the cost below which gradients must be exact [-].
 
-The errors nearly cancel in them there, and what W_ep is off by does not.
+The errors nearly cancel in the gradient there, and errors of W_ep do not.
 """
 
 
 class Proposal(eqx.Module):
-    """A step that the QP proposes, and where its equilibria should lie.
+    """A step that the QP proposes, with a guess of its equilibria.
 
     Attributes:
         qp: The step and its check.
         z: Parameters after it [-].
         guess: Displacements after it, to first order [m].
-        before: Those before it [m].
-        cost: Cost after it, by the model that the step was taken with [-].
-        costs: The same by the linear model of the errors, and with their curvature [-].
+        before: Displacements before it [m].
+        cost: Cost after it, by the model that the QP used [-].
+        costs: Cost after it by the linear model of the errors, and with curvature [-].
         precise: Whether compliances after it must be exact.
-        vanishes: Whether the step is too small to be worth a trial: the loop is at its
-            end, and `z` and `guess` are those before the step.
+        vanishes: Whether the step is too small to be worth an evaluation: the loop
+            ends, and `z` and `guess` are those before the step.
     """
 
     qp: QPStep
@@ -78,7 +78,7 @@ def propose(
 
     predicted = costs(qp.lambda_p)
     cost = predicted[state.curvature.used.astype(jnp.int32)]
-    # Curvature that is not there may hold a step short: both models must see the end.
+    # A wrong curvature may shorten a step: both models must find it small.
     vanishes = _small(problem, settings, state, qp, cost) & now.ok
 
     def linearly():
@@ -118,7 +118,7 @@ class LinearModel(NamedTuple):
 def linear_model(
     space: ParameterSpace, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> LinearModel:
-    """The errors of an evaluation and how they follow a step."""
+    """Linearise the errors of an evaluation in step coordinates."""
     W_ep, error = evaluation.W_ep, evaluation.error
     if space.has_prior:
         W_ep = jnp.concatenate([W_ep, jnp.diag(space.prior_weights())])
@@ -132,7 +132,7 @@ def linear_model(
 def _moved(
     space: ParameterSpace, z: Float[Array, " n_p"], step: Float[Array, " n_p"]
 ) -> Float[Array, " n_p"]:
-    """Parameters after a step in step coordinates, tensors where axes have a chart."""
+    """Return parameters after a step, which moves tensors where axes have a chart."""
     if space.chart is None:
         return space.wrap(z + step)
     chart = space.chart
@@ -140,7 +140,7 @@ def _moved(
 
 
 class _Limits(NamedTuple):
-    """What bounds a step: its entries, and rows A step <= b."""
+    """Constraints of a step: bounds of its entries, and rows A step <= b."""
 
     low: Float[Array, " n_p"]
     high: Float[Array, " n_p"]
@@ -148,7 +148,7 @@ class _Limits(NamedTuple):
     b: Float[Array, " n_rows"]
 
     def solve(self, W, error, damping: float) -> QPStep:
-        """The QP step within them."""
+        """Return the QP step within them."""
         return bounded_step(
             W, error, self.low, self.high, A=self.A, b=self.b, damping=damping
         )
@@ -163,7 +163,7 @@ def _limits(problem: CalibrationProblem, state: CalibrationState, J) -> _Limits:
     b = b - A @ state.z
     if chart is None:
         return _Limits(low, high, A, b)
-    # The QP moves tensors; the bounds of their moduli become rows.
+    # The QP steps tensors, so the bounds of the moduli become rows.
     moduli = np.concatenate([chart.small, chart.large])
     free = np.concatenate([moduli, chart.angle])
     return _Limits(
@@ -181,7 +181,7 @@ def _small(
     qp: QPStep,
     cost: Float[Array, ""],
 ) -> Bool[Array, ""]:
-    """Whether a step is small because nothing is left to gain, not held short."""
+    """Return whether a step is small because nothing is left to gain."""
     size = jnp.max(jnp.abs(qp.lambda_p))
     fall = state.evaluation.cost - cost
     no_gain = settings.adapt & (fall <= SMALLEST_FALL * state.evaluation.cost)
@@ -192,6 +192,6 @@ def _small(
 def is_at_bound(
     problem: CalibrationProblem, state: CalibrationState, qp: QPStep
 ) -> Bool[Array, ""]:
-    """Whether a step is as long as it may be."""
+    """Return whether a step is as long as the trust region allows."""
     limit = jnp.minimum(state.step_bound, problem.space.max_step())
     return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)

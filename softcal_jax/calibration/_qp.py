@@ -15,14 +15,14 @@ DAMPING = 1e-10
 
 Along a direction that the data do not see, rounding in the errors would move the
 parameters arbitrarily; damping leaves them unchanged there. The minimum does not shift,
-because the step is damped and not the parameters.
+because the step is damped, not the parameters.
 """
 
 ROW_REGULARISATION = 1e-12
-"""Regularisation of dependent active rows of unit length, refined away again [-]."""
+"""Regularisation of dependent active rows of unit length; refinement removes it [-]."""
 
 ROW_SHIFT = 1e-8
-"""Shift that separates rows which meet in one point, relative to their extent [-]."""
+"""Shift that separates rows that meet in one point, relative to their extent [-]."""
 
 ROUNDING = 1e-14
 """Largest multiplier of the wrong sign that counts as rounding, for unit data [-]."""
@@ -88,14 +88,14 @@ def bounded_step(
 ) -> QPStep:
     """Minimise ||W l + error||^2 / 2 for lower <= l <= upper and A l <= b.
 
-    To this, `damping` adds damping / 2 times ||D l||^2, with D the lengths of the
-    columns of W. Solved by `jaxopt.BoxOSQP` on a problem scaled to unit columns, rows
-    and error. An active-set method gives its starting point and polishes its solution:
-    bounds and rows that are active at the end are solved as equalities, which is exact.
-    Where no step satisfies the rows, as in a calibration, the starting point is nearly
+    `damping` adds damping / 2 times ||D l||^2, with D the lengths of the columns of W.
+    `jaxopt.BoxOSQP` solves the problem scaled to unit columns, rows and error. An
+    active-set method gives its starting point and polishes its solution, by solving
+    with the constraints that are active at the end as equalities, which is exact. Where
+    a step of zero satisfies the rows, as in a calibration, the starting point is nearly
     always the optimum; elsewhere BoxOSQP finds a feasible point (`python -m benchmarks
-    run qp` measures which stage decides). The default inner solver of BoxOSQP,
-    conjugate gradients, can end far from the optimum in a flat valley, hence LU.
+    run qp` measures which stage decides). BoxOSQP solves with LU, since its default,
+    conjugate gradients, can end far from the optimum in a flat valley.
 
     Args:
         W: Stacked compliances in noise units [-].
@@ -135,7 +135,7 @@ def _scaled(W, error, lower, upper, *, A, b, damping) -> tuple[_Scaled, Array]:
     R = A / size[None, :]
     length = jnp.linalg.norm(R, axis=1)
     length = jnp.where(length > 0.0, length, 1.0)
-    # The error sets the scale, or what no step violates of the bounds and rows.
+    # The error sets the scale, or the constraints that a step of zero violates.
     violation = jnp.concatenate(
         [size * jnp.clip(0.0, lower, upper), jnp.minimum(b, 0.0) / length]
     )
@@ -154,12 +154,12 @@ def _scaled(W, error, lower, upper, *, A, b, damping) -> tuple[_Scaled, Array]:
 
 
 def _solve(qp: _Scaled) -> _Point:
-    """Polish no step, run BoxOSQP from there, and polish its solution."""
+    """Polish a step of zero, run BoxOSQP from there, and polish its solution."""
     return _polished(qp, _iterated(qp, _polished(qp, _no_step(qp))))
 
 
 def _no_step(qp: _Scaled) -> _Point:
-    """Return the point nearest to no step within the bounds."""
+    """Return the point within the bounds that is nearest to zero."""
     zero, none = jnp.zeros_like(qp.c), jnp.zeros_like(qp.r)
     nothing = _Point(zero, none, jnp.full((), jnp.inf, qp.c.dtype))
     return _better(qp, nothing, zero, none)
@@ -183,12 +183,12 @@ def _iterated(qp: _Scaled, start: _Point) -> _Point:
 
 
 def _gradient(qp: _Scaled, y, mu):
-    """Gradient of the Lagrangian without the bounds."""
+    """Return the gradient of the Lagrangian without the bounds."""
     return qp.Q @ y + qp.c + qp.R.T @ mu
 
 
 def _extent(qp: _Scaled):
-    """Range of each row over the box, at most one; the scale of its slack."""
+    """Return the range of each row over the box, at most one, to scale its slack."""
     width = jnp.abs(qp.high - qp.low)[None, :]
     # Not `R @ width`: zero times an infinite width is NaN.
     part = jnp.where(qp.R == 0.0, 0.0, jnp.abs(qp.R) * width)
@@ -204,7 +204,7 @@ def _better(qp: _Scaled, best: _Point, y, mu) -> _Point:
 
 
 def _kkt_residual(qp: _Scaled, y, mu):
-    """Largest violation of the KKT conditions: zero at the optimum and only there.
+    """Return the largest violation of the KKT conditions: zero only at the optimum.
 
     A component of the gradient must vanish, or push against a bound that y has reached:
     the smaller of push and distance counts. The same holds for the multiplier of a row
@@ -231,14 +231,14 @@ def _kkt_residual(qp: _Scaled, y, mu):
 
 
 def _polished(qp: _Scaled, start: _Point) -> _Point:
-    """Solve for the active set that a descent from a point ends with.
+    """Descend from a point by an active-set method, and solve with its last active set.
 
     The primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, Alg.
     16.3) changes one active constraint at a time, so the cost never rises. Rows that
-    the start violates are relaxed to it: from such a start the result is not optimal,
-    and BoxOSQP finds a feasible one. All rows are also shifted outwards, each by
-    another small amount: where more rows meet than there are parameters, the method
-    could cycle. The active set at the end is solved with the rows as they are.
+    the start violates are relaxed until it satisfies them: from such a start the result
+    is not optimal, and BoxOSQP finds a feasible one. All rows are also shifted outwards
+    by different small amounts, since the method could cycle where more rows meet than
+    there are parameters. The last active set is solved with the unshifted rows.
     """
     n, n_rows = qp.c.shape[0], qp.r.shape[0]
     shift = ROW_SHIFT * (1.0 + jnp.arange(n_rows, dtype=qp.r.dtype) * 0.618 % 1.0)
@@ -279,10 +279,10 @@ def _polished(qp: _Scaled, start: _Point) -> _Point:
 
 
 def _equality_solution(qp: _Scaled, active, passes: int):
-    """Solve with the active bounds and rows as equalities for the point and `mu`.
+    """Solve for the point and `mu`, with active bounds and rows as equalities.
 
-    Dependent rows would make the system singular: they are regularised, and further
-    passes of iterative refinement with the true matrix remove the effect of that.
+    Dependent rows would make the system singular: they are regularised, and iterative
+    refinement with the true matrix removes the effect.
     """
     n = qp.c.shape[0]
     side, row = active[:n], active[n:] != 0

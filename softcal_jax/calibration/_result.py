@@ -22,7 +22,7 @@ class ParameterEstimate(eqx.Module):
         name: Its name.
         value: Its value.
         standard_error: Standard error; nan on a bound, or if not determined.
-        start: Value before.
+        start: Value at the start.
         lower: Lower bound.
         upper: Upper bound.
         unit: SI unit.
@@ -49,8 +49,7 @@ class ParameterInterval(eqx.Module):
         name: Its name.
         level: Confidence [-].
         lower: Lower end; nan if it was not found.
-        upper: Upper end; likewise. An angle goes on beyond its bounds, where it is
-            periodic.
+        upper: Upper end; likewise. A periodic angle may lie beyond its bounds.
         lower_end: What ends it below: "likelihood"; "bound", if the data do not exclude
             the bound of the parameter (or half a turn of a periodic angle); or "not
             found", if fits along the profile did not converge, or jumped.
@@ -67,7 +66,7 @@ class ParameterInterval(eqx.Module):
     unit: str
 
     def __str__(self) -> str:
-        """Its ends in a readable unit, in one line."""
+        """Write its ends in a readable unit, in one line."""
         factor, unit = readable_unit([self.lower, self.upper], self.unit)
         words = {"likelihood": "", "bound": " (bound)"}
         turn = self.unit == "rad" and np.isclose(self.upper - self.lower, np.pi)
@@ -94,7 +93,7 @@ class HistoryEntry(eqx.Module):
         rms: Root mean square of the marker distances [m].
         lambda_p: The QP step [-].
         step_bound: Bound on the next step [-].
-        accepted: Whether the step was kept.
+        accepted: Whether the step was accepted.
         kkt_residual: Optimality residual of the QP [-].
         newton_steps: Newton iterations of each configuration.
         values: Parameters after the step, in SI units.
@@ -113,7 +112,7 @@ class HistoryEntry(eqx.Module):
     seconds: float
 
     def __str__(self) -> str:
-        """One line: the fit and the parameters after the step."""
+        """Write the fit and the parameters after the step, in one line."""
         values = ", ".join(f"{name} {value:.5g}" for name, value in self.values.items())
         refused = "" if self.accepted else " (step refused)"
         return f"step {self.step}: rms {1e3 * self.rms:.3f} mm, {values}{refused}"
@@ -135,9 +134,9 @@ class CalibrationResult(eqx.Module):
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
-        notes: What the user should know before using the numbers.
-        starts: Where runs from many starts ended, if there were any.
-        intervals: What `profile_intervals` gave, if it was asked.
+        notes: What the user should know before using the values.
+        starts: Result of the search from many starts, if there was one.
+        intervals: Result of `profile_intervals`, if it was asked for.
     """
 
     converged: bool
@@ -157,7 +156,7 @@ class CalibrationResult(eqx.Module):
     intervals: tuple[ParameterInterval, ...] = ()
 
     def __str__(self) -> str:
-        """The parameters, the fits and the notes, in a few lines."""
+        """Write the parameters, the fits and the notes, in a few lines."""
         verdict = "converged" if self.converged else "NOT CONVERGED"
         lines = [f"Calibration {verdict} in {len(self.history) - 1} steps."]
         lines += [
@@ -176,7 +175,7 @@ class CalibrationResult(eqx.Module):
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:
-        """Calibrated value of a parameter.
+        """Return the calibrated value of a parameter.
 
         Raises:
             ValueError: If no parameter has that name.

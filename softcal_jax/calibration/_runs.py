@@ -15,13 +15,14 @@ from softcal_jax.equilibrium import Job
 from softcal_jax.fields import ParameterSpace
 
 NOTHING_LEFT = 1e-6
-"""Mean squared error, in noise units, below which no other optimum is looked for."""
+"""Mean squared error, in noise units, below which no other optimum is searched for."""
 
 
 class Image(NamedTuple):
-    """A further run, from `signs` times the best end so far, or the start, and `plus`.
+    """A further run, from `signs` * (best end so far, or start) + `plus`.
 
-    `elsewhere` tells it from one that goes on where a run was ended by its limit.
+    `elsewhere` marks one that looks for another optimum; without it, the run continues
+    one that reached `max_steps`.
     """
 
     signs: Float[HostArray, " n_p"]
@@ -31,15 +32,16 @@ class Image(NamedTuple):
 
 
 def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
-    """What a run tries: its start, then images if `mirror`, at last to finish the best.
+    """List what a run tries: its start and, if `mirror`, images of it and of its end.
 
-    A body that is loaded in or across its print plane hardly tells an axis from its
-    reflection (theta to -theta), and each has an optimum. So a run that ends with an
-    error goes on from its end with all axes reflected, from its start with all of them
-    reflected, and from its start with one after the other. Of the end only all
-    together: where that leads nowhere, the run has lost its way, and the start is the
-    better origin. Finally it goes on from the axes of its end with all other parameters
-    as the space starts them: it may be the moduli that went astray.
+    A body that is loaded in or across its print plane hardly distinguishes an axis from
+    its reflection (theta to -theta), and each has an optimum. So a run that ends with
+    an error continues from its end with all axes reflected, then from its start with
+    all of them reflected, then from its start with each of them alone. The end is
+    reflected only as a whole: if that fails, the run is far from any optimum, and the
+    start is the better origin. Then it takes the axes of its end with all other
+    parameters reset, in case the moduli went astray. Finally a best end that has not
+    converged is continued, twice.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
     n = len(space.names)
@@ -68,13 +70,13 @@ def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
 def origin(
     best: Run, image: Image, start: Float[HostArray, " n_p"]
 ) -> Float[HostArray, " n_p"]:
-    """Where the run of an image begins, as scaled parameters."""
+    """Return the scaled parameters from which an image is run."""
     return image.signs * (start if image.of_start else best.z) + image.plus
 
 
 def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
-    """Whether an image is worth a run."""
-    # A start without equilibrium has no end to go on from.
+    """Return whether an image is worth a run."""
+    # A start without equilibrium has no end to continue from.
     lost = np.isinf(best.cost) and best.steps > 0
     measured = np.sum(np.asarray(problem.configurations.effectors.inverse_std) > 0.0)
     something_left = 2.0 * best.cost > NOTHING_LEFT * measured
@@ -82,8 +84,8 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
 
 
 def better(best: Run, new: Run) -> Run:
-    """The lower of two ends, with the steps of both; the errors of the first run."""
-    # A run that is only finished may end where it was, to rounding.
+    """Return the lower of two ends, with the steps of both, the errors of the first."""
+    # A run that is continued may converge where it was, within rounding.
     same = new.converged and not best.converged
     same = same and new.cost <= 1.000001 * best.cost + 1e-9
     lower = new if new.cost < best.cost or same else best
@@ -97,7 +99,7 @@ def better(best: Run, new: Run) -> Run:
 
 
 def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> Run:
-    """A run before its first step."""
+    """Return a run before its first step."""
     return Run(
         z=np.asarray(start),
         cost=np.inf,
@@ -108,7 +110,7 @@ def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> R
 
 
 class Begun(NamedTuple):
-    """A run between two of its images: how many were tried, and the best end."""
+    """A run between two images: the number done, and the best end so far."""
 
     images: int
     best: Run
@@ -123,15 +125,15 @@ def run_start(
     begun: Begun | None = None,
     note: Callable[[Begun], None] = lambda _: None,
 ) -> Job[Run]:
-    """Run the outer loop from a start and its images; the best end is kept.
+    """Run the outer loop from a start and its images, and return the best end.
 
     Args:
-        evaluate: Of the calibration.
+        evaluate: Evaluator of the calibration.
         settings: Settings of the outer loop.
         start: Scaled parameters to start from [-].
-        images: What is tried, from `images_of`.
-        begun: What was done before, by default nothing.
-        note: Called after each image, tried or not worth it.
+        images: Images in the order of `images_of`.
+        begun: Progress of the run so far; none by default.
+        note: Called after each image, whether it was run or skipped.
     """
     tried, best = begun or Begun(0, nothing_yet(settings, start))
     for i, image in enumerate(images[tried:], start=tried + 1):
@@ -143,7 +145,7 @@ def run_start(
 
 
 def best_of(cost: Float[HostArray, " n"], converged: Bool[HostArray, " n"]) -> int:
-    """Index of the run with the lowest cost, among the converged if any is."""
+    """Return the index of the lowest cost, among the converged runs if any is."""
     return int(
         np.argmin(np.where(converged, cost, np.inf) if converged.any() else cost)
     )

@@ -24,15 +24,15 @@ SAME_OPTIMUM = 1e-3
 """Largest difference of scaled parameters within one optimum [-]."""
 
 FROM_ANYWHERE = CalibrationSettings(max_steps=12)
-"""Settings of runs from many starts: one that leads to the optimum is quick."""
+"""Settings of runs from many starts: few steps, as a good start converges quickly."""
 
-# One row at a time, so that the programs serve any number of them.
+# One row at a time, so that the programs do not depend on the number of rows.
 _from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
 _distance = eqx.filter_jit(lambda space, a, b: space.distance(a, b))
 
 
 class SearchProgress(NamedTuple):
-    """How far a search from many starts is.
+    """Progress of a search from many starts.
 
     Attributes:
         ended: Runs that have ended.
@@ -47,7 +47,7 @@ class SearchProgress(NamedTuple):
     cost: float
 
     def __str__(self) -> str:
-        """One line."""
+        """Write it in one line."""
         return (
             f"{self.ended} of {self.starts} starts ended, {self.converged} converged, "
             f"lowest cost {self.cost:.4g}"
@@ -68,16 +68,15 @@ def multi_start(
 
     Args:
         problem: The calibration, from `build_problem`.
-        starts: Scaled parameters to start from, or how many random ones.
+        starts: Scaled parameters to start from, or the number of random ones.
         seed: Seed of the random ones.
-        settings: Settings of the outer loop; by default no more than 12 steps for each
-            image, since one that leads to the optimum is quick.
-        mirror: Whether runs that end with an error go on from mirror images.
-        checkpoint: File in which ended runs are kept, and each image of those under
-            way. If it is there, the search goes on from it, and ends as if nothing had
-            stopped it.
-        progress: Called when a run has ended. Others are under way then, on all cores:
-            it must not solve anything itself.
+        settings: Settings of the outer loop; by default `FROM_ANYWHERE`, at most 12
+            steps for each image.
+        mirror: Whether runs that end with an error continue from mirror images.
+        checkpoint: File in which the best end of each run is saved after each image. If
+            it exists, the search resumes from it, with the same result.
+        progress: Called when a run has ended. Other runs occupy all cores then, so it
+            must not solve anything itself.
 
     Returns:
         All runs and their optima.
@@ -126,11 +125,11 @@ def search(
 
     Args:
         workers: Threads, entered as a context.
-        evaluate: Of the calibration.
+        evaluate: Evaluator of the calibration.
         settings: Settings of the outer loop.
         starts: Scaled parameters to start from [-].
-        mirror: Whether runs that end with an error go on from mirror images.
-        journal: Keeps the runs, and knows those of before.
+        mirror: Whether runs that end with an error continue from mirror images.
+        journal: Saves the runs, and returns those saved before.
         progress: Called when a run has ended.
 
     Raises:
@@ -138,7 +137,7 @@ def search(
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
     jobs, ended = [], {}
-    # Rows on the host: their number, too, would belong to a program.
+    # Sliced on the host: on the device, the number of rows gives another program.
     for i, start in enumerate(map(jnp.asarray, np.asarray(starts))):
         begun = journal.begun(i, Begun(0, nothing_yet(settings, start)))
         if begun.images == len(images):
@@ -150,7 +149,7 @@ def search(
         jobs.append(job)
 
     def told(i: int, run: Run) -> None:
-        if i in ended:  # before this search was resumed
+        if i in ended:  # it had ended before this search was resumed
             return
         ended[i] = run
         if progress is not None:
@@ -185,14 +184,14 @@ def search(
 
 
 def _optima(space, z, values, cost, converged) -> tuple[Optimum, ...]:
-    """Converged runs put together by where they end, the lowest cost first."""
+    """Group converged runs by where they end, the lowest cost first."""
     found: list[tuple[int, list[int]]] = []
     numbered = unnamed(space)
     for i in np.argsort(cost):
         if not converged[i]:
             continue
         for first, members in found:
-            # Wrapped: an angle just below 90 degrees is close to one above -90.
+            # The distance wraps: an angle just below 90 deg is close to one above -90.
             if np.max(_distance(numbered, z[i], z[first])) <= SAME_OPTIMUM:
                 members.append(int(i))
                 break

@@ -1,4 +1,4 @@
-"""Starts of a calibration, and what runs from many of them end in."""
+"""Random starts of a calibration, and the result of a search from many starts."""
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ from softcal_jax.fields import ParameterSpace, unnamed
 
 
 class Optimum(eqx.Module):
-    """A point in which converged runs end.
+    """A point at which converged runs end.
 
     Attributes:
         cost: Half the sum of squared errors in noise units [-].
@@ -24,7 +24,7 @@ class Optimum(eqx.Module):
 
 
 class MultiStartResult(eqx.Module):
-    """Outcome of a calibration from many starts.
+    """Result of a search from many starts.
 
     Attributes:
         names: Names of the parameters.
@@ -51,11 +51,11 @@ class MultiStartResult(eqx.Module):
 
     @property
     def best(self) -> int:
-        """Index of the run with the lowest cost, among the converged if any is."""
+        """Index of the lowest cost, among the converged runs if any is."""
         return best_of(self.cost, self.converged)
 
     def __str__(self) -> str:
-        """One line per optimum, and the runs that found none."""
+        """Write one line per optimum, and the runs that found none."""
         n = len(self.cost)
         lines = [
             f"{n} starts, {int(self.converged.sum())} converged, "
@@ -82,22 +82,22 @@ class MultiStartResult(eqx.Module):
         return "\n".join(lines)
 
 
-# One start at a time, so that the program serves any number of them.
+# One start at a time, so that the program does not depend on the number of starts.
 _to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
 
 
 def random_starts(
     space: ParameterSpace, n: int, *, seed: int = 0
 ) -> Float[Array, "n p"]:
-    """Random parameters in the whole bounds, uniform in SI units, in the right order.
+    """Draw random parameters within the bounds, uniform in SI units.
 
     Args:
         space: The parameters.
-        n: How many.
+        n: Number of starts.
         seed: Seed.
 
     Returns:
-        Scaled parameters; a pair that breaks the order is swapped.
+        Scaled parameters; pairs that break their order are swapped.
 
     Raises:
         ValueError: If n is less than one.
@@ -110,7 +110,7 @@ def random_starts(
     )
     p = low + (high - low) * random.random((n, len(low)))
     pairs = _ordered_columns(space)
-    for small, large in pairs * len(pairs):  # over and over, for chains a <= b <= c
+    for small, large in pairs * len(pairs):  # repeated, for chains a <= b <= c
         p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
         p = np.clip(p, low, high)
     numbered = unnamed(space)

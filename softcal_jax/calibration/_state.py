@@ -9,11 +9,11 @@ from softcal_jax.calibration._problem import Evaluation
 from softcal_jax.calibration._qp import DAMPING
 
 MEMORY = 5
-"""Steps over which the cost must have fallen, not at each of them.
+"""Number of steps over which, rather than at each of which, the cost must fall.
 
 The data often leave a narrow, curved valley. A Gauss-Newton step along it climbs its
-wall a little, and the next one comes back to its floor further down; a step that must
-lower the cost itself can only creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
+wall a little, and the next one returns to its floor further down; if every step had to
+lower the cost, the loop would creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
 Anal. 23, 1986).
 """
 
@@ -27,14 +27,14 @@ class CalibrationSettings(eqx.Module):
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
-        max_step_bound: Largest bound that it may grow to; beyond a factor of two the
-            linear model says little, and equilibria are far to find [-].
-        damping: Levenberg damping of the QP, for columns of W of unit length: it holds
-            back directions that the data hardly see. A step that is repeated until it
-            vanishes ends at the same minimum, later [-].
+        max_step_bound: Largest bound on a step; beyond a factor of two the linear model
+            says little, and the guess of the equilibria is poor [-].
+        damping: Levenberg damping of the QP, for columns of W of unit length. It holds
+            back directions that the data hardly see; the minimum stays the same, but
+            takes more steps [-].
         adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
-            learn the curvature of the errors; without, every QP step is that of the
-            linear model, taken with the same bound, as in the paper.
+            learn the curvature of the errors. Without it, every step is that of the
+            linear model within a fixed bound, as in the paper.
     """
 
     tol: float = eqx.field(static=True, default=1e-6)
@@ -65,15 +65,17 @@ class CalibrationState(eqx.Module):
     Attributes:
         z: Scaled parameters [-].
         evaluation: Equilibria, errors and compliances at `z`.
-        curvature: What past steps tell of the curvature of the errors.
-        recent_costs: Costs of the last steps that were kept, the last one first [-].
+        curvature: Curvature of the errors, estimated from past steps.
+        recent_costs: Costs of the last accepted steps, the latest first [-].
         step_bound: Bound on the next step [-].
-        lambda_p: Last QP step, kept or not [-].
+        lambda_p: Last QP step, accepted or refused [-].
         kkt_residual: Its optimality residual [-].
-        accepted: Whether it was kept.
-        step: Steps so far.
-        converged: Whether lambda_p has vanished, with no bound on the step in its way.
-        stalled: Whether steps were refused until the bound itself was below `tol`.
+        accepted: Whether it was accepted.
+        step: Number of steps so far.
+        converged: Whether lambda_p has vanished, not shortened by the step bound, or
+            steps were refused at a minimum.
+        stalled: Whether steps were refused until the step bound was below `tol`, away
+            from a minimum.
     """
 
     z: Float[Array, " n_p"]
@@ -92,7 +94,7 @@ class CalibrationState(eqx.Module):
 def initial_state(
     settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> CalibrationState:
-    """State before the first step."""
+    """Return the state before the first step."""
     return CalibrationState(
         z,
         evaluation,

@@ -1,10 +1,10 @@
-"""One step of the outer loop: a bounded QP, tried, and kept if it helps.
+"""One step of the outer loop: accept or refuse what the bounded QP proposes.
 
 The paper repeats the QP of Eqs. (10) and (11) with a fixed bound on the step until
-lambda_p vanishes. Here the bound is a trust region: it shrinks when a step is refused,
-grows when the model was right, and a step is refused that leaves the fit no better than
-the worst of the last few (`MEMORY`). The model is linear in the errors (Gauss-Newton),
-or knows their curvature from past steps where that tells the cost better.
+lambda_p vanishes. Here the bound is a trust region: it shrinks when a step is refused
+and grows when the model was right. A step is refused if its cost is no lower than the
+highest of the last few (`MEMORY`). The model is linear in the errors (Gauss-Newton), or
+includes their curvature from past steps where that predicts the cost better.
 """
 
 import jax
@@ -32,7 +32,7 @@ def decide(
     proposal: Proposal,
     tried: Evaluation,
 ) -> CalibrationState:
-    """Keep a proposed step if it helps, and adapt the bound on the next."""
+    """Accept a proposed step if it helps, and adapt the bound on the next."""
     now, lambda_p = state.evaluation, proposal.qp.lambda_p
     bound = state.step_bound
     predicted = now.cost - proposal.cost
@@ -49,10 +49,10 @@ def decide(
         grown = jnp.minimum(2.0 * bound, most)
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
-    # Steps were refused until none was left: a minimum only if the slope is gone too.
+    # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
-    # Relative fall of the cost per unit of lambda_p, within all constraints: the last
-    # QP step was so short that its model was linear.
+    # The slope is the relative fall of the cost per unit of lambda_p, predicted within
+    # all constraints for a step so short that the model is linear.
     flat = predicted <= FLAT * size * 2.0 * now.cost
     keep = lambda new, old: jnp.where(accepted, new, old)
     curvature = state.curvature
@@ -79,7 +79,7 @@ def _after(
     proposal: Proposal,
     tried: Evaluation,
 ) -> Curvature:
-    """What the compliances at both ends of a step tell of the curvature between."""
+    """Update the curvature from the compliances at both ends of a step."""
     now = state.evaluation
     here = linear_model(space, state.z, now)
     there = linear_model(space, proposal.z, tried)
@@ -92,6 +92,6 @@ def _after(
         tried.cost,
         proposal.costs,
     )
-    # A step that vanishes is not taken: both ends are the same.
+    # A vanishing step is not taken, so both of its ends are the same.
     keep = lambda old, new: jnp.where(proposal.vanishes, old, new)
     return jax.tree.map(keep, state.curvature, new)

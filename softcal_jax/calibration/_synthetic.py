@@ -1,4 +1,4 @@
-"""Measurements made by the model itself, to test a calibration before any are taken."""
+"""Synthetic measurements, to test a calibration before measuring anything."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -33,15 +33,15 @@ def synthetic_measurements(
     seed: int = 0,
     newton: NewtonSettings | None = None,
 ) -> tuple[Configuration, ...]:
-    """Configurations with the measurements that known parameters would give.
+    """Return configurations with the measurements that known parameters would give.
 
     Args:
         model: The body.
         space: The parameters.
         configurations: Poses with effectors; measured values are replaced.
         values: Value of every parameter, by name, in SI units.
-        noise: Whether to add normal errors with the stated standard deviations.
-        seed: Seed of these errors.
+        noise: Whether to add Gaussian noise with the stated standard deviations.
+        seed: Seed of the noise.
         newton: Settings of the equilibrium.
 
     Returns:
@@ -80,18 +80,18 @@ def simulated_measurements(
     first: Model | None = None,
     change: Callable[[ConfigurationArrays], ConfigurationArrays] | None = None,
 ) -> tuple[Configuration, ...]:
-    """Configurations with the measurements that a model gives as it is.
+    """Return configurations with the measurements that a given model would give.
 
     Args:
-        model: The body, which plays the real one.
+        model: The model that stands for the real robot.
         configurations: Poses with effectors; measured values are replaced.
-        noise: Whether to add normal errors with the stated standard deviations.
-        seed: Seed of these errors.
+        noise: Whether to add Gaussian noise with the stated standard deviations.
+        seed: Seed of the noise.
         newton: Settings of the equilibrium.
         first: A model of the same mesh and mechanism whose equilibria are easier to
             find and lie near: its states are the guesses.
-        change: What is different about each configuration when it is measured, like
-            an offset of the recording; nothing by default.
+        change: Changes each configuration when it is measured, like an offset of the
+            recording; nothing by default.
 
     Returns:
         The configurations, measured.
@@ -128,5 +128,5 @@ def simulated_measurements(
 
 
 def with_measured(configuration: Configuration, measured) -> Configuration:
-    """A configuration with other measured marker positions [m]."""
+    """Return the configuration with other measured marker positions [m]."""
     return replace(configuration, measured=measured)

@@ -9,22 +9,20 @@ from scipy.special import chdtrc
 from softcal_jax._typing import Bool, Float, HostArray
 
 BLIND = 1e-6
-"""Singular value, over the largest, below which a direction is rounding only [-]."""
-
+"""Singular value, over the largest, below which a direction is only rounding [-]."""
 
 UNLIKELY = 0.01
-"""Probability of a chi-squared as large by chance, below which the model is wrong."""
+"""Probability of a chi-squared as large by chance, below which the fit misfits."""
 
 
 class Uncertainty(eqx.Module):
     """Covariance of the parameters, to first order.
 
     Attributes:
-        covariance: Covariance of the scaled parameters [-]; nan for what sits on a
-            bound or cannot be determined.
+        covariance: Covariance of the scaled parameters [-]; nan for those on a bound or
+            not determined by the data.
         noise: "stated" by the user, or "estimated" from the residuals.
-        noise_scale: Factor on the stated standard deviations; 1 when they are taken as
-            they are [-].
+        noise_scale: Factor on the stated standard deviations; 1 for a stated noise [-].
         degrees_of_freedom: Measured coordinates minus free parameters.
         chi_squared: Sum of squared errors in units of the stated noise [-].
         at_bound: Parameters that ended on a bound.
@@ -69,13 +67,13 @@ def uncertainty(
     noise: Literal["stated", "estimated"],
     prior_weights: Float[HostArray, " n_p"] | None = None,
 ) -> Uncertainty:
-    """Covariance (W^T W / s^2 + P)^-1 over the parameters that are not on a bound.
+    """Compute the covariance (W^T W / s^2 + P)^-1 of the parameters not on a bound.
 
     s is 1 for a stated noise; for an estimated one s^2 is the sum of squared errors
     over its degrees of freedom, so that only the ratios of the stated standard
     deviations count (Bates and Watts, Nonlinear Regression Analysis, ch. 2). P is the
-    inverse covariance of the prior; a parameter that it determines takes the less of a
-    degree of freedom, the less the data say of it.
+    inverse covariance of the prior. A parameter uses up a degree of freedom only to the
+    extent that the data determine it, rather than its prior.
 
     Args:
         W: Stacked compliances in noise units.
@@ -107,7 +105,7 @@ def uncertainty(
 def _informed(
     W: Float[HostArray, "n_e n_free"], prior: Float[HostArray, "n_free n_free"]
 ) -> int:
-    """How many parameters the data determine, rather than the prior, rounded."""
+    """Count the parameters that the data determine rather than the prior, rounded."""
     if not np.any(prior):
         return W.shape[1]
     normal = W.T @ W
@@ -116,8 +114,8 @@ def _informed(
 
 
 def _inverse(rows: Float[HostArray, "n n_free"]):
-    """(rows^T rows)^-1, and which parameters it is known for."""
-    # Columns of unit length, so that a small parameter is not a blind direction.
+    """Return (rows^T rows)^-1, and the indices of parameters for which it is known."""
+    # Columns of unit length, so that the scale of a parameter does not make it blind.
     size = np.linalg.norm(rows, axis=0)
     size = np.where(size > 0.0, size, 1.0)
     _, singular, Vt = np.linalg.svd(rows / size)

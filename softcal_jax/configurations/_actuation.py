@@ -17,8 +17,8 @@ class ImposedForce(eqx.Module):
     Attributes:
         value: Tension of a cable [N], pressure of a chamber [Pa], torque of a motor
             [N m], force of a force actuator [N].
-        releasing: Whether the actuator was let go last, and did not pull; for the sign
-            of its friction.
+        releasing: Whether the actuator was last released rather than pulled, which sets
+            the sign of its friction.
     """
 
     value: float
@@ -32,8 +32,8 @@ class ImposedDisplacement(eqx.Module):
         value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
             motor as its encoder shows it [rad], displacement of a force actuator's
             point [m].
-        releasing: Whether the actuator was let go last, and did not pull; for the sign
-            of its friction.
+        releasing: Whether the actuator was last released rather than pulled, which sets
+            the sign of its friction.
     """
 
     value: float
@@ -47,19 +47,19 @@ BodyStates = Mapping[str, BodyState | Pose | str]
 def actuation_arrays(
     mechanism: Mechanism, actuation: Actuation, configuration: str
 ) -> ActuationArrays:
-    """What is asked of each actuator; of those not named, nothing.
+    """Stack what is imposed on each actuator.
 
     A cable or chamber that is not named has no force, a motor stays at its zero.
 
     Args:
         mechanism: The actuators of the model.
-        actuation: What is asked, by their names.
+        actuation: Imposed forces and displacements, by name of the actuator.
         configuration: Name of the configuration, for messages.
 
     Raises:
         ValueError: If a name is unknown, a value is not finite, a cable would push, a
-            motor turns by more than half a turn, a displacement is imposed on what has
-            none, or what has no friction is said to be releasing.
+            motor turns by more than half a turn, a displacement is imposed on an
+            actuator that has none, or one without friction is releasing.
     """
     actuators = mechanism.actuators
     what = f"configuration {configuration!r}"
@@ -114,17 +114,17 @@ def actuation_arrays(
 def body_state_arrays(
     mechanism: Mechanism, states: BodyStates, configuration: str
 ) -> BodyStateArrays:
-    """What the rigid bodies do; those not named are free.
+    """Stack the states of the rigid bodies; those not named are free.
 
     Args:
         mechanism: The bodies of the model.
-        states: What they do, by their names; a `Pose` holds the body there, and a
-            text is the `kind` of a `BodyState`.
+        states: Their states by name; a `Pose` holds the body there, and a text is the
+            `kind` of a `BodyState`.
         configuration: Name of the configuration, for messages.
 
     Raises:
         ValueError: If a name is unknown, a body is tied to another or has a motor, or
-            is given a pose that its state leaves no place for.
+            is given a pose that has no effect in its state.
     """
     bodies = mechanism.bodies
     what = f"configuration {configuration!r}"

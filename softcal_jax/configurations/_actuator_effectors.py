@@ -21,9 +21,9 @@ from softcal_jax.mesh import TetMesh, named_nodes
 class ActuatorDisplacement(AbstractScalar):
     """Displacement delta_a of an actuator: length of a cable, volume of a chamber.
 
-    Of a motor it is what its encoder shows and what `ImposedDisplacement` asks for: the
-    angle of its body without the motor's error of zero. `BodyFrame` and `BodyAngle`
-    see the angle itself.
+    For a motor it is the reading of its encoder, as for `ImposedDisplacement`: the
+    angle of its body minus the zero error. `BodyFrame` and `BodyAngle` give the angle
+    itself.
 
     Attributes:
         name: Its name.
@@ -80,8 +80,8 @@ class ActuatorForce(AbstractScalar):
 class SupportReaction(AbstractVector):
     """Force with which the ground holds a group of nodes: a load cell under a clamp.
 
-    A rigid body among them is held as a whole: its own mass, what pulls at it, and
-    bodies that are tied to it count.
+    A rigid body among them is held as a whole: the reaction includes its own mass, what
+    pulls at it, and bodies that are tied to it.
 
     Attributes:
         name: Its name.
@@ -109,9 +109,9 @@ class SupportReaction(AbstractVector):
 def _with_bodies(
     nodes: Int[HostArray, " n"], mesh: TetMesh, bodies: BodyArrays, name: str
 ) -> Int[HostArray, " _"]:
-    """Nodes and, for the bodies among them, all nodes by which the ground holds them.
+    """Add, for bodies among the nodes, all nodes by which the ground holds them.
 
-    Masses and cables act on the nodes of a body's frame.
+    These include the frame nodes of a body, on which masses and cables act.
     """
     inside = np.isin(bodies.attached, nodes)
     counts = [(inside[bodies.body == k], k) for k in range(bodies.n_bodies)]

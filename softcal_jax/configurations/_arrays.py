@@ -7,15 +7,15 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import BodyStateArrays, rotation_matrix
 
 AnyArray = Array | HostArray
-"""On the host while a configuration is put together, then on the device."""
+"""On the host while a configuration is assembled, then on the device."""
 
 
 class RecordingBase(eqx.Module):
-    """How far the frame in which poses were recorded is off the frame of the mesh.
+    """Offset of the frame of a recording from the frame of the mesh.
 
-    A reading of a point at x is c + R (x - c) + translation about the centre c of the
-    mesh, and R precedes the turn of a body: the markers of a recording, or the base of
-    a tracker, stand off as one.
+    A point at x is read at c + R (x - c) + translation, with c the centre of the mesh,
+    and an orientation Q as R Q: the markers of a recording, or the base of a tracker,
+    are off as one rigid body.
 
     Attributes:
         translation: Its offset [m]; 0 unless it is a parameter.
@@ -28,13 +28,13 @@ class RecordingBase(eqx.Module):
     def point(
         self, x: Float[Array, "n 3"], centre: Float[Array, "3"]
     ) -> Float[Array, "n 3"]:
-        """Readings of points at positions x [m]."""
+        """Return readings of points at positions x [m]."""
         R = rotation_matrix(jnp.asarray(self.rotation))
         turned = jnp.sum(R[None] * (x - centre[None])[:, None, :], axis=2)
         return turned + (centre + jnp.asarray(self.translation))[None]
 
     def turn(self, R: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
-        """Readings of orientations R, as matrices [-]."""
+        """Return readings of orientations R, as matrices [-]."""
         base = rotation_matrix(jnp.asarray(self.rotation))
         return jnp.sum(base[None, :, :, None] * R[:, None, :, :], axis=2)
 
@@ -42,24 +42,24 @@ class RecordingBase(eqx.Module):
 class EffectorArrays(eqx.Module):
     """Effectors in rows of three coordinates: points, turns, scalars, forces.
 
-    A marker or the centroid of a group is a point, the orientation of a rigid body a
-    turn; a scalar, which is the displacement of an actuator or an angle between two
-    bodies, and the force of an actuator take the first place of their row; reactions of
-    the ground come last. Configurations with fewer are padded with weight zero.
+    Rows stand in the order points (markers, centroids), turns (orientations of rigid
+    bodies), scalars (displacements of actuators, angles between bodies), forces of
+    actuators and reactions of the ground. Scalars and forces use the first coordinate
+    of their row. Configurations with fewer rows are padded with weight zero.
 
     Attributes:
         nodes: Nodes that carry each point.
         weights: Their weights [-]; position = sum of weights times node positions.
         turn_body: Body of each turn.
         turn_reference: Orientation that it is counted from, as a matrix [-].
-        scalar_index: Actuator and -1, or the two bodies of an angle.
+        scalar_index: Indices: actuator and -1, or the two bodies of an angle.
         scalar_axis: Axis of the angle, in the frame of the mesh at rest [-].
         force_actuator: Actuator of each force.
         reaction_nodes: Nodes of each reaction.
         reaction_weights: 1 for each of them, 0 for padding.
         measured: Measured values, or goals, of all rows.
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured.
-        base: How far the frame of the recording is off that of the mesh.
+        base: Offset of the frame of the recording.
     """
 
     nodes: Int[AnyArray, "*batch n_points n_carriers"]
@@ -87,14 +87,14 @@ class EffectorArrays(eqx.Module):
 
 
 class ActuationArrays(eqx.Module):
-    """What is asked of each actuator.
+    """Imposed force or displacement of each actuator.
 
     Attributes:
         by_displacement: Whether its displacement delta_a is imposed, or its force.
         value: delta_a or lambda_a at full load, in the units of the actuator.
-        force_factor: What an imposed force is multiplied by [-]; 1 unless it is a
-            parameter, for a force that is only roughly known.
-        releasing: Whether it is let go, for the sign of its friction.
+        force_factor: Factor on an imposed force [-]; 1 unless it is a parameter, for a
+            force that is only roughly known.
+        releasing: Whether it was last released, which sets the sign of its friction.
         names: Names of the actuators.
     """
 
@@ -115,7 +115,7 @@ class Springs(eqx.Module):
     """Elastic supports: springs between nodes and the places where they are held.
 
     Attributes:
-        area: Area that each node has in each support, along its axes [m2].
+        area: Area of each node in each support, along the axes of the support [m2].
         stiffness: Force per area and displacement of each support [N/m3].
         rest: Displacement at full load at which they exert no force [m].
         names: Groups of the supports.
@@ -127,7 +127,7 @@ class Springs(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     def coefficients(self) -> Float[Array, "n_points 3"]:
-        """Stiffness of the spring on each coordinate of each node [N/m]."""
+        """Compute the spring stiffness on each coordinate of each node [N/m]."""
         by_support = jnp.asarray(self.stiffness)[:, None, None]
         return jnp.sum(by_support * jnp.asarray(self.area), axis=0)
 
@@ -143,12 +143,12 @@ class ConfigurationArrays(eqx.Module):
         imposed: Their displacement, at full load [m].
         springs: The elastic supports.
         force: Dead nodal forces [N].
-        load_factor: What these are multiplied by [-]; 1 unless it is a parameter.
+        load_factor: Factor on these [-]; 1 unless it is a parameter.
         gravity: Acceleration of gravity as stated [m/s2].
-        tilt: Angles by which it is off, about two axes across it [rad]; 0 unless they
-            are parameters. See `acceleration`.
-        bodies: What the rigid bodies do.
-        actuation: What is asked of the actuators.
+        tilt: Angles by which its direction is off, about two axes perpendicular to it
+            [rad]; 0 unless they are parameters. See `acceleration`.
+        bodies: States of the rigid bodies.
+        actuation: Imposed forces and displacements of the actuators.
         effectors: The measured points.
     """
 

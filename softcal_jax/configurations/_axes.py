@@ -2,7 +2,7 @@
 
 
 def parse_axes(axes: str) -> list[int]:
-    """Indices of the axes in a word like "xz".
+    """Return the indices of the axes in a word like "xz".
 
     Raises:
         ValueError: If the word holds anything but x, y and z, each at most once.

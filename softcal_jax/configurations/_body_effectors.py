@@ -31,8 +31,8 @@ def _point(value: Float[ArrayLike, "3"] | Sequence[float]) -> HostArray:
 class BodyFrame(AbstractEffector):
     """Position and orientation of a rigid body: a 6-D sensor on it.
 
-    Six coordinates: where its point is, and the rotation vector of its orientation
-    relative to the measured one, which has no jump at half a turn.
+    It has six coordinates: the position of its point, and the rotation vector of its
+    orientation relative to the measured one, which has no jump at half a turn.
 
     Attributes:
         name: Its name.
@@ -54,7 +54,7 @@ class BodyFrame(AbstractEffector):
     std_angle: float = 1e-2
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Its position, then its orientation."""
+        """Return its position, then its orientation."""
         bodies = mechanism.bodies
         k = index_of(self.body, bodies.names, "rigid body", self.name)
         point = bodies.origin[k] if self.point is None else self.point
@@ -89,7 +89,7 @@ class BodyFrame(AbstractEffector):
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "BodyFrame":
-        """With a position [m], and a rotation vector from rest [rad]."""
+        """Replace the measured position [m] and rotation vector from rest [rad]."""
         k = mechanism.bodies.names.index(self.body)
         point = mechanism.bodies.origin[k] if self.point is None else self.point
         return replace(self, measured=Pose(values[0] - point, values[1]))
@@ -113,7 +113,7 @@ class Centroid(AbstractVector):
     std: float = 1e-3
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Its position."""
+        """Return its position."""
         del mechanism
         nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
         row = EffectorRow(
@@ -133,7 +133,7 @@ class BodyAngle(AbstractScalar):
         name: Its name.
         body: The body that turns.
         other: The body it is measured from.
-        axis: Axis of the angle, fixed on `other`, as it lies at rest [-].
+        axis: Axis of the angle, fixed to `other`, as it lies at rest [-].
         measured: Measured angle from rest [rad].
         std: Its standard deviation [rad].
     """
@@ -146,7 +146,7 @@ class BodyAngle(AbstractScalar):
     std: float = 1e-2
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Its single coordinate."""
+        """Return its single coordinate."""
         del mesh
         names = mechanism.bodies.names
         pair = (

@@ -10,7 +10,7 @@ from softcal_jax.mesh import TetMesh, locate, volumes
 def carriers(
     mesh: TetMesh, markers: Markers
 ) -> list[tuple[Int[HostArray, " n"], Float[HostArray, " n"]]]:
-    """Nodes and weights with which each marker follows the mesh.
+    """Find the nodes and weights with which each marker follows the mesh.
 
     Args:
         mesh: The mesh at rest.
@@ -36,11 +36,11 @@ def carriers(
 
 
 def _patch(mesh, volume, foot, position, *, radius, name):
-    """Weights of the affine motion fitted to the nodes within a radius of the foot."""
+    """Return nodes within a radius of the foot, and weights of their affine motion."""
     nodes = np.flatnonzero(np.linalg.norm(mesh.points - foot, axis=1) <= radius)
     share = np.sqrt(volume[nodes])
     centre = mesh.points[nodes].mean(axis=0) if nodes.size else foot
-    # Affine functions at the nodes, in units of the radius for a fair conditioning.
+    # Affine functions at the nodes, in units of the radius for good conditioning.
     A = np.column_stack([np.ones(nodes.size), (mesh.points[nodes] - centre) / radius])
     singular = np.linalg.svd(share[:, None] * A, compute_uv=False)
     if nodes.size < 4 or singular[-1] < 1e-3 * singular[0]:
@@ -54,9 +54,9 @@ def _patch(mesh, volume, foot, position, *, radius, name):
 
 
 def _nodal_volumes(mesh: TetMesh) -> Float[HostArray, " n_nodes"]:
-    """Volume of the tets around each node, shared evenly among their nodes [m3].
+    """Share the volume of each tet evenly among its nodes [m3].
 
-    The integrals of quadratic shape functions would give corners a negative share.
+    Integrals of quadratic shape functions would give corners a negative share.
     """
     share = volumes(mesh) / mesh.tets.shape[1]
     out = np.zeros(mesh.n_nodes)

@@ -68,15 +68,15 @@ class Configuration(eqx.Module):
         loads: Dead loads, one or several.
         markers: Points that are measured or followed; may be left out.
         measured: Measured marker positions in the frame of the mesh [m].
-        effectors: What else is measured, or followed: frames of rigid bodies, lengths,
+        effectors: What else is measured or followed: frames of rigid bodies, lengths,
             volumes, angles, forces. Each has its own measured value.
-        bodies: What rigid bodies do, by name: a `Pose` where they are held, "held",
+        bodies: States of rigid bodies, by name: a `Pose` where they are held, "held",
             "hinged", or a `BodyState`; the others are free.
-        actuation: What is asked of actuators, by name: `ImposedForce` or
-            `ImposedDisplacement`. Of the others nothing: no force; a motor at zero.
-        recording: Name of the recording that its measured values are from; what is off
-            in one recording, like its frame, is shared by all its configurations. By
-            default each configuration is a recording of its own.
+        actuation: What is imposed on actuators, by name: `ImposedForce` or
+            `ImposedDisplacement`. The others have no force, or stay at zero if motors.
+        recording: Name of the recording that its measured values are from. What is off
+            in a recording, like its frame, is off in all its configurations. By default
+            each configuration is a recording of its own.
     """
 
     name: str
@@ -121,7 +121,7 @@ class Configuration(eqx.Module):
 
 
 class ConfigurationLanes(NamedTuple):
-    """Configurations as the solver sees them, and what their effectors are.
+    """Configurations as the solver sees them, and records of their effectors.
 
     Attributes:
         arrays: Arrays with a leading axis, one lane per configuration.
@@ -143,13 +143,7 @@ def configuration_arrays(
     configurations: Sequence[Configuration],
     mechanism: Mechanism | None = None,
 ) -> ConfigurationArrays:
-    """Stack configurations of one mesh into the batch that is solved at once.
-
-    It takes what `configuration_lanes` takes.
-
-    Returns:
-        Arrays with a leading axis, one lane per configuration.
-    """
+    """Return only the arrays of `configuration_lanes`."""
     return configuration_lanes(mesh, configurations, mechanism).arrays
 
 
@@ -191,7 +185,7 @@ def configuration_lanes(
         _lane(mesh, mechanism, c, springs, effectors)
         for c, effectors in zip(configurations, stacked, strict=True)
     ]
-    # Not jnp.asarray, which compiles a program for every shape.
+    # Not jnp.asarray, which would compile a program for every shape.
     arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
     records = [
         effector_records(own, at, mechanism.points)
@@ -242,7 +236,7 @@ def _lane(
 
 
 def _springs(mesh: TetMesh, c: Configuration, names: tuple[str, ...], rest) -> Springs:
-    """The elastic supports of a configuration, among those of the whole batch."""
+    """Stack the elastic supports of a configuration among those of the whole batch."""
     area, stiffness = np.zeros((len(names), *rest.shape)), np.zeros(len(names))
     for support in c.supports:
         if support.stiffness is None:
@@ -276,7 +270,7 @@ def _check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:
 def effector_rows(
     mesh: TetMesh, c: Configuration, mechanism: Mechanism
 ) -> list[EffectorRow]:
-    """Rows of effector coordinates of a configuration: its markers, then the others.
+    """List rows of effector coordinates of a configuration: markers, then the others.
 
     Args:
         mesh: The mesh.
@@ -317,8 +311,8 @@ def _check_held(
 ) -> None:
     """Raise unless all six rigid motions are blocked, or a hinge is balanced.
 
-    What turns on a hinge needs something that the balance can settle its angle by:
-    weight, a load, or an actuator other than motors.
+    The angle of a hinge needs something that balances it: weight, a load, or an
+    actuator other than motors.
     """
     motors = [n for n, b in _motors(mechanism) if kind[b] == KINDS.index("hinged")]
     asked = set(c.actuation) - {name for name, _ in _motors(mechanism)}
@@ -355,7 +349,7 @@ def _check_held(
 
 
 def _motors(mechanism: Mechanism) -> list[tuple[str, int]]:
-    """Names of the motors, and the bodies that they turn."""
+    """Return names of the motors, and indices of the bodies that they turn."""
     actuators = mechanism.actuators
     both = zip(actuators.names, actuators.motor_body, strict=True)
     return [(name, body) for name, body in both if body >= 0]

@@ -29,7 +29,7 @@ class CsvTable(NamedTuple):
     source: str
 
     def number(self, row: Row, column: str) -> float:
-        """The number in a cell, nan if it is blank.
+        """Read the number in a cell, nan if it is blank.
 
         Raises:
             ValueError: If it is something else.
@@ -49,7 +49,7 @@ class CsvTable(NamedTuple):
 def read_table(
     path: str | os.PathLike[str], key: str, select: Mapping[str, str] | None
 ) -> CsvTable:
-    """Reads a file and selects rows; comments (`#`) and blank lines are skipped.
+    """Read a file and select rows, without comments (`#`) and blank lines.
 
     Args:
         path: The file.
@@ -71,7 +71,7 @@ def read_table(
 
 
 def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
-    """Lines that are neither blank nor comments (`#`), with their numbers from 1.
+    """Read lines that are neither blank nor comments (`#`), with numbers from 1.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -93,7 +93,7 @@ def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
 
 
 def _read_rows(path: Path, key: str) -> tuple[list[str], list[Row]]:
-    # Line by line, so that a message can name the line: a cell never spans two.
+    # Parsed line by line, so that messages can name the line: no cell spans two.
     lines = [
         (number, [cell.strip() for cell in next(csv.reader([line]))])
         for number, line in read_lines(path, key)
@@ -152,7 +152,7 @@ def check_length_unit(unit: str) -> None:
 
 
 def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], float]:
-    """Names of the columns x, y, z or x_mm, y_mm, z_mm, and their unit in metres.
+    """Find the columns x, y, z or x_mm, y_mm, z_mm, and their unit in metres.
 
     Raises:
         ValueError: If a column is missing, or the unit is unknown, unstated or
@@ -180,7 +180,7 @@ def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], fl
 
 
 def _unit_of_columns(path: Path, header: list[str]) -> str | None:
-    """The unit that the column of x carries in its name, if any."""
+    """Return the unit that the column of x carries in its name, if any."""
     units = [unit for unit in METRES if f"x_{unit}" in header]
     if len(units) > 1:
         raise ValueError(
@@ -191,7 +191,7 @@ def _unit_of_columns(path: Path, header: list[str]) -> str | None:
 
 
 def missing(path: Path, column: str, header: list[str]) -> ValueError:
-    """The error for a column that is not in the header."""
+    """Make the error for a column that is not in the header."""
     hint = suggestion(column, header)
     if len(header) == 1:
         hint += " Separate the columns by commas."

@@ -1,6 +1,6 @@
-"""Effectors beside markers: what all of them are to the solver (paper Sec. II).
+"""Effectors other than markers, and their rows for the solver (paper Sec. II).
 
-Each is a sensor where it has a measured value, and what control brings to a goal.
+Each is a sensor where it has a measured value; control brings the others to goals.
 """
 
 from abc import abstractmethod
@@ -29,13 +29,13 @@ class EffectorRow(NamedTuple):
 
     Attributes:
         name: Name of the marker or effector.
-        quantity: What they are.
+        quantity: What they are computed from.
         unit: Their unit.
         measured: Measured values, or goals; NaN where there is none.
         inverse_std: 1 / standard deviation; 0 for a coordinate that does not count.
         nodes: Nodes that carry a point, or hold a reaction.
         weights: Their weights [-].
-        about: Indices of the bodies, or of the actuator, that it is about.
+        about: Indices of the bodies, or of the actuator, that it belongs to.
         axis: Axis of an angle, in the frame of the mesh [-].
         reference: Orientation that turns are counted from, as a matrix [-].
     """
@@ -59,7 +59,7 @@ class AbstractEffector(eqx.Module):
 
     @abstractmethod
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Its coordinates.
+        """Return its coordinates.
 
         Args:
             mesh: The mesh at rest.
@@ -73,7 +73,7 @@ class AbstractEffector(eqx.Module):
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractEffector":
-        """The effector with other measured values.
+        """Return the effector with other measured values.
 
         Args:
             values: One row for each of `rows`, turns counted from rest.
@@ -82,7 +82,7 @@ class AbstractEffector(eqx.Module):
 
 
 def inverse_std(name: str, what: str, std: float, unit: str) -> float:
-    """1 / standard deviation of an effector.
+    """Return 1 / standard deviation of an effector.
 
     Args:
         name: Its name, for messages.
@@ -105,7 +105,7 @@ class AbstractScalar(AbstractEffector):
     """An effector of one coordinate: a length, a volume, an angle, a force."""
 
     def measured_as(self, values: Float[HostArray, "k 3"], mechanism: Mechanism):
-        """With a value in its unit."""
+        """Replace the measured value, in its unit."""
         del mechanism
         return replace(self, measured=float(values[0, 0]))
 
@@ -114,7 +114,7 @@ class AbstractVector(AbstractEffector):
     """An effector of three coordinates: a position, a force."""
 
     def measured_as(self, values: Float[HostArray, "k 3"], mechanism: Mechanism):
-        """With a position [m] or a force [N]."""
+        """Replace the measured position [m] or force [N]."""
         del mechanism
         return replace(self, measured=values[0])
 
@@ -162,7 +162,7 @@ def vector_rows(
 
 
 def index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
-    """Find what an effector is about in a list of names.
+    """Find the body or actuator of an effector in a list of names.
 
     Args:
         wanted: Its name.
@@ -184,5 +184,5 @@ def index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
 def optional_point(
     value: Float[ArrayLike, "..."] | Sequence[float] | None,
 ) -> HostArray | None:
-    """A point as an array, for converters of fields."""
+    """Convert a point to an array, as a converter of fields."""
     return None if value is None else np.asarray(value, float)

@@ -13,7 +13,7 @@ Rows = Sequence[EffectorRow]
 
 
 def row_indices(lanes: Sequence[Rows]) -> list[list[int]]:
-    """Find where each row of each configuration stands among the stacked rows.
+    """Find the index of each row of each configuration among the stacked rows.
 
     Args:
         lanes: The rows of each configuration.
@@ -45,7 +45,7 @@ def stack_effectors(
 
     Args:
         lanes: The rows of each configuration.
-        indices: Where they go, see `row_indices`.
+        indices: Their indices, see `row_indices`.
     """
     n = {q: _count(lanes, q) for q in QUANTITIES}
     widest = max((row.nodes.size for lane in lanes for row in lane), default=0)
@@ -90,7 +90,7 @@ def _stack(
 
 
 def marker_rows(c, carried: list[tuple[HostArray, HostArray]]) -> list[EffectorRow]:
-    """Markers of a configuration as rows.
+    """Return the markers of a configuration as rows.
 
     Args:
         c: The configuration.

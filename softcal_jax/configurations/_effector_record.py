@@ -1,4 +1,4 @@
-"""What an effector is and what it showed, for results and all that reads them."""
+"""Measured and simulated values of effectors, for results and all that reads them."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from softcal_jax.configurations._effector import EffectorRow, Quantity
 
 
 def _width(quantity: Quantity) -> int:
-    """How many of the three coordinates of a row count; the rest is padding."""
+    """Return how many of the three coordinates of a row count; others are padding."""
     return 1 if quantity in ("scalar", "force") else 3
 
 
@@ -26,8 +26,8 @@ class EffectorRecord(eqx.Module):
         quantity: What the coordinates are.
         unit: Their unit.
         index: Index of their row in `EffectorArrays`.
-        measured: Measured values, or goals; NaN for a coordinate that was not measured,
-            whatever number stood there. A turn is counted from the measured one.
+        measured: Measured values, or goals; NaN for a coordinate that was not measured.
+            A turn is counted from the measured one.
         std: Their standard deviation; infinite for a coordinate that was not measured.
         reference: Of a turn, the orientation that it is counted from, as a matrix [-].
         at_rest: Of a point, its position on the undeformed robot [m]; of others NaN.
@@ -80,7 +80,7 @@ def effector_records(
 
     Args:
         rows: The rows.
-        indices: Where they stand in the arrays.
+        indices: Their indices in the arrays.
         points: All nodes at rest [m].
     """
     records = []

@@ -29,7 +29,7 @@ class AbstractLoad(eqx.Module):
 
     @abstractmethod
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Forces on all nodes [N]."""
+        """Compute forces on all nodes [N]."""
 
 
 class PointForce(AbstractLoad):
@@ -44,7 +44,7 @@ class PointForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Forces on the nodes of the tet that holds the point [N].
+        """Compute forces on the nodes of the tet that holds the point [N].
 
         Raises:
             ValueError: If the point lies outside the mesh.
@@ -71,7 +71,7 @@ class NodalForces(AbstractLoad):
     forces: Float[HostArray, "n 3"]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """The forces, added where a node is named twice [N].
+        """Place the forces on all nodes; they add up where a node is named twice [N].
 
         Raises:
             ValueError: If a node is not in the mesh, or the forces are not three
@@ -108,7 +108,7 @@ class EdgeForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Consistent forces: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N].
+        """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N].
 
         Raises:
             ValueError: If the group or a node is unknown, or they hold no edge of the
@@ -168,7 +168,7 @@ class SurfaceTraction(AbstractLoad):
 
 
 def _boundary_edges(mesh: TetMesh) -> Int[HostArray, "n_edges n_ln"]:
-    """Edges of the boundary faces, once each: two ends, then the mid node if any."""
+    """List edges of the boundary faces once: two ends, then the mid node if any."""
     faces = boundary_faces(mesh)
     sides = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]
     n_ln = 2 if faces.shape[1] == 3 else 3

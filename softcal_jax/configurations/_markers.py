@@ -30,10 +30,10 @@ class Markers(eqx.Module):
         axes: Axes that are measured, like "xyz" or "xz".
         max_distance: How far from the mesh a marker may stand [m].
         base_radius: For markers on posts: the post follows the affine motion fitted to
-            the nodes within this radius of its foot. 0 takes the tet at the marker
-            alone, whose local strain a post would magnify. The nodes are picked by
-            straight distance: stay below the distance to another part of the body,
-            like the far side of a slit or a second finger [m].
+            the nodes within this radius of its foot. 0 uses only the tet at the marker,
+            whose local strain a post would magnify. The nodes are picked by straight
+            distance: stay below the distance to another part of the body, like the far
+            side of a slit or a second finger [m].
     """
 
     names: tuple[str, ...] = eqx.field(converter=_as_names)
@@ -83,7 +83,7 @@ class Markers(eqx.Module):
             )
 
     def inverse_std(self) -> Float[HostArray, "n_markers 3"]:
-        """1 / std on the measured axes, 0 on the others [1/m]."""
+        """Return 1 / std on the measured axes, 0 on the others [1/m]."""
         std = np.asarray(self.std, float)
         std = std[:, None] if std.ndim == 1 else std
         out = np.zeros((len(self.names), 3))
@@ -94,7 +94,7 @@ class Markers(eqx.Module):
     def check_measured(
         self, measured: Float[ArrayLike, "n_markers 3"], configuration: str
     ) -> Float[HostArray, "n_markers 3"]:
-        """Measured positions as an array.
+        """Check measured positions and return them as an array.
 
         Raises:
             ValueError: If the number of markers is wrong or a position is not finite.

@@ -16,7 +16,7 @@ def measured_as(
     mesh: TetMesh,
     mechanism: Mechanism,
 ) -> Configuration:
-    """A configuration with other measured values.
+    """Replace the measured values of a configuration.
 
     Args:
         c: The configuration.
@@ -37,7 +37,7 @@ def measured_as(
 def measured_at_rest(
     c: Configuration, mesh: TetMesh, mechanism: Mechanism
 ) -> Configuration:
-    """A configuration whose effectors all count, with values that mean nothing.
+    """Give all effectors of a configuration placeholder values, so that all count.
 
     Args:
         c: The configuration.

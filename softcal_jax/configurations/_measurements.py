@@ -27,7 +27,7 @@ class MarkerTable(eqx.Module):
     source: str
 
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3"]:
-        """Positions of some markers, in the order of their names [m].
+        """Return positions of some markers, in the order of their names [m].
 
         Args:
             names: Markers, each in the table.
@@ -59,12 +59,12 @@ def read_markers(
     length_unit: str | None = None,
     select: Mapping[str, str] | None = None,
 ) -> MarkerTable:
-    """Reads marker positions from a CSV file with a header line.
+    """Read marker positions from a CSV file with a header line.
 
     Columns: `marker`, and either `x`, `y`, `z` or columns that carry their unit, like
     `x_mm`, `y_mm`, `z_mm`. Any other column can be selected on. Lines that start with
     `#` and blank lines are skipped. A blank or `nan` coordinate is a marker that was
-    lost: it is kept, and refused only where it is asked for.
+    lost: it is kept, and raises only when it is asked for.
 
     Args:
         path: The file.

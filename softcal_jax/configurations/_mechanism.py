@@ -1,4 +1,4 @@
-"""What a robot has beside its soft body: rigid bodies and actuators, as arrays."""
+"""Rigid bodies and actuators of a robot, as arrays."""
 
 from collections.abc import Sequence
 
@@ -20,14 +20,14 @@ from softcal_jax.mesh import TetMesh
 class Mechanism(eqx.Module):
     """Rigid bodies and actuators of a model; either may be missing.
 
-    Nodes are numbered through: those of the mesh, then four of each body's frame.
+    Node indices run on from those of the mesh to four for each body's frame.
 
     Attributes:
         points: All nodes at rest, the frame nodes of the bodies last [m].
         bodies: The rigid bodies.
         actuators: The actuators.
-        motor_zero: What each actuator that is a motor adds to its angle: its error of
-            zero [rad]. 0 for all others.
+        motor_zero: Zero error of each motor, added to the angle of its encoder [rad];
+            0 for other actuators.
     """
 
     points: Float[HostArray, "n_points 3"]
@@ -41,10 +41,9 @@ class Mechanism(eqx.Module):
         return len(self.actuators.names)
 
     def displacements(self, x: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
-        """Displacements delta_a of the actuators, as they are imposed and measured.
+        """Compute displacements delta_a of the actuators, as imposed and measured.
 
-        Of a motor it is what its encoder shows: the angle of its body without its error
-        of zero.
+        For a motor it is the reading of its encoder: the angle minus the zero error.
 
         Args:
             x: Positions of all nodes [m].

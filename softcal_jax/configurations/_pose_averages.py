@@ -1,4 +1,4 @@
-"""Means of repeated readings of a tracker, and how far the readings scatter."""
+"""Means and covariances of repeated readings of a tracker."""
 
 import equinox as eqx
 import numpy as np
@@ -8,7 +8,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations._pose_table import PoseTable
 
 _ONE_POSE = np.deg2rad(30.0)
-"""Readings that turn further from their mean are not those of one pose [rad]."""
+"""Largest turn of a reading of one pose from the mean of the readings [rad]."""
 
 
 class AveragedPose(eqx.Module):
@@ -59,7 +59,7 @@ class AveragedPose(eqx.Module):
 
 
 def average_poses(table: PoseTable) -> dict[str, AveragedPose]:
-    """Means of the readings of each sensor while it stood still.
+    """Average the readings of each sensor while it stood still.
 
     The mean rotation has the least sum of squared matrix distances, by
     `scipy.spatial.transform.Rotation.mean` (Markley et al., J. Guid. Control Dyn. 30,

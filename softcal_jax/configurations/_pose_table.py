@@ -38,7 +38,7 @@ class PoseTable(eqx.Module):
             )
 
     def readings_of(self, name: str) -> "PoseTable":
-        """The rows of one sensor.
+        """Return the rows of one sensor.
 
         Raises:
             ValueError: If the sensor is not in the table.
@@ -62,17 +62,16 @@ class PoseTable(eqx.Module):
 def in_frame(
     table: PoseTable, *, base: Pose | None = None, sensor: Pose | None = None
 ) -> PoseTable:
-    """The poses of the body that carries the sensor, in the frame of the robot.
+    """Convert poses of a sensor to those of its body, in the frame of the robot.
 
     T_body = T_base T_reading T_sensor^-1, where a pose stands for the change of
     coordinates x -> R x + translation (a `Pose` whose origin is zero).
 
     Args:
         table: Readings of sensors with the same place on their body.
-        base: From the tracker's base to the robot: where the base stands in the
-            robot's frame. By default both frames are the same.
-        sensor: From the sensor to the body: where the sensor sits in the body's frame.
-            By default both frames are the same.
+        base: Pose of the tracker's base in the robot's frame. By default both frames
+            are the same.
+        sensor: Pose of the sensor in the body's frame; likewise.
 
     Returns:
         The table with the body's origin and axes in place of the sensor's.

@@ -1,4 +1,4 @@
-"""From the frame of the cameras to the frame of the mesh."""
+"""Registration: from the frame of the cameras to the frame of the mesh."""
 
 import warnings
 
@@ -16,7 +16,7 @@ class Registration(eqx.Module):
     Attributes:
         rotation: Rotation matrix, camera axes to mesh axes [-].
         translation: Translation after the rotation [m].
-        residuals: What the motion leaves at each marker used, in the mesh frame [m].
+        residuals: Residual of each marker used, in the mesh frame [m].
     """
 
     rotation: Float[HostArray, "3 3"]
@@ -31,7 +31,7 @@ class Registration(eqx.Module):
     def apply(
         self, points: Float[ArrayLike, "n_points 3"]
     ) -> Float[HostArray, "n_points 3"]:
-        """Points of the camera frame in the mesh frame [m]."""
+        """Transform points from the camera frame to the mesh frame [m]."""
         return np.asarray(points, float) @ self.rotation.T + self.translation
 
 
@@ -41,7 +41,7 @@ def register(
     *,
     weights: Float[ArrayLike, " n_markers"] | None = None,
 ) -> Registration:
-    """Rigid motion that best takes measured markers onto their nominal positions.
+    """Fit the rigid motion that takes measured markers onto nominal positions.
 
     The weighted least-squares rotation of Kabsch (Acta Cryst. A32, 1976), by
     `scipy.spatial.transform.Rotation.align_vectors`.
@@ -52,7 +52,7 @@ def register(
         weights: Weight of each marker [-]; equal by default.
 
     Returns:
-        The motion and what it leaves at each marker.
+        The motion and its residuals.
 
     Raises:
         ValueError: If fewer than three markers are given, they lie on a line or in one

@@ -1,4 +1,4 @@
-"""Where and how the body is held."""
+"""Supports: where and how the body is held."""
 
 import equinox as eqx
 import numpy as np
@@ -15,8 +15,8 @@ class Support(eqx.Module):
         where: Name of a node or surface group, or node indices.
         axes: The held axes: "xyz" clamps, "z" lets the nodes slide in x and y.
         displacement: Imposed displacement of the held axes [m].
-        stiffness: Of a support that gives way, like a clamp of rubber: force per area
-            and displacement [N/m3], on a surface group. Rigid by default.
+        stiffness: Stiffness of an elastic support on a surface group, like a rubber
+            clamp: force per area and displacement [N/m3]. Rigid by default.
     """
 
     where: str | Int[HostArray, " n"]
@@ -79,7 +79,7 @@ class Support(eqx.Module):
             )
 
     def areas(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Area that each node of an elastic support has, along its axes [m2].
+        """Compute the area of each node of an elastic support, along its axes [m2].
 
         Raises:
             ValueError: If the group is not a surface.

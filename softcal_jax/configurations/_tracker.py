@@ -33,7 +33,7 @@ def read_poses(
     length_unit: str | None = None,
     select: Mapping[str, str] | None = None,
 ) -> PoseTable:
-    """Reads poses of sensors from a CSV file with a header line.
+    """Read poses of sensors from a CSV file with a header line.
 
     Columns: `sensor`; `x`, `y`, `z` or columns that carry their unit, like `x_mm`; and
     either the angles `azimuth_deg`, `elevation_deg`, `roll_deg` (or `..._rad`) or a
@@ -96,7 +96,7 @@ def read_polhemus(
     angle_unit: str = "deg",
     stations: Mapping[int, str] | None = None,
 ) -> PoseTable:
-    """Reads the text that a Polhemus tracker sends: numbers without a header.
+    """Read the text that a Polhemus tracker sends: numbers without a header.
 
     Each line holds seven numbers with spaces between: station, x, y, z, azimuth,
     elevation, roll; see `read_poses` for the angles. Lines that start with `#` and
@@ -106,8 +106,8 @@ def read_polhemus(
         path: The file.
         length_unit: Unit that the tracker was set to: "cm" or "inch", or another one.
         angle_unit: "deg" or "rad".
-        stations: Names by station; only these are taken. By default all are, under
-            names like "station 1".
+        stations: Names by station; only these are read. By default all are, with names
+            like "station 1".
 
     Returns:
         The readings, in the order of the file.
@@ -154,7 +154,7 @@ def read_polhemus(
 
 
 def _turn_columns(table: CsvTable) -> list[str]:
-    """Columns of the three angles or of the quaternion."""
+    """Find the columns of the three angles or of the quaternion."""
     path, header = table.path, table.header
     forms: list[list[str]] = [list(_QUATERNION)]
     forms += [[f"{angle}_{unit}" for angle in ANGLES] for unit in RADIANS]

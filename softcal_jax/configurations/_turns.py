@@ -14,21 +14,21 @@ RADIANS = {"deg": np.pi / 180.0, "rad": 1.0}
 """Units of angles."""
 
 _UNIT_LENGTH = 1e-3
-"""How far a quaternion may be from unit length: beyond what four digits round."""
+"""Largest error of a quaternion's length, more than rounding to four digits gives."""
 
 
 class TrackerWarning(UserWarning):
-    """Something in a tracker's file that is probably not meant."""
+    """Something in a tracker's file that is probably a mistake."""
 
 
 def from_quaternions(
     path: Path, lines: tuple[int, ...], quaternions: Float[HostArray, "n 4"]
 ) -> Float[HostArray, "n 3 3"]:
-    """Rotation matrices of quaternions, the scalar part first [-].
+    """Convert quaternions, scalar part first, to rotation matrices [-].
 
     Args:
-        path: Where they were read, for messages.
-        lines: On which lines.
+        path: File that they were read from, for messages.
+        lines: Their lines.
         quaternions: Their components [-].
 
     Raises:
@@ -53,11 +53,11 @@ def from_angles(
     unit: str,
     remedy: str,
 ) -> Float[HostArray, "n 3 3"]:
-    """Rotation matrices Rz(azimuth) Ry(elevation) Rx(roll) [-].
+    """Compute rotation matrices Rz(azimuth) Ry(elevation) Rx(roll) [-].
 
     Args:
-        path: Where the angles were read, for messages.
-        lines: On which lines.
+        path: File that the angles were read from, for messages.
+        lines: Their lines.
         angles: Azimuth, elevation and roll [deg or rad].
         unit: "deg" or "rad".
         remedy: How to state another unit; "{unit}" stands for it.
@@ -65,7 +65,7 @@ def from_angles(
     Raises:
         ValueError: If an angle is out of its range.
     """
-    # Trackers print few digits: 1.571 is a right angle.
+    # With some tolerance, since trackers print few digits: 1.571 is a right angle.
     limits = np.array([2.0 * np.pi, np.pi / 2.0, 2.0 * np.pi]) / RADIANS[unit]
     outside = np.argwhere(np.abs(angles) > 1.001 * limits)
     if outside.size:
@@ -88,6 +88,6 @@ def from_angles(
 
 
 def _like_radians(angles: Float[HostArray, "n 3"]) -> bool:
-    """Whether all numbers could be radians; one above 1, or nothing would be lost."""
+    """Return whether all numbers could be radians, and are too large to ignore."""
     sizes = np.abs(angles).max(axis=0)
     return bool((sizes <= [3.142, 1.571, 3.142]).all() and sizes.max() > 1.0)

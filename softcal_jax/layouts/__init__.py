@@ -1,4 +1,4 @@
-"""Where control points stand, and how many of them the data can carry (Sec. V-C)."""
+"""Where to put control points, and how many the data can determine (Sec. V-C)."""
 
 from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, LayoutScore
 from softcal_jax.layouts._cross_validation import compare_layouts

@@ -1,4 +1,4 @@
-"""Layouts compared: the scores of their folds, the ranking and its text."""
+"""Comparison of layouts: the scores of their folds, the ranking and its text."""
 
 from collections.abc import Sequence
 
@@ -15,9 +15,9 @@ class FoldScore(eqx.Module):
         held_out: Its name.
         rms: Root mean square of the distances of its markers from their prediction; nan
             if the fold failed [m].
-        noise_rms: The same of its measured coordinates, in units of the noise [-].
+        noise_rms: The same for its measured coordinates, in units of the noise [-].
         fit_rms: Root mean square distance of the fitted markers [m].
-        failure: Why the fold tells nothing; empty if it does.
+        failure: Why the fold failed; empty if it did not.
     """
 
     held_out: str
@@ -28,7 +28,7 @@ class FoldScore(eqx.Module):
 
 
 class LayoutScore(eqx.Module):
-    """What cross-validation says of one layout.
+    """Cross-validation of one layout.
 
     Attributes:
         name: Name of the layout.
@@ -38,9 +38,9 @@ class LayoutScore(eqx.Module):
         fit_rms: Root mean square marker distance with all configurations fitted; nan if
             that fit failed [m].
         fit_noise_rms: The same in units of the noise, per measured coordinate [-].
-        fit_failure: Why the fit to all configurations tells nothing; empty if it does.
-        identifiability: What all configurations see, with the stated noise, where that
-            fit ended; None if one has no equilibrium there.
+        fit_failure: Why the fit to all configurations failed; empty if it did not.
+        identifiability: Identifiability from all configurations, with the stated noise,
+            where that fit ended; None if one has no equilibrium there.
     """
 
     name: str
@@ -54,7 +54,7 @@ class LayoutScore(eqx.Module):
 
     @property
     def failed(self) -> tuple[FoldScore, ...]:
-        """The folds that tell nothing; they count in no average."""
+        """The folds that failed; they count in no average."""
         return tuple(fold for fold in self.folds if fold.failure)
 
     @property
@@ -85,13 +85,13 @@ class LayoutScore(eqx.Module):
 
     @property
     def n_blind(self) -> int | None:
-        """Directions of the parameters that are not identifiable; None if unknown."""
+        """Number of unidentifiable directions of the parameters; None if unknown."""
         found = self.identifiability
         return None if found is None else len(found.blind)
 
     @property
     def verdict(self) -> str:
-        """That of the identifiability; "not known" without one."""
+        """Verdict of the identifiability; "not known" without one."""
         found = self.identifiability
         return "not known" if found is None else found.verdict
 
@@ -111,20 +111,20 @@ class LayoutComparison(eqx.Module):
 
     @classmethod
     def ranked(cls, scores: Sequence[LayoutScore]) -> "LayoutComparison":
-        """Scores in their order: failed folds, prediction error, parameters."""
+        """Rank scores by failed folds, then prediction error, then parameters."""
         last = lambda s: np.inf if np.isnan(s.score) else s.score
         key = lambda s: (len(s.failed) > 0, last(s), s.n_parameters)
         return cls(tuple(sorted(scores, key=key)))
 
     @property
     def best(self) -> LayoutScore | None:
-        """The one that predicts best; None if no layout predicted everything."""
+        """The layout that predicts best; None if none predicted every fold."""
         first = self.layouts[0]
         return None if first.failed else first
 
     @property
     def preferred(self) -> LayoutScore | None:
-        """The one with the fewest parameters within a standard error of the best."""
+        """The layout with fewest parameters within a standard error of the best."""
         best = self.best
         if best is None:
             return None
@@ -133,7 +133,7 @@ class LayoutComparison(eqx.Module):
         return min(close, key=lambda s: (s.n_parameters, s.score))
 
     def __str__(self) -> str:
-        """What to take in words, a table, and the folds that failed."""
+        """Write the choice in words, a table, and the folds that failed."""
         lines = [*_conclusion(self), *_table(self.layouts)]
         for score in self.layouts:
             good = len(score.folds) - len(score.failed)
@@ -153,7 +153,7 @@ class LayoutComparison(eqx.Module):
 
 
 def _conclusion(comparison: LayoutComparison) -> list[str]:
-    """The choice, and what speaks against the others."""
+    """Write the choice, and the reasons against the others."""
     best, preferred = comparison.best, comparison.preferred
     if best is None or preferred is None:
         return ["No layout can be preferred: each has folds that failed."]
@@ -184,7 +184,7 @@ def _conclusion(comparison: LayoutComparison) -> list[str]:
 
 
 def _against(other: LayoutScore, preferred: LayoutScore) -> list[str]:
-    """Why a layout was not taken, if there is more to say than its error."""
+    """Write why a layout was not preferred, if not just for its error."""
     closer = other.fit_noise_rms < preferred.fit_noise_rms
     if other.n_parameters > preferred.n_parameters:
         reason = f"but {_blind(other)}" if other.n_blind else "but predicts no better"
@@ -205,7 +205,7 @@ def _blind(score: LayoutScore) -> str:
 
 
 def _table(scores: Sequence[LayoutScore]) -> list[str]:
-    """Lines of a table, one per layout, columns aligned on the left."""
+    """Write a table, one line per layout, columns aligned on the left."""
     head = (
         "layout",
         "points",

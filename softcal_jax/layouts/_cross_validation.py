@@ -36,21 +36,21 @@ MakeParameters = Callable[[ControlPoints], ParameterSpace | Entry | Sequence[Ent
 
 
 FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
-"""Settings of the fits: 0.01 % of a modulus does not show in a prediction.
+"""Settings of the fits: loose, since 0.01 % of a modulus changes no prediction.
 
-Along directions that the data hardly see a fit creeps, and a layout with many points
-has such directions: it needs more steps, and need not take the last ones.
+Along directions that the data hardly see a fit creeps. A layout with many points has
+such directions, so more steps are allowed.
 """
 
 
 class _Fold(NamedTuple):
-    """What each fit needs to know: one per configuration held out, the last has all.
+    """Configurations of one fit: all but one, or in the last fold all.
 
     Attributes:
         lanes: Indices of the configurations that are fitted.
-        counts: Whether a lane's markers count. A fold has one configuration less, and
-            repeats another without weight: so all fits have one shape and share their
-            programs, and what is held out cannot touch the fit, not even by having no
+        counts: Whether a lane's markers count. In place of the held-out configuration
+            another one is repeated with weight zero: so all fits share their shapes and
+            programs, and what is held out cannot affect the fit, not even by having no
             equilibrium.
     """
 
@@ -59,7 +59,7 @@ class _Fold(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """End of a fit, and all configurations with its parameters."""
+    """End of a fit, and the evaluation of all configurations with its parameters."""
 
     run: Run
     after: Evaluation
@@ -74,7 +74,7 @@ def _folds(n_c: int) -> list[_Fold]:
 
 
 def _fold_problem(problem: CalibrationProblem, fold: _Fold) -> CalibrationProblem:
-    """The calibration of one fold: what is held out is not in it."""
+    """Return the calibration of one fold, without what is held out."""
     take = lambda leaf: np.asarray(leaf)[fold.lanes]
     fitted = jax.tree.map(take, problem.configurations)
     weight = np.where(fold.counts[:, None, None], fitted.effectors.inverse_std, 0.0)
@@ -87,7 +87,7 @@ def _fit(
     settings: CalibrationSettings,
     starts: Float[Array, "n_starts n_p"],
 ) -> list[_Fit]:
-    """The fits of all folds, side by side."""
+    """Fit all folds, side by side."""
     whole, images = Evaluator(problem), images_of(problem.space, mirror=True)
 
     def fit(fold: _Fold) -> Job[_Fit]:
@@ -115,20 +115,20 @@ def compare_layouts(
     starts: int = 1,
     seed: int = 0,
 ) -> LayoutComparison:
-    """Which layout of control points predicts best what it was not fitted to.
+    """Find the layout of control points that best predicts what it was not fitted to.
 
     Leave-one-configuration-out cross-validation (Stone, J. R. Stat. Soc. B 36, 1974):
-    every configuration is held out once, the others are fitted and predict it. Too few
-    control points misfit both; too many follow the noise of what is fitted, along
-    directions that the data are blind to, and predict worse: the trade-off of Sec. V-C.
+    every configuration is held out once and predicted from a fit to the others. Too few
+    control points misfit both; too many fit the noise, along directions that the data
+    are blind to, and predict worse: the trade-off of Sec. V-C.
 
     The mean squared prediction error in units of the noise decides. Layouts within one
-    standard error of the best are not worse for certain; of these the one with the
-    fewest parameters is preferred (Breiman et al., Classification and Regression Trees,
-    1984; Hastie et al., The Elements of Statistical Learning, 2009, sec. 7.10).
+    standard error of the best are not clearly worse; of these the one with the fewest
+    parameters is preferred (Breiman et al., Classification and Regression Trees, 1984;
+    Hastie et al., The Elements of Statistical Learning, 2009, sec. 7.10).
 
-    Layouts with as many parameters share one compiled program; another number is
-    another program, whose compilation takes far longer than all fits on a small mesh.
+    Each number of parameters is compiled once, which takes far longer than all fits on
+    a small mesh.
 
     Args:
         model: The body.
@@ -138,8 +138,8 @@ def compare_layouts(
             `lambda points: ControlPointParameters("E", points, ...)`.
         settings: Settings of the outer loop; by default `FOR_PREDICTION`.
         newton: Settings of the equilibrium.
-        starts: From how many starts each fit looks for its optimum: that of the
-            parameters, and random ones in the whole bounds.
+        starts: Number of starts of each fit: that of the parameters, and random ones
+            within the bounds.
         seed: Seed of the random starts.
 
     Returns:
@@ -163,7 +163,7 @@ def compare_layouts(
     if starts < 1:
         raise ValueError(f"starts must be at least 1, got {starts}.")
     problems = {}
-    # All of them before the first fit, so that a wrong layout is found at once.
+    # All are built before the first fit, so that a wrong layout is found at once.
     for name, points in layouts.items():
         try:
             space = as_space(make_parameters(points))
@@ -190,7 +190,7 @@ def _score(
     names: list[str],
     fits: list[_Fit],
 ) -> LayoutScore:
-    """The folds of one layout, the fit of everything, and what the data see then."""
+    """Score the folds of one layout and the fit to all configurations."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     error = np.stack([fit.after.delta_e for fit in fits])
     # Distances are of points; turns and forces count in units of the noise.
@@ -228,7 +228,7 @@ def _score(
 
 
 def _seen(problem: CalibrationProblem, fit: _Fit) -> Identifiability | None:
-    """What the data see where the fit of everything ended, with the stated noise."""
+    """Judge identifiability at the end of the fit to all configurations."""
     if not np.all(fit.after.equilibrium.converged):
         return None
     measured = int(np.sum(problem.configurations.effectors.inverse_std > 0.0))
@@ -237,7 +237,7 @@ def _seen(problem: CalibrationProblem, fit: _Fit) -> Identifiability | None:
 
 
 def _failure(fit: _Fit, held_out: int | None) -> str:
-    """Why a fit tells nothing; empty if it does."""
+    """Say why a fit failed; empty if it did not."""
     if np.isinf(fit.run.cost):
         return "a fitted configuration has no equilibrium at the start"
     if not fit.run.converged:
@@ -255,7 +255,7 @@ def _rms(
     weight: Float[HostArray, "n_c n_markers 3"],
     lanes: list[int],
 ) -> float:
-    """Root mean square of the distances of the points that are measured [m]."""
+    """Return the root mean square distance of measured points [m]."""
     there = np.any(weight[lanes] > 0.0, axis=2)
     squares = np.sum(error[lanes] ** 2, axis=2)
     return float(np.sqrt(np.mean(squares[there])))
@@ -266,6 +266,6 @@ def _noise_rms(
     weight: Float[HostArray, "n_c n_markers 3"],
     lanes: list[int],
 ) -> float:
-    """Root mean square of the measured coordinates, in units of the noise [-]."""
+    """Return the root mean square of measured coordinates, in units of the noise."""
     measured = weight[lanes] > 0.0
     return float(np.sqrt(np.mean((weight * error)[lanes][measured] ** 2)))

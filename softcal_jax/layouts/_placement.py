@@ -17,24 +17,24 @@ from softcal_jax.mesh import TetMesh
 METHODS = ("farthest", "sensitivity")
 
 PATCHES_PER_POINT = 8
-"""Patches of tets per control point: they decide how finely a place is chosen."""
+"""Patches of tets per control point: the more, the finer the choice of places."""
 
 TETS_PER_PATCH = 24
-"""Tets in a patch, on average and at least.
+"""Smallest mean number of tets in a patch.
 
-Next to a marker, single tets push it to all sides, by their shape and not by what they
-are made of; a few cells together hardly do.
+The sensitivity of a marker to a single tet next to it depends on the shape of the tet
+more than on its material; over a patch of tets this averages out.
 """
 
 ROUNDS = 5
-"""Rounds in which patches are centred; later ones hardly move any."""
+"""Rounds in which patches are centred; further rounds hardly move any."""
 
 INDEPENDENT = 0.05
-"""What is left of a patch's sensitivity, over the largest, below which it is unseen.
+"""Remaining sensitivity of a patch, over the largest, below which it is unseen [-].
 
-A control point there would need data 20 times as good as the best one to be as well
-determined; and patches beyond a marker on the way of a load still move it by a few
-percent, through the strain around it.
+A control point there would need data 20 times as precise as the best one to be as well
+determined; and patches beyond the markers, seen from the load, still move them by a few
+percent, through the strain around them.
 """
 
 
@@ -46,10 +46,10 @@ class _Places(NamedTuple):
     """Where control points may stand: tets, those near the middle first.
 
     Attributes:
-        tets: Numbers of the tets.
+        tets: Indices of the tets.
         x: Their centroids [m].
-        along: Their centroids, on the axes that count for the distance [m].
-        size: Diagonal of what they span along these axes [m].
+        along: Coordinates of the centroids on the axes that count for distances [m].
+        size: Diagonal of their bounding box along these axes [m].
     """
 
     tets: Int[HostArray, " n"]
@@ -73,31 +73,31 @@ def place_control_points(
     min_distance: float | None = None,
     newton: NewtonSettings | None = None,
 ) -> ControlPoints:
-    """Control points on centroids of tets, spread out or where the data see them.
+    """Place control points on centroids of tets, spread out or where the data see them.
 
-    "farthest" looks at the shape alone. A single point stands on the centroid nearest
-    to the middle of the region; of several, the first is the farthest from there, and
-    each further one is farthest from those before (Gonzalez, Theoretical Computer
-    Science 38, 1985), so a layout holds all smaller ones of two points and more. Of
-    equally far places the one nearest to the middle is taken, then that with the
-    smallest x, y, z, whatever the numbering of the tets.
+    "farthest" uses the shape alone. A single point goes to the centroid nearest to the
+    middle of the region; of several, the first is the farthest from there, and each
+    further one is farthest from those before (Gonzalez, Theoretical Computer Science
+    38, 1985), so a layout contains all smaller ones of two points and more. Ties go to
+    the place nearest to the middle, then to the smallest x, y, z, so that the order of
+    the tets does not matter.
 
-    "sensitivity" looks at the data: the sensitivities of the effectors to the fields
-    in patches of tets (Eq. 9), per volume and in units of the noise, are the columns of
-    a matrix, from which a QR with column pivoting takes those that are large and
-    independent of those before: the orthogonal method for the parameters that data can
-    estimate (Yao et al., Polymer Reaction Engineering 11, 2003), known for the dual
-    task of placing sensors too (Manohar et al., IEEE Control Systems 38, 2018).
-    Deviations: a patch brings one column per field, together; and points keep a
-    distance. It is local: it looks at the fields as they are in the model.
+    "sensitivity" uses the data: the sensitivities of the effectors to the fields in
+    patches of tets (Eq. 9), per volume and in units of the noise, are the columns of a
+    matrix. QR with column pivoting picks columns that are large and independent of
+    those before: the orthogonal method for the parameters that data can estimate (Yao
+    et al., Polymer Reaction Engineering 11, 2003), also known for placing sensors
+    (Manohar et al., IEEE Control Systems 38, 2018). Deviations: a patch has one column
+    per field, picked together, and points keep a distance. The result is local: it
+    holds for the present fields of the model.
 
     Args:
         mesh: The mesh [m].
-        n: How many control points.
+        n: Number of control points.
         method: "farthest" or "sensitivity".
         region: Tet group that they are for; the whole body by default.
         power: Exponent of the weighting, see `ControlPoints` [-].
-        nearest: How many control points a tet listens to; all by default.
+        nearest: Number of control points that a tet depends on; all by default.
         axes: Axes along which distance is counted, like "x" for a bar.
         model: For "sensitivity": the body on this mesh.
         configurations: For "sensitivity": poses with markers; need not be measured.
@@ -124,7 +124,7 @@ def place_control_points(
         raise unknown_name("method", method, METHODS)
     if n < 1:
         raise ValueError(f"the number of control points must be at least 1, got {n}.")
-    # Checks the options that it takes before anything is computed.
+    # Built to check its options before anything is computed.
     ControlPoints([(0.0, 0.0, 0.0)], power=power, axes=axes)
     places = _places(mesh, region, axes, n)
     if method == "farthest":
@@ -140,7 +140,7 @@ def place_control_points(
 
 
 def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
-    """Centroids of the region's tets, those near the middle first."""
+    """Sort the centroids of the region's tets, those near the middle first."""
     tets = np.arange(mesh.n_tets)
     if region is not None:
         tets = np.unique(np.asarray(mesh.tets_of(region)))
@@ -164,13 +164,13 @@ def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
 
 
 def tet_volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
-    """Volumes of the tets by their corners [m3]."""
+    """Compute volumes of the tets from their corners [m3]."""
     corners = mesh.points[mesh.tets[:, :4]]
     return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
 
 
 def farthest_points(places: _Places, n: int) -> list[int]:
-    """Places that are far from each other; fewer than n if no other one is left."""
+    """Pick n places far from each other; fewer if no other one is left."""
     if n == 1:
         return [0]
     # Place 0 is the nearest to the middle.
@@ -184,7 +184,7 @@ def farthest_points(places: _Places, n: int) -> list[int]:
 
 
 def _gaps(places: _Places, i: int) -> Float[HostArray, " n"]:
-    """Distances from a place, in units of the size, rounded so that equal ones tie."""
+    """Return distances from a place over the size, rounded so that equal ones tie."""
     gaps = np.linalg.norm(places.along - places.along[i], axis=1)
     return np.round(gaps / places.size, 9)
 
@@ -203,7 +203,7 @@ def _field_sizes(
     fields: str | Mapping[str, float] | None,
     configurations: Configuration | Sequence[Configuration],
 ) -> dict[str, float]:
-    """How far each field varies [its SI unit], once all that is needed is there."""
+    """Check the arguments of "sensitivity"; return how far each field varies [SI]."""
     one = isinstance(configurations, Configuration)
     given = {
         "model": model is not None,
@@ -237,7 +237,7 @@ def _well_seen(
     blocks: Float[HostArray, "n_e n_tets n_fields"],
     min_distance: float | None,
 ) -> list[int]:
-    """Places of n patches that the data see well and independently."""
+    """Pick places of n patches that the data see well and independently."""
     volumes = tet_volumes(mesh)[places.tets]
     most = max(n, min(PATCHES_PER_POINT * n, len(places.tets) // TETS_PER_PATCH))
     seeds, patches = _patches(places, volumes, most)
@@ -280,10 +280,11 @@ def _well_seen(
 def _patches(
     places: _Places, volumes: Float[HostArray, " n"], most: int
 ) -> tuple[list[int], list[Int[HostArray, " _"]]]:
-    """Compact patches of places: the middle one of each, and its members.
+    """Form compact patches of places: the middle one of each, and its members.
 
-    Centroidal Voronoi cells by Lloyd's rounds (IEEE Trans. Inf. Theory 28, 1982): the
-    farthest points alone stand at corners, and their cells lean to one side.
+    They are centroidal Voronoi cells by Lloyd's method (IEEE Trans. Inf. Theory 28,
+    1982), since the cells of the farthest points alone, which lie at corners, are
+    lopsided.
     """
     seeds, patches = farthest_points(places, most), []
     for _ in range(ROUNDS):
@@ -298,10 +299,10 @@ def _patches(
 
 
 def _separation(places: _Places, n: int) -> float:
-    """Smallest distance between n points that are spread out [m].
+    """Return the smallest distance between n points that are spread out [m].
 
-    Balls of half of it, around however badly placed points, leave room for n: each
-    holds at most one of the n.
+    At half of it, there is room for n points however badly the first ones are placed: a
+    ball of that radius holds at most one of the points spread out.
     """
     spread = places.along[farthest_points(places, n)]
     gaps = np.linalg.norm(spread[:, None] - spread[None], axis=2)
@@ -314,16 +315,16 @@ def pivoted(
     n: int,
     min_distance: float,
 ) -> tuple[list[int], int]:
-    """QR with column pivoting, by blocks of columns and with a distance between them.
+    """Pick blocks of columns by pivoted QR, with a distance between their patches.
 
     Args:
         places: Where the patches are.
         blocks: Their sensitivities; the largest block has norm one [-].
-        n: How many are wanted.
+        n: Number of patches wanted.
         min_distance: Smallest distance between two [m].
 
     Returns:
-        The chosen patches, fewer where no room is left, and how many of them were
+        The chosen patches, fewer if no room is left, and how many of them were
         independent; the others are farthest from those before.
     """
     left = blocks.copy()

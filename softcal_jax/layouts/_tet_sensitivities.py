@@ -1,4 +1,4 @@
-"""How the effectors follow a field that changes in one tet, for all tets at once."""
+"""Sensitivity of the effectors to a field in each single tet, for all tets at once."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -59,15 +59,15 @@ def tet_sensitivities(
     *,
     newton: NewtonSettings | None = None,
 ) -> dict[str, Float[HostArray, "n_e n_tets"]]:
-    """Change of every measured coordinate if a field rises in one tet alone.
+    """Compute the change of every measured coordinate per change of a field in a tet.
 
-    Eq. (9) for the finest layout there is, one control point per tet, by the adjoint
-    side: the rows W_e = K^-T H_e^T are solved for once per configuration, on one
-    factorization, and one pass over the tets tells the forces of their fields.
+    This is Eq. (9) for the finest layout possible, one control point per tet, in
+    adjoint form: each configuration is factorized once and solved for the rows
+    W_e = K^-T H_e^T, and one pass over the tets gives the forces of their fields.
 
     Args:
         model: The body, with the fields where they are differentiated.
-        configurations: Poses with markers; `measured` is not looked at.
+        configurations: Poses with markers; `measured` is ignored.
         fields: Names of fields of the law, or "density".
         newton: Settings of the equilibrium.
 

@@ -1,6 +1,6 @@
-"""Many calibrations, or calls of a function of yours, side by side and kept in SQLite.
+"""Run many calibrations, or calls of any function, side by side; keep rows in SQLite.
 
-`softcal sweep` does it for a sweep file; `run_sweep` for any function.
+`softcal sweep` takes a sweep file, `run_sweep` any function.
 """
 
 from softcal_jax.sweeps._calibration import CalibrationTrial

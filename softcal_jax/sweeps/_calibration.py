@@ -1,4 +1,4 @@
-"""A calibration as a trial: other control points, start, noise, poses."""
+"""A calibration as a trial: with its own control points, start, noise and poses."""
 
 import dataclasses
 import hashlib
@@ -27,14 +27,14 @@ from softcal_jax.sweeps._schema import OWN_AXES
 from softcal_jax.sweeps._trial import Trial
 
 KEPT = 8
-"""Variants of a project that a worker keeps."""
+"""Number of variants of a project that a worker keeps."""
 
 MOST_MAPS = 40_000
-"""Memory maps at which a worker forgets what it compiled; Linux grants 65 530."""
+"""Memory maps from which a worker drops compiled programs; Linux allows 65 530."""
 
 _KEPT: dict[str, Project] = {}
 _EXACT: dict[str, tuple[Configuration, ...]] = {}
-"""The same with measurements that the truth gives."""
+"""Their configurations, with the exact measurements that the truth gives."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class CalibrationTrial:
     """The function of a sweep over calibrations of one project.
 
     Attributes:
-        project: The project file, where every worker finds it.
+        project: The project file, at a path that every worker can read.
         files: Digest of that file and of each that it names, by path.
         layouts: Keys of [control_points.NAME] of each layout, or `place`.
         replaces: The set of control points of the project that a layout replaces.
-        truth: Parameter values, as the file writes them, of which the trial's own mesh,
-            with the file's own control points, gives what is fitted instead of
-            measurements; nothing where the project is measured.
+        truth: Parameter values, as written in the file, from which measurements are
+            simulated on the trial's own mesh with the file's own control points; empty
+            where the project is measured.
     """
 
     project: Path
@@ -58,7 +58,7 @@ class CalibrationTrial:
     truth: Mapping[str, Any]
 
     def __call__(self, trial: Trial) -> Outcome:
-        """Calibrates at a point of the sweep.
+        """Calibrate at a point of the sweep.
 
         Raises:
             RuntimeError: If a configuration has no equilibrium, or a file has changed.
@@ -87,9 +87,9 @@ class CalibrationTrial:
         return Outcome(figures, result.converged, reason, result.notes)
 
     def variant(self, point: Mapping[str, Any]) -> Project:
-        """The project with the control points and keys of a point.
+        """Load the project with the control points and keys of a point.
 
-        Kept from trial to trial: what was compiled for it serves the next one.
+        It is kept, so that later trials reuse what was compiled for it.
         """
         name = self._name(point)
         if name not in _KEPT:
@@ -105,13 +105,13 @@ class CalibrationTrial:
         return _KEPT[name]
 
     def _name(self, point: Mapping[str, Any]) -> str:
-        """What tells the variants apart, in this process for all sweeps."""
+        """Return a key that is unique among the variants of all sweeps."""
         layout = point.get("layout")
         own = None if layout is None else [self.replaces, self.layouts[layout]]
         return json.dumps([str(self.project), dict(self.files), own, _keys(point)])
 
     def _exact(self, point: Mapping[str, Any]) -> tuple[Configuration, ...]:
-        """All poses as the truth gives them, with the file's own control points."""
+        """Simulate all poses with the truth and the file's own control points."""
         point = {axis: value for axis, value in point.items() if axis != "layout"}
         name = json.dumps([self._name(point), dict(self.truth)])
         true = self.variant(point)
@@ -127,7 +127,7 @@ class CalibrationTrial:
         return _EXACT[name]
 
     def _layout(self, point: Mapping[str, Any]) -> dict[str, Any]:
-        """The layout of a point as changes of the project file."""
+        """Return the layout of a point as changes of the project file."""
         own = dict(self.layouts[point["layout"]])
         if not own:
             return {}
@@ -141,7 +141,7 @@ class CalibrationTrial:
                     points.names, np.asarray(points.positions).tolist(), strict=True
                 )
             }
-        own = {"names": None, **own}  # those of the file belong to its own positions
+        own = {"names": None, **own}  # the names in the file are of its own positions
         return {f"control_points.{self.replaces}.{key}": v for key, v in own.items()}
 
     def _check_files(self) -> None:
@@ -153,14 +153,14 @@ class CalibrationTrial:
                 )
 
     def _measured(self, project: Project, trial: Trial) -> Project:
-        """The project with the measurements of a trial, and the poses that it fits."""
+        """Return the project with the measurements of a trial and the poses it fits."""
         poses = self._exact(trial.point) if self.truth else project.configurations
         fitted = [c.name for c in project.calibration]
         fitted = trial.point.get("configurations", fitted)
         if trial.point.get("noise"):
             random = np.random.default_rng(trial.seed_of("noise"))
             noisy = {c.name: _with_noise(c, random) for c in poses}
-            # What is held out stays exact: it tells the error of the prediction.
+            # What is held out stays exact, to measure the error of the prediction.
             poses = [noisy[c.name] if c.name in fitted else c for c in poses]
         return dataclasses.replace(
             project,
@@ -170,19 +170,19 @@ class CalibrationTrial:
 
 
 def _keys(point: Mapping[str, Any]) -> dict[str, Any]:
-    """Axes of a point that are keys of the project file."""
+    """Pick the axes of a point that are keys of the project file."""
     return {axis: value for axis, value in point.items() if axis not in OWN_AXES}
 
 
 def _make_room() -> None:
-    """Forget compiled programs where they are too many: each takes memory maps."""
-    maps = Path("/proc/self/maps")  # only Linux counts them
+    """Drop compiled programs if there are too many, since each takes memory maps."""
+    maps = Path("/proc/self/maps")  # exists on Linux only, which limits their number
     if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
 
 
 def digest_of(path: Path) -> str:
-    """Digest of a file; of a TOML file, of its content without the comments."""
+    """Digest a file; a TOML file without its comments."""
     if path.suffix == ".toml":
         text = json.dumps(read_toml(path, "project file"), sort_keys=True, default=str)
         content = text.encode()
@@ -192,7 +192,7 @@ def digest_of(path: Path) -> str:
 
 
 def truth_in_si(space: ParameterSpace, given: Mapping[str, Any]) -> dict[str, float]:
-    """Values of parameters in SI, as `synthetic_measurements` takes them."""
+    """Convert values of parameters to SI, as `synthetic_measurements` takes them."""
     units = {q.name: q.unit for q in space.parameters}
     return {
         name: parse_in_si(value, units[name]) if name in units else np.nan
@@ -201,7 +201,7 @@ def truth_in_si(space: ParameterSpace, given: Mapping[str, Any]) -> dict[str, fl
 
 
 def _with_noise(configuration: Configuration, random) -> Configuration:
-    """Measured positions with normal errors of the stated standard deviations."""
+    """Add Gaussian noise with the stated standard deviations to measured positions."""
     markers, measured = configuration.markers, configuration.measured
     if markers is None or measured is None or configuration.effectors:
         raise ValueError(
@@ -216,7 +216,7 @@ def _with_noise(configuration: Configuration, random) -> Configuration:
 
 
 def _figures(result: CalibrationResult) -> dict[str, Any]:
-    """What a row keeps of a calibration, in SI units."""
+    """Return what a row keeps of a calibration, in SI units."""
     held_out = [f for f in result.configurations if f.role == "validation"]
     figures: dict[str, Any] = {"fit rms [m]": result.history[-1].rms}
     if held_out:

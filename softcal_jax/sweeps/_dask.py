@@ -15,23 +15,23 @@ if TYPE_CHECKING:
 CONNECT_S = 20
 """How long the scheduler may take to answer [s]."""
 
-# The threads of a worker would share compiled programs, whose sparse solvers keep their
-# factors from one call to the next.
+# Threads of a worker share compiled programs, and with them sparse solvers that keep
+# their factors from one call to the next.
 _ONE_AT_A_TIME = threading.Lock()
 
 
 def dask_rows(
     function: TrialFunction, trials: Sequence[Trial], address: str
 ) -> Generator[TrialRow, None, None]:
-    """Rows of trials in the order in which they end.
+    """Run trials on a Dask cluster, and yield their rows in the order of their ends.
 
-    A trial whose worker dies is tried on another one, as often as Dask allows
+    A trial whose worker dies is retried on another one, as often as Dask allows
     (`distributed.scheduler.allowed-failures`).
 
     Args:
-        function: What is tried; workers must be able to import what it uses.
-        trials: Where.
-        address: Of the scheduler, "tcp://10.0.0.1:8786".
+        function: The function of the sweep; workers must be able to import it.
+        trials: The trials.
+        address: Address of the scheduler, like "tcp://10.0.0.1:8786".
 
     Yields:
         A row as soon as its trial has ended. Closing the generator cancels the others.
@@ -46,7 +46,7 @@ def dask_rows(
     setup, run = WorkerSetup.of_this_process(), uuid.uuid4().hex[:8]
     with client:
         try:
-            # Keys of their own: a scheduler may still know those of a killed run.
+            # New keys, since a scheduler may still know those of a killed run.
             futures = {
                 client.submit(
                     _run, function, trial, setup, key=f"trial-{trial.key}-{run}"
@@ -76,7 +76,7 @@ def _row(future: "distributed.Future", trial: Trial, address: str) -> TrialRow:
         worker = f"the last one was {error.last_worker.address}"
         deaths = error.allowed_failures + 1
         return failed_row(trial, f"its worker died {deaths} times; {worker}")
-    # Not from the function, which ends in a row: the worker could not even call it.
+    # Errors of the function end in a row, so the worker could not even call it.
     return failed_row(trial, f"its worker could not run it: {error!r}")
 
 
@@ -97,7 +97,7 @@ def _connect(address: str) -> "distributed.Client":
 
 
 def _run(function: TrialFunction, trial: Trial, setup: WorkerSetup) -> TrialRow:
-    """What a worker of the cluster does with a trial."""
+    """Run a trial on a worker of the cluster."""
     with _ONE_AT_A_TIME:
         setup.apply()
         return run_trial(function, trial)

@@ -1,8 +1,8 @@
 """The SQLite file of a sweep: what is planned, and a row for each trial that ended.
 
 Only the process that runs the sweep writes to it, one short transaction per row, with
-a rollback journal: that is safe against kill -9 and on network file systems too, where
-SQLite's write-ahead log is not.
+a rollback journal: unlike SQLite's write-ahead log, that is safe on network file
+systems too, and it survives kill -9.
 """
 
 import json
@@ -17,7 +17,7 @@ from softcal_jax.sweeps._row import TrialRow
 from softcal_jax.sweeps._trial import Trial
 
 APPLICATION = 0x50F7CA1
-"""What tells a database of a sweep from another one (SQLite's application_id)."""
+"""SQLite's application_id, by which a database of a sweep is recognised."""
 
 FORMAT = 1
 
@@ -45,9 +45,9 @@ class Plan:
 
     Attributes:
         name: Its name.
-        trials: All of its trials, in the order in which they are begun.
+        trials: All of its trials, in the order in which they begin.
         repeats: Axes whose values are mere repetitions.
-        definitions: What a row depends on beside its point, by name.
+        definitions: What rows depend on besides their points, by name.
     """
 
     name: str
@@ -62,14 +62,14 @@ class Plan:
 
 
 class SweepDatabase:
-    """Context in which one sweep, and no other, writes to a database.
+    """Context in which only one sweep writes to a database.
 
     Attributes:
         path: The file.
     """
 
     def __init__(self, path: Path):
-        """A database that is there, or is yet to be made.
+        """Name a database, which is opened or made on entering the context.
 
         Args:
             path: The file.
@@ -100,8 +100,8 @@ class SweepDatabase:
         self._unlock()
 
     def _locked(self) -> sqlite3.Connection:
-        # A lock of SQLite on a file of its own: it is portable and ends with the
-        # process, and readers of the database itself are not kept out.
+        # An SQLite lock on a separate file is portable, ends with the process, and does
+        # not block readers of the database itself.
         lock = sqlite3.connect(self._lock_path, timeout=0.0, isolation_level=None)
         try:
             lock.execute("BEGIN EXCLUSIVE")
@@ -119,7 +119,7 @@ class SweepDatabase:
         self._lock.close()
 
     def begin(self, plan: Plan) -> dict[str, str]:
-        """Write down what is planned; rows of earlier runs stay.
+        """Write what is planned; rows of earlier runs stay.
 
         Args:
             plan: The sweep.
@@ -155,7 +155,7 @@ class SweepDatabase:
         self._file.execute(f"PRAGMA user_version = {FORMAT}")
 
     def _check_definitions(self, plan: Plan) -> None:
-        """What rows depend on must be what it was; there may be more than there was."""
+        """Raise if what rows depend on has changed; new definitions may be added."""
         known = dict(self._file.execute("SELECT what, value FROM definitions"))
         for what, value in plan.definitions.items():
             if known.get(what, value) != value:
@@ -181,7 +181,7 @@ class SweepDatabase:
         )
 
     def add(self, row: TrialRow) -> None:
-        """Write a row; when this returns it is on the disk.
+        """Write a row, and return once it is on disk.
 
         Raises:
             BlockingIOError: If another program keeps the database locked.
@@ -206,7 +206,7 @@ class Content:
     Attributes:
         about: Name, axes and repeated axes.
         planned: Points that are planned, by key, in their order.
-        rows: The trials that have ended, those that are planned first, in that order.
+        rows: Trials that have ended, in the order of the plan, then any others.
     """
 
     about: Mapping[str, Any]
@@ -215,19 +215,19 @@ class Content:
 
 
 def read_content(path: Path) -> Content:
-    """Read a database, also while a sweep writes to it.
+    """Read a database, even while a sweep writes to it.
 
     Args:
         path: The file.
 
     Raises:
-        FileNotFoundError: If there is none.
+        FileNotFoundError: If it does not exist.
         ValueError: If it is no database of a sweep.
         BlockingIOError: If another program keeps it locked.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no sweep database {path}.")
-    # Not read-only: what a killed run left half done is rolled back by the next reader.
+    # Not read-only, since a reader rolls back what a killed run left half done.
     uri = f"{path.resolve().as_uri()}?mode=rw"
     with _told(path):
         file = sqlite3.connect(uri, uri=True, timeout=WAIT_S, isolation_level=None)
@@ -270,7 +270,7 @@ def check_format(file: sqlite3.Connection, path: Path) -> None:
 
 @contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """Says in words what SQLite has against a file."""
+    """Turn errors of SQLite into errors that say what to do."""
     try:
         yield
     except sqlite3.OperationalError as error:

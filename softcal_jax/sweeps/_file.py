@@ -1,4 +1,4 @@
-"""From a sweep file to a sweep that is ready to run."""
+"""Loading a sweep file."""
 
 import itertools
 import json
@@ -42,10 +42,10 @@ class Sweep:
     Attributes:
         name: Name of the sweep.
         path: The file it came from.
-        function: What is tried: a calibration.
-        points: Where, in the order in which trials are begun.
+        function: The calibration that each trial runs.
+        points: Points of the trials, in the order in which they begin.
         seed: Seed of noise, starts and sample.
-        definitions: What rows depend on beside their points, by name.
+        definitions: What rows depend on besides their points, by name.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Sweep:
 
     @property
     def database(self) -> Path:
-        """Where rows are kept unless another file is named: beside the sweep file."""
+        """Default SQLite file of the rows: beside the sweep file."""
         return self.path.with_suffix(".sqlite")
 
     def run(
@@ -70,15 +70,15 @@ class Sweep:
         retry_failed: bool = False,
         progress: Callable[[Progress], None] | None = None,
     ) -> SweepResult:
-        """Runs all trials that are not in the database yet, see `run_sweep`.
+        """Run all trials that are not in the database yet, see `run_sweep`.
 
         Args:
             database: SQLite file; by default that beside the sweep file.
-            workers: Worker processes; by default one per core.
+            workers: Number of worker processes; by default one per core.
             cores_per_worker: Threads of each.
-            scheduler: Address of a Dask scheduler, whose workers are used then. They
+            scheduler: Address of a Dask scheduler, to use its workers instead. They
                 must find the project file under the same path.
-            retry_failed: Whether trials that failed are tried again.
+            retry_failed: Whether to retry trials that failed.
             progress: Called at the beginning and after each trial.
 
         Returns:
@@ -106,10 +106,10 @@ class Sweep:
 
 
 def load_sweep(path: str | os.PathLike[str]) -> Sweep:
-    """Reads a sweep file and the project that it is about, and checks both.
+    """Read and check a sweep file and its project, without solving anything.
 
-    Nothing is solved. Each layout and each value of a key of the project is tried on
-    the project file, so that a wrong one is found before the first trial.
+    The project is loaded with each layout and each value of a key, so that a wrong one
+    is found before the first trial.
 
     Args:
         path: A TOML file; the README shows one.
@@ -118,8 +118,8 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
         The sweep, ready for `run`.
 
     Raises:
-        FileNotFoundError: If it does not exist, or its project file does not.
-        ProjectError: If anything in one of them is wrong; the text names the key.
+        FileNotFoundError: If it or its project file does not exist.
+        ProjectError: If anything in either is wrong; the text names the key.
         ValueError: If JAX is not in float64.
     """
     path = Path(path)
@@ -137,7 +137,7 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
         axis: _values(path, axis, values, table, project)
         for axis, values in table.axes.items()
     }
-    # Trials of one shape next to one another: a worker compiles less.
+    # Trials of one shape stand next to each other, so that a worker compiles less.
     ordered = {a: axes[a] for a in (*_keys(axes), *OWN_AXES) if a in axes}
     _check_variants(path, function, ordered)
     with at(path, "axes"):
@@ -161,7 +161,7 @@ def _keys(axes: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _replaced(path: Path, table: SweepTable) -> str:
-    """The set of control points that layouts replace."""
+    """Find the set of control points that layouts replace."""
     if not table.layouts:
         return ""
     sets = list(read_toml(path.parent / table.project, "").get("control_points", {}))
@@ -205,7 +205,7 @@ def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:
 def _values(
     path: Path, axis: str, given: Any, table: SweepTable, project: Project
 ) -> Sequence[Any] | Range:
-    """Values of an axis, checked against the project."""
+    """Check the values of an axis against the project."""
     with at(path, f"axes.{axis}"):
         if isinstance(given, CountTable):
             return list(range(1, given.count + 1))
@@ -225,7 +225,7 @@ def _values(
 
 
 def _subsets(given: Any, names: list[str]) -> list[list[str]]:
-    """Sets of configurations that are fitted."""
+    """List the sets of configurations that are fitted."""
     if isinstance(given, ChooseTable):
         if not 1 <= given.choose <= len(names):
             raise ValueError(
@@ -245,7 +245,7 @@ def _subsets(given: Any, names: list[str]) -> list[list[str]]:
                     f"there is no configuration {name!r} with the role calibration."
                     f"{suggestion(str(name), names)} Known: {', '.join(names)}."
                 )
-    # In one order, so that [a, b] and [b, a] are the same trial.
+    # In the project's order, so that [a, b] and [b, a] are the same trial.
     return [[name for name in names if name in subset] for subset in given]
 
 
@@ -266,7 +266,7 @@ def _range(table: RangeTable) -> Range:
 def _check_variants(
     path: Path, function: CalibrationTrial, axes: Mapping[str, Sequence[Any] | Range]
 ) -> None:
-    """Loads the project with each layout and each value of a key once."""
+    """Load the project with each layout and each value of a key once."""
     shaping = [axis for axis in axes if axis == "layout" or axis not in OWN_AXES]
     tried = {axis: _some(axes[axis]) for axis in shaping}
     first = {axis: values[0] for axis, values in tried.items()}

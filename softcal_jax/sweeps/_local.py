@@ -17,7 +17,7 @@ from softcal_jax.sweeps._trial import Trial
 from softcal_jax.sweeps._worker import WorkerSetup, threads_of_children
 
 DEATHS = 2
-"""Deaths of a worker over one trial after which the trial counts as failed."""
+"""Number of workers that must die during a trial for it to count as failed."""
 
 READY = "ready"
 
@@ -28,11 +28,11 @@ _SPAWN = multiprocessing.get_context("spawn")
 def local_rows(
     function: TrialFunction, trials: Sequence[Trial], n: int, cores: int
 ) -> Generator[TrialRow, None, None]:
-    """Rows of trials in the order in which they end.
+    """Run trials in worker processes, and yield their rows in the order of their ends.
 
     Args:
-        function: What is tried; worker processes must be able to import it.
-        trials: Where.
+        function: The function of the sweep; worker processes must be able to import it.
+        trials: The trials.
         n: Number of worker processes.
         cores: Threads of each.
 
@@ -77,7 +77,7 @@ def local_rows(
 
 
 def pickled(function: TrialFunction) -> bytes:
-    """A function as bytes for another process.
+    """Pickle a function for another process.
 
     Raises:
         ValueError: If another process could not import it.
@@ -92,7 +92,7 @@ def pickled(function: TrialFunction) -> bytes:
 
 
 class _Worker:
-    """A worker process, and the trial that it is at."""
+    """A worker process, and the trial that it runs."""
 
     def __init__(self, function: bytes, cores: int):
         self.trial: Trial | None = None
@@ -105,18 +105,18 @@ class _Worker:
         )
         with threads_of_children(cores):
             self.process.start()
-        # With the only other end in the worker, its death is the end of the file.
+        # The worker then holds the only other end, so that its death ends the file.
         other.close()
 
     def give(self, waiting: deque[Trial]) -> None:
         """Give it the next trial, if it has none."""
         if self.ready and self.trial is None and waiting:
             self.trial = waiting.popleft()
-            with suppress(OSError):  # it has died, which `hear` tells next
+            with suppress(OSError):  # it has died, which `hear` finds next
                 self.connection.send(self.trial)
 
     def hear(self) -> TrialRow | str | None:
-        """A row, or that it is ready; None if it has died.
+        """Receive a row, or that it is ready; None if it has died.
 
         Raises:
             RuntimeError: If it cannot import the function.
@@ -135,7 +135,7 @@ class _Worker:
         return said
 
     def check_start(self, failed_starts: int) -> None:
-        """Raise RuntimeError if workers die before they are ready, of themselves."""
+        """Raise RuntimeError if workers exit, or keep dying, before they are ready."""
         code = self.process.exitcode or 0
         if not self.ready and (code >= 0 or failed_starts > DEATHS):
             raise RuntimeError(
@@ -145,14 +145,14 @@ class _Worker:
             )
 
     def end(self) -> str:
-        """How its process ended."""
+        """Say how its process ended."""
         code = self.process.exitcode or 0
         if code >= 0:
             return f"exit code {code}"
         return f"{signal.Signals(-code).name} (out of memory, or killed)"
 
     def stop(self) -> None:
-        """End its process; an idle one ends by itself when nobody can call it."""
+        """End its process; an idle one exits by itself once its connection closes."""
         self.connection.close()
         if self.trial is None and self.ready:
             self.process.join(10.0)
@@ -162,15 +162,15 @@ class _Worker:
 
 
 def _speaking(workers: Sequence[_Worker]) -> list[_Worker]:
-    """Those that have something to say, or have died; waits for the first."""
+    """Wait for workers that have sent something or died, and return them."""
     by_connection = {worker.connection: worker for worker in workers}
     heard = multiprocessing.connection.wait(list(by_connection))
     return [worker for c, worker in by_connection.items() if c in heard]
 
 
 def _work(connection: Connection, function: bytes, setup: WorkerSetup) -> None:
-    """The life of a worker process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that runs it
+    """Run trials in a worker process until the connection closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     threading.Thread(target=_end_with_parent, daemon=True).start()
     setup.apply()
     try:
@@ -192,7 +192,7 @@ def _work(connection: Connection, function: bytes, setup: WorkerSetup) -> None:
 
 
 def _end_with_parent() -> None:
-    """A worker whose sweep was killed must not go on alone."""
+    """End this worker when the process of the sweep ends, even if it was killed."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

@@ -14,7 +14,7 @@ from softcal_jax.sweeps._tables import default_figures, readable_figure
 from softcal_jax.sweeps._trial import shown
 
 MOST_PANELS = 4
-"""Figures in a picture unless others are asked for."""
+"""Largest number of figures in a picture by default."""
 
 
 def plot_sweep(
@@ -24,13 +24,13 @@ def plot_sweep(
     by: Sequence[str] | None = None,
     figures: Sequence[str] | None = None,
 ) -> None:
-    """Draws the figures of all trials that converged against the axes.
+    """Plot the figures of all trials that converged against the axes.
 
     Args:
         result: The sweep.
         path: PNG file.
-        by: The axes; by default all that are no repetitions.
-        figures: Which figures; by default the first that are numbers.
+        by: The axes; by default all but repetitions.
+        figures: Names of figures; by default the first that are numbers.
 
     Raises:
         ValueError: If there is no such axis or figure, or no trial has converged.
@@ -56,7 +56,7 @@ def plot_sweep(
 
 
 def _column(values: Sequence[Any]) -> list[float] | list[str]:
-    """Numbers where all are; else words."""
+    """Return the values as numbers if all are, else as words."""
     number = lambda v: isinstance(v, int | float) and not isinstance(v, bool)
     if all(map(number, values)):
         return [float(value) for value in values]

@@ -1,4 +1,4 @@
-"""Points of a sweep: every combination of values, or some of them at random."""
+"""Points of a sweep: every combination of values, or a random sample."""
 
 import itertools
 import math
@@ -18,8 +18,8 @@ class Range:
     Attributes:
         low: Smallest number.
         high: Largest number.
-        scale: "log" makes ratios equally likely, not differences.
-        form: How the number stands in the point; "{:.9g} kPa" gives it a unit.
+        scale: "log" samples uniformly in the logarithm.
+        form: Format of the number in the point; "{:.9g} kPa" gives it a unit.
     """
 
     low: float
@@ -39,7 +39,7 @@ class Range:
             )
 
     def at(self, share: float) -> Any:
-        """The number a share of the way from the low end to the high one."""
+        """Return the number at a share of the way from the low end to the high one."""
         if self.scale == "log":
             value = self.low * (self.high / self.low) ** share
         else:
@@ -49,16 +49,16 @@ class Range:
 
 
 def grid(axes: Mapping[str, Sequence[Any] | Range]) -> list[Point]:
-    """Every combination of the values of some axes.
+    """List every combination of the values of some axes.
 
     Args:
-        axes: Values of each axis. The last axis changes first.
+        axes: Values of each axis. The last axis varies fastest.
 
     Returns:
         The points.
 
     Raises:
-        ValueError: If there is no axis, or one without values, or with ranges.
+        ValueError: If there is no axis, one without values, or a range.
     """
     _check_axes(axes)
     lists = []
@@ -77,15 +77,15 @@ def grid(axes: Mapping[str, Sequence[Any] | Range]) -> list[Point]:
 def sample(
     axes: Mapping[str, Sequence[Any] | Range], n: int, *, seed: int = 0
 ) -> list[Point]:
-    """Points at random.
+    """Draw points at random.
 
-    With a range among the axes a Latin hypercube (McKay et al., Technometrics 21,
-    1979): each axis is cut into n equal parts, and each part is met once. With lists
-    alone, different points of their grid.
+    With a range among the axes, they are a Latin hypercube (McKay et al., Technometrics
+    21, 1979): each axis is cut into n equal parts, with one point in each. With lists
+    alone, they are different points of the grid.
 
     Args:
         axes: Values of each axis, or their range.
-        n: How many points.
+        n: Number of points.
         seed: Seed of the choice.
 
     Returns:

@@ -1,4 +1,4 @@
-"""How far a sweep is, how fast it goes, and how long it will take."""
+"""Progress of a sweep: trials ended, rate, and time left."""
 
 import time
 from collections import deque
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from softcal_jax.sweeps._row import TrialRow
 
 WINDOW = 50
-"""Trials over which the rate is taken."""
+"""Number of recent trials over which the rate is averaged."""
 
 
 @dataclass(frozen=True)
@@ -18,9 +18,9 @@ class Progress:
         total: Trials of the sweep.
         ended: Those that have ended, in this run or before.
         before: Those that had ended before this run.
-        not_converged: Those of the ended that did not converge.
-        failed: Those of the ended that failed.
-        rate: Trials per second, once what they need is compiled; None before the first
+        not_converged: Ended trials that did not converge.
+        failed: Ended trials that failed.
+        rate: Trials per second, without the time for compiling; None before the first
             one has ended.
         row: The trial that has just ended; None at the beginning.
     """
@@ -39,7 +39,7 @@ class Progress:
         return None if self.rate is None else (self.total - self.ended) / self.rate
 
     def __str__(self) -> str:
-        """One line for a terminal."""
+        """Write one line for a terminal."""
         bad = [
             f"{n} {what}"
             for n, what in (
@@ -57,10 +57,10 @@ class Progress:
 
 
 class Tally:
-    """Counts the trials of a run."""
+    """Counter of the trials of a run."""
 
     def __init__(self, total: int, states: list[str]):
-        """A run that begins.
+        """Begin a run.
 
         Args:
             total: Trials of the sweep.
@@ -73,10 +73,10 @@ class Tally:
         self._ends: deque[float] = deque(maxlen=WINDOW)
 
     def now(self, row: TrialRow | None = None) -> Progress:
-        """Progress, with a trial that has just ended."""
+        """Count a trial that has just ended, if any, and return the progress."""
         if row is not None:
             self._states.append(row.state)
-            # The first trial of a worker compiles what the others find compiled.
+            # The first trial of a worker compiles for all of its later ones.
             first = row.worker not in self._workers
             self._workers[row.worker] = len(self._states)
             self._seconds.append(row.seconds - first * row.compile_seconds)
@@ -93,21 +93,22 @@ class Tally:
         )
 
     def _rate(self) -> float | None:
-        """Workers that ended one of the last trials, over the mean time of a trial.
+        """Return trials per second: busy workers over the mean time of a trial.
 
-        Or the rows of late per second, where it is not the trials that take the time.
+        A worker is busy if it ended one of the last trials. If rows arrive more slowly
+        than that, for other reasons than the trials, their rate counts.
         """
         if not self._ends:
             return None
         recent = len(self._states) - max(WINDOW, 3 * len(self._workers))
-        busy = sum(number > recent for number in self._workers.values())
+        busy = sum(last > recent for last in self._workers.values())
         by_trials = busy * len(self._seconds) / max(sum(self._seconds), 1e-9)
         span = self._ends[-1] - self._ends[0]
         return min(by_trials, (len(self._ends) - 1) / span) if span else by_trials
 
 
 def rate_text(per_second: float) -> str:
-    """A rate in the unit that makes it a number of about 1 to 100."""
+    """Write a rate per second, minute or hour, whichever makes it at least 1."""
     for size, name in ((1.0, "second"), (60.0, "minute")):
         if per_second * size >= 1.0:
             return f"{per_second * size:.3g} per {name}"
@@ -115,7 +116,7 @@ def rate_text(per_second: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it."""
+    """Write a time in the unit that people would use."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     if seconds < 5400.0:

@@ -1,4 +1,4 @@
-"""What a sweep has found so far."""
+"""Rows of a sweep so far, and their groups."""
 
 import os
 import re
@@ -24,7 +24,7 @@ class FigureName(NamedTuple):
 
 
 def figure_name(name: str) -> FigureName:
-    """The parts of a name; the unit is empty where there is none."""
+    """Split the name of a figure; the unit is empty where there is none."""
     match = re.fullmatch(r"(.+?) \[(.+)\]", name)
     return FigureName(match[1], match[2]) if match else FigureName(name, "")
 
@@ -35,8 +35,8 @@ class Group:
 
     Attributes:
         values: Their value on each of these axes.
-        rows: Those that have ended.
-        missing: How many have not.
+        rows: Trials that have ended.
+        missing: Number of trials that have not.
     """
 
     values: Mapping[str, Any]
@@ -49,11 +49,11 @@ class Group:
         return ", ".join(shown(value) for value in self.values.values()) or "all"
 
     def count(self, state: State) -> int:
-        """How many ended so."""
+        """Count the trials that ended in a state."""
         return sum(row.state == state for row in self.rows)
 
     def numbers(self, figure: str) -> Float[HostArray, " n"]:
-        """A figure of the trials that converged and have it as a number."""
+        """Collect a figure of the trials that converged and have it as a number."""
         return _numbers(self.rows, figure)
 
 
@@ -64,10 +64,10 @@ class SweepResult:
     Attributes:
         name: Its name.
         axes: Names of its axes.
-        repeats: Those whose values are mere repetitions, like draws of noise.
+        repeats: Axes whose values are mere repetitions, like draws of noise.
         planned: Points that are planned, by key, in their order.
         rows: Trials that have ended, in the order of the plan; trials of an earlier
-            plan that are not in this one stand at the end.
+            plan that are not in this one come last.
     """
 
     name: str
@@ -83,17 +83,17 @@ class SweepResult:
         return tuple(point for key, point in self.planned.items() if key not in ended)
 
     def of_state(self, state: State) -> tuple[TrialRow, ...]:
-        """The rows that ended so."""
+        """Return the rows that ended in a state."""
         return tuple(row for row in self.rows if row.state == state)
 
     @property
     def figure_names(self) -> tuple[str, ...]:
-        """Names of all figures, in the order in which rows have them."""
+        """Names of all figures, in the order of their first appearance."""
         names = (name for row in self.rows for name in row.figures)
         return tuple(dict.fromkeys(names))
 
     def numbers(self, figure: str) -> Float[HostArray, " n"]:
-        """A figure of the trials that converged and have it as a number, in SI units.
+        """Collect a figure of the trials that converged, where it is a number, in SI.
 
         Args:
             figure: Its name.
@@ -104,7 +104,7 @@ class SweepResult:
         return _numbers(self.rows, self.figure(figure))
 
     def figure(self, name: str) -> str:
-        """The whole name of a figure; its unit may be left out.
+        """Return the full name of a figure, whose unit may be left out.
 
         Args:
             name: "fit rms [m]" or "fit rms".
@@ -121,14 +121,14 @@ class SweepResult:
 
     @property
     def default_axes(self) -> tuple[str, ...]:
-        """Axes that trials are grouped by: all whose values are no repetitions."""
+        """Axes that trials are grouped by: all but repetitions."""
         return tuple(axis for axis in self.axes if axis not in self.repeats)
 
     def groups(self, by: Sequence[str] | None = None) -> tuple[Group, ...]:
-        """Trials put together by their values on some axes.
+        """Group trials by their values on some axes.
 
         Args:
-            by: The axes; by default all that are no repetitions.
+            by: The axes; by default all but repetitions.
 
         Returns:
             The groups, in the order of the plan.
@@ -160,7 +160,7 @@ class SweepResult:
         )
 
     def __str__(self) -> str:
-        """How many trials ended how, and why those that failed did."""
+        """Write how many trials ended in each state, and why the others failed."""
         lines = [
             f"{self.name}: {len(self.rows)} trials ended, "
             f"{len(self.of_state('converged'))} converged, "
@@ -180,13 +180,13 @@ def _numbers(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
 
 
 def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
-    """Reads what a sweep has found so far, also while it runs.
+    """Read the rows of a sweep, even while it runs.
 
     Args:
         database: The SQLite file.
 
     Raises:
-        FileNotFoundError: If there is none.
+        FileNotFoundError: If it does not exist.
         ValueError: If it is no database of a sweep.
         BlockingIOError: If another program keeps it locked.
     """

@@ -1,4 +1,4 @@
-"""How a trial ended, and how it is run so that it always ends in a row."""
+"""Rows of trials, and how a trial is run so that it always ends in a row."""
 
 import math
 import os
@@ -22,7 +22,7 @@ State = Literal["converged", "not converged", "failed"]
 Figure = float | int | str | None
 
 _CACHE_WARNING = "persistent compilation cache"
-"""Words of what JAX warns of where it can read or write no compiled program."""
+"""Words of JAX's warning that it cannot read or write a compiled program."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Outcome:
         figures: Numbers or words by name; nan and None mean that there is none. A name
             may end with its SI unit in brackets, "fit rms [m]": tables then show
             readable units.
-        converged: Whether they can be used; if not, no mean holds them.
-        reason: Why not.
+        converged: Whether they can be used; if not, means leave them out.
+        reason: Why it did not converge.
         notes: What a user should know before using them.
     """
 
@@ -57,10 +57,10 @@ class TrialRow:
         state: "converged", "not converged" or "failed".
         reason: Why it did not converge, or failed.
         figures: What it found; nothing if it failed.
-        notes: What a user should know before using it.
+        notes: What a user should know before using them.
         seconds: Wall time [s].
-        compile_seconds: Of these, for tracing and compiling in JAX, or for reading what
-            was compiled before [s].
+        compile_seconds: Part of it that JAX spent tracing and compiling, or reading
+            compiled programs [s].
         worker: Machine and process that ran it.
         ended: When it ended, in UTC.
         traceback: Where it failed.
@@ -80,11 +80,11 @@ class TrialRow:
 
 
 def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
-    """Run a trial; whatever happens in it, it ends in a row.
+    """Run a trial, and return a row even if it raises.
 
     Args:
-        function: What is tried.
-        trial: Where.
+        function: The function of the sweep.
+        trial: The trial.
     """
     outcome, reason, trace = None, "", ""
     with warnings.catch_warnings(record=True) as caught:
@@ -119,17 +119,17 @@ def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
 
 
 def _of_the_cache(warning: str) -> bool:
-    """Whether a warning is about compiled programs on the disk, not about the trial.
+    """Return whether a warning is about compiled programs on disk, not the trial.
 
-    A worker that was killed, or is just writing, leaves half a program, which JAX
-    compiles again; the half is thrown away, so that the next worker finds a whole one.
+    A worker that was killed, or is still writing, leaves half a program, which JAX
+    compiles again; the half is removed, so that the next worker finds a whole one.
     """
     throw_away_damaged(warning)
     return _CACHE_WARNING in warning
 
 
 def failed_row(trial: Trial, reason: str, trace: str = "") -> TrialRow:
-    """The row of a trial whose worker could not tell how it ended."""
+    """Return the row of a trial whose worker could not report its end."""
     return TrialRow(
         trial.key,
         trial.point,

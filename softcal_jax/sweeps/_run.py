@@ -1,4 +1,4 @@
-"""Running a sweep: what is left to do, on workers, each trial a row when it ends."""
+"""Running the trials of a sweep that are left to do."""
 
 import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -32,12 +32,12 @@ def run_sweep(
     retry_failed: bool = False,
     progress: Callable[[Progress], None] | None = None,
 ) -> SweepResult:
-    """Calls a function at every point, side by side, and keeps each result at once.
+    """Call a function at every point, side by side, and save each result at once.
 
-    Each trial is a row of the database the moment it ends. A sweep that was stopped or
-    killed is run again with the same arguments, and goes on: only trials that were
-    under way are lost. A trial that raises is a row with its reason. A row depends on
-    its point and the seed alone, not on the order or the number of workers.
+    Each trial becomes a row of the database as soon as it ends. To resume a sweep that
+    was stopped or killed, run it again with the same arguments: only trials that were
+    under way are lost. A trial that raises becomes a row with the reason. A row depends
+    on its point and the seed alone, not on the order or the number of workers.
 
     Example, in a module that can be imported::
 
@@ -51,23 +51,23 @@ def run_sweep(
             print(run_sweep(tip_height, points, "tips.sqlite", repeats=["draw"]))
 
     Args:
-        function: What is tried: takes a `Trial` and returns figures by name, or an
-            `Outcome`, which can say that it did not converge. Worker processes import
-            it, and keep what it compiled from one trial to the next.
-        points: Where, from `grid`, `sample` or your own: a value for each axis. More
+        function: Takes a `Trial` and returns figures by name, or an `Outcome`, which
+            can say that it did not converge. Worker processes import it, and keep what
+            it compiled from one trial to the next.
+        points: Points from `grid`, `sample` or your own: a value for each axis. More
             points may be added when the sweep is run again.
-        database: SQLite file; made, or gone on with.
+        database: SQLite file; made, or continued.
         name: Name in tables; that of the function by default.
         seed: Seed of the sweep, see `Trial.seed`.
-        repeats: Axes that only repeat the others; tables take means over them.
+        repeats: Axes that only repeat the others; tables average over them.
         definitions: What else a row depends on, by name, like {"mesh": "beam 14x4x4"}.
             A database with another value of any of them is refused.
-        workers: Worker processes; by default one per core. 0 runs everything in this
-            process, for functions that cannot be imported.
-        cores_per_worker: Threads of each. Sums are rounded differently on another
-            number of threads, so rows may differ in their last digits between them.
-        scheduler: Address of a Dask scheduler, whose workers are used then.
-        retry_failed: Whether trials that failed are tried again.
+        workers: Number of worker processes; by default one per core. 0 runs everything
+            in this process, for functions that cannot be imported.
+        cores_per_worker: Threads of each. The number of threads changes how sums are
+            rounded, so the last digits of rows may depend on it.
+        scheduler: Address of a Dask scheduler, to use its workers instead.
+        retry_failed: Whether to retry trials that failed.
         progress: Called at the beginning and after each trial.
 
     Returns:
@@ -120,7 +120,7 @@ def _source(
     cores_per_worker: int,
     scheduler: str | None,
 ) -> Source:
-    """Where rows come from."""
+    """Choose what runs trials: a cluster, this process, or worker processes."""
     if cores_per_worker < 1:
         raise ValueError(
             f"cores_per_worker must be at least 1, got {cores_per_worker}."

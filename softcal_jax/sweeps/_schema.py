@@ -1,7 +1,4 @@
-"""The keys of a sweep file.
-
-The description of each key is also what a message says about it when it is missing.
-"""
+"""The keys of a sweep file; a message on a missing key quotes its description."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -11,7 +8,7 @@ from pydantic import Field, field_validator, model_validator
 from softcal_jax.project import Integer, Table, suggestion
 
 OWN_AXES = ("layout", "configurations", "start", "noise")
-"""Axes that are no keys of the project file."""
+"""Axes that are not keys of the project file."""
 
 REPEATS = ("start", "noise")
 """Axes whose values are mere repetitions."""
@@ -94,7 +91,7 @@ class SweepTable(Table):
 
 
 def _axis(axis: str, values: Any) -> Sequence[Any] | Table:
-    """Values of an axis, as far as they can be judged without the project."""
+    """Check the values of an axis as far as possible without the project."""
     if axis not in OWN_AXES and "." not in axis:
         raise ValueError(
             f"unknown axis {axis}.{suggestion(axis, OWN_AXES)} Known: "

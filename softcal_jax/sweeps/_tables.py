@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     import rich.table
 
 WIDTH = 100
-"""Characters in a line, unless told otherwise."""
+"""Default number of characters in a line."""
 
 ROUNDING = 1e-9
 """Standard deviation over the mean below which values differ by rounding alone."""
 
 MOST_NAMES = 8
-"""Figures that are named below a table; more are counted."""
+"""Number of figures named below a table; further ones are only counted."""
 
 _NARROW = 24
-"""Cells with spaces may be broken into lines of so many characters."""
+"""Characters to which a cell with spaces may be wrapped."""
 
 _STYLE = {"converged": "", "not converged": "yellow", "failed": "red"}
 
 
 class _Column(NamedTuple):
-    """A column of a table; words of the header may stand below each other."""
+    """A column of a table, whose header may be wrapped between words."""
 
     head: str
     cells: list[str]
@@ -41,7 +41,7 @@ class _Column(NamedTuple):
 
     @property
     def width(self) -> int:
-        """Characters that it takes, with its borders."""
+        """Width in characters, with its borders."""
         words = [len(word) for word in self.head.split()]
         cells = [
             _NARROW if " " in c and len(c) > _NARROW else len(c) for c in self.cells
@@ -50,7 +50,7 @@ class _Column(NamedTuple):
 
 
 def default_figures(result: SweepResult) -> tuple[str, ...]:
-    """The figures that are numbers; if no trial converged there are none."""
+    """Return the figures that are numbers; none if no trial converged."""
     return tuple(f for f in result.figure_names if result.numbers(f).size)
 
 
@@ -62,12 +62,12 @@ def sweep_table(
     every: bool = False,
     width: int = WIDTH,
 ) -> "rich.console.Group":
-    """A sweep as a table for the terminal, to be printed by `rich`.
+    """Make a table of a sweep for the terminal, to be printed by `rich`.
 
     Args:
         result: The sweep.
-        by: Axes that trials are grouped by; by default all that are no repetitions.
-        figures: Which figures; by default the first numbers that fit.
+        by: Axes that trials are grouped by; by default all but repetitions.
+        figures: Names of figures; by default the first that are numbers and fit.
         every: One line per trial instead of one per group.
         width: Characters in a line.
 
@@ -104,7 +104,7 @@ def sweep_table(
 
 
 def _fitting(columns: dict[str, _Column], room: int) -> dict[str, _Column]:
-    """The first columns that fit; at least one."""
+    """Pick the first columns that fit; at least one."""
     kept: dict[str, _Column] = {}
     for figure, column in columns.items():
         room -= column.width
@@ -132,7 +132,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _reasons(result: SweepResult, every: bool) -> list[Any]:
-    """Why trials failed or did not converge, each reason once."""
+    """Write why trials failed or did not converge, each reason once."""
     from rich.text import Text
 
     rows: dict[tuple[str, str], list[TrialRow]] = {}
@@ -150,13 +150,13 @@ def _reasons(result: SweepResult, every: bool) -> list[Any]:
 
 
 def _first_line(reason: str) -> str:
-    """The first line of a reason."""
+    """Return the first line of a reason."""
     first, *more = reason.strip().splitlines() or [""]
     return first + (" ..." if more else "")
 
 
 def _group_columns(groups: Sequence[Group]) -> list[_Column]:
-    """Where the groups stand, and how their trials ended."""
+    """Make columns of the groups' values, and of how their trials ended."""
     columns = [
         _Column(axis, [shown(g.values[axis]) for g in groups], "left")
         for axis in groups[0].values
@@ -180,7 +180,7 @@ def _group_figure(result: SweepResult, groups: Sequence[Group], figure: str) -> 
 
 
 def _trial_columns(result: SweepResult) -> list[_Column]:
-    """Where each trial stood, and how it ended."""
+    """Make columns of each trial's point, and of how it ended."""
     columns = [
         _Column(axis, [shown(row.point[axis]) for row in result.rows], "left")
         for axis in result.axes
@@ -205,7 +205,7 @@ def _trial_figure(result: SweepResult, _: Sequence[Group], figure: str) -> _Colu
 
 
 def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:
-    """Factor on a figure, and its name with the unit that comes out."""
+    """Return a factor that gives a figure a readable unit, and its name with that."""
     words, unit = figure_name(figure)
     factor, readable = readable_unit(result.numbers(figure), unit)
     return factor, f"{words} [{readable}]" if unit not in ("", "-") else words
@@ -230,7 +230,7 @@ def _table(
     table = Table()
     fits = sum(column.width for column in columns) < width
     for column in columns:
-        # Text, not str: a name like "[a]" is no markup.
+        # Text, not str, which would read a name like "[a]" as markup.
         table.add_column(
             Text(column.head),
             justify=column.justify,
@@ -243,7 +243,7 @@ def _table(
 
 
 def write_sweep_csv(result: SweepResult, path: str | Path) -> None:
-    """Writes one line per trial that has ended, for a spreadsheet; values are in SI.
+    """Write one line per trial that has ended, for a spreadsheet, with values in SI.
 
     Args:
         result: The sweep.

@@ -1,4 +1,4 @@
-"""One trial of a sweep: where it stands on the axes, and its random numbers."""
+"""One trial of a sweep: its point on the axes, and its random numbers."""
 
 import hashlib
 import json
@@ -28,7 +28,7 @@ class Trial:
         object.__setattr__(self, "point", values)
 
     def __getitem__(self, axis: str) -> Any:
-        """Value of an axis.
+        """Return the value of an axis.
 
         Raises:
             ValueError: If the sweep has no such axis.
@@ -39,16 +39,16 @@ class Trial:
 
     @property
     def key(self) -> str:
-        """Name of the trial in the database, made of its point alone."""
+        """Name of the trial in the database, which depends on its point alone."""
         return hashlib.sha256(_canonical(self.point).encode()).hexdigest()[:16]
 
     @property
     def seed(self) -> int:
-        """Seed of the trial: of its point, whatever runs before it or beside it."""
+        """Seed of the trial, which depends on its point and the sweep's seed alone."""
         return self.seed_of(*self.point)
 
     def seed_of(self, *axes: str) -> int:
-        """Seed of the values on some axes alone.
+        """Return a seed that depends on the values on some axes alone.
 
         Trials that agree on these axes share it: layouts are compared on the same draws
         of noise with `np.random.default_rng(trial.seed_of("noise"))`.
@@ -57,7 +57,7 @@ class Trial:
             axes: Names of the axes.
 
         Returns:
-            A number of 63 bits.
+            An integer of 63 bits.
 
         Raises:
             ValueError: If the sweep has no such axis.
@@ -70,7 +70,7 @@ class Trial:
 def as_trials(
     points: Iterable[Mapping[str, Any]], sweep_seed: int
 ) -> tuple[Trial, ...]:
-    """Trials of points that belong together.
+    """Make the trials of a sweep.
 
     Raises:
         ValueError: If there is none, or two are the same, or their axes differ.
@@ -96,12 +96,12 @@ def as_trials(
 
 
 def describe(point: Mapping[str, Any]) -> str:
-    """A point in words."""
+    """Write a point in words."""
     return ", ".join(f"{axis} = {shown(value)}" for axis, value in point.items())
 
 
 def shown(value: Any) -> str:
-    """A value as a table shows it."""
+    """Format a value for tables."""
     if isinstance(value, list):
         return " + ".join(map(shown, value))
     return f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -112,7 +112,7 @@ def _canonical(point: Mapping[str, Any]) -> str:
 
 
 def _plain(axis: str, value: Any) -> Any:
-    """A value as JSON gives it back."""
+    """Convert a value to what JSON would return."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):

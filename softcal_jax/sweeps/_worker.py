@@ -1,4 +1,4 @@
-"""What a process that runs trials needs before the first of them."""
+"""Setup of a process that runs trials."""
 
 import os
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 @dataclass(frozen=True)
 class WorkerSetup:
-    """How workers compute: as the process that runs the sweep does.
+    """Settings with which a worker computes like the process that runs the sweep.
 
     Attributes:
         x64: Whether JAX computes in float64.
@@ -27,7 +27,7 @@ class WorkerSetup:
 
     @classmethod
     def of_this_process(cls) -> "WorkerSetup":
-        """The setup that makes a worker compute as this process does."""
+        """Return the setup that makes a worker compute like this process."""
         return cls(bool(jax.config.read("jax_enable_x64")), version("softcal-jax"))
 
     def apply(self) -> None:
@@ -48,11 +48,10 @@ class WorkerSetup:
 
 @contextmanager
 def threads_of_children(n: int) -> Iterator[None]:
-    """Processes that are started inside use n threads each.
+    """Make processes that are started inside use n threads each.
 
-    The number must be in their environment before they load anything. A sum is rounded
-    differently on another number of threads, so it is the same for all workers, however
-    many there are.
+    The number must be in their environment before they load anything. It changes how
+    sums are rounded, so it is the same however many workers there are.
     """
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, str(n)))
