@@ -1,8 +1,9 @@
 """Calibrate the finite-element model of a soft robot from a few measured poses.
 
-Here stands what a notebook needs. The rest is in the packages, which follow the method
-step by step: `mesh`, `materials`, `fields`, `bodies`, `actuators`, `configurations`,
-`equilibrium`, `sensitivity`, `calibration`, `identifiability`, `control`, `layouts`.
+This module offers what a notebook needs. The rest is in the packages, which follow the
+method step by step: `mesh`, `materials`, `fields`, `bodies`, `actuators`,
+`configurations`, `equilibrium`, `sensitivity`, `calibration`, `identifiability`,
+`control`, `layouts`.
 """
 
 from importlib import import_module
@@ -59,7 +60,7 @@ _ON_DEMAND = {
     "load_project": "softcal_jax.project",
     "write_results": "softcal_jax.report",
 }
-"""What is imported when it is first asked for: its packages take long to load."""
+"""Names that are imported on first use, since their packages take long to load."""
 
 __all__ = [
     "ActuatorDisplacement",

@@ -1,7 +1,7 @@
-"""Compiled programs kept on the disk, so that the next process need not compile them.
+"""Keep compiled programs on disk, so that the next process need not compile them.
 
-JAX does the keeping: the key of a program holds its text, the versions of JAX and XLA,
-and the instructions of the processor, so one folder serves several machines.
+JAX manages the cache. The key of a program includes its text, the versions of JAX and
+XLA and the instruction set of the processor, so one folder serves several machines.
 """
 
 import glob
@@ -20,30 +20,30 @@ class CompilationCacheWarning(UserWarning):
 
 
 def use_compilation_cache(folder: Path | None = None) -> Path | None:
-    """Keep the programs that this process compiles, and take those that are there.
+    """Keep the programs that this process compiles, and reuse those kept before.
 
-    For the process as a whole: command lines and workers call it, a library does not.
-    Call it before anything is compiled.
+    It acts on the whole process, so programs call it and libraries do not. Call it
+    before anything is compiled.
 
     Args:
-        folder: Where; by default what JAX_COMPILATION_CACHE_DIR says, else a folder in
-            the user's cache.
+        folder: Cache folder; by default JAX_COMPILATION_CACHE_DIR, else a folder in the
+            user's cache.
 
     Returns:
-        The folder, absolute. None where there is none on this machine:
+        The absolute path of the folder. None if there is none on this machine:
         JAX_ENABLE_COMPILATION_CACHE=0 switched the cache off, JAX_COMPILATION_CACHE_DIR
-        is an address like "gs://...", or nothing can be written, of which a
-        `CompilationCacheWarning` tells once.
+        is an address like "gs://...", or the folder cannot be written, which gives one
+        `CompilationCacheWarning`.
     """
     if not jax.config.values["jax_enable_compilation_cache"]:
         return None
     chosen = str(folder or jax.config.values["jax_compilation_cache_dir"] or "")
     if "://" in chosen:
-        return None  # JAX goes there by itself
+        return None  # JAX handles addresses itself
     folder = (Path(chosen) if chosen else _default_folder()).absolute()
     problem = _problem_of(folder)
     if problem is not None:
-        # Else JAX would try, and warn, at every single program.
+        # Otherwise JAX would try, and warn, for every single program.
         jax.config.update("jax_enable_compilation_cache", False)
         warnings.warn(
             f"compiled programs are not kept, so that every run compiles them anew: "
@@ -55,8 +55,8 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
-        # By default JAX keeps what takes a second. A run has two hundred programs that
-        # take less, and together they take as long as the large ones.
+        # By default JAX keeps only programs that take a second to compile. A run has
+        # two hundred faster ones, which together take as long as the large ones.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     return folder
 
@@ -64,8 +64,8 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
 def throw_away_damaged(message: str) -> str | None:
     """Remove the entry that JAX has just failed to read, so that it writes a new one.
 
-    A process that was killed while it wrote can leave half an entry. JAX warns and
-    compiles the program, but keeps the entry: it would fail in every run.
+    A process killed while writing can leave half an entry. JAX then warns and compiles
+    the program, but keeps the entry, so it would fail in every run.
 
     Args:
         message: A warning.
@@ -86,7 +86,7 @@ def throw_away_damaged(message: str) -> str | None:
 
 
 _UNREADABLE = r"Error reading persistent compilation cache entry for '(.+?)':"
-"""How JAX begins its warning, with the name of the program."""
+"""Pattern of the beginning of JAX's warning, with the name of the program."""
 
 
 def _default_folder() -> Path:
@@ -94,7 +94,7 @@ def _default_folder() -> Path:
 
 
 def _problem_of(folder: Path) -> str | None:
-    """Why nothing can be written to a folder, which is made; None if it can."""
+    """Create a folder and say why it cannot be written to; None if it can."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -1,10 +1,10 @@
-"""What this process may use of its machine."""
+"""Resources that this process may use."""
 
 import os
 
 
 def available_cores() -> int:
-    """Cores that this process may use; fewer than there are under a scheduler."""
+    """Count the cores that this process may use, which a scheduler may limit."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

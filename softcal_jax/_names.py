@@ -1,4 +1,4 @@
-"""Names that a user types: units of length, and what is said of a misspelt one."""
+"""Names that a user types: units of length, and messages for misspelt names."""
 
 import difflib
 import zlib
@@ -9,14 +9,14 @@ METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
 
 
 def suggestion(name: str, known: Iterable[str], *, quote: str = "'") -> str:
-    """A sentence, after a space, that names the near one; empty if none is near."""
+    """Suggest the closest known name, in a sentence after a space; empty if none."""
     by_lower = {k.lower(): k for k in known}
     near = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
     return f" Did you mean {quote}{by_lower[near[0]]}{quote}?" if near else ""
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
-    """The error for a name that is not in a list, with the near one suggested."""
+    """Build the error for an unknown name, with the closest known one suggested."""
     names = sorted(known)
     listed = ", ".join(map(repr, names)) or "none"
     hint = suggestion(name, names)

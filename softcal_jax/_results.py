@@ -1,4 +1,4 @@
-"""Outcomes of the numerical parts, with messages a person can read."""
+"""Outcomes of the numerical parts, with readable messages."""
 
 import equinox as eqx
 

@@ -6,11 +6,11 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 HostArray = ndarray
-"""An array that lives on the host: meshing, reading, plotting."""
+"""A NumPy array on the host: meshing, reading, plotting."""
 
 
 def is_traced(value: object) -> bool:
-    """Whether a value is inside a trace and cannot be looked at."""
+    """Check whether a value is traced, so that its content is unknown."""
     return isinstance(value, Tracer)
 
 

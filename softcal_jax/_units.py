@@ -1,4 +1,4 @@
-"""Units that a person reads: kPa instead of 2.638e+05 Pa, degrees instead of rad."""
+"""Readable units: kPa instead of 2.638e+05 Pa, degrees instead of rad."""
 
 import math
 from collections.abc import Iterable
@@ -12,7 +12,7 @@ class Readable(NamedTuple):
     unit: str
 
 
-# Ascending; the largest one that keeps the value at or above 1 is taken.
+# Ascending; the largest that keeps the value at or above 1 is used.
 _PREFIXED = {
     "Pa": ((1.0, "Pa"), (1e3, "kPa"), (1e6, "MPa"), (1e9, "GPa")),
     "m": ((1e-3, "mm"), (1.0, "m")),
@@ -24,14 +24,14 @@ _PREFIXED = {
 
 
 def readable_unit(values: Iterable[float], unit: str) -> Readable:
-    """The unit in which values of one SI unit read best.
+    """Choose the unit in which values of one SI unit read best.
 
     Args:
         values: Values in SI; the largest decides.
-        unit: Their SI unit; one without a table here stays as it is.
+        unit: Their SI unit; unlisted ones stay as they are.
 
     Returns:
-        The factor on SI values, and the unit's name.
+        The factor on SI values, and the name of the unit.
     """
     steps = _PREFIXED.get(unit, ((1.0, unit),))
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
@@ -43,6 +43,6 @@ def readable_unit(values: Iterable[float], unit: str) -> Readable:
 
 
 def readable(value: float, unit: str) -> str:
-    """A value in SI as a person reads it, like "263.8 kPa"."""
+    """Format an SI value in a readable unit, like "263.8 kPa"."""
     factor, shown = readable_unit([value], unit)
     return f"{factor * value:.6g} {shown}".rstrip()

@@ -1,4 +1,4 @@
-"""What the commands do; heavy packages are imported when one runs."""
+"""The commands; heavy packages are imported only when one runs."""
 
 import argparse
 import math
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from softcal_jax.project import Project
 
 MOST_BY_NAME, MOST_IN_FIELD = 2, 4
-"""A step shows so many parameters by name, and so many values of one field."""
+"""Most parameters that a step shows by name, and most values of one field."""
 
 
 def demo(args: argparse.Namespace, show: Display) -> int:
-    """Calibrates the silicone beam, or writes its project file."""
+    """Calibrate the silicone beam, or write its project file."""
     from softcal_jax.robots import silicone_beam_path
 
     if args.write is None:
@@ -58,7 +58,7 @@ def demo(args: argparse.Namespace, show: Display) -> int:
 
 
 def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
-    """Fits a project, predicts what was held out, and writes the results."""
+    """Fit a project, predict what was held out, and write the results."""
     check_folder(args)
     from softcal_jax import report
     from softcal_jax.identifiability import assess
@@ -97,7 +97,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
 
     where = write(result, force=args.force)
     if project.intervals is not None and result.converged:
-        # After the results, which are kept if somebody does not want to wait.
+        # The results are written already, in case the user does not want to wait.
         several = "s" if len(result.parameters) > 1 else ""
         show.now(f"intervals of {len(result.parameters)} parameter{several}")
         result = project.with_intervals(result)
@@ -116,7 +116,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
 
 
 def simulate(args: argparse.Namespace, show: Display) -> int:
-    """Solves all configurations of a project with the start values.
+    """Solve all configurations of a project at the start values.
 
     Those without an equilibrium are named at the end, after the others are written.
     """
@@ -162,11 +162,11 @@ def _print_registrations(project: "Project", show: Display) -> None:
 
 
 def _step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
-    """Prints a line per step, and says what comes next."""
+    """Return a callback that prints a line per step and says what comes next."""
     sees_points = any(c.has_points for c in project.calibration)
 
     def misfit(entry: "HistoryEntry") -> str:
-        # Lengths, angles and forces have no distance: the cost stands for all.
+        # Lengths, angles and forces have no distance, so show the cost.
         if sees_points:
             return f"rms {1e3 * entry.rms:7.3f} mm"
         return f"cost {entry.cost:9.3g}"
@@ -189,7 +189,7 @@ def _step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], 
 
 
 def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> str:
-    """Values on one line; those of a field at control points stand together."""
+    """Format values on one line, with those of a field at control points together."""
     from softcal_jax.export import readable_unit
 
     fields: dict[str, list[Parameter]] = {}
@@ -223,7 +223,7 @@ def _print_held_out(result: "CalibrationResult", show: Display) -> None:
 
 
 def _held_out_errors(fit: "ConfigurationResult") -> str:
-    """Distances of markers and angles of orientations, where there are any."""
+    """Format distances of markers and angles of orientations, where there are any."""
     texts = []
     if fit.points:
         n = len(fit.points)

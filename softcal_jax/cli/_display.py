@@ -1,4 +1,4 @@
-"""What a command shows while it works."""
+"""Output of a command while it works."""
 
 import sys
 import time
@@ -38,7 +38,7 @@ class Display:
         self.progress.stop()
 
     def now(self, what: str, *, log: bool = True) -> None:
-        """Says what begins; in a log only where that is worth a line."""
+        """Say what begins; in a log, only if `log` is set."""
         if self.progress.disable:
             if log:
                 self.line(f"{what} ...")
@@ -48,31 +48,31 @@ class Display:
         self.progress.add_task(what, total=None)
 
     def line(self, text: RenderableType = "") -> None:
-        """Prints something that stays."""
+        """Print a line that stays."""
         if isinstance(text, str):
             self.console.print(text, markup=False, highlight=False, soft_wrap=True)
         else:
             self.console.print(text)
 
     def lap(self, name: str) -> None:
-        """Ends a part of the run, and keeps its wall time."""
+        """End a part of the run, and record its wall time."""
         now = time.time()
         self.laps[name] = now - self.last
         self.last = now
 
     def split(self, name: str, part: str, seconds: float) -> None:
-        """Shows a part of the last lap as a lap of its own, before it [s]."""
+        """Split off a part of a lap, as a lap of its own before it [s]."""
         whole = self.laps.pop(name)
         self.laps |= {part: seconds, name: whole - seconds}
 
     def total(self) -> float:
-        """Wall time since the process began [s]."""
+        """Return the wall time since the process began [s]."""
         return time.time() - self.begin
 
 
 @contextmanager
 def warnings_as_lines(show: Display) -> Iterator[None]:
-    """Shows the package's own warnings as lines, without file and line of code."""
+    """Show the package's own warnings as lines, without file and line of code."""
     from softcal_jax._compilation_cache import (
         CompilationCacheWarning,
         throw_away_damaged,
@@ -106,8 +106,8 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
 
 
 def process_start() -> float:
-    """About when this program began [s since 1970]: now, less the CPU time it has used.
+    """Estimate when this program began [s since 1970]: now minus its CPU time.
 
-    The start of its process is no measure: a shell may have lived in it before.
+    The start of the process will not do: a shell may have run in it before.
     """
     return time.time() - time.process_time()

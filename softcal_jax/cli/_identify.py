@@ -1,4 +1,4 @@
-"""`softcal identify`: would the data suffice?"""
+"""`softcal identify`: would the data determine the parameters?"""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def identify(args: argparse.Namespace, show: Display) -> int:
-    """Judges a project before anything is measured, and ranks its candidates."""
+    """Judge a project before anything is measured, and rank its candidates."""
     if args.output is not None:
         check_folder(args)
     from softcal_jax import report

@@ -41,7 +41,7 @@ exit codes: 0 judged, whatever the verdict, 1 no equilibrium, 2 bad input
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command.
+    """Run one command.
 
     Args:
         argv: Arguments after the program's name; those of the process by default.

@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, reading a project, how a command ends."""
+"""What all commands share: exit codes, loading a project, ending a command."""
 
 import argparse
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ OK, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 class Stop(Exception):
-    """Ends the command with a message instead of a traceback."""
+    """End the command with a message instead of a traceback."""
 
     def __init__(self, code: int, text: str):
         super().__init__(text)
@@ -26,7 +26,7 @@ class Stop(Exception):
 
 
 def check_folder(args: argparse.Namespace) -> None:
-    """Before any work: a run of minutes must not end at a folder that exists."""
+    """Check the output folder first, so that a long run does not fail there."""
     from softcal_jax.export import check_results_folder
 
     with bad_input():
@@ -34,13 +34,13 @@ def check_folder(args: argparse.Namespace) -> None:
 
 
 def load(path: Path, show: Display) -> "Project":
-    """Reads a project, and says what its body is."""
+    """Load a project, and describe its model."""
     import jax
 
     from softcal_jax._compilation_cache import use_compilation_cache
     from softcal_jax.project import load_project
 
-    # Both for this process alone; a library must not switch them for its user.
+    # Only a program may set these two; a library must leave them to its user.
     jax.config.update("jax_enable_x64", True)
     use_compilation_cache()
     show.lap("import")
@@ -65,21 +65,21 @@ def _law(model: "Model") -> str:
 
 
 def print_end(where: Path, show: Display) -> None:
-    """Says what was written where, and how long the parts took."""
+    """Print what was written where, and how long the parts took."""
     files = sorted(p.name for p in where.iterdir())
     show.line(f"Results in {where}: {', '.join(files)}")
     show.line(times_line(show))
 
 
 def times_line(show: Display) -> str:
-    """How long the parts took."""
+    """Format how long the parts took."""
     parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in show.laps.items())
     return f"Time: {parts}; {show.total():.1f} s in all."
 
 
 @contextmanager
 def no_equilibrium(written: str) -> Iterator[None]:
-    """Ends the command where a configuration has no equilibrium."""
+    """End the command if a configuration has no equilibrium."""
     import jax
 
     try:
@@ -92,7 +92,7 @@ def no_equilibrium(written: str) -> Iterator[None]:
 
 @contextmanager
 def bad_input() -> Iterator[None]:
-    """Ends the command where its input is wrong."""
+    """End the command if its input is wrong."""
     try:
         yield
     except (ValueError, OSError) as error:

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from softcal_jax.sweeps import Progress, SweepResult
 
 QUIET_S = 30.0
-"""In a log, progress is told no more often than this [s]."""
+"""Shortest time between lines of progress in a log [s]."""
 
 
 def sweep(args: argparse.Namespace, show: Display) -> int:
-    """Runs a sweep file, or goes on with it."""
+    """Run a sweep file, or resume it."""
     import jax
 
     from softcal_jax.sweeps import load_sweep
 
-    # For this process and its workers; a library must not switch it for its user.
+    # Only a program may set this, for itself and its workers; a library must not.
     jax.config.update("jax_enable_x64", True)
     show.lap("import")
     show.now(f"reading {args.sweep.name}")
@@ -82,7 +82,7 @@ def _print_result(result: "SweepResult", database: str, show: Display) -> int:
 
 
 def _progress_lines(show: Display):
-    """Tells progress: what fails in a line, the rest where it does not get too much."""
+    """Return a callback that prints failures at once, and progress now and then."""
     last = -QUIET_S
 
     def progress(now: "Progress") -> None:
@@ -106,7 +106,7 @@ def _progress_lines(show: Display):
 
 
 def show_sweep(args: argparse.Namespace, show: Display) -> int:
-    """Tabulates a sweep, also while it runs, and draws it if asked to."""
+    """Tabulate a sweep, even while it runs, and plot it on request."""
     from softcal_jax.sweeps import plot_sweep, read_sweep, sweep_table, write_sweep_csv
 
     with bad_input():

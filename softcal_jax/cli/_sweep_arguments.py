@@ -34,7 +34,7 @@ examples:
 
 
 def sweep_words(words: Sequence[str]) -> list[str]:
-    """The words of a command, with "sweep show" as one of them."""
+    """Join the words "sweep show" of a command line to one."""
     if list(words[:2]) == ["sweep", "show"]:
         return ["sweep show", *words[2:]]
     return list(words)

@@ -1,7 +1,7 @@
-"""Inverse control: the actuation for goals of the effectors (paper Eqs. 4 to 6).
+"""Inverse control: find the actuation for goals of the effectors (paper Eqs. 4 to 6).
 
-A calibrated model runs unchanged. The search is pure and compiled once: all goals, and
-all models of the same shapes, share its program.
+Calibrated models need no change. The search is compiled once for all goals and all
+models of the same shapes.
 """
 
 from softcal_jax.control._compliance import (

@@ -1,4 +1,4 @@
-"""How effectors and actuators follow what is asked of the actuators (Eqs. 4, 5)."""
+"""Derivatives of effectors and actuators by what is imposed (Eqs. 4, 5)."""
 
 from functools import partial
 
@@ -22,7 +22,7 @@ from softcal_jax.equilibrium import (
 
 
 class ActuatorState(eqx.Module):
-    """What a robot does at an equilibrium.
+    """Effectors and actuators of a robot at an equilibrium.
 
     Attributes:
         effectors: Effector coordinates e, in the rows of `effector_values`.
@@ -36,22 +36,22 @@ class ActuatorState(eqx.Module):
 
 
 class ActuatorCompliance(eqx.Module):
-    """Derivatives of an equilibrium by the inputs: what each actuator has imposed.
+    """Derivatives of an equilibrium by the inputs, the imposed values of the actuators.
 
-    An input is a force lambda_a or a displacement delta_a; the columns of all matrices
-    are inputs, in their units. Everything is nan where there is no equilibrium.
+    An input is a force lambda_a or a displacement delta_a; all matrices have one column
+    per input, in its unit. Everything is nan where there is no equilibrium.
 
     Attributes:
         state: Effectors, forces and displacements at the equilibrium.
-        W_ea: Change of each effector coordinate per input, rows in the order effector,
-            axis.
-        by_force: Change of the forces; rows of the identity where they are imposed.
+        W_ea: Change of each effector coordinate per input; the three coordinates of
+            an effector are consecutive rows.
+        by_force: Change of the forces; a row of the identity where a force is imposed.
         by_displacement: Change of the displacements, likewise.
         W_aa: H_a K^-1 H_a^T, displacements per forces if all actuators were driven by
             force; symmetric, and positive definite where that state is stable. Zero for
             slack cables, and for pressures on open surfaces.
-        slack: Cables whose imposed displacement leaves them slack: they do not act.
-        displacement: Change of the displacement of all nodes, by rows [m].
+        slack: Cables that their imposed displacement leaves slack, so they do not act.
+        displacement: Change of the displacement of all nodes, one row per input [m].
     """
 
     state: ActuatorState
@@ -89,17 +89,17 @@ def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a):
 def with_inputs(
     configuration: ConfigurationArrays, value: Float[Array, " n_a"]
 ) -> ConfigurationArrays:
-    """The configuration with other inputs, in the units of the actuators."""
+    """Replace the inputs of a configuration, given in the units of the actuators."""
     return eqx.tree_at(lambda c: c.actuation.value, configuration, value)
 
 
 def actuator_compliance(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
 ) -> ActuatorCompliance:
-    """W_ea and W_aa at an equilibrium, by one factorization; paper Eqs. (4) and (5).
+    """Compute W_ea and W_aa at an equilibrium by one factorization; Eqs. (4), (5).
 
-    Each input is taken as it is imposed: the column of W_ea is de/dlambda_a where the
-    force is imposed, and de/ddelta_a, others held, where the displacement is.
+    A column of W_ea is de/dlambda_a where the force is imposed, and de/ddelta_a, with
+    the other inputs held, where the displacement is imposed.
 
     Args:
         model: The model.
@@ -150,9 +150,9 @@ def actuator_compliance(
 
 
 def _force_compliance(by_force, by_displacement, acts, *, symmetric: bool):
-    """W_aa from the changes along the inputs: delta = W_aa lambda along each of them.
+    """Solve delta = W_aa lambda for W_aa, given both changes per input.
 
-    Solved for, so that motors, whose bodies are held and no unknowns, have theirs too.
+    Solving covers motors too, whose bodies are held and therefore no unknowns.
     """
     both = acts[:, None] & acts[None]
     by_force = jnp.where(both, by_force, jnp.eye(acts.size, dtype=by_force.dtype))

@@ -1,4 +1,4 @@
-"""Decision whether a step of inverse control helped: limits first, then the levels."""
+"""Decide whether a step of inverse control helped: limits first, then the levels."""
 
 from typing import NamedTuple
 
@@ -8,19 +8,19 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration import KKT_TOLERANCE
 
 ROUNDING = 1e-6
-"""Violation of a limit that is ignored, in sizes of the robot [-]."""
+"""Violation of a limit that is ignored, relative to the size of the robot [-]."""
 
 FLAT_COSINE = 1e-2
 """Cosine between error and step below which a refused step means a minimum [-]."""
 
 
 class Parts(NamedTuple):
-    """What a step should lower: violated limits, then the cost of each level [-].
+    """Quantities that a step should lower: violated limits, then each level's cost [-].
 
     Attributes:
         now: Before the step.
-        expected: After it, by the linear model.
-        tried: After it.
+        expected: After the step, by the linear model.
+        tried: After the step, at the true equilibrium.
     """
 
     now: Float[Array, " n_parts"]
@@ -34,15 +34,14 @@ class Parts(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What happens after a step was tried.
+    """Consequences of a step that was tried.
 
     Attributes:
-        accepted: Whether it is kept.
+        accepted: Whether the step is kept.
         step_bound: Bound on the next step [-].
         penalty: Weights of the parts [-].
         vanished: Whether no step helps any more.
-        stalled: Whether steps were refused down to the smallest one, away from a
-            minimum.
+        stalled: Whether even the smallest step was refused, away from a minimum.
     """
 
     accepted: Bool[Array, ""]
@@ -56,10 +55,10 @@ class Trial(NamedTuple):
     """A step that was tried.
 
     Attributes:
-        parts: Limits and costs before and after it.
+        parts: Limits and costs before and after the step.
         size: Its largest entry [-].
         kkt_residual: Optimality residual of its QPs [-].
-        cosine: Of the angle between the errors and their expected change [-].
+        cosine: Cosine between the errors and their expected reduction [-].
         converged: Whether it ended at an equilibrium.
     """
 
@@ -79,18 +78,18 @@ def decide(
     step_tol: float | Float[Array, ""],
     max_step_bound: float | Float[Array, ""],
 ) -> Decision:
-    """Keep a step that lowers the weighted sum of the parts, and adapt the bound.
+    """Accept a step that lowers the weighted sum of the parts, and adapt the bound.
 
     The sum is an exact penalty function: the weight of an earlier part is raised until
     the sum is expected to fall along the step that the QPs of all levels found (Nocedal
     and Wright, Numerical Optimization, 2006, Eq. 18.36).
 
     Args:
-        trial: The step.
+        trial: The step that was tried.
         step_bound: Bound on the step [-].
-        penalty: Weights before it [-].
+        penalty: Weights before the step [-].
         tol: Error in units of std that is good enough [-].
-        step_tol: Step at which the search ends [-].
+        step_tol: Size of a step at which the search ends [-].
         max_step_bound: Largest bound [-].
 
     Returns:
@@ -104,7 +103,7 @@ def decide(
     kept_limits = trial.parts.now[0] <= 10.0 * ROUNDING
     vanished = trial.converged & (trial.size <= step_tol) & ~at_bound & kept_limits
     vanished = vanished & (trial.kkt_residual <= KKT_TOLERANCE)
-    # A step that vanished ends the search, kept or not: its expected gain may lie
+    # A vanished step ends the search even if it is refused: its expected gain may lie
     # below the residual of the equilibria.
     lowered = (drop >= 1e-4 * expected) & (expected > 0.0)
     accepted = trial.converged & lowered
@@ -123,7 +122,7 @@ def decide(
 
 
 def _raised(penalty: Float[Array, " n_parts"], drops: Float[Array, " n_parts"]):
-    """Raise the weights of earlier parts until the weighted drops sum to a fall."""
+    """Raise weights of earlier parts until the weighted drops have a positive sum."""
     for part in range(penalty.shape[0] - 2, -1, -1):
         later = jnp.sum(penalty[part + 1 :] * drops[part + 1 :])
         falls = drops[part] > jnp.finfo(drops.dtype).tiny

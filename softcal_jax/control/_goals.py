@@ -1,4 +1,4 @@
-"""Goals of effectors: their measured values, or others given by name."""
+"""Goals of effectors: their measured values, or values given by name."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,8 +18,8 @@ from softcal_jax.configurations import (
 )
 
 Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
-"""A pose from rest for a `BodyFrame`, three numbers for a point or a reaction, one for
-a length, volume, angle or force; in SI units and radians."""
+"""A pose from rest for a `BodyFrame`, three numbers for a point or a reaction, one
+number for a length, volume, angle or force; in SI units and radians."""
 
 
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
@@ -107,8 +107,8 @@ def goal_levels(
         coordinates without a goal.
 
     Raises:
-        ValueError: If no effector has a goal, or a priority is below 1 or of an unknown
-            effector.
+        ValueError: If no effector has a goal, or a priority is below 1 or names an
+            unknown effector.
     """
     (records,) = lanes.effectors
     names = [record.name for record in records]

@@ -1,4 +1,4 @@
-"""What actuators can do: limits of their forces, displacements and steps."""
+"""Limits of the forces, displacements and steps of actuators."""
 
 from collections.abc import Mapping
 
@@ -17,13 +17,13 @@ ANYTHING = (-np.inf, np.inf)
 class Limits(eqx.Module):
     """Limits of one actuator, whether its force or its displacement is imposed.
 
-    In addition, a cable never pushes and a motor stays within half a turn.
+    Regardless of them, a cable never pushes and a motor stays within half a turn.
 
     Attributes:
         force: Lowest and highest lambda_a, in the unit of the actuator.
         displacement: Lowest and highest delta_a, in the unit of the actuator.
-        step: Largest change of the imposed quantity within one command, which is from
-            one goal to the next along a trajectory.
+        step: Largest change of the imposed quantity within one command, that is, from
+            one goal of a trajectory to the next.
     """
 
     force: tuple[float, float] = ANYTHING
@@ -32,7 +32,7 @@ class Limits(eqx.Module):
 
 
 class LimitArrays(eqx.Module):
-    """Limits of all actuators: of the imposed quantity (the input) and of the other.
+    """Limits of all actuators, on the imposed quantity (the input) and the other one.
 
     Attributes:
         lower: Lowest inputs; equal to `upper` for actuators that are not commanded.
@@ -40,7 +40,7 @@ class LimitArrays(eqx.Module):
         step: Largest change of each input in one command.
         follow_lower: Lowest displacement where the force is imposed, and lowest force
             where the displacement is.
-        follow_upper: Highest ones.
+        follow_upper: Highest one, likewise.
     """
 
     lower: Float[Array | HostArray, " n_a"]
@@ -61,8 +61,8 @@ def limit_arrays(
         limits: Limits by the names of actuators.
 
     Raises:
-        ValueError: If a name is unknown or not commanded, a lower limit lies above its
-            upper one, an actuator has no such quantity, or it starts outside.
+        ValueError: If an actuator is unknown or not commanded, lacks the limited
+            quantity or starts outside its limits, or a lower limit exceeds the upper.
     """
     actuators = mechanism.actuators
     actuation, n_a = configuration.actuation, len(actuators.names)
@@ -147,8 +147,9 @@ def active_limits(
     Args:
         mechanism: The actuators.
         by_displacement: Where the displacement is imposed.
-        active: Which limits: lower and upper of the input, then of the other quantity.
-        step_reached: Where the active limit of an input is the one on its step.
+        active: Whether a limit is active: rows are lower and upper limit of the input,
+            then of the other quantity.
+        step_reached: Where the limit on the step of an input is the active one.
     """
     found = []
     for a, name in enumerate(mechanism.actuators.names):

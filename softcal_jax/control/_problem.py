@@ -14,13 +14,13 @@ from softcal_jax.equilibrium import Model
 
 
 class ControlProblem(eqx.Module):
-    """One command; a pytree, so that one program serves all goals and all models.
+    """One command, as a pytree, so that one program serves all goals and models.
 
     Attributes:
         model: The model.
         configuration: The configuration; its measured values are the goals.
         limits: Limits of the actuators.
-        start: Inputs that limits on steps count from.
+        start: Inputs from which limits on steps are counted.
         levels: 1 / standard deviation of each effector coordinate, level by level.
         epsilon: Weight of the energy term, see `ControlSettings` [-].
     """
@@ -59,14 +59,14 @@ class ControlProblem(eqx.Module):
 
 
 class Linear(NamedTuple):
-    """The problem linearised at an equilibrium, its inputs scaled.
+    """The problem linearised at an equilibrium, with scaled inputs y.
 
     Attributes:
-        scale: Change of an input for y = 1, at which it moves some node by the size of
-            the robot; this makes inputs of different units comparable.
-        W: Compliances of each level, those of the energy included, in units of std.
+        scale: Change of an input for y = 1, which moves some node by the size of the
+            robot; this makes inputs of different units comparable.
+        W: Compliances of each level, energy included, in units of std.
         error: Errors of each level, likewise.
-        energy: Rows by which forces enter the last level.
+        energy: Matrix that turns forces into the energy rows of the last level.
         rows: Limits.
         length: Scale of the quantities that are not imposed, per row of `rows`.
     """
@@ -133,7 +133,7 @@ def level_errors(
 def follow_room(
     problem: ControlProblem, state: ActuatorState, length: Float[Array, " n_a"]
 ) -> Float[Array, " 2*n_a"]:
-    """Compute the room of what is not imposed to its lower, then upper limits [-]."""
+    """Compute how far the quantities not imposed are from both their limits [-]."""
     q = problem.following(state.forces, state.displacements)
     limits = problem.limits
     down = (q - jnp.asarray(limits.follow_lower)) / length
@@ -141,14 +141,14 @@ def follow_room(
 
 
 def _energy_rows(problem, W_aa, W, by_force, moves: Bool[Array, " n_a"]):
-    """Compute rows E with E^T E = epsilon |W_aa|, epsilon scaled by W over the energy.
+    """Compute rows E with E^T E = epsilon |W_aa|, scaled by the ratio of W to energy.
 
     Where motors hold a robot in a state that would be unstable without them, W_aa has
     negative eigenvalues; their magnitude is used.
     """
     size = jnp.sqrt(jnp.abs(jnp.diag(W_aa)))
     size = jnp.where(size > 0.0, size, 1.0)
-    # A unit diagonal, so that units do not affect the eigenvalues.
+    # Scale to a unit diagonal, so that units do not affect the eigenvalues.
     values, vectors = jnp.linalg.eigh(W_aa / (size[:, None] * size[None]))
     root = jnp.sqrt(jnp.abs(values))[:, None] * vectors.T * size[None]
     energy = jnp.where(moves, jnp.sum((root @ by_force) ** 2, axis=0), 0.0)

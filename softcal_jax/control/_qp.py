@@ -18,7 +18,7 @@ class InputRows(NamedTuple):
         lower: Lowest step of each input.
         upper: Highest step of each input.
         A: Change, per unit of y, of the quantities that are not imposed.
-        b: Their room.
+        b: Largest change allowed.
     """
 
     lower: Float[Array, " n_a"]
@@ -28,7 +28,7 @@ class InputRows(NamedTuple):
 
 
 class LevelsStep(NamedTuple):
-    """Step that minimises all levels in order of priority.
+    """Step that minimises all levels, in order of priority.
 
     Attributes:
         y: Scaled step of the inputs [-].
@@ -46,8 +46,8 @@ def step_in_levels(
 ) -> LevelsStep:
     """Minimise ||W y + error|| of the first level, then of the next among its minima.
 
-    All minima of a level share W y, so the next level moves in the null space of W only
-    and priorities are strict, whatever the weights. Each level is one bounded QP.
+    All minima of a level share W y, so the next level moves only in the null space of
+    W, and priorities are strict whatever the weights. Each level is one bounded QP.
 
     Args:
         levels: W and errors of each level, in units of std.

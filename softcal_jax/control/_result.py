@@ -1,4 +1,4 @@
-"""What inverse control hands back."""
+"""Results of inverse control."""
 
 from collections.abc import Sequence
 
@@ -17,11 +17,11 @@ from softcal_jax.equilibrium import EquilibriumSolution
 
 
 class GoalFit(eqx.Module):
-    """One effector with a goal, and how far it is from there.
+    """How close one effector came to its goal.
 
     Attributes:
-        effector: What it is; its goal is `measured`, and what it reached `simulated`. A
-            frame has a fit of its point [m] and one of its turn [rad].
+        effector: Its record, with the goal in `measured` and the value reached in
+            `simulated`. A frame has one for its point [m] and one for its turn [rad].
         priority: Its priority, 1 first.
     """
 
@@ -35,7 +35,7 @@ class GoalFit(eqx.Module):
 
     @property
     def reached(self) -> Float[HostArray, " k"]:
-        """Its coordinates; of a turn the rotation vector from the goal."""
+        """Coordinates reached; for a turn, the rotation vector from the goal."""
         assert self.effector.simulated is not None
         return self.effector.simulated
 
@@ -46,7 +46,7 @@ class GoalFit(eqx.Module):
 
     @property
     def in_std(self) -> Float[HostArray, " k"]:
-        """The same in units of the standard deviation [-]."""
+        """The residual in units of the standard deviation [-]."""
         return self.residual / self.effector.std
 
 
@@ -54,12 +54,12 @@ class StepRecord(eqx.Module):
     """One step of the search.
 
     Attributes:
-        size: Largest change of an input, in what it moves any node by, sizes of the
-            robot [-].
-        cost: Half the squared errors after it, energy included [-].
-        violation: Violated limits of what follows the inputs [-].
+        size: Largest change of an input, as the displacement of a node that it causes,
+            relative to the size of the robot [-].
+        cost: Half the squared errors after the step, energy included [-].
+        violation: Violated limits of the quantities that are not imposed [-].
         kkt_residual: Optimality residual of its QPs [-].
-        newton_steps: Newton iterations of the equilibrium that it was tried on.
+        newton_steps: Newton iterations of the equilibrium on which it was tried.
         accepted: Whether it was kept.
     """
 
@@ -78,10 +78,10 @@ class InverseResult(eqx.Module):
         outcome: How the search ended; `message` says it in words.
         configuration: The configuration with the actuation found.
         solution: Its equilibrium.
-        goals: How far each effector with a goal is from it.
+        goals: How close each effector with a goal came to it.
         forces: lambda_a of every actuator, by name, in its unit.
-        displacements: delta_a likewise; of an actuator without one 0.
-        active_limits: Limits that hold the robot back, in words.
+        displacements: delta_a likewise; 0 for an actuator without one.
+        active_limits: Limits that are reached, in words.
         steps: The search, step by step.
     """
 
@@ -115,7 +115,7 @@ class InverseResult(eqx.Module):
 
     @property
     def inputs(self) -> Float[HostArray, " n_inputs"]:
-        """What is imposed, in the order of the actuation, in the actuators' units."""
+        """Imposed values in the order of the actuation, in the actuators' units."""
         return np.array([a.value for a in self.configuration.actuation.values()])
 
 
@@ -123,14 +123,14 @@ class TrajectoryResult(eqx.Module):
     """Commands along a trajectory.
 
     Attributes:
-        points: The command of each goal, each from where the one before ended.
+        points: The command for each goal, started where the previous one ended.
     """
 
     points: tuple[InverseResult, ...]
 
     @property
     def inputs(self) -> Float[HostArray, "n_goals n_inputs"]:
-        """What is imposed at each goal, in the order of the actuation."""
+        """Imposed values at each goal, in the order of the actuation."""
         return np.array([point.inputs for point in self.points])
 
     @property
@@ -142,10 +142,10 @@ class TrajectoryResult(eqx.Module):
 def imposed(
     configuration: Configuration, names: Sequence[str], value: Float[HostArray, " n_a"]
 ) -> dict[str, ImposedForce | ImposedDisplacement]:
-    """The actuation of a configuration with other values.
+    """Build the actuation of a configuration with other values.
 
     Args:
-        configuration: Names what is imposed.
+        configuration: Its `actuation` says what is imposed.
         names: Names of all actuators.
         value: Their inputs.
     """

@@ -57,7 +57,7 @@ def solve_inverse(
     the energy of the actuators, until the goals are met or no step comes closer. Each
     step is tried on the true equilibrium, warm-started by the predicted displacement,
     and kept only if it helps. The result is a local optimum. Cables with an imposed
-    length are kept taut: a slack cable is wound up, and none becomes slack.
+    displacement stay taut: slack ones are wound up, and none becomes slack.
 
     Args:
         model: The model, calibrated or not.
@@ -65,15 +65,14 @@ def solve_inverse(
             displacement as imposed there, and start there; the others stay. Measured
             values of its effectors and markers are their goals, and errors are weighted
             by 1 / `std`.
-        goals: Goals by the names of effectors and markers, in place of measured values:
-            a `Pose` from rest for a `BodyFrame`, three numbers for a point or reaction,
-            one for a length, volume, angle or force; SI units and radians.
+        goals: Goals by the names of effectors and markers, in place of measured values;
+            see `Goal`.
         limits: Limits by the names of actuators.
         priorities: Level of each effector, 1 by default. Level 1 is served first, and a
             later level never worsens an earlier one.
         settings: Settings.
         guess: Displacement near the equilibrium at the start; at rest by default [m].
-        throw: Raise if the search failed; an unreachable goal is no failure.
+        throw: Raise if the search fails; an unreachable goal is not a failure.
 
     Returns:
         The actuation, with its outcome.
@@ -103,7 +102,7 @@ def follow_trajectory(
     settings: ControlSettings | None = None,
     throw: bool = True,
 ) -> TrajectoryResult:
-    """Find the actuation for a sequence of goals, each starting from the last.
+    """Find the actuation for a sequence of goals, each from where the last one ended.
 
     Args:
         model: The model.
@@ -143,7 +142,7 @@ def follow_trajectory(
 
 
 class _Command(NamedTuple):
-    """A command as given by the user, and as arrays."""
+    """A command as the user gave it, and as arrays."""
 
     configuration: Configuration
     effectors: tuple[EffectorRecord, ...]
@@ -211,7 +210,7 @@ def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
 
 
 def _outcome(state: ControlState, settings: ControlSettings) -> OUTCOMES | None:
-    """Say how the search has ended; None while it goes on."""
+    """Determine how the search has ended; None while it goes on."""
     if bool(state.met) and (settings.epsilon == 0.0 or bool(state.vanished)):
         return OUTCOMES.met
     if bool(state.vanished):
@@ -271,7 +270,7 @@ def _active(problem: ControlProblem, state: ControlState) -> tuple[str, ...]:
 
 
 def _goal_fits(command: _Command, reached) -> tuple[GoalFit, ...]:
-    """Compare every effector that has a goal with it; frames have two rows."""
+    """Compare every effector that has a goal with that goal; frames have two rows."""
     return tuple(
         GoalFit(
             replace(effector, simulated=effector.among(reached)),

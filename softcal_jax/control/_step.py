@@ -1,4 +1,4 @@
-"""One step of inverse control: solve a QP, try its step, keep it if it helps."""
+"""One step of inverse control: solve the QPs, try the step, keep it if it helps."""
 
 from dataclasses import replace
 
@@ -36,15 +36,15 @@ class ControlSettings(eqx.Module):
     Attributes:
         tol: Error of every effector coordinate at which a goal is met, in units of its
             standard deviation [-].
-        step_tol: Step of the inputs at which the search ends: its largest displacement
-            of a node, in sizes of the robot [-].
-        max_steps: Steps after which it gives up.
+        step_tol: Step of the inputs at which the search ends, as the largest
+            displacement of a node, relative to the size of the robot [-].
+        max_steps: Number of steps after which the search gives up.
         step_bound: First bound on the step of every input, measured likewise [-].
-        max_step_bound: Largest bound that it may grow to [-].
+        max_step_bound: Largest value of that bound [-].
         epsilon: Weight of the energy of the actuators, Eq. (6), relative to the effect
             of the inputs on the effectors [-]. It determines inputs that the goals
-            leave open, such as co-contraction, and misses goals by about as much. With
-            0 the search ends as soon as the goals are met.
+            leave open, such as co-contraction, at the price of missing the goals by
+            about as much. With 0 the search ends as soon as the goals are met.
         newton: Settings of the equilibria.
     """
 
@@ -67,7 +67,7 @@ class ControlSettings(eqx.Module):
 
 
 class ControlState(eqx.Module):
-    """State of the search; a pytree.
+    """State of the search, as a pytree.
 
     Attributes:
         value: Inputs of all actuators, in their units.
@@ -85,8 +85,7 @@ class ControlState(eqx.Module):
         step: Steps so far.
         met: Whether all goals are met within the limits.
         vanished: Whether no step lowers the error any more.
-        stalled: Whether steps were refused down to the smallest one, away from a
-            minimum.
+        stalled: Whether even the smallest step was refused, away from a minimum.
     """
 
     value: Float[Array, " n_a"]
@@ -108,10 +107,10 @@ class ControlState(eqx.Module):
 
 
 def _respond(problem: ControlProblem, value, solution: EquilibriumSolution):
-    """Wind up slack cables, which changes no state, and differentiate.
+    """Wind up slack cables until they are just taut, and differentiate there.
 
-    A slack cable has no effect on the robot and so no derivative; one that is just taut
-    has.
+    This does not change the equilibrium, but a slack cable has no effect on the robot
+    and so no derivative, whereas a taut one has.
     """
     configuration = with_inputs(problem.configuration, value)
     delta_a = actuator_state(problem.model, configuration, solution).displacements
@@ -129,7 +128,7 @@ def start_control(
     guess: Float[Array, "n_points 3"],
     settings: ControlSettings,
 ) -> ControlState:
-    """Build the state before the first step; traceable.
+    """Build the state before the first step (traceable).
 
     Args:
         problem: The command.
@@ -189,12 +188,12 @@ def _parts(problem: ControlProblem, linear: Linear, state: ActuatorState):
 def control_step(
     problem: ControlProblem, settings: ControlSettings, state: ControlState
 ) -> ControlState:
-    """Take one step: linearise, solve the QPs, try, decide; traceable.
+    """Take one step: linearise, solve the QPs, try, decide (traceable).
 
     Args:
         problem: The command.
         settings: Settings.
-        state: State before the step; its equilibrium has converged.
+        state: State before the step, whose equilibrium has converged.
 
     Returns:
         State after it.
@@ -259,7 +258,7 @@ def control_step(
 
 
 def _expected_parts(linear: Linear, y: Float[Array, " n_a"]):
-    """Predict the parts after a step by the linear model [-]."""
+    """Predict the parts after a step with the linear model [-]."""
     after = linear.W @ y + linear.error
     room = linear.rows.b - linear.rows.A @ y
     violation = jnp.sum(jnp.maximum(-room, 0.0))

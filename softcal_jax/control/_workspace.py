@@ -1,4 +1,4 @@
-"""Effectors over many actuations, in one program."""
+"""Effectors over many actuations, computed by one program."""
 
 from collections.abc import Sequence
 
@@ -32,8 +32,8 @@ class Workspace(eqx.Module):
         inputs: Imposed values, in the units of the actuators.
         names: Names of the commanded actuators, the columns of `inputs`.
         effectors: Coordinates of each effector by name: positions [m], rotation vectors
-            [rad], scalars and forces in the first place; a frame has two rows. nan
-            where there is no equilibrium.
+            [rad], forces [N]; a scalar is the first coordinate; a frame has two rows.
+            nan where there is no equilibrium.
         converged: Which samples have an equilibrium.
         solution: The equilibria.
         failures: The samples without an equilibrium, and why.
@@ -54,14 +54,12 @@ def sample_workspace(
     *,
     settings: NewtonSettings | None = None,
 ) -> Workspace:
-    """Compute the effectors for many actuations, by one `vmap` in one program.
-
-    Each sample is solved from rest.
+    """Compute the effectors for many actuations, each solved from rest, by one `vmap`.
 
     Args:
         model: The model.
-        configuration: Its `actuation` says which actuators are commanded, and by force
-            or by displacement; its effectors are followed.
+        configuration: Its `actuation` says which actuators are commanded, by force or
+            by displacement; its effectors are recorded.
         inputs: One actuation per row, in the order of `actuation`, in the units of the
             actuators.
         settings: Settings of the equilibria.

@@ -1,4 +1,4 @@
-"""Tables for a spreadsheet, one line per value; what does not exist is empty."""
+"""CSV tables for a spreadsheet; missing values are empty cells."""
 
 import csv
 import math
@@ -18,7 +18,7 @@ Configurations = Sequence[ConfigurationResult]
 
 
 def write_markers_csv(path: Path, configurations: Configurations) -> None:
-    """Write one line per marker and configuration, points of other effectors too.
+    """Write one line per configuration and marker or other point.
 
     Args:
         path: The file.
@@ -38,7 +38,7 @@ def write_markers_csv(path: Path, configurations: Configurations) -> None:
 
 
 def write_effectors_csv(path: Path, configurations: Configurations) -> None:
-    """Write one line per coordinate of effectors that are no points, in SI.
+    """Write one line per coordinate of effectors that are not points, in SI.
 
     Args:
         path: The file.
@@ -80,7 +80,7 @@ def write_robot_csv(path: Path, configurations: Configurations) -> None:
 
 
 def _robot_rows(robot: RobotState):
-    """Part, name, what it is, quantity, value and unit of each value."""
+    """Yield part, name, kind, quantity, value and unit of each value."""
     for body in robot.bodies:
         head = ("rigid body", body.name, body.state)
         for what, unit in (

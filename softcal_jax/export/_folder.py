@@ -9,19 +9,19 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 INDEX_FILES = ("result.json", "simulation.json", "identifiability.json")
-"""A folder with one of these is a results folder; its `files` says which are ours."""
+"""Files that mark a results folder; their `files` list what softcal_jax wrote."""
 
 
 def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
-    """Raise unless results may be written to a folder; for use before a long run.
+    """Raise unless results may be written to a folder; call it before a long run.
 
     Args:
         directory: The folder, which need not exist.
         force: Replace the results in it.
 
     Raises:
-        FileExistsError: If it is a file, or has something in it and `force` is off, or
-            is not a results folder; nothing but earlier results is ever replaced.
+        FileExistsError: If it is a file, or is not empty and `force` is off or it is
+            not a results folder; nothing but earlier results is ever replaced.
     """
     directory = Path(directory)
     if not directory.exists():
@@ -45,21 +45,21 @@ def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
 
 @contextmanager
 def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Path]:
-    """A temporary folder beside `directory` whose files move into it at the end.
+    """Make a temporary folder whose files move into `directory` at the end.
 
-    If the block raises, nothing is left and earlier results stay as they were. With
-    `force` the files of earlier results go, and those that a user put there stay.
+    If the block raises, the temporary folder is removed and earlier results stay as
+    they were. With `force` earlier results are replaced, but not files of the user.
 
     Args:
-        directory: The folder to be; parents are made as needed.
+        directory: The final folder; missing parents are created.
         force: Replace earlier results.
 
     Yields:
         The folder to write into.
 
     Raises:
-        FileExistsError: As `check_results_folder`, or if a file that is not ours stands
-            in the way.
+        FileExistsError: As `check_results_folder`, or if a foreign file would be
+            overwritten.
     """
     directory = Path(directory).resolve()
     check_results_folder(directory, force=force)
@@ -75,13 +75,13 @@ def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Pa
             shutil.rmtree(partial, ignore_errors=True)
     except BaseException:
         for parent in reversed(made):
-            with suppress(OSError):  # someone else put something there meanwhile
+            with suppress(OSError):  # another program may have put something there
                 parent.rmdir()
         raise
 
 
 def _make_parents(directory: Path) -> list[Path]:
-    """Make the missing parents; returns them, the outermost first."""
+    """Create the missing parents, and return them from the outermost in."""
     missing = [p for p in reversed(directory.parents) if not p.exists()]
     for parent in missing:
         parent.mkdir()
@@ -89,7 +89,7 @@ def _make_parents(directory: Path) -> list[Path]:
 
 
 def _own_files(directory: Path) -> set[str]:
-    """Files of earlier results, as their index lists them."""
+    """List the files of earlier results, as their index files name them."""
     own: set[str] = set()
     for index in INDEX_FILES:
         try:
@@ -97,12 +97,12 @@ def _own_files(directory: Path) -> set[str]:
             own |= {index, *data["files"]}
         except (OSError, ValueError, KeyError, TypeError):
             continue  # not an index of ours
-    # A name that leads out of the folder is not ours, whatever the index says.
+    # Ignore names that lead out of the folder, whatever the index says.
     return {n for n in own if Path(n).name == n and (directory / n).is_file()}
 
 
 def _move_into_place(partial: Path, directory: Path) -> None:
-    # File by file, so that a shell that stands in the folder stays in it.
+    # Move single files, so that a shell whose working folder this is keeps it.
     new = sorted(path.name for path in partial.iterdir())
     old = _own_files(directory)
     foreign = [n for n in new if (directory / n).exists() and n not in old]

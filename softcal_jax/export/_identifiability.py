@@ -1,4 +1,4 @@
-"""What data tell about the parameters, as dictionaries that JSON can hold."""
+"""Identifiability results as dictionaries for JSON."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,10 +9,10 @@ from softcal_jax.identifiability import Assessment, Identifiability, Ranking
 
 
 def assessment_dict(found: Assessment) -> dict[str, Any]:
-    """What a calibration may claim, as a dictionary.
+    """Convert the assessment of a calibration to a dictionary.
 
-    Keys: `identified`, `reasons` (why not), `misfit_probability` (of residuals as large
-    by chance; null where the noise was estimated).
+    Keys: `identified`, `reasons` (why not), `misfit_probability` (of residuals this
+    large by chance; null where the noise was estimated).
 
     Args:
         found: The verdict.
@@ -28,7 +28,7 @@ def assessment_dict(found: Assessment) -> dict[str, Any]:
 
 
 def starts_dict(search: MultiStartResult) -> dict[str, Any]:
-    """Where runs from many starts ended, as a dictionary.
+    """Convert the runs from many starts to a dictionary.
 
     Keys: `names` of the parameters; `starts`, `values` (one row per run; SI), `cost`,
     `steps`, `converged`; `optima`, the lowest cost first (`cost`, `values`, `starts`).
@@ -49,18 +49,18 @@ def starts_dict(search: MultiStartResult) -> dict[str, Any]:
 
 
 def identifiability_dict(found: Identifiability) -> dict[str, Any]:
-    """What data tell about the parameters, as a dictionary.
+    """Convert an identifiability result to a dictionary.
 
     Keys: `verdict`, `n_data`; `parameters` (`name`, `value`, `unit`, `standard_error`,
     `data_only`, `prior`, `relative`, `spread`, `verdict`; SI, angles in rad);
     `directions`, the best seen first (`words`, `spread`, `verdict`, `signal`,
     `components` in the order of the parameters); `covariance` (of the scaled
     parameters) and `correlation`; `conditioning` (`singular_values`, `condition_...`).
-    A number that does not exist is null: an infinite condition number, or the standard
-    error from the data alone of a parameter that they are blind to.
+    Numbers that are not finite are null: an infinite condition number, or the standard
+    error from the data alone of a parameter to which they are blind.
 
     Args:
-        found: The verdict.
+        found: The result.
 
     Returns:
         Dictionaries, lists, texts, numbers and None.
@@ -85,7 +85,7 @@ def outlook_dict(
     name: str = "identifiability",
     timing_s: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """What data would tell, the content of `identifiability.json`.
+    """Build the content of `identifiability.json`.
 
     Keys: `format`, `name`; `identifiability` (see `identifiability_dict`; null without
     configurations); `ranking` (null without candidates): `blind_before`, `candidates`,
@@ -94,8 +94,8 @@ def outlook_dict(
     `unranked` (`name`, `reason`); `timing_s`.
 
     Args:
-        found: What the configurations tell.
-        ranking: What candidates would add.
+        found: Result of the configurations, if there are any.
+        ranking: Ranking of the candidates, if there are any.
         name: Name of the project.
         timing_s: Wall time per part [s].
 

@@ -1,4 +1,4 @@
-"""Results as dictionaries that JSON can hold: markers in mm, the rest in SI."""
+"""Results as dictionaries for JSON: positions in mm, the rest in SI."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -30,29 +30,28 @@ def result_dict(
     assessment: Assessment | None = None,
     timing_s: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """A calibration as a dictionary, the content of `result.json`.
+    """Convert a calibration to the content of `result.json`.
 
     Keys: `format`, `name`, `converged`; `parameters` (`name`, `value`, `unit`,
     `standard_error`, `lower`, `upper`, `start`, `at_bound`; SI); `intervals` (`name`,
     `level`, `lower`, `upper`, `lower_end`, `upper_end`, `unit`; SI); `configurations`
     (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
     `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
-    `simulated_before_mm`, `simulated_mm`, `residual_mm`, and points of other effectors;
-    `effectors` that are no points with `name`, `unit`, `is_turn`, `measured`,
+    `simulated_before_mm`, `simulated_mm`, `residual_mm`, other points included;
+    `effectors` that are not points with `name`, `unit`, `is_turn`, `measured`,
     `simulated_before`, `simulated`, `residual`, in SI, turns from the measured
     orientation; `robot`: rigid bodies, actuators and reactions, see `robot_dict`, null
-    for a body that has none; then `newton_steps`, `residual`, `min_det_F`);
+    if there are none; then `newton_steps`, `residual`, `min_det_F`);
     `history` (one entry per step, 0 is the start); `solver`; `settings`; `uncertainty`
     (covariance of the scaled parameters); `assessment` (see `assessment_dict`);
-    `identifiability` (see `identifiability_dict`); `starts` (see
-    `starts_dict`; null if there was one); `notes`; `versions`; `timing_s`. A number
-    that does not exist is null.
+    `identifiability` (see `identifiability_dict`); `starts` (see `starts_dict`; null
+    for a single start); `notes`; `versions`; `timing_s`. Missing numbers are null.
 
     Args:
         result: The calibration.
         name: Its name.
-        assessment: What it may claim, where that is known already.
-        timing_s: Wall time of more parts, added to `result.timing_s` [s].
+        assessment: Its assessment, if known already.
+        timing_s: Wall time of further parts, added to `result.timing_s` [s].
 
     Returns:
         Dictionaries, lists, texts, numbers and None; no NaN and no infinity.
@@ -90,13 +89,13 @@ def simulation_dict(
     name: str = "simulation",
     timing_s: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """A forward simulation as a dictionary, the content of `simulation.json`.
+    """Convert a forward simulation to the content of `simulation.json`.
 
-    Keys: `format`, `name`, `converged` (all of them); `configurations` (`name`,
+    Keys: `format`, `name`, `converged` (whether all did); `configurations` (`name`,
     `converged`, `outcome`, `newton_steps`, `load_steps`, `residual`, `min_det_F`,
-    `largest_displacement_mm`, `markers` and points of other effectors with `name`,
-    `at_rest_mm`, `simulated_mm`, `effectors` that are no points with `name`, `unit`,
-    `is_turn`, `simulated`, `robot` as `result_dict` has it); `solver`; `versions`;
+    `largest_displacement_mm`, `markers` and other points with `name`, `at_rest_mm`,
+    `simulated_mm`, `effectors` that are not points with `name`, `unit`, `is_turn`,
+    `simulated`, `robot` as in `result_dict`); `solver`; `versions`;
     `timing_s`. Where there is no equilibrium, positions and displacement are null, and
     `outcome` says why.
 
@@ -154,7 +153,7 @@ def _simulated(result: ConfigurationResult) -> dict[str, Any]:
 
 
 def _effectors(result: ConfigurationResult, *columns: str) -> dict[str, Any]:
-    """Markers and other points in mm, then the other effectors in SI."""
+    """Convert markers and other points in mm, then the other effectors in SI."""
 
     def values(effector: EffectorRecord, column: str, factor: float = 1.0):
         nowhere = column == "simulated" and not result.converged
@@ -181,15 +180,15 @@ def _effectors(result: ConfigurationResult, *columns: str) -> dict[str, Any]:
 
 
 def robot_dict(state: RobotState | None) -> dict[str, Any] | None:
-    """Rigid bodies, actuators and reactions: positions in mm, the rest in SI.
+    """Convert rigid bodies, actuators and reactions; positions in mm, the rest in SI.
 
     Keys: `rigid_bodies` (`name`, `state`, `position_mm`, `translation_mm`,
     `rotation_vector`), `actuators` (`name`, `kind`, `imposed`, `force`, `force_unit`,
-    `displacement`, `displacement_unit`), `reactions` (`name`, `force`: of the ground on
+    `displacement`, `displacement_unit`), `reactions` (`name`, `force` of the ground on
     the robot).
 
     Args:
-        state: What they do; None if there are none.
+        state: Their state; None if there are none.
     """
     if state is None:
         return None

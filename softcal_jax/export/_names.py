@@ -1,4 +1,4 @@
-"""File names made of the names that a user gave."""
+"""File names from the names that a user gave."""
 
 import re
 from collections.abc import Sequence
@@ -8,14 +8,14 @@ _RESERVED = {"convergence", "markers", "result", "simulation"}
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
-    """One file name per configuration, without extension, safe on every system.
+    """Make one file name per configuration, without extension, safe on every system.
 
     Args:
         names: Names of the configurations.
 
     Returns:
-        The names with anything but letters, digits, ".", "-" and "_" replaced; numbered
-        where two would be the same file, also where case does not count.
+        The names with anything but letters, digits, ".", "-" and "_" replaced, and with
+        a number where two would be the same file on a system that ignores case.
     """
     taken = set(_RESERVED)
     stems = []

@@ -1,4 +1,4 @@
-"""Values as JSON holds them."""
+"""Conversion of values to what JSON can hold."""
 
 import dataclasses
 import json
@@ -12,12 +12,12 @@ import numpy as np
 
 
 def fields_of(module: Any) -> dict[str, Any]:
-    """The fields of a module by name."""
+    """Return the fields of a module by name."""
     return {f.name: getattr(module, f.name) for f in dataclasses.fields(module)}
 
 
 def plain(value: Any) -> Any:
-    """Arrays become lists, NumPy numbers Python ones, and what is not finite None."""
+    """Convert arrays to lists, NumPy to Python numbers, and non-finite ones to None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (np.ndarray, jax.Array)):
@@ -36,10 +36,10 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
 
     Args:
         path: The file.
-        data: What `result_dict` and its like return.
+        data: The dictionary, as from `result_dict`.
 
     Raises:
-        ValueError: If it holds a NaN or an infinity, which JSON does not know.
+        ValueError: If it holds a NaN or an infinity, which JSON lacks.
     """
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")

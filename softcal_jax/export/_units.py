@@ -1,4 +1,4 @@
-"""Values with their standard errors, as a person reads them."""
+"""Values and standard errors as readable text."""
 
 import math
 from collections.abc import Sequence
@@ -7,10 +7,10 @@ from softcal_jax._units import readable_unit
 
 
 def readable_estimate(value: float, standard_error: float, unit: str) -> str:
-    """A value with its standard error, like "263.8 ± 5.9 kPa".
+    """Format a value with its standard error, like "263.8 ± 5.9 kPa".
 
-    The error has two significant digits and the value as many decimals. A standard
-    error that does not exist is left out, and the value has four digits.
+    The error has two significant digits and the value as many decimals. Without a
+    standard error the value has four digits.
 
     Args:
         value: The value, in SI.
@@ -27,9 +27,9 @@ def readable_estimate(value: float, standard_error: float, unit: str) -> str:
     elif error == 0.0:
         text = f"{value:.4g} ± 0"
     else:
-        error = float(f"{error:.1e}")  # first, since 0.996 becomes 1.0
+        error = float(f"{error:.1e}")  # round first: 0.996 becomes 1.0
         decimals = 1 - math.floor(math.log10(error))
-        if decimals > 9:  # too many digits to read
+        if decimals > 9:  # too many to read
             text = f"{value:.4g} ± {error:.1e}"
         else:
             places = max(decimals, 0)
@@ -39,7 +39,7 @@ def readable_estimate(value: float, standard_error: float, unit: str) -> str:
 
 
 def readable_values(values: Sequence[float], unit: str, *, digits: int = 4) -> str:
-    """One value or several with one unit, as a person reads them.
+    """Format one value or several in a readable unit.
 
     Args:
         values: Values, in SI.
@@ -49,8 +49,8 @@ def readable_values(values: Sequence[float], unit: str, *, digits: int = 4) -> s
     factor, shown = readable_unit(values, unit)
     largest = max(abs(factor * value) for value in values)
     if largest == 0.0:
-        factor, shown = 1.0, unit  # nothing tells which prefix reads best
-    # Beside 2 N, 1e-13 N is rounding.
+        factor, shown = 1.0, unit  # all zero: no prefix reads better
+    # Values far below the largest are rounding errors, like 1e-13 N beside 2 N.
     kept = [v if abs(factor * v) > 1e-6 * largest else 0.0 for v in values]
     texts = [f"{factor * value:.{digits}g}" for value in kept]
     listed = texts[0] if len(texts) == 1 else f"({', '.join(texts)})"

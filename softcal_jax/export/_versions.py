@@ -1,4 +1,4 @@
-"""What a result was computed with."""
+"""Versions of what a result was computed with."""
 
 import platform
 import re
@@ -13,10 +13,10 @@ _PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
 
 
 def versions(model: Model) -> dict[str, str]:
-    """Versions of Python, the packages that compute, and the machine.
+    """List versions of Python and the numerical packages, and the machine.
 
     Args:
-        model: The body; its sparse solver names its package.
+        model: The model, whose sparse solver names its package.
 
     Returns:
         Name to version, with `platform`, `cpu` and `device` of JAX.

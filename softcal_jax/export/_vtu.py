@@ -1,4 +1,4 @@
-"""VTK files for ParaView."""
+"""Deformed bodies as VTK files for ParaView."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -28,16 +28,16 @@ def write_vtu(
 ) -> None:
     """Write a deformed body for ParaView; quadratic tets stay quadratic.
 
-    Points are those of the rest shape [m]; "Warp By Vector" with `displacement` shows
-    the deformed one. Per tet: `strain_energy_density` [J/m3], `density` [kg/m3] and
-    every field of the law under its own name, in SI. Per point `rigid_body`, if there
-    are any: their place in the model from 1, 0 for what is soft.
+    Points are at rest [m]; "Warp By Vector" with `displacement` shows the deformed
+    shape. Per tet: `strain_energy_density` [J/m3], `density` [kg/m3] and every field of
+    the law under its own name, in SI. Per point `rigid_body`, if there are any: the
+    index of its rigid body plus 1, 0 for soft points.
 
     Args:
         path: The file, ending in .vtu.
-        model: The body.
+        model: The model.
         displacement: Nodal displacement [m].
-        fields: More values per tet, by name.
+        fields: Further values per tet, by name.
 
     Raises:
         ValueError: If the name does not end in .vtu, or an array has the wrong shape.
@@ -78,7 +78,7 @@ def write_vtu(
 
 
 def _material(model: Model) -> dict[str, HostArray]:
-    """Density and fields of the law, one value per tet."""
+    """Return density and fields of the law, one value per tet."""
     leaves: list[tuple[tuple[str, ...], ArrayLike]] = [(("density",), model.density)]
     law = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
     for path, leaf in law:
@@ -89,7 +89,7 @@ def _material(model: Model) -> dict[str, HostArray]:
     names = Counter(parts[-1] for parts, _ in leaves)
     cells = {}
     for parts, leaf in leaves:
-        # Two elasticities in one law have two E: then the whole path is the name.
+        # A law with two elasticities has two E: use the whole path as the name then.
         name = parts[-1] if names[parts[-1]] == 1 else ".".join(parts)
         values = np.asarray(leaf, float)
         if values.ndim == 0:
@@ -99,5 +99,5 @@ def _material(model: Model) -> dict[str, HostArray]:
 
 
 def _columns(values: Float[HostArray, "..."]) -> HostArray:
-    """Numbers or vectors per tet; VTK knows no tensors of other shapes."""
+    """Flatten tensors per tet to vectors, since VTK knows no other shapes."""
     return values if values.ndim == 1 else values.reshape(len(values), -1)

@@ -12,19 +12,19 @@ from softcal_jax.equilibrium import Model, RobotState
 
 
 def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
-    """Write what is beside the soft body for ParaView, to be shown with it.
+    """Write actuators and frames of rigid bodies for ParaView, beside the soft body.
 
-    Points are those at rest [m]; "Warp By Vector" with `displacement` shows the state.
-    Lines are the segments of cables, faces those of chambers and surface pressures,
-    vertices the origins of rigid bodies, then motors and forces. Per cell: `actuator`
-    and `rigid_body` (places in the model from 1, 0 for none), `lambda_a`
-    and `delta_a` in SI. Per vertex `arrow`: the axis of a motor or the direction of a
-    force; `axis_1` to `axis_3`: axes of a rigid body's frame [-].
+    Points are at rest [m]; "Warp By Vector" with `displacement` shows the state. Lines
+    are segments of cables, faces those of chambers and surface pressures, vertices the
+    origins of rigid bodies, then motors and forces. Per cell: `actuator` and
+    `rigid_body` (index in the model plus 1, 0 for none), `lambda_a` and `delta_a` in
+    SI. Per vertex: `arrow`, the axis of a motor or direction of a force, and `axis_1`
+    to `axis_3`, the axes of a rigid body's frame [-].
 
     Args:
         path: The file, ending in .vtu.
         model: The model.
-        state: What its rigid bodies and actuators do.
+        state: State of its rigid bodies and actuators.
 
     Raises:
         ValueError: If the name does not end in .vtu.
@@ -39,7 +39,7 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     vectors |= {f"axis_{k + 1}": axes[:, k] for k in range(3)}
     bodies = [np.zeros(len(owner)) for owner in pieces.owners]
     bodies[0][:n_b] = 1 + np.arange(n_b)
-    # What no actuator owns comes first, under the index -1.
+    # Entry 0 is for cells that no actuator owns, whose owner is -1.
     forces = np.array([0.0, *(a.force for a in state.actuators)])
     moves = np.array([0.0, *(a.displacement or 0.0 for a in state.actuators)])
     there = [i for i, (_, nodes) in enumerate(pieces.cells) if len(nodes)]
@@ -64,11 +64,11 @@ class _Pieces(NamedTuple):
     """Points and cells: vertices, then lines, then faces.
 
     Attributes:
-        points: Points at rest: origins of bodies, of motors and forces first [m].
-        displacement: How far they have moved [m].
+        points: Points at rest, first origins of rigid bodies, motors and forces [m].
+        displacement: Their displacement [m].
         arrows: Axes of motors and directions of forces [-].
         cells: Kind and points of the cells.
-        owners: Actuator of each cell, -1 for none.
+        owners: Index of the actuator of each cell, -1 for none.
     """
 
     points: Float[HostArray, "n 3"]
@@ -113,25 +113,25 @@ def _pieces(model: Model, state: RobotState) -> _Pieces:
 
 
 def _moved(model: Model, state: RobotState) -> Float[HostArray, "n_points 3"]:
-    """Positions of all nodes [m]."""
+    """Compute the positions of all nodes [m]."""
     return np.asarray(model.mechanism.points) + state.displacement
 
 
 def _origins(
     model: Model, x: Float[HostArray, "n_points 3"]
 ) -> Float[HostArray, "n_b 3"]:
-    """The rows of the origins of the rigid bodies' frames [m]."""
+    """Select the rows of the origins of the rigid bodies' frames [m]."""
     return x[model.mesh.n_nodes :: 4]
 
 
 def _axes(
     model: Model, x: Float[HostArray, "n_points 3"]
 ) -> Float[HostArray, "n_b 3 3"]:
-    """Their axes, by rows [-]."""
+    """Compute the axes of the rigid bodies' frames, as rows [-]."""
     nodes = x[model.mesh.n_nodes :].reshape(-1, 4, 3)
     return (nodes[:, 1:] - nodes[:, :1]) / model.mechanism.bodies.length
 
 
 def _padded(first: Float[HostArray, "_ 3"], n: int) -> Float[HostArray, "n 3"]:
-    """Vectors of the first points, and zero for the rest."""
+    """Pad the vectors of the first points with zeros for the rest."""
     return np.concatenate([first, np.zeros((n - len(first), 3))])

@@ -1,4 +1,4 @@
-"""What a finished calibration may claim: converged, consistent, identified."""
+"""Assess what a finished calibration may claim: converged, consistent, identified."""
 
 import math
 
@@ -9,19 +9,19 @@ from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
 
 EXACT = 1e-3
-"""Residuals over the stated noise below which they are no sample of it [-]."""
+"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
 
 class Assessment(eqx.Module):
     """Verdict on a calibration.
 
     Attributes:
-        identified: Whether all parameters may be taken at their word: the fit
-            converged, its residuals are no larger than the stated noise, no parameter
-            sits on a bound and the data see every direction.
+        identified: Whether all parameters may be trusted: the fit converged, its
+            residuals are no larger than the stated noise, no parameter sits on a
+            bound, and the data see every direction.
         reasons: Why not, one sentence each; empty if identified.
-        misfit_probability: Probability of residuals as large if model and stated noise
-            were right; None if the noise was estimated from them [-].
+        misfit_probability: Probability of residuals this large if model and stated
+            noise are right; None if the noise was estimated from them [-].
         identifiability: Which parameters and directions the data see.
     """
 
@@ -38,12 +38,12 @@ class Assessment(eqx.Module):
 
 
 def assess(result: CalibrationResult) -> Assessment:
-    """What a calibration may claim.
+    """Assess what a calibration may claim.
 
-    Model error shows as residuals above the noise: with a stated noise and a right
+    Model error shows as residuals above the noise: with stated noise and a correct
     model, the sum of squared errors in noise units follows a chi-squared distribution
-    with as many degrees of freedom as there are measured coordinates more than
-    parameters. With a noise estimated from the residuals, model error hides in it.
+    whose degrees of freedom are measured coordinates minus parameters. Noise that is
+    estimated from the residuals hides model error.
 
     Args:
         result: A finished calibration.
@@ -52,7 +52,7 @@ def assess(result: CalibrationResult) -> Assessment:
         The verdict, with its reasons.
     """
     spread = result.uncertainty
-    # Data made by the model itself leave no noise to estimate.
+    # Data simulated with the model itself leave no noise to estimate.
     known = math.isfinite(spread.noise_scale) and spread.noise_scale > EXACT
     report = identifiability(
         result.W_ep,

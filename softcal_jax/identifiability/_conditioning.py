@@ -10,10 +10,11 @@ class Conditioning(eqx.Module):
     """How evenly the data see the parameters.
 
     Attributes:
-        singular_values: Of the noise-weighted W_ep, descending; 0 where data lack [-].
-        directions: Right singular vectors V by columns: directions of lambda_p. The
-            columns of the last singular values are what the data see least (the paper
-            says U, which holds effector directions).
+        singular_values: Singular values of the noise-weighted W_ep, descending; 0 where
+            there are fewer data than parameters [-].
+        directions: Right singular vectors V as columns: directions of lambda_p. The
+            last ones are what the data see least (the paper says U, which holds
+            effector directions).
         condition_weighted: Condition number of the noise-weighted W_ep [-].
         condition_W_ep: Condition number of W_ep in metres; nan if not given [-].
         condition_W_ep_W_pp: Condition number of W_ep W_pp^-1 in metres per joule, as in
@@ -46,7 +47,7 @@ def conditioning(
 ) -> Conditioning:
     """Compute the SVD W = U Sigma V^T and condition numbers; Sec. V-C.
 
-    Statistics need W in units of the noise. The paper's numbers are those of W_ep and
+    Statistics need W in units of the noise. The paper gives the numbers of W_ep and
     W_ep W_pp^-1 with W_ep in metres, which depend on the scaling S of the parameters.
     The paper does not say how W_pp is stacked over configurations: here it is the sum
     of H_p K_c^-1 H_p^T, since all configurations share lambda_p and energies add up.
@@ -57,8 +58,8 @@ def conditioning(
         W_pp: Sum over configurations of H_p K_c^-1 H_p^T [J].
 
     Returns:
-        The decomposition. A condition number is infinite where fewer data than
-        parameters or a blind direction leave a singular value of zero (to rounding).
+        The decomposition. A condition number is infinite where a singular value is zero
+        (to rounding): fewer data than parameters, or a blind direction.
     """
     _check_finite(W)
     _, singular, Vt = np.linalg.svd(W)
@@ -77,7 +78,7 @@ def conditioning(
 
 
 def _condition(W: Float[HostArray, "n_e n_p"]) -> float:
-    """Divide the largest by the smallest singular value; infinite without rank."""
+    """Divide the largest by the smallest singular value; infinite below full rank."""
     singular = np.linalg.svd(W, compute_uv=False)
     rounding = max(W.shape) * np.finfo(float).eps
     if len(singular) < W.shape[1] or singular[-1] <= rounding * singular[0]:
@@ -92,7 +93,7 @@ def _condition_per_joule(
     size = np.sqrt(np.maximum(np.diag(W_pp), 0.0))
     if not np.all(size > 0.0):
         return np.inf
-    # A unit diagonal, so that a small scale does not look like a blind direction.
+    # Scale to a unit diagonal, so that a small scale does not look like blindness.
     unit = W_pp / np.outer(size, size)
     if np.linalg.eigvalsh(unit)[0] <= len(size) * np.finfo(float).eps:
         return np.inf

@@ -1,4 +1,4 @@
-"""Which configurations to measure, one after the other."""
+"""Choose which configurations to measure, one after the other."""
 
 from collections.abc import Sequence
 
@@ -20,10 +20,10 @@ class Design(eqx.Module):
     """A sequence of configurations to measure.
 
     Attributes:
-        steps: What each adds to the measured configurations and the steps before.
-        unranked: Candidates that could not be judged.
+        steps: What each adds to the measured configurations and the previous steps.
+        unranked: Candidates that could not be ranked.
         outcome: What all of them together would tell.
-        blind_before: Directions that are not identifiable without them.
+        blind_before: Number of directions that are not identifiable without them.
     """
 
     steps: tuple[Gain, ...]
@@ -37,7 +37,7 @@ class Design(eqx.Module):
         return tuple(step.name for step in self.steps)
 
     def __str__(self) -> str:
-        """The sequence, what it adds, and the verdict at its end."""
+        """Format the sequence, what it adds, and the verdict at its end."""
         n_p = self.outcome.n_parameters
         lines = ["No candidate can be ranked."]
         if self.steps:
@@ -64,17 +64,17 @@ def greedy_design(
     """Choose n candidates one by one, each time the one that adds most.
 
     log det M is submodular, so the greedy choice gains at least 1 - 1/e = 63 % of what
-    the best n would (Nemhauser, Wolsey and Fisher, Math. Programming 14, 1978).
+    the best n would gain (Nemhauser, Wolsey, Fisher, Math. Programming 14, 1978).
 
     Args:
-        model: The body.
-        parameters: What is, or would be, calibrated.
-        configurations: What is measured already; may be empty.
-        candidates: What might be measured, as in `rank_configurations`.
+        model: The model.
+        parameters: Parameters that are, or would be, calibrated.
+        configurations: Configurations measured already; may be empty.
+        candidates: Configurations that might be measured, see `rank_configurations`.
         n: How many to choose; fewer are chosen where fewer have an equilibrium.
         at: Scaled values z to linearise at; the start by default [-].
-        noise: Standard deviation of every measured coordinate; by default what the
-            markers state [m].
+        noise: Standard deviation of every measured coordinate; by default that of the
+            markers [m].
         newton: Settings of the equilibrium.
 
     Returns:
@@ -82,7 +82,8 @@ def greedy_design(
         the noise-weighted compliances only.
 
     Raises:
-        ValueError: If an input is wrong, or n is not between 1 and their number.
+        ValueError: If an input is wrong, or n is not between 1 and the number of
+            candidates.
         RuntimeError: If an already measured configuration has no equilibrium.
     """
     found = prospects(

@@ -9,10 +9,10 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.identifiability._spread import Verdict, verdict
 
 SHARE = 0.1
-"""Squared component of a unit vector from which its parameter is named [-]."""
+"""Squared component of a unit vector from which on its parameter is named [-]."""
 
 MOST_NAMED = 4
-"""Parameters that a direction names at most, so that its text stays readable."""
+"""Most parameters named for a direction, so that its text stays readable."""
 
 UNSEEN = 0.1
 """Signal to noise below which a direction counts as unseen [-].
@@ -30,8 +30,8 @@ class Direction(eqx.Module):
             the noise [-].
         components: Its unit vector, parameters in prior standard deviations [-].
         spread: Predicted over prior standard deviation [-].
-        verdict: What the spread is called.
-        words: The parameters that it is made of.
+        verdict: Verdict on the spread.
+        words: Its main parameters, in words.
     """
 
     signal: float
@@ -46,16 +46,16 @@ def named_directions(
 ) -> tuple[Direction, ...]:
     """Find the right singular vectors of G, best seen first (Sec. V-C).
 
-    Parameters count in units of their prior standard deviation, so that moduli and
-    angles are comparable. The decomposition returns an arbitrary basis of the unseen
-    directions; it is replaced by one whose vectors each follow few parameters.
+    Parameters are in units of their prior standard deviation, so that moduli and angles
+    are comparable. The SVD gives an arbitrary basis of the unseen directions; it is
+    replaced by one whose vectors each follow few parameters.
 
     Args:
         G: Noise-weighted compliances per prior standard deviation [-].
         names: Names of the parameters.
 
     Returns:
-        As many directions as parameters.
+        One direction per parameter.
     """
     _, singular, Vt = np.linalg.svd(G)
     signal = np.pad(singular, (0, len(Vt) - len(singular)))

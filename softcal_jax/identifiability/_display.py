@@ -1,4 +1,4 @@
-"""Numbers and tables as a person reads them."""
+"""Numbers and tables in readable form."""
 
 from softcal_jax._units import readable_unit
 

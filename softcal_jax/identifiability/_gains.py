@@ -13,15 +13,15 @@ HARDLY = 1.05
 
 
 class Gain(eqx.Module):
-    """What one candidate would add, if it were measured as well.
+    """What one candidate would add if it were measured as well.
 
     Attributes:
         name: Name of the candidate.
         d_gain: Twice the decrease of the log volume of the parameters' uncertainty,
             log det(M + J) - log det M [nat].
         e_gain: Increase of the smallest eigenvalue of M, in units of the prior's [-].
-        blind_left: Number of directions that remain unidentifiable with it.
-        parameter: The one whose standard error falls most, relative to its bounds.
+        blind_left: Number of directions that it leaves unidentifiable.
+        parameter: Parameter whose standard error falls most, relative to its prior.
         before: Its standard error without the candidate, in SI.
         after: Its standard error with it, in SI.
         value: Its value, in SI.
@@ -64,14 +64,14 @@ class Unranked(eqx.Module):
 
     Attributes:
         name: Its name.
-        reason: Why.
+        reason: Why it cannot be ranked.
     """
 
     name: str
     reason: str
 
     def __str__(self) -> str:
-        """One line."""
+        """Format the name and the reason in one line."""
         return f"Not ranked: {self.name!r}: {self.reason}."
 
 

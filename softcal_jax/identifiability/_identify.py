@@ -1,4 +1,4 @@
-"""Which parameters the data can determine, before or after a calibration."""
+"""Judge which parameters the data can determine, before or after a calibration."""
 
 from collections.abc import Sequence
 
@@ -47,12 +47,13 @@ def identifiability(
     The verdict is local: at E_l = E_t, for example, the fibre angle has no effect.
 
     Args:
-        W: Compliances in units of the noise, stacked, per unit of lambda_p; of a
-            calibration `CalibrationResult.W_ep` [-].
+        W: Stacked compliances in units of the noise, per unit of lambda_p, such as
+            `CalibrationResult.W_ep` [-].
         space: The parameters.
         z: Their scaled values, such as `CalibrationResult.z` [-].
         noise_scale: Factor on the noise, such as `Uncertainty.noise_scale` [-].
-        n_data: Measured coordinates; by default the rows of `W` that are not zero.
+        n_data: Number of measured coordinates; by default of the rows of `W` that are
+            not zero.
         W_ep: `W` in metres, for condition numbers [m].
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
 
@@ -130,14 +131,14 @@ def identify(
     """Predict what markers in these configurations would tell, before measuring.
 
     Args:
-        model: The body.
-        parameters: What would be calibrated, with start and bounds.
-        configurations: Poses with markers, of which `std` and `axes` are used;
+        model: The model.
+        parameters: Parameters that would be calibrated, with start and bounds.
+        configurations: Configurations with markers, of which `std` and `axes` are used;
             `measured` is ignored and may be missing.
         at: Scaled values z to linearise at; the start by default. The `to_scaled` of a
             `ParameterSpace` converts SI values [-].
-        noise: Standard deviation of every measured coordinate; by default what the
-            markers state [m].
+        noise: Standard deviation of every measured coordinate; by default that of the
+            markers [m].
         newton: Settings of the equilibrium.
 
     Returns:

@@ -32,7 +32,7 @@ class Prospects(eqx.Module):
 
     Attributes:
         space: The parameters.
-        z: Their values at which all was linearised [-].
+        z: Their scaled values, at which everything was linearised [-].
         known: Signal of the measured configurations, stacked, per prior std [-].
         candidates: Signal of each candidate that has an equilibrium, by name.
         unranked: The other candidates.
@@ -45,7 +45,7 @@ class Prospects(eqx.Module):
     unranked: tuple[Unranked, ...]
 
     def with_measured(self, name: str) -> "Prospects":
-        """Move a candidate to what is known."""
+        """Add a candidate to what is known, and remove it from the candidates."""
         known = np.concatenate([self.known, self.candidates[name]])
         rest = {k: G for k, G in self.candidates.items() if k != name}
         return replace(self, known=known, candidates=rest)
@@ -82,7 +82,7 @@ def information_eigenvalues(
 
 
 def blind_count(G: Float[HostArray, "n_e n_p"]) -> int:
-    """Count the directions that are not identifiable; the spread is eigenvalue^-1/2."""
+    """Count the directions that are not identifiable (spread = eigenvalue^-1/2)."""
     return int(np.sum(1.0 / np.sqrt(information_eigenvalues(G)) > WEAK_BELOW))
 
 
@@ -127,5 +127,5 @@ def prospects(
 
 
 def _trouble(s: Sensed) -> str:
-    """Say why a candidate cannot be ranked; empty if it can."""
+    """Explain why a candidate cannot be ranked; empty if it can."""
     return s.failure or ("" if len(s.W) else "it has no markers to measure")

@@ -1,4 +1,4 @@
-"""Which configuration to measure next."""
+"""Rank configurations that might be measured next."""
 
 from collections.abc import Sequence
 
@@ -16,10 +16,10 @@ class Ranking(eqx.Module):
     """Candidates, the most informative first.
 
     Attributes:
-        gains: One entry per candidate that has an equilibrium.
+        gains: One entry per candidate that can be ranked.
         unranked: The others, with the reason.
         n_parameters: Number of parameters.
-        blind_before: Directions that are not identifiable without any candidate.
+        blind_before: Number of directions that no measured configuration identifies.
     """
 
     gains: tuple[Gain, ...]
@@ -28,7 +28,7 @@ class Ranking(eqx.Module):
     blind_before: int
 
     def __str__(self) -> str:
-        """The best candidate in words, and a table of all."""
+        """Describe the best candidate, and tabulate all."""
         lines = ["No candidate can be ranked."]
         if self.gains:
             best = self.gains[0]
@@ -53,25 +53,25 @@ def rank_configurations(
     noise: float | None = None,
     newton: NewtonSettings | None = None,
 ) -> Ranking:
-    """Order candidate configurations by what they would tell, before measuring.
+    """Rank candidate configurations by what they would tell, before measuring.
 
-    With G the compliances in units of the noise per prior standard deviation,
-    M = I + G^T G the information of bounds and configurations and J = G_c^T G_c that of
-    a candidate, they are ordered by log det(M + J) - log det M (D-optimality; Chaloner
-    and Verdinelli, Statistical Science 10, 1995). The increase of the smallest
-    eigenvalue of M (E-optimality) is given too: D rewards what shrinks any direction of
-    the uncertainty, E only what shrinks the worst one.
+    Let G be the compliances in units of the noise per prior standard deviation,
+    M = I + G^T G the information of prior and configurations, and J = G_c^T G_c that of
+    a candidate. Candidates are ordered by log det(M + J) - log det M (D-optimality;
+    Chaloner and Verdinelli, Statistical Science 10, 1995). The increase of the smallest
+    eigenvalue of M (E-optimality) is given too: D rewards shrinking any direction of
+    the uncertainty, E only the worst one.
 
     Args:
-        model: The body.
-        parameters: What is, or would be, calibrated.
-        configurations: What is measured already; may be empty.
-        candidates: What might be measured: any load, orientation, support and markers,
-            by names of their own.
+        model: The model.
+        parameters: Parameters that are, or would be, calibrated.
+        configurations: Configurations measured already; may be empty.
+        candidates: Configurations that might be measured, with any loads, orientation,
+            supports and markers, and with names of their own.
         at: Scaled values z to linearise at, such as `CalibrationResult.z`; the start
             by default [-].
-        noise: Standard deviation of every measured coordinate; by default what the
-            markers state [m].
+        noise: Standard deviation of every measured coordinate; by default that of the
+            markers [m].
         newton: Settings of the equilibrium.
 
     Returns:

@@ -1,4 +1,4 @@
-"""What data can tell about the parameters: the result and its text for a terminal."""
+"""What data can tell about the parameters: the result and its text."""
 
 import math
 
@@ -13,7 +13,7 @@ from softcal_jax.identifiability._display import number, quantity, table
 from softcal_jax.identifiability._spread import Verdict
 
 MOST_SHOWN = 8
-"""Blind directions that a terminal lists; more are counted."""
+"""Most blind directions that are listed; the others are only counted."""
 
 
 class ParameterOutlook(eqx.Module):
@@ -21,14 +21,14 @@ class ParameterOutlook(eqx.Module):
 
     Attributes:
         name: Its name.
-        value: Its value at which it was judged.
+        value: Value at which it was judged.
         standard_error: Predicted from noise and prior; never above `prior`.
         data_only: Predicted from the noise alone; infinite where the data are blind.
         prior: Standard deviation before any data: the width between the bounds over the
             root of 12, or the stated one if that is smaller.
         relative: Standard error over value [-]; None for an angle or a value of zero.
         spread: Standard error over `prior`, in scaled units [-].
-        verdict: What the spread is called.
+        verdict: Verdict on the spread.
         unit: SI unit.
     """
 
@@ -47,12 +47,12 @@ class Identifiability(eqx.Module):
     """What data can tell about the parameters, to first order at one value of them.
 
     Attributes:
-        verdict: That of the worst direction.
+        verdict: Verdict on the worst direction.
         parameters: One entry per parameter.
         directions: From the best to the worst seen.
-        covariance: Predicted from noise and bounds, of the scaled parameters [-].
+        covariance: Covariance of the scaled parameters, from noise and prior [-].
         conditioning: Singular values and condition numbers.
-        n_data: Measured coordinates.
+        n_data: Number of measured coordinates.
         known: What the spread is compared with: "prior" if stated, else "bounds".
     """
 
@@ -86,12 +86,12 @@ class Identifiability(eqx.Module):
         return tuple(d for d in self.directions if d.verdict == "not identifiable")
 
     def __str__(self) -> str:
-        """The verdict, a table of parameters, blind directions and what to do."""
+        """Format the verdict, the parameters, blind directions and what to do."""
         return _report(self)
 
 
 def _report(found: Identifiability) -> str:
-    """The verdict, a table of parameters, blind directions and what to do."""
+    """Format the verdict, the parameters, blind directions and what to do."""
     n_data, n_p = found.n_data, found.n_parameters
     lines = [
         f"{found.verdict.capitalize()} at these values: {n_data} measured "

@@ -1,4 +1,4 @@
-"""Spread of the parameters given noise and bounds, and what to call it."""
+"""Spread of the parameters given noise and prior, and the verdict on it."""
 
 from typing import Literal
 
@@ -14,8 +14,8 @@ Verdict = Literal["identifiable", "weakly identifiable", "not identifiable"]
 IDENTIFIABLE_BELOW = 0.1
 """Spread below which a parameter is identifiable [-].
 
-The spread is the predicted standard deviation over that of the bounds. At 0.1 the data
-hold 99 % of the information, and the standard deviation is 2.9 % of the range.
+The spread is the predicted standard deviation over the prior one. At 0.1 the data hold
+99 % of the information, and the standard deviation is 2.9 % of the range.
 """
 
 WEAK_BELOW = 0.5
@@ -28,7 +28,7 @@ much on the bounds that the user chose.
 BLIND = 1e-6
 """Relative singular value below which a direction is only rounding [-].
 
-It is that of a matrix with columns of unit length, as in `calibration.uncertainty`.
+It applies to a matrix with columns of unit length, as in `calibration.uncertainty`.
 """
 
 VANISHED = 1e-12
@@ -36,14 +36,14 @@ VANISHED = 1e-12
 
 
 def verdict(spread: float) -> Verdict:
-    """Name a spread, the predicted over the prior standard deviation [-]."""
+    """Judge a spread, the predicted over the prior standard deviation [-]."""
     if spread < IDENTIFIABLE_BELOW:
         return "identifiable"
     return "weakly identifiable" if spread <= WEAK_BELOW else "not identifiable"
 
 
 def prior_std(space: ParameterSpace) -> Float[HostArray, " n_p"]:
-    """Compute the scaled standard deviation before any data [-].
+    """Compute the standard deviation of the scaled parameters before any data [-].
 
     It is that of a uniform density between the bounds, or the `prior_std` of the
     parameter if that is smaller.
@@ -90,7 +90,7 @@ def data_only_std(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, " n_p"]:
     known = np.zeros(len(Vt), bool)
     known[: len(singular)] = singular > BLIND * singular[0]
     variance = np.sum((Vt[known].T / singular[known[: len(singular)]]) ** 2, axis=1)
-    # Any component above rounding makes a parameter as uncertain as the direction.
+    # Any component above rounding in a blind direction makes a parameter uncertain.
     drifts = np.max(np.abs(Vt[~known]), axis=0, initial=0.0) > BLIND
     std[seen] = np.where(drifts, np.inf, np.sqrt(variance) / size[seen])
     return std

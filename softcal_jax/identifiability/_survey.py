@@ -39,7 +39,7 @@ AnyVector = Array | HostArray
 
 
 class Sensed(eqx.Module):
-    """Compliances of one configuration, on the host.
+    """Compliances of one configuration, as host arrays.
 
     Attributes:
         name: Name of the configuration.
@@ -92,14 +92,15 @@ def survey(
     """Solve configurations at one value of the parameters and differentiate them.
 
     Args:
-        model: The body.
+        model: The model.
         parameters: The parameters.
-        configurations: Poses with markers; `measured` is ignored.
+        configurations: Configurations with markers; `measured` is ignored.
         at: Scaled values z; the start by default [-].
-        noise: Standard deviation of every measured coordinate; by default what the
-            markers state [m].
+        noise: Standard deviation of every measured coordinate; by default that of the
+            markers [m].
         newton: Settings of the equilibrium.
-        required: How many of the first ones must have an equilibrium; all by default.
+        required: Number of leading configurations that must have an equilibrium; all by
+            default.
 
     Returns:
         One entry per configuration.
@@ -116,7 +117,7 @@ def survey(
         check_parameters(model, space)
         return Survey(space, z, ())
     mesh, mechanism = model.mesh, model.mechanism
-    # A configuration without effectors sees nothing; that is a verdict, not an error.
+    # A configuration without effectors is no error: the verdict says it sees nothing.
     posed = [
         measured_at_rest(c, mesh, mechanism) if c.markers or c.effectors else c
         for c in configurations

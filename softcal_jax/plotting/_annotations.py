@@ -1,4 +1,4 @@
-"""Markers, title, scales and legend around the picture of a body."""
+"""Draw markers, title, scales and legend around the picture of a body."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 WARNING_HEIGHT = 60
-"""Pixels of the band of a warning, above the title."""
+"""Height of the warning band above the title [pixels]."""
 
 _MOST_NAMES = 16
-"""More markers than this are not named: the names would cover each other."""
+"""Most markers that are named; more names would cover each other."""
 
 _RING = {"marker": "o", "ms": 13, "mew": 2.6, "mec": MEASURED, "mfc": "none"}
 _CROSS = {"marker": "+", "ms": 13, "mew": 2.6, "mec": SIMULATED}
 
 
 def halo(width: float):
-    """A white rim around lines and text, so that they are seen on any ground."""
+    """Make a white rim for lines and text, so that they show on any background."""
     from matplotlib import patheffects
 
     return [patheffects.withStroke(linewidth=width, foreground="white")]
@@ -44,7 +44,7 @@ def draw_markers(
     simulated: Float[HostArray, "n_markers 2"] | None,
     names: Sequence[str],
 ) -> None:
-    """Rings where markers were measured, crosses where they are simulated."""
+    """Draw rings where markers were measured, crosses where they are simulated."""
     if measured is not None and simulated is not None:
         for pair in zip(measured, simulated, strict=True):
             axes.plot(*np.transpose(pair), color=MEASURED, lw=2.5)
@@ -71,7 +71,7 @@ def draw_markers(
 def draw_title(
     axes: "matplotlib.axes.Axes", title: str, subtitle: str, warning: str
 ) -> None:
-    """Title and a line below it, in axes of their own; a warning is a band above."""
+    """Draw a title and a line below it, and a warning as a band above."""
     width, height = axes.get_window_extent().size
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.set_axis_off()
@@ -85,19 +85,19 @@ def draw_title(
 
 
 def _line(axes: "matplotlib.axes.Axes", y: float, text: str, size: float, **style):
-    """One line of text, as large as given or as fits the width."""
+    """Draw one line of text, as large as given or as fits the width."""
     left, room = 24, axes.get_xlim()[1] - 48
     drawn = axes.text(
         left, y, text, fontsize=size, va="center", parse_math=False, **style
     )
-    # Hinting rounds the width of every letter, so that it does not scale with the size.
+    # Shrink step by step: hinting rounds letters, so width is not linear in size.
     while size > 1.0 and drawn.get_window_extent().width > room:
         size *= 0.95
         drawn.set_fontsize(size)
 
 
 def draw_colour_scale(axes: "matplotlib.axes.Axes", largest_mm: float) -> None:
-    """What the colours of the body mean."""
+    """Draw the colour scale of the body's displacement."""
     import matplotlib
     from matplotlib.cm import ScalarMappable
     from matplotlib.colorbar import Colorbar
@@ -113,13 +113,13 @@ def draw_colour_scale(axes: "matplotlib.axes.Axes", largest_mm: float) -> None:
 
 
 def draw_triad(axes: "matplotlib.axes.Axes", view: View) -> None:
-    """Directions of the axes x, y, z."""
+    """Draw the directions of the axes x, y, z."""
     tips = np.stack([view.right, view.up], axis=1)
     low, high = np.minimum(tips.min(axis=0), 0.0), np.maximum(tips.max(axis=0), 0.0)
     half, middle = 0.5 * np.max(high - low) + 0.45, 0.5 * (low + high)
     axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
     axes.set_axis_off()
-    for i in np.argsort(view.towards):  # what points away is drawn first
+    for i in np.argsort(view.towards):  # draw what points away first
         tip = tips[i]
         colour = ("#c0392b", "#1e8449", "#1f4fa0")[i]
         axes.annotate(
@@ -150,7 +150,7 @@ def draw_triad(axes: "matplotlib.axes.Axes", view: View) -> None:
 
 
 def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
-    """A bar of a round length; `width` is that of the axes [m]."""
+    """Draw a bar of a round length; `width` is that of the axes [m]."""
     axes.set(xlim=(0, width), ylim=(0, 1))
     axes.set_axis_off()
     power = 10.0 ** np.floor(np.log10(0.6 * width))
@@ -175,13 +175,13 @@ def draw_legend(
     height: float,
     more: Sequence[Any] = (),
 ) -> None:
-    """What the symbols mean.
+    """Draw the legend of the symbols.
 
     Args:
         figure: The picture.
         groups: Which kinds of markers are drawn.
-        height: Where the legend's middle is, from the bottom [-].
-        more: Handles of what else is drawn.
+        height: Height of the middle of the legend from the bottom [-].
+        more: Handles of further symbols.
     """
     from matplotlib.lines import Line2D
 
@@ -195,7 +195,7 @@ def draw_legend(
         handles.append(Line2D([], [], color=MEASURED, lw=2.5, label="distance"))
     handles.append(Line2D([], [], color=OUTLINE, lw=2.5, label="at rest"))
     handles += more
-    # One row where it fits.
+    # Use one row if it fits.
     rows = 1 if len(handles) <= 5 else 2
     figure.legend(
         handles=handles,

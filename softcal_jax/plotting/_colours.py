@@ -1,4 +1,4 @@
-"""Colours of all pictures; markers differ in shape too, for those who see no red."""
+"""Colours of all pictures; markers differ in shape too, for colour-blind readers."""
 
 MEASURED = "#e3001b"
 SIMULATED = "#000000"
@@ -8,10 +8,10 @@ FAINT = "#6b6b6b"
 GOOD = "#1b7837"
 BAD = "#c00000"
 SERIES = ("#0b5fa5", "#d95f02", "#1b9e77", "#7570b3", "#a6761d", "#e7298a", "#444444")
-"""Lines of a diagram, in this order."""
+"""Colours of the lines of a diagram, in order."""
 
 DISPLACEMENT_MAP = "viridis"
-"""Perceptually uniform, and neither black nor red, which are the markers'."""
+"""Colour map that is perceptually uniform and avoids the markers' black and red."""
 
 CABLE, WALL, MOTOR, FORCE, RIGID = (
     "#d95f02",
@@ -20,4 +20,4 @@ CABLE, WALL, MOTOR, FORCE, RIGID = (
     "#1b7837",
     "#b4b4b4",
 )
-"""What is drawn beside the soft body."""
+"""Colours of what is drawn beside the soft body."""

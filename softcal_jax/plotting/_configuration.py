@@ -1,7 +1,7 @@
-"""One configuration as a picture: body, markers, and what they say.
+"""Draw one configuration: body, markers and how far they are apart.
 
-VTK draws the body; text, markers and scales are drawn over it by Matplotlib, in places
-of their own, so that markers inside or behind the body are seen and nothing overlaps.
+VTK draws the body, and Matplotlib draws text, markers and scales over and around it, so
+that markers inside or behind the body are visible and no texts overlap.
 """
 
 import math
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 _DPI = 100
 _WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130
-"""Pixels: whole width, colour scale, title, legend."""
+"""Whole width, and sizes of colour scale, title and legend [pixels]."""
 _LOWEST, _HIGHEST = 420, 900
-"""Pixels: height of the body's part of the picture."""
+"""Limits of the height of the body's part of the picture [pixels]."""
 _MARGIN = 60
-"""Pixels around the body, room for marker symbols and their names."""
+"""Margin around the body for marker symbols and their names [pixels]."""
 
 
 def render_configuration(
@@ -45,10 +45,10 @@ def render_configuration(
     *,
     converged: bool = True,
 ) -> None:
-    """Draw a configuration with its simulated, and measured, markers.
+    """Draw a configuration with its simulated and measured markers.
 
     Args:
-        model: The body.
+        model: The model.
         result: The configuration, calibrated or simulated.
         path: PNG file.
         converged: Whether the calibration converged; if not, the picture says so.
@@ -57,7 +57,7 @@ def render_configuration(
         RenderingError: If the machine has no OpenGL that works without a screen.
     """
     points = result.points
-    # Where a coordinate was not measured, the distance has no part in it.
+    # A coordinate that was not measured does not contribute to the drawn distance.
     measured = [
         np.where(p.seen, p.measured, p.simulated) if p.seen.any() else p.measured
         for p in points
@@ -120,7 +120,7 @@ def render_body(
     """Draw a deformed body, coloured by displacement, over its outline at rest.
 
     Args:
-        model: The body.
+        model: The model.
         displacement: Nodal displacement [m].
         path: PNG file.
         title: First line.
@@ -128,7 +128,7 @@ def render_body(
         measured: Measured marker positions; rows with a NaN are left out [m].
         simulated: Simulated marker positions [m].
         marker_names: Names beside the markers.
-        warning: Printed large and red.
+        warning: Printed large and red above the title.
         robot: Rigid bodies, drawn grey, and actuators with their forces.
         sensors: Poses of 6-D sensors.
 
@@ -154,7 +154,7 @@ def render_body(
     figure = Figure(figsize=(_WIDTH / _DPI, total / _DPI), dpi=_DPI, facecolor="white")
 
     def axes(left, bottom, width, height) -> "matplotlib.axes.Axes":
-        """Axes by their place in pixels, from the lower left corner."""
+        """Add axes at a place in pixels, from the lower left corner."""
         return figure.add_axes(
             (left / _WIDTH, bottom / total, width / _WIDTH, height / total)
         )
@@ -190,7 +190,7 @@ def render_body(
 
 
 def _fit_body(w: float, h: float, width: int) -> tuple[float, int]:
-    """Pixels per metre, and height in pixels, of a picture that the body fills."""
+    """Compute pixels per metre, and height in pixels, for a body that fills both."""
     room = width - 2 * _MARGIN
     scale = room / w
     height = int(np.clip(h * scale + 2 * _MARGIN, _LOWEST, _HIGHEST))

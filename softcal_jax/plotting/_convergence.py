@@ -1,4 +1,4 @@
-"""The course of a calibration as a diagram."""
+"""Plot the course of a calibration."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 _DPI = 100
 _MOST_NAMES = 7
-"""More parameters than this in one panel get no legend."""
+"""Most parameters in one panel that get a legend."""
 
 
 def plot_convergence(
     result: CalibrationResult, path: str | Path, *, name: str = "calibration"
 ) -> None:
-    """Draw the fit, the size of the step and the parameters against the step.
+    """Plot the fit, the size of the step and the parameters against the step's index.
 
     Args:
         result: The calibration.
@@ -35,7 +35,7 @@ def plot_convergence(
 def convergence_figure(
     result: CalibrationResult, name: str
 ) -> "matplotlib.figure.Figure":
-    """The diagram; it needs no screen and leaves Matplotlib's state alone."""
+    """Build the figure without a screen and without touching Matplotlib's state."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
@@ -76,7 +76,7 @@ def _finish(axes: "matplotlib.axes.Axes") -> None:
     axes.margins(x=0.02)
     axes.yaxis.label.set_fontsize(14)
     if axes.get_legend_handles_labels()[0]:
-        # Beside the panel: inside, it would cover a curve.
+        # Place it beside the panel, where it covers no curve.
         legend = axes.legend(
             fontsize=13, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.04)
         )
@@ -112,7 +112,7 @@ def _plot_rms(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
 
 def _plot_step(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
     history = result.history[1:]  # the start has no step
-    # A step of exactly zero has no logarithm; it is drawn at rounding.
+    # A step of exactly zero has no logarithm; draw it at rounding level.
     sizes = [max(*np.abs(entry.lambda_p), 1e-16) for entry in history]
     axes.semilogy([e.step for e in history], sizes, "o-", color=SERIES[0], lw=2, ms=7)
     tol = result.settings.tol
@@ -149,7 +149,7 @@ def _plot_parameters(
 
 
 def _mark_rejected(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
-    """A grey band and a cross at every step that was not taken."""
+    """Draw a band and a cross at every step that was not taken."""
     rejected = [entry.step for entry in result.history if not entry.accepted]
     for i, step in enumerate(rejected):
         axes.axvspan(step - 0.25, step + 0.25, color="#f2c6c0", lw=0, zorder=0)

@@ -1,4 +1,4 @@
-"""A field of fibre directions, drawn as short lines on a layer of the mesh."""
+"""Plot a field of fibre directions as short lines on a layer of the mesh."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 _DPI = 100
 _WIDTH = 14.0
-"""Inches."""
+"""Width of the figure [inches]."""
 
 _SIDE = 1.6
-"""Inches beside a panel, for its labels and the colour scale."""
+"""Width beside a panel for its labels and the colour scale [inches]."""
 
 _MAP, _CYCLIC_MAP = "viridis", "twilight_shifted"
 _CYCLIC_FROM = np.deg2rad(80.0)
-"""Angle beyond which +90 and -90 degrees, the same axis, need the same colour [rad]."""
+"""Angle beyond which +90 and -90 degrees, one axis, must share a colour [rad]."""
 
 
 def plot_fibres(
@@ -35,22 +35,22 @@ def plot_fibres(
     control_points: Float[HostArray, "n_cp 3"] | None = None,
     title: str = "",
 ) -> None:
-    """Draw angles of the fibre in its print plane, one panel per field.
+    """Plot angles of the fibre in its print plane, one panel per field.
 
-    A line for each tet of the layer in the middle of the body, at its centroid and
-    along (cos theta, sin theta), over the outlines of those tets at rest. Panels of a
-    long body stand one above the other, others side by side.
+    Each tet of the middle layer of the mesh gets a line at its centroid along
+    (cos theta, sin theta), over the outlines of these tets at rest. Panels of a long
+    mesh are stacked, others stand side by side.
 
     Args:
         mesh: The mesh [m].
         panels: Title of each panel, and the angle of each tet [rad].
         path: PNG file, 1400 pixels wide.
         plane: Print plane, which is the plane of the picture.
-        control_points: Marked in every panel [m].
-        title: Title of the whole.
+        control_points: Positions to mark in every panel [m].
+        title: Title of the figure.
 
     Raises:
-        ValueError: If there is no panel, or one has not one angle per tet.
+        ValueError: If there is no panel, or a panel lacks one angle per tet.
     """
     figure = fibre_figure(
         mesh, panels, plane=plane, control_points=control_points, title=title
@@ -66,7 +66,7 @@ def fibre_figure(
     control_points: Float[HostArray, "n_cp 3"] | None = None,
     title: str = "",
 ) -> "matplotlib.figure.Figure":
-    """The picture; it needs no screen and leaves Matplotlib's state alone."""
+    """Build the figure without a screen and without touching Matplotlib's state."""
     import matplotlib
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -83,7 +83,7 @@ def fibre_figure(
     )
     corners = mesh.points[mesh.tets[layer, :4]][:, :, columns]
     extent = np.ptp(mesh.points[:, columns], axis=0)
-    # Long bodies one above the other, others side by side.
+    # Stack the panels of a long mesh.
     in_row = len(panels) if extent[1] > 0.5 * extent[0] else 1
     in_column = 1 if in_row > 1 else len(panels)
     height = (_WIDTH - _SIDE) / in_row * extent[1] / extent[0]
@@ -104,15 +104,15 @@ def fibre_figure(
 
 
 def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:
-    """Tets that the plane in the middle of the body cuts.
+    """Find the tets that the middle plane of the mesh cuts.
 
     Args:
         mesh: The mesh.
-        normal: Axis that the plane stands on.
+        normal: Index of the axis normal to the plane.
     """
     heights = mesh.points[mesh.tets[:, :4], normal]
     low, high = mesh.points[:, normal].min(), mesh.points[:, normal].max()
-    # A little off the middle, where a side of the tets may lie.
+    # A little off the middle, since faces of tets may lie exactly there.
     plane = 0.5 * (low + high) + 1e-6 * (high - low)
     cut = (heights.min(axis=1) < plane) & (heights.max(axis=1) > plane)
     return np.flatnonzero(cut)
@@ -142,13 +142,13 @@ def _draw_layer(
     edges = np.unique(np.round(np.sort(edges, axis=1), 9), axis=0)
     axes.add_collection(LineCollection(list(1e3 * edges), colors="#e4e4e4", lw=0.6))
     centres = corners.mean(axis=1)
-    # As long as the distance between neighbours, if they were spread evenly.
+    # As long as the distance between neighbours if they were spread evenly.
     area = np.prod(np.ptp(corners.reshape(-1, 2), axis=0))
     half = 0.5 * np.sqrt(area / len(centres))
     along = half * np.stack([np.cos(theta), np.sin(theta)], axis=1)
     lines = list(1e3 * np.stack([centres - along, centres + along], axis=1))
     shown = colours.to_rgba(np.rad2deg(theta))
-    # Dark below, so that the light end of the colours is seen on white.
+    # A dark line below makes light colours visible on white.
     axes.add_collection(LineCollection(lines, colors="#303030", lw=2.6))
     axes.add_collection(LineCollection(lines, colors=list(shown), lw=1.7))
     low, high = 1e3 * corners.min(axis=(0, 1)), 1e3 * corners.max(axis=(0, 1))

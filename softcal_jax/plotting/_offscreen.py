@@ -1,8 +1,8 @@
 """OpenGL without a screen.
 
-The VTK wheel links no graphics library: it loads one when the first picture is drawn,
-and where it finds none the whole process dies of a segmentation fault. So the library
-is looked for here first, and VTK is told which to take.
+The VTK wheel links no graphics library. It loads one for the first picture, and if it
+finds none, the process dies of a segmentation fault. So this module looks for a library
+first, and tells VTK which one to use.
 """
 
 import ctypes
@@ -27,7 +27,7 @@ class RenderingError(RuntimeError):
 
 
 def rendering_problem() -> str | None:
-    """Why pictures of a body cannot be drawn here, and the remedy; None if they can."""
+    """Say why bodies cannot be drawn here, and the remedy; None if they can."""
     try:
         _backend()
     except RenderingError as error:
@@ -37,7 +37,7 @@ def rendering_problem() -> str | None:
 
 @contextmanager
 def offscreen() -> Iterator[None]:
-    """Lets VTK draw without a screen; a window must be made and closed inside.
+    """Let VTK draw without a screen; make and close its window inside the block.
 
     Raises:
         RenderingError: If no suitable OpenGL is installed.
@@ -54,14 +54,14 @@ def offscreen() -> Iterator[None]:
 
 
 def _backend() -> str | None:
-    """The render window that VTK should take; None where its own choice is right."""
+    """Choose VTK's render window; None where its own choice is right."""
     if not sys.platform.startswith("linux") or os.environ.get(_CHOICE):
-        return None  # macOS and Windows draw by themselves; a user may have chosen
-    # A program that shows windows through GLX must go on with it: EGL beside it fails.
+        return None  # macOS and Windows need no choice, or the user has chosen
+    # A program that already shows windows by GLX must stay with it: EGL would fail.
     maps = Path("/proc/self/maps").read_text(errors="replace")
     if "/libGLX" in maps and "/libEGL" not in maps:
         return None
-    # Never X11 otherwise: it warns without a DISPLAY and fails with a stale one.
+    # Avoid X11 otherwise: it warns without a DISPLAY and fails with a stale one.
     return _headless_backend()
 
 
@@ -83,7 +83,7 @@ def _can_load(library: str) -> bool:
 
 
 def _egl_works() -> bool:
-    """Whether EGL finds a driver; libEGL may be there without one."""
+    """Check that EGL finds a driver; libEGL may be installed without one."""
     from vtkmodules.vtkCommonCore import vtkLogger
     from vtkmodules.vtkRenderingOpenGL2 import vtkEGLRenderWindow
 

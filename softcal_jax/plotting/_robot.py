@@ -1,4 +1,4 @@
-"""Cables, chambers, motors, forces and 6-D sensors over the picture of a body."""
+"""Draw cables, chambers, motors, forces and 6-D sensors over the picture of a body."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     import matplotlib.axes
 
 _FRAME, _AXIS, _ARROW = 0.05, 0.08, 0.1
-"""Lengths of sensors' axes, hinges and forces, in widths of the view."""
+"""Lengths of sensor axes, hinges and forces, relative to the width of the view."""
 
 _UNSEEN_AT_REST = ("force actuator", "surface force actuator", "surface pressure")
-"""Actuators that nothing is left of where they do not push."""
+"""Actuators that are not drawn where they do not push."""
 
 _STYLES: dict[str, dict[str, Any]] = {
     "cable": {"color": CABLE, "lw": 3.0},
@@ -39,16 +39,16 @@ _STYLES: dict[str, dict[str, Any]] = {
     "motor": {"color": MOTOR, "lw": 2.5, "ls": "-.", "marker": "o"},
     "force": {"color": FORCE, "lw": 3.0, "marker": ">"},
 }
-"""How the kinds of actuators are drawn, and stand in the legend."""
+"""Line styles of the kinds of actuators, in the picture and the legend."""
 
 
 class SensorFrame(NamedTuple):
-    """Where a 6-D sensor is, and which way the axes of its body have turned.
+    """Position and orientation of a 6-D sensor.
 
     Attributes:
-        position: Its point [m].
-        rotation: Rotation from rest; its columns are drawn [-].
-        is_measured: Whether it was measured, or is simulated.
+        position: Its position [m].
+        rotation: Rotation from rest, whose columns are drawn as axes [-].
+        is_measured: Whether it was measured; otherwise it is simulated.
     """
 
     position: Float[HostArray, "3"]
@@ -57,7 +57,7 @@ class SensorFrame(NamedTuple):
 
 
 def sensor_frames(result: ConfigurationResult) -> list[SensorFrame]:
-    """Measured and simulated poses of the 6-D sensors of a configuration."""
+    """List measured and simulated poses of the 6-D sensors of a configuration."""
     points = {point.name: point for point in result.points}
     frames = []
     for turn in result.turns:
@@ -75,7 +75,7 @@ class RobotPicture(NamedTuple):
     """What is drawn beside the soft body.
 
     Attributes:
-        geometry: Where the actuators are.
+        geometry: Geometry of the actuators.
         state: Their forces.
         x: Positions of all nodes [m].
     """
@@ -86,7 +86,7 @@ class RobotPicture(NamedTuple):
 
     @property
     def points(self) -> Float[HostArray, "n 3"]:
-        """What must be seen beside the body [m]."""
+        """Points that must be visible in addition to the body [m]."""
         return np.concatenate(
             [self.geometry.segments.reshape(-1, 3), self.geometry.points]
         )
@@ -107,7 +107,7 @@ class RobotPicture(NamedTuple):
 
 
 def robot_picture(model: Model, state: RobotState | None) -> RobotPicture | None:
-    """What is drawn beside the soft body; None if there is nothing."""
+    """Collect what is drawn beside the soft body; None if there is nothing."""
     if state is None:
         return None
     x = np.asarray(model.mechanism.points) + state.displacement
@@ -222,7 +222,7 @@ def draw_sensors(
 
 
 def legend_handles(kinds: Sequence[str], *, bodies: bool, sensors: bool) -> list[Any]:
-    """What the symbols of a robot mean."""
+    """Make the legend handles of the symbols of a robot."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

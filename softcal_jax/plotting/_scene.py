@@ -1,4 +1,4 @@
-"""The body in three dimensions, drawn by VTK into an array of pixels."""
+"""Draw the body in three dimensions, by VTK, into an array of pixels."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _SUPERSAMPLING = 2
 _GHOST = "#ececec"
-"""Faces of the body at rest."""
+"""Colour of the body at rest."""
 
 
 def body_image(
@@ -28,12 +28,12 @@ def body_image(
     scale: float,
     largest_mm: float,
 ) -> Int[HostArray, "height width 3"]:
-    """The deformed body, coloured by displacement, over the outline at rest.
+    """Draw the deformed body, coloured by displacement, over the outline at rest.
 
     Args:
-        model: The body.
+        model: The model.
         displacement: Nodal displacement [m].
-        view: Where to look from.
+        view: The projection.
         size: Width and height in pixels.
         scale: Pixels per metre.
         largest_mm: Displacement at the top of the colours [mm].
@@ -93,8 +93,8 @@ def body_image(
             camera.parallel_projection = True
             camera.parallel_scale = 0.5 * height / scale
             plotter.renderer.ResetCameraClippingRange()
-            # In layers, since two bodies in one place cut each other in pieces: the
-            # body at rest, the deformed one over it, and the outline faintly over both.
+            # Draw in layers, since overlapping surfaces would hide parts of each other:
+            # the body at rest, the deformed one, and the outline faintly over both.
             layers = [
                 _layer(plotter, shown, [*ghost, *body])
                 for shown in (ghost, body, ghost[1:])
@@ -108,7 +108,7 @@ def body_image(
 
 
 def _layer(plotter: "pyvista.Plotter", shown: list, actors: list):
-    """Pixels of some of the actors: colour times cover, and cover from 0 to 1."""
+    """Render some of the actors: colour times opacity, and opacity from 0 to 1."""
     for actor in actors:
         actor.SetVisibility(actor in shown)
     plotter.render()
@@ -119,7 +119,7 @@ def _layer(plotter: "pyvista.Plotter", shown: list, actors: list):
 
 
 def _shrink(image: Float[HostArray, "rows columns n"]):
-    """Mean over the samples of each pixel."""
+    """Average the samples of each pixel."""
     n = _SUPERSAMPLING
     return sum(image[i::n, j::n] for i in range(n) for j in range(n)) / n**2
 
@@ -145,7 +145,7 @@ def _surface(
 
 
 def _rigid(model: Model, tessellation: Tessellation) -> Bool[HostArray, " n_triangles"]:
-    """Which triangles lie in one rigid body, so that they are not deformed."""
+    """Find the triangles whose nodes all belong to one rigid body."""
     bodies = model.mechanism.bodies
     body = np.full(model.mesh.n_nodes, -1)
     body[bodies.attached] = bodies.body
@@ -160,7 +160,7 @@ def _edges(surface: "pyvista.PolyData") -> "pyvista.PolyData":
         non_manifold_edges=False,
         manifold_edges=False,
     )
-    # A round body has no edges: its triangles then show its shape.
+    # A round body has no sharp edges; show its triangles instead.
     if edges.n_cells == 0:
         edges = surface.extract_all_edges()
     return edges

@@ -1,4 +1,4 @@
-"""The boundary of a body as flat triangles, fine enough to look curved."""
+"""Cut the boundary of a mesh into flat triangles, fine enough to look curved."""
 
 from typing import NamedTuple
 
@@ -9,17 +9,17 @@ from softcal_jax.elements import shape_functions
 from softcal_jax.mesh import TetMesh, boundary_faces
 
 _PARTS = 4
-"""Parts of every edge of a quadratic face."""
+"""Number of parts of every edge of a quadratic face."""
 
 
 class Tessellation(NamedTuple):
-    """Triangles on the boundary, and how nodal values reach their corners.
+    """Triangles on the boundary, and the interpolation of nodal values to them.
 
     Attributes:
-        nodes: Nodes of the face that carries each point.
-        weights: Their shape functions [-].
-        triangles: Points of each triangle, normals outwards.
-        faces: Nodes of the face that each triangle is a part of.
+        nodes: Nodes of the face on which each point lies.
+        weights: Shape functions of these nodes at the point [-].
+        triangles: Points of each triangle, with outward normals.
+        faces: Nodes of the face that contains each triangle.
     """
 
     nodes: Int[HostArray, "n_points n_fn"]
@@ -30,7 +30,7 @@ class Tessellation(NamedTuple):
     def interpolate(
         self, values: Float[HostArray, "n_nodes 3"]
     ) -> Float[HostArray, "n_points 3"]:
-        """Nodal vectors at the points."""
+        """Interpolate nodal vectors to the points."""
         return np.einsum("pn,pni->pi", self.weights, values[self.nodes])
 
 
@@ -38,10 +38,7 @@ def tessellate(mesh: TetMesh) -> Tessellation:
     """Cut the boundary faces into triangles that share their points.
 
     Args:
-        mesh: The mesh; its quadratic faces are cut, its linear ones are flat already.
-
-    Returns:
-        The triangles.
+        mesh: The mesh; only quadratic faces are cut, since linear ones are flat.
     """
     faces = boundary_faces(mesh)
     parts = _PARTS if mesh.order == 2 else 1
@@ -49,8 +46,8 @@ def tessellate(mesh: TetMesh) -> Tessellation:
         [(parts - i - j, i, j) for j in range(parts + 1) for i in range(parts + 1 - j)]
     )
     weights = shape_functions(grid / parts, faces.shape[1])
-    # Two faces share a point if it has the same weights at the same corners: exact,
-    # where a comparison of coordinates would need a tolerance.
+    # Two faces share a point if it has the same weights at the same corners. This is
+    # exact, whereas comparing coordinates would need a tolerance.
     corner = np.where(grid > 0, faces[:, None, :3], -1)
     weight = np.broadcast_to(grid, corner.shape)
     order = np.argsort(corner, axis=-1)
@@ -72,7 +69,7 @@ def tessellate(mesh: TetMesh) -> Tessellation:
 
 
 def _triangles(grid: Int[HostArray, "n_grid 3"]) -> Int[HostArray, "n_local 3"]:
-    """Triangles between the grid points of one face."""
+    """List the triangles between the grid points of one face."""
     index = {(int(i), int(j)): k for k, (_, i, j) in enumerate(grid)}
     found = []
     for i, j in index:

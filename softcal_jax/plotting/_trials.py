@@ -1,4 +1,4 @@
-"""What many trials found, against where they were tried."""
+"""Plot results of trials against the axes of the sweep."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _DPI = 100
 _MOST_LABELS = 12
-"""More groups than this on an axis get labels that stand upright."""
+"""Most groups on an axis whose labels stay horizontal."""
 
 
 def plot_trials(
@@ -25,16 +25,16 @@ def plot_trials(
     title: str,
     left_out: str,
 ) -> None:
-    """Draw every figure of some trials against every axis.
+    """Plot every figure of some trials against every axis.
 
     Numbers make a scatter; words make groups, each with a bar at its mean.
 
     Args:
-        columns: Where each trial stands, by the name of the axis.
-        figures: What it found, by the label of the figure; nan is not drawn.
+        columns: Values of the trials on each axis, by its name.
+        figures: Results of the trials, by the label of the figure; nan is not drawn.
         path: PNG file.
-        title: What stands above.
-        left_out: Which trials are not drawn, and why; stands below the title.
+        title: Title of the picture.
+        left_out: Which trials are not drawn, and why; printed below the title.
 
     Raises:
         ValueError: If there is nothing to draw.
@@ -86,7 +86,7 @@ def _draw(axes: "matplotlib.axes.Axes", where: Sequence[Any], values: Any) -> No
         own = own[np.isfinite(own)]
         if not own.size:
             continue
-        # Side by side in their order, so that equal values do not hide each other.
+        # Spread sideways in order, so that equal values do not hide each other.
         width = 0.0 if own.size == 1 else 0.25
         axes.plot(i + width * np.linspace(-1.0, 1.0, own.size), own, **dots)
         axes.plot([i - 0.35, i + 0.35], [own.mean()] * 2, color=SERIES[1], lw=2.5)

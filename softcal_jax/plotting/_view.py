@@ -1,4 +1,4 @@
-"""Where to look at a body from, by its shape and its motion."""
+"""Choose the view of a body from its shape and its motion."""
 
 from typing import NamedTuple
 
@@ -17,8 +17,8 @@ class View(NamedTuple):
         up: Unit vector that points up in the picture.
         towards: Unit vector from the body to the viewer.
         centre: Point in the middle of the picture [m].
-        width: Width of what must be seen [m].
-        height: Height of what must be seen [m].
+        width: Width of what must be visible [m].
+        height: Height of what must be visible [m].
     """
 
     right: Float[HostArray, "3"]
@@ -29,7 +29,7 @@ class View(NamedTuple):
     height: float
 
     def project(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 2"]:
-        """Picture coordinates of points, from the centre [m]."""
+        """Project points to picture coordinates, from the centre [m]."""
         return (points - self.centre) @ np.stack([self.right, self.up], axis=1)
 
 
@@ -38,15 +38,15 @@ def choose_view(
     displacement: Float[HostArray, "n_nodes 3"],
     more: Float[HostArray, "n 3"],
 ) -> View:
-    """Look across the plane of the longest axis and the motion, slightly from above.
+    """Look across the plane of longest axis and motion, slightly from above.
 
     Args:
         points: Nodes at rest [m].
         displacement: Their displacement [m].
-        more: Other points that must be seen, like markers [m].
+        more: Other points that must be visible, like markers [m].
 
     Returns:
-        The view; what moves most is on the right, nearer to the viewer.
+        The view, with the part that moves most on the right, nearer to the viewer.
     """
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False)
@@ -61,10 +61,10 @@ def choose_view(
     weight = np.linalg.norm(displacement, axis=1)
     side = weight @ (centred @ right)
     if side <= 1e-6 * weight.sum() * np.ptp(centred @ right):
-        side = right[np.argmax(np.abs(right))]  # nothing decides: axes point right
+        side = right[np.argmax(np.abs(right))]  # undecided: let the axis point right
     if side < 0:
         normal, right = -normal, -right
-    # Turned a little, so that the far end and the top are seen too.
+    # Turn a little, so that the far end and the top are visible too.
     towards = _unit(normal + np.tan(_AZIMUTH) * right + np.tan(_ELEVATION) * vertical)
     right = _unit(np.cross(vertical, towards))
     up = np.cross(towards, right)

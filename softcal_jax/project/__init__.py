@@ -1,4 +1,4 @@
-"""A calibration as one text file: mesh, material, measurements, settings."""
+"""Project files: a calibration as one text file of mesh, material, data, settings."""
 
 from softcal_jax.project._load import load_project
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion

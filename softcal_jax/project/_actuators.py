@@ -1,6 +1,6 @@
-"""The keys of a project file that make actuators, and what is asked of them.
+"""Tables of a project file that make actuators and say what is imposed on them.
 
-A new actuator is one table here, with the keys of its class, and one line in
+To add an actuator, write one table with the keys of its class and list it in
 `AnyActuator`.
 """
 
@@ -38,7 +38,7 @@ class ActuatorTable(Maker):
     """An actuator.
 
     Attributes:
-        makes: The class.
+        makes: The class that it makes.
         asked: What may be imposed on it, with an example of each.
     """
 
@@ -46,13 +46,13 @@ class ActuatorTable(Maker):
     asked: ClassVar[str] = 'its force, like "2 N", or its displacement, like "5 mm"'
 
     def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
-        """A force or displacement that a configuration asks for, by its unit.
+        """Parse an imposed force or displacement; the unit tells which it is.
 
         Raises:
             ValueError: If it is neither.
         """
         releasing = False
-        if isinstance(value, dict):  # with the sense in which a cable last moved
+        if isinstance(value, dict):  # a cable with friction: which way it last moved
             unknown = set(value) - {"value", "releasing"}
             if unknown or not isinstance(value.get("releasing", False), bool):
                 raise ValueError(
@@ -80,7 +80,7 @@ class GuideTable(Maker):
 
 
 class CableTable(ActuatorTable):
-    """Pulls along its guides."""
+    """A cable, which pulls along its guides."""
 
     makes = Cable
     asked = 'its tension, like "2 N", or its shortening, like "5 mm"'
@@ -101,14 +101,14 @@ class CableTable(ActuatorTable):
         return [g if isinstance(g, dict) else {"point": g} for g in value]
 
     def build(self, *first: Any) -> Cable:
-        """The cable."""
+        """Build the cable."""
         guides = [guide.build() for guide in self.guides]
         options = {"friction": self.friction, "pulled_from": self.pulled_from}
         return Cable(*first, guides=guides, **options)
 
 
 class ChamberTable(ActuatorTable):
-    """Inflates a cavity."""
+    """A chamber, which inflates a cavity."""
 
     makes = Chamber
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
@@ -118,7 +118,7 @@ class ChamberTable(ActuatorTable):
 
 
 class SurfacePressureTable(ActuatorTable):
-    """Blows on a surface."""
+    """A pressure on a surface."""
 
     makes = SurfacePressure
     asked = 'its pressure, like "10 kPa"'
@@ -128,7 +128,7 @@ class SurfacePressureTable(ActuatorTable):
 
 
 class MotorTable(ActuatorTable):
-    """Turns a rigid body."""
+    """A motor, which turns a rigid body."""
 
     makes = Motor
     asked = 'its torque, like "50 N*mm", or its angle, like "30 deg"'
@@ -137,7 +137,7 @@ class MotorTable(ActuatorTable):
     body: str = Field(description='the rigid body that it turns, with a hinge: "arm"')
 
     def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
-        """A torque or an angle, see `ActuatorTable`."""
+        """Parse a torque or an angle; see `ActuatorTable`."""
         found = super().imposed(value)
         if isinstance(found, ImposedDisplacement) and abs(found.value) > np.pi:
             raise ValueError(
@@ -148,7 +148,7 @@ class MotorTable(ActuatorTable):
 
 
 class ForceActuatorTable(ActuatorTable):
-    """Pushes at a point."""
+    """An actuator that pushes at a point."""
 
     makes = ForceActuator
 
@@ -158,7 +158,7 @@ class ForceActuatorTable(ActuatorTable):
 
 
 class SurfaceForceActuatorTable(ActuatorTable):
-    """Pushes on a surface."""
+    """An actuator that pushes on a surface."""
 
     makes = SurfaceForceActuator
 
@@ -186,17 +186,16 @@ def build_actuation(
     mechanism: Mechanism,
     name: str,
 ) -> Actuation:
-    """Imposed forces and displacements; the unit of a value tells which it is.
+    """Parse imposed forces and displacements; the unit of a value tells which it is.
 
     Args:
-        asked: What is asked, by the names of actuators.
+        asked: Imposed values as the file has them, by the names of actuators.
         tables: The actuators, by name.
-        mechanism: The same attached to the mesh.
+        mechanism: The same actuators attached to the mesh.
         name: Name of the configuration, for messages.
 
     Raises:
-        WrongKeyError: If an actuator is unknown, or a value is not what it can be
-            asked for.
+        WrongKeyError: If an actuator is unknown, or cannot have such a value imposed.
     """
     imposed: Actuation = {}
     for actuator, value in asked.items():

@@ -1,4 +1,4 @@
-"""The keys of a project file that make rigid bodies, and what they do."""
+"""Tables of a project file that make rigid bodies and their states."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -21,14 +21,14 @@ from softcal_jax.project._table import (
 
 
 class MotionTable(Table):
-    """A rigid motion: how far a frame moves, and by which rotation vector it turns."""
+    """A rigid motion of a frame: its translation and rotation vector."""
 
     translation: Position = (0.0, 0.0, 0.0)
     rotation_vector: RotationVector = (0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Pose:
-        """The motion as an object."""
+        """The motion as a `Pose`."""
         return Pose(self.translation, self.rotation_vector)
 
 
@@ -54,7 +54,7 @@ class BodyTable(Table):
         return self
 
     def build(self, name: str) -> RigidBody:
-        """The body.
+        """Build the rigid body.
 
         Raises:
             ValueError: If its axes are not orthogonal.
@@ -73,7 +73,7 @@ class BodyTable(Table):
 
 
 class BodyStateTable(MotionTable):
-    """What a configuration does with a rigid body."""
+    """State of a rigid body in one configuration."""
 
     state: Literal["held", "hinged", "free"] = "held"
 
@@ -101,7 +101,7 @@ State = Annotated[
 def build_states(
     table: Mapping[str, Any], mechanism: Mechanism
 ) -> dict[str, BodyState | Pose | str]:
-    """What rigid bodies do, by their names.
+    """Build the states of rigid bodies, by their names.
 
     Raises:
         WrongKeyError: If a body is unknown.

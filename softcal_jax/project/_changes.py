@@ -1,4 +1,4 @@
-"""A project file with other values for some of its keys."""
+"""Change values of a project file before it is checked."""
 
 from collections.abc import Mapping
 from copy import deepcopy
@@ -11,17 +11,17 @@ from softcal_jax.project._problems import ProjectError, suggestion
 def with_changes(
     path: Path, raw: dict[str, Any], changes: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The file with some values exchanged.
+    """Replace some values of a file.
 
     Args:
         path: The file, for messages.
         raw: The file as it was read.
-        changes: New values by their key: "material.E", or "parameters.E.lower" for an
-            entry of a list, by its name. None takes a key out. Tables on the way to a
-            key are made as needed.
+        changes: New values by key, like "material.E", or "parameters.E.lower" for an
+            entry of a list, by its name. None removes a key. Missing tables on the way
+            to a key are created.
 
     Raises:
-        ProjectError: If a key leads through something that is no table.
+        ProjectError: If a key leads through something that is not a table.
     """
     raw = deepcopy(raw)
     for key, value in changes.items():

@@ -1,4 +1,4 @@
-"""The keys of a project file that make configurations, and how these are made."""
+"""Tables of a project file that make configurations."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class GravityTable(Table):
-    """Gravity by size and direction."""
+    """Gravity as size and direction."""
 
     size: Annotated[float, BeforeValidator(scalar(ACCELERATION))] = Field(
         description='"9.81 m/s^2"'
@@ -42,7 +42,7 @@ class GravityTable(Table):
 
 
 class CandidateTable(Table):
-    """One posed robot that might be measured."""
+    """A configuration that might be measured."""
 
     name: str = Field(description="name in results, tables and pictures")
     gravity: Annotated[
@@ -78,7 +78,7 @@ class CandidateTable(Table):
 
 
 class ConfigurationTable(CandidateTable):
-    """One posed robot, measured or to be measured."""
+    """A configuration, measured or not."""
 
     role: Literal["calibration", "validation"] = "calibration"
     recording: str | None = None
@@ -86,7 +86,7 @@ class ConfigurationTable(CandidateTable):
 
 
 class Pose(NamedTuple):
-    """A configuration, and what its camera frame left at the registered markers."""
+    """A configuration, and how its camera frame was registered, if it was."""
 
     configuration: Configuration
     registration: Registration | None
@@ -99,14 +99,14 @@ def build_pose(
     model: Model,
     effectors: Effectors,
 ) -> Pose:
-    """One posed robot, with its measurement if it has one.
+    """Build a configuration, with its measurement if it has one.
 
     Args:
-        folder: Where relative paths begin.
+        folder: Folder that relative paths start from.
         table: The configuration or candidate, with [shared] merged in.
         project: The whole file.
-        model: The robot.
-        effectors: The effectors of the project, not measured.
+        model: The model.
+        effectors: The effectors of the project, without measured values.
 
     Raises:
         WrongKeyError: If a group, a marker, a file or a value in it is wrong.
@@ -164,10 +164,10 @@ def _held_and_loaded(
     supports, loads = [], []
     for i, support in enumerate(table.supports, start=1):
         with under(f"supports[{i}]"):
-            mesh.nodes(support.group)  # names a group that is not there
+            mesh.nodes(support.group)  # raises if there is no such group
             supports.append(support.build())
     for i, load in enumerate(table.loads, start=1):
         with under(f"loads[{i}]"):
             loads.append(load.build())
-            loads[-1].nodal_forces(mesh)  # names a place that is not there
+            loads[-1].nodal_forces(mesh)  # raises if there is no such place
     return supports, loads

@@ -1,6 +1,6 @@
-"""The keys of a project file that make effectors, and what was measured of them.
+"""Tables of a project file that make effectors and their measured values.
 
-A new effector is one table here and one line in `AnyEffector`.
+To add an effector, write one table and list it in `AnyEffector`.
 """
 
 import inspect
@@ -53,7 +53,7 @@ Measured = Annotated[
     Annotated[MeasuredPoseTable, Tag("(table)")] | Annotated[Any, Tag("(vector)")],
     Discriminator(table_or_vector),
 ]
-"""A pose, or a quantity as text; of which dimension, its effector tells."""
+"""A pose, or a quantity as text, whose dimension the effector knows."""
 
 _BODY = Field(description='name of a rigid body, [bodies.NAME]: "plate"')
 
@@ -62,10 +62,10 @@ class EffectorTable(Table):
     """Something that is measured beside markers.
 
     Attributes:
-        makes: The class; keys that are called like its fields are its arguments.
-        measures: What `std` and the measured value measure.
+        makes: The class that it makes; keys named like its arguments are passed to it.
+        measures: Dimension of `std` and the measured value.
         vector: Whether three numbers are measured.
-        std: Standard deviation; without one the effector's default is kept.
+        std: Standard deviation; by default that of the effector's class.
     """
 
     makes: ClassVar[Callable[..., AbstractEffector]]
@@ -75,7 +75,7 @@ class EffectorTable(Table):
     std: str | None = None
 
     def dimension(self, mechanism: Mechanism) -> Dimension:
-        """What `std` and the measured value measure.
+        """Return the dimension of `std` and the measured value.
 
         Raises:
             ValueError: If there is nothing to measure.
@@ -84,7 +84,7 @@ class EffectorTable(Table):
         return self.measures
 
     def build(self, name: str, std: float | None) -> AbstractEffector:
-        """The effector; nothing is measured yet.
+        """Build the effector, without a measured value.
 
         Args:
             name: Its name.
@@ -98,11 +98,11 @@ class EffectorTable(Table):
         return {k: getattr(self, k) for k in type(self).model_fields if k in known}
 
     def value(self, value: Any, folder: Path, mechanism: Mechanism) -> Any:
-        """The measured value in SI units, as the effector takes it.
+        """Parse the measured value, in SI units and as the effector takes it.
 
         Args:
-            value: What the file holds.
-            folder: Where relative paths begin.
+            value: The value in the file.
+            folder: Folder that relative paths start from.
             mechanism: Rigid bodies and actuators.
 
         Raises:
@@ -134,7 +134,7 @@ class BodyFrameTable(EffectorTable):
     std_angle: Angle | None = None
 
     def value(self, value: Any, folder: Path, mechanism: Mechanism) -> Any:
-        """The motion of the body."""
+        """Parse the motion of the body."""
         if not isinstance(value, MeasuredPoseTable):
             raise ValueError(
                 f"got {shown(value)}; expected a pose, like "
@@ -207,7 +207,7 @@ class ActuatorDisplacementTable(_OfActuator):
     type: Literal["actuator-displacement"]
 
     def dimension(self, mechanism: Mechanism) -> Dimension:
-        """What the actuator moves by."""
+        """Return the dimension of the actuator's displacement."""
         kind = self._kind(mechanism)
         if kind.displacement_unit is None:
             raise ValueError(
@@ -225,7 +225,7 @@ class ActuatorForceTable(_OfActuator):
     type: Literal["actuator-force"]
 
     def dimension(self, mechanism: Mechanism) -> Dimension:
-        """What the actuator pushes with."""
+        """Return the dimension of the actuator's force."""
         return dimension_of(self._kind(mechanism).force_unit)
 
 
@@ -243,7 +243,7 @@ AnyEffector = Annotated[
 def build_effectors(
     tables: Mapping[str, EffectorTable], mesh: TetMesh, mechanism: Mechanism
 ) -> Effectors:
-    """All effectors of a project, by name; nothing is measured yet.
+    """Build all effectors of a project by name, without measured values.
 
     Raises:
         WrongKeyError: If one does not fit the mesh, the bodies or the actuators.
@@ -268,13 +268,13 @@ def with_measured(
     folder: Path,
     mechanism: Mechanism,
 ) -> tuple[AbstractEffector, ...]:
-    """The effectors of a configuration, with its measurements.
+    """Add the measured values of a configuration to its effectors.
 
     Args:
         effectors: The effectors of the configuration.
-        measured: What was measured, by their names.
-        tables: Their tables.
-        folder: Where relative paths begin.
+        measured: Measured values as the file has them, by effector.
+        tables: The tables of the effectors.
+        folder: Folder that relative paths start from.
         mechanism: Rigid bodies and actuators.
 
     Raises:

@@ -1,6 +1,6 @@
-"""The tables [material] of all laws, derived from the constants of their classes.
+"""Tables [material] of all laws, derived from the constants of their classes.
 
-Laws are those of `softcal_jax.materials`, and those of installed packages with an entry
+The laws are those of `softcal_jax.materials` and of installed packages with an entry
 point in the group "softcal_jax.laws". A file beside the project is never imported.
 """
 
@@ -28,7 +28,7 @@ from softcal_jax.project._quantities import dimension_of, scalar
 from softcal_jax.project._table import Density, Number, Table
 
 GROUP = "softcal_jax.laws"
-"""Entry points of installed packages that are laws."""
+"""Group of the entry points by which installed packages offer laws."""
 
 
 class Constant(NamedTuple):
@@ -37,7 +37,7 @@ class Constant(NamedTuple):
     Attributes:
         unit: SI unit, as results name it.
         words: What it is, with an example.
-        within: Open interval of the bounds of a parameter.
+        within: Open interval in which the bounds of a parameter must lie.
     """
 
     unit: str
@@ -51,17 +51,17 @@ class Constant(NamedTuple):
 
     @property
     def is_modulus(self) -> bool:
-        """Whether it is positive, so that a step is a ratio."""
+        """Whether it is positive, so that its steps are ratios."""
         return self.unit not in ("", "rad")
 
     @property
     def scale(self) -> Literal["log", "linear"]:
-        """On which scale it is calibrated by default."""
+        """Scale on which it is calibrated by default."""
         return "log" if self.is_modulus else "linear"
 
     @property
     def type(self) -> Any:
-        """Type of its key in a table."""
+        """Pydantic type of its key in a table."""
         if not self.unit:
             return Number
         return Annotated[float, BeforeValidator(scalar(dimension_of(self.unit)))]
@@ -74,8 +74,8 @@ class _OfLaw(Table):
     """A table of constants.
 
     Attributes:
-        choice: How the file chose the law.
-        constants: Constants that there are, the density among them.
+        choice: How a file chooses the law, for messages.
+        constants: Its constants, including the density.
         listed: Keys of the law, for messages.
     """
 
@@ -85,7 +85,7 @@ class _OfLaw(Table):
 
     @classmethod
     def foreign(cls, key: str) -> str | None:
-        """Says which laws have a key that this one has not."""
+        """Say which laws have a key that this one lacks; None if there are none."""
         owners = _owners(key)
         if not owners:
             return None
@@ -100,7 +100,7 @@ class Material(_OfLaw):
     """The law and its constants before calibration; `material_table` adds their keys.
 
     Attributes:
-        makes: The law of values of the keys.
+        makes: Makes the law from a function that returns the value of a key.
     """
 
     makes: ClassVar[Callable[[Callable[[str], Any]], AbstractLaw]]
@@ -111,15 +111,15 @@ class Material(_OfLaw):
     regions: dict[str, Any] = Field(default_factory=dict)
 
     def constant(self, key: str, region: str | None = None) -> float:
-        """A constant of the body, or of a region that may have its own [SI]."""
+        """Return a constant of the body, or of a region that may have its own [SI]."""
         own = getattr(self.regions.get(region or ""), key, None)
         return getattr(self, key) if own is None else own
 
     def values(self, key: str, mesh: TetMesh) -> Float[HostArray, "..."]:
-        """A constant of the whole body, or one value per tet where regions differ [SI].
+        """Return a constant, as one value per tet where regions differ [SI].
 
         Raises:
-            ValueError: If a region is no tet group.
+            ValueError: If a region is not a tet group.
         """
         base = np.asarray(getattr(self, key), float)
         for name, region in self.regions.items():
@@ -130,10 +130,10 @@ class Material(_OfLaw):
         return base
 
     def build(self, mesh: TetMesh) -> AbstractLaw:
-        """The law.
+        """Build the law.
 
         Raises:
-            ValueError: If a constant is out of its range, or a region is no tet group.
+            ValueError: If a constant is out of its range or a region is no tet group.
         """
         own = self.constants
         return type(self).makes(
@@ -142,7 +142,7 @@ class Material(_OfLaw):
 
 
 class _Undecided(Material):
-    """A table whose law is unknown; nothing else in it is judged."""
+    """A table whose law is unknown, so that none of its other keys is checked."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -150,17 +150,17 @@ class _Undecided(Material):
 
 
 def material_table(raw: Any) -> type[Material]:
-    """The table of the law that a file names.
+    """Build the schema of [material] for the law that a file names.
 
     Args:
-        raw: Its table [material], as it was read.
+        raw: The table [material], as it was read.
 
     Returns:
-        A model with the keys of the law; if there is none of the name, one that says so
-        and what names there are.
+        A schema with the keys of the law; for an unknown law, one whose error lists the
+        known names.
 
     Raises:
-        ValueError: If the law is of an installed package that fails.
+        ValueError: If the law is of an installed package and cannot be used.
     """
     named = raw if isinstance(raw, dict) else {}
     law, elasticity = named.get("law"), named.get("elasticity", "isotropic")
@@ -190,7 +190,7 @@ def _undecided(key: str, names: Iterable[str]) -> type[Material]:
 
 @functools.cache
 def _table(name: str, law: type[AbstractLaw], elasticity: str) -> type[Material]:
-    """The table of a law, and of its regions."""
+    """Build the schema of a law and of its regions."""
     constants, choice = _constants(law, elasticity), f'law = "{name}"'
     own: dict[str, Any] = {"law": (Literal[name], ...)}
     if elasticity:
@@ -215,11 +215,11 @@ def _table(name: str, law: type[AbstractLaw], elasticity: str) -> type[Material]
 
 
 class _Recipe(NamedTuple):
-    """How an object is made from keys of a file.
+    """How to make an object from keys of a file.
 
     Attributes:
-        keys: Each with its field in the class, or in that of a part, and its type.
-        make: The object, from a function that has their values.
+        keys: Field of the class (or of a part's class) and type, by key.
+        make: Makes the object from a function that returns the value of a key.
     """
 
     keys: dict[str, tuple[dataclasses.Field, Any]]
@@ -228,7 +228,7 @@ class _Recipe(NamedTuple):
 
 @functools.cache
 def _recipe(kind: type[eqx.Module], elasticity: str) -> _Recipe:
-    """The recipe of a class.
+    """Derive the recipe of a class from its fields.
 
     Raises:
         ValueError: If a field is a number without a unit.
@@ -267,7 +267,7 @@ def _takes_elasticity(law: type[AbstractLaw]) -> bool:
 
 
 def _without_parts() -> dict[str, type[eqx.Module]]:
-    """What of this package has constants itself, by how a file chooses it."""
+    """Return elasticities and laws with constants of their own, by their choice."""
     kinds: dict[str, type[eqx.Module]] = {
         f'elasticity = "{name}"': kind for name, kind in ELASTICITIES.items()
     }
@@ -276,7 +276,7 @@ def _without_parts() -> dict[str, type[eqx.Module]]:
 
 
 def _owners(key: str) -> list[str]:
-    """What has a key, as a file chooses it; what all have nobody owns."""
+    """List what has a key, as a file chooses it; empty for keys that all have."""
     if key == "elasticity":
         linear = [name for name, law in LAWS.items() if _takes_elasticity(law)]
         return [f'law = "{name}"' for name in linear]
@@ -285,10 +285,10 @@ def _owners(key: str) -> list[str]:
 
 
 def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
-    """The law of an installed package.
+    """Load the law of an installed package.
 
     Raises:
-        ValueError: If it cannot be loaded, is no law, or two packages have the name.
+        ValueError: If it cannot be loaded or is no law, or two packages share its name.
     """
     packages = [entry.dist.name if entry.dist else entry.value for entry in found]
     if len(packages) > 1:
@@ -300,7 +300,7 @@ def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
     what = f'the law "{name}" of the package {packages[0]} ({entry.value})'
     try:
         law = entry.load()
-    except Exception as error:  # whatever a foreign module raises
+    except Exception as error:  # a foreign module may raise anything
         raise ValueError(
             f"{what} cannot be loaded: {type(error).__name__}: {error}. Update or "
             "uninstall the package."

@@ -1,4 +1,4 @@
-"""From a project file to a project."""
+"""Load a project file."""
 
 import os
 from collections.abc import Mapping
@@ -26,25 +26,25 @@ from softcal_jax.project._schema import ProjectTable
 def load_project(
     path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None
 ) -> Project:
-    """Reads a project file, builds all that it describes, and checks it.
+    """Read a project file, build all that it describes, and check it.
 
-    Nothing is solved. Paths in the file are relative to the file. The project file
-    of `softcal_jax.robots.silicone_beam_path()` shows and explains the keys.
+    Nothing is solved. Paths in the file are relative to the file. The commented file
+    `softcal_jax.robots.silicone_beam_path()` explains the keys.
 
     Args:
         path: A TOML file.
-        changes: Values that take the place of those in the file, as it would write
-            them, by their key: {"material.E": "200 kPa"}. An entry of a list goes by
-            its name, "parameters.E.lower"; None takes a key out.
+        changes: Values that replace those of the file, written as there, by key:
+            {"material.E": "200 kPa"}. An entry of a list goes by its name,
+            "parameters.E.lower"; None removes a key.
 
     Returns:
         The project, ready for `calibrate` or `simulate`.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ProjectError: If anything in it is wrong: the text names each key, says what
-            was expected, and suggests the near one.
-        ValueError: If JAX is not in float64.
+        ProjectError: If anything in it is wrong; the text names each key, says what
+            was expected and suggests the closest match.
+        ValueError: If float64 is off in JAX.
     """
     if not jax.config.read("jax_enable_x64"):
         raise ValueError(
@@ -58,7 +58,7 @@ def load_project(
 
 
 def _built(path: Path, table: ProjectTable) -> Project:
-    """The project of a file, whose parts go wrong at their keys."""
+    """Build the project, reporting errors under the key they belong to."""
     model, space = _model(path.parent, table), build_space(table)
     if space is not None:
         with under("parameters"):
@@ -98,7 +98,7 @@ def _built(path: Path, table: ProjectTable) -> Project:
 
 
 def _model(folder: Path, table: ProjectTable) -> Model:
-    """The body with the constants of the file, its rigid bodies and actuators."""
+    """Build the model: mesh, law, rigid bodies and actuators."""
     with under("mesh"):
         mesh = table.mesh.build(folder)
     for name, group in table.groups.items():
@@ -120,12 +120,12 @@ def _model(folder: Path, table: ProjectTable) -> Model:
 def _parts(
     table: ProjectTable, mesh: TetMesh
 ) -> tuple[list[RigidBody], list[AbstractActuator]]:
-    """Rigid bodies and actuators, each checked under its own key."""
+    """Build rigid bodies and actuators, each checked under its own key."""
     bodies, actuators = [], []
     for name, body in table.bodies.items():
         with under(f"bodies.{name}"):
             bodies.append(body.build(name))
-            # Alone it has nothing to be tied to, which is judged below.
+            # A tied body needs the other ones, so it is checked below with them.
             if body.tied_to is None:
                 build_mechanism(mesh, bodies[-1:])
     with under("bodies"):
@@ -142,7 +142,7 @@ def _parts(
 def _poses(
     folder: Path, table: ProjectTable, model: Model
 ) -> tuple[list[Pose], list[Pose]]:
-    """The configurations, and the candidates."""
+    """Build the configurations and the candidates."""
     with under("effectors"):
         effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
     found: dict[str, list[Pose]] = {"configurations": [], "candidates": []}
@@ -167,7 +167,7 @@ def _poses(
 
 
 def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
-    """The file, and those that it names."""
+    """List the file and those that it names."""
     names = [getattr(table.mesh, "file", None)]
     for configuration in table.configurations:
         measured = configuration.measured

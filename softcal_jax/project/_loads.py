@@ -1,6 +1,6 @@
-"""The keys of a project file that make supports and loads.
+"""Tables of a project file that make supports and loads.
 
-A new load is one table here and one line in `AnyLoad`.
+To add a load, write one table and list it in `AnyLoad`.
 """
 
 from typing import Annotated
@@ -22,7 +22,7 @@ _FORCE = Field(description='the total force: "(0, 0, -1) N"')
 
 
 class SupportTable(Maker):
-    """Nodes that are held, or moved by a displacement."""
+    """Nodes that are held, or moved by a given displacement."""
 
     makes = Support
 

@@ -1,4 +1,4 @@
-"""The keys of a project file that say where markers are, and what was measured."""
+"""Tables of a project file that make markers and their measured positions."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,14 +17,14 @@ from softcal_jax.project._table import Length, Position, Table, table_or_vector
 
 
 class MarkerEntry(Table):
-    """A marker with its own precision."""
+    """A marker with a standard deviation of its own."""
 
     position: Position = Field(description='"(0, 15, 36) mm"')
     std: Length | None = None
 
 
 class MarkersTable(Table):
-    """Where the markers stand at rest, in the frame of the mesh."""
+    """Positions of the markers at rest, in the frame of the mesh."""
 
     positions: dict[
         str,
@@ -40,19 +40,19 @@ class MarkersTable(Table):
     base_radius: Length = 0.0
 
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_markers 3"]:
-        """Positions of some markers at rest [m].
+        """Return the positions of some markers at rest [m].
 
         Raises:
-            ValueError: If one is unknown.
+            ValueError: If a marker is unknown.
         """
         entries = map(self._entry, names)
         return np.array([entry.position for entry in entries], float).reshape(-1, 3)
 
     def build(self, names: Sequence[str] | None) -> Markers:
-        """Some of the markers as an object; all without a list.
+        """Build the named markers, or all if `names` is None.
 
         Raises:
-            ValueError: If one is unknown, or a standard deviation is not positive.
+            ValueError: If a marker is unknown, or a standard deviation is not positive.
         """
         names = tuple(self.positions) if names is None else tuple(names)
         if not names:
@@ -79,16 +79,16 @@ class MarkersTable(Table):
 
 
 class RegistrationTable(Table):
-    """From the frame of the cameras to the frame of the mesh."""
+    """How to register the frame of the cameras to the frame of the mesh."""
 
     markers: tuple[str, ...] = Field(description='markers to fit: ["4", "5", "6"]')
     select: Selection = Field(default_factory=dict)
 
 
 class MeasuredTable(Table):
-    """Where the measured positions are, and how they become positions on the mesh.
+    """Where to read measured positions, and how to bring them into the mesh's frame.
 
-    `effectors` holds what was measured beside markers.
+    `effectors` holds measured values of other effectors.
     """
 
     file: str | None = None
@@ -113,13 +113,13 @@ class MeasuredTable(Table):
     def build(
         self, folder: Path, nominal: MarkersTable, markers: Markers
     ) -> "MeasuredMarkers":
-        """Measured positions in the frame of the mesh.
+        """Read measured positions in the frame of the mesh.
 
-        With `displacement_from`, the nominal position plus the motion between the two
-        states, so that where exactly a marker was glued does not matter.
+        With `displacement_from` they are the nominal positions plus the motion between
+        the two states, so that it does not matter exactly where a marker was glued.
 
         Args:
-            folder: Where relative paths begin.
+            folder: Folder that relative paths start from.
             nominal: All markers of the project.
             markers: Those that are measured.
 
@@ -151,7 +151,7 @@ class MeasuredTable(Table):
 
 
 class MeasuredMarkers(NamedTuple):
-    """Measured positions [m], and how the camera frame was placed, if it was."""
+    """Measured positions [m], and the registration of the camera frame, if any."""
 
     positions: Float[HostArray, "n_markers 3"]
     registration: Registration | None

@@ -1,4 +1,4 @@
-"""The keys of a project file that make the mesh and its groups."""
+"""Tables of a project file that make the mesh and its groups."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -46,7 +46,7 @@ class MeshFileTable(_MeshTable):
     unused_nodes: Literal["error", "drop"] = "error"
 
     def build(self, folder: Path) -> TetMesh:
-        """The mesh; the path is relative to a folder."""
+        """Read the mesh; its path is relative to `folder`."""
         return read_mesh(
             folder / self.file,
             length_unit=self.length_unit,
@@ -56,7 +56,7 @@ class MeshFileTable(_MeshTable):
 
 
 class BeamTable(Table):
-    """A box of tets, long axis along x; its sides are groups "x_min" to "z_max"."""
+    """A box of tets, long along x; its sides are the groups "x_min" to "z_max"."""
 
     size: Position = Field(description='length, width, height: "(100, 30, 30) mm"')
     cells: tuple[Integer, Integer, Integer] = Field(
@@ -72,7 +72,7 @@ class BeamMeshTable(_MeshTable):
     beam: BeamTable
 
     def build(self, folder: Path) -> TetMesh:
-        """The mesh."""
+        """Build the mesh."""
         del folder
         made = self.beam
         return beam(
@@ -88,7 +88,7 @@ MeshTable = Annotated[MeshFileTable | BeamMeshTable, ByKeys()]
 
 
 class BoxTable(Maker):
-    """All between two corners."""
+    """The box between two corners."""
 
     makes = Box
 
@@ -97,7 +97,7 @@ class BoxTable(Maker):
 
 
 class PlaneTable(Maker):
-    """All on a plane."""
+    """A plane."""
 
     makes = Plane
 
@@ -106,7 +106,7 @@ class PlaneTable(Maker):
 
 
 class SphereTable(Maker):
-    """All in a ball."""
+    """A ball."""
 
     makes = Sphere
 
@@ -115,19 +115,19 @@ class SphereTable(Maker):
 
 
 class _GroupTable(Table):
-    """A named part of the mesh, by where it is."""
+    """A named part of the mesh, chosen by place."""
 
     of: Literal["nodes", "faces", "tets"] = "nodes"
     tolerance: Length | None = None
 
     def add(self, mesh: TetMesh, name: str) -> TetMesh:
-        """The mesh with the group.
+        """Add the group to the mesh.
 
         Raises:
             ValueError: If nothing is there, or the mesh has a group of this name.
         """
         (where,) = (own for _, own in self if isinstance(own, Maker))
-        # A millionth of the body: far below a cell, far above the rounding of a file.
+        # A millionth of the mesh: far below a cell, far above the rounding of a file.
         rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance
         region = where.makes(**where.model_dump(), tolerance=rounding)
         if self.of == "nodes":

@@ -1,4 +1,4 @@
-"""The keys of a project file that say what is calibrated, and where it varies."""
+"""Tables of a project file that make parameters and control points."""
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from softcal_jax.project._schema import ProjectTable
 
 PerPoint = float | dict[str, float]
-"""One value for all control points, or a table of their names."""
+"""One value for all control points, or one for each by name."""
 
 
 class ControlPointsTable(Table):
-    """Places where fields of the law have values of their own."""
+    """Control points, where fields of the law have values of their own."""
 
     positions: Annotated[
         Annotated[dict[str, Position], Tag("(table)")]
@@ -66,7 +66,7 @@ class ControlPointsTable(Table):
         return self
 
     def build(self) -> ControlPoints:
-        """The control points.
+        """Build the control points.
 
         Raises:
             ValueError: If two coincide, or an option is out of its range.
@@ -80,8 +80,8 @@ class ControlPointsTable(Table):
 class ParameterTable(Table):
     """One unknown constant of the material, or one per control point.
 
-    Which constants there are, and in which units, tells the material of the file, which
-    is the context of the validation.
+    The material of the file, passed as the validation context, says which constants
+    there are and in which units.
     """
 
     field: str = Field(description='a constant of the material, like "E" or "density"')
@@ -103,7 +103,7 @@ class ParameterTable(Table):
 
     @property
     def label(self) -> str:
-        """What a message calls it."""
+        """Its name in messages."""
         own = self.field if self.region is None else f"{self.field}_{self.region}"
         return self.name or own
 
@@ -121,7 +121,7 @@ class ParameterTable(Table):
     @field_validator("lower", "upper", "start", "S", "fixed", mode="before")
     @classmethod
     def _parse(cls, value: Any, info: Any) -> Any:
-        # `field` stands first, so it is known here unless it was wrong itself.
+        # `field` is validated first, so it is known here unless it is wrong itself.
         constant = _constant(info)
         if info.field_name == "fixed" and not isinstance(value, dict):
             raise ValueError(
@@ -183,11 +183,11 @@ class ParameterTable(Table):
         return self
 
     def build(self, project: "ProjectTable") -> list[Entry]:
-        """The parameter, or those at control points.
+        """Build the parameter, or those at control points.
 
         Raises:
-            ValueError: If bounds, start or scale do not fit, or there is no such set of
-                control points.
+            ValueError: If bounds, start or scale do not fit, or the set of control
+                points is unknown.
         """
         constant = type(project.material).constants[self.field]
         common = {
@@ -205,9 +205,9 @@ class ParameterTable(Table):
             "upper": self.upper,
         }
         if self.control_points is None:
-            assert isinstance(self.lower, float)  # a table is for control points
+            assert isinstance(self.lower, float)  # a table needs control points
             assert isinstance(self.upper, float)
-            # An axis at -90 degrees is the one at 90.
+            # An axis at -90 degrees is the same as at +90.
             half_turn = constant.is_angle and np.isclose(self.upper - self.lower, np.pi)
             span["periodic"] = bool(half_turn)
             entry = Parameter(self.label, self.field, **span, **common)
@@ -221,7 +221,7 @@ class ParameterTable(Table):
                 points,
                 **span,
                 **common,
-                # The axis at +90 and at -90 degrees is the same, so is that between.
+                # +90 and -90 degrees are the same axis, so their mean is not 0.
                 interpolation=self.interpolation
                 or ("director" if constant.is_angle else "linear"),
                 sampling=self.sampling or "centroids",
@@ -235,21 +235,21 @@ class ParameterTable(Table):
 
 
 class ParameterSpaceTable(Table):
-    """What holds between parameters."""
+    """Constraints between parameters."""
 
     order: tuple[tuple[str, str], ...] = ()
     axes: tuple[tuple[str, str, str], ...] = ()
 
 
 def build_space(table: "ProjectTable") -> ParameterSpace | None:
-    """The parameters; a start that is left out is the constant of the material.
+    """Build the parameter space; a missing start is the constant of the material.
 
     Returns:
-        None if nothing is to be calibrated.
+        The space; None if nothing is to be calibrated.
 
     Raises:
         WrongKeyError: If bounds, start or scale do not fit, something is unknown, or
-            what holds between parameters cannot hold.
+            constraints between parameters cannot hold.
     """
     for name, points in table.control_points.items():
         with under(f"control_points.{name}"):
@@ -271,7 +271,7 @@ def build_space(table: "ProjectTable") -> ParameterSpace | None:
 
 
 def _constant(info: Any) -> Constant | None:
-    """The constant of a parameter; None if its field was wrong itself."""
+    """Return the constant of a parameter; None if its field is wrong itself."""
     return info.context.constants.get(info.data.get("field"))
 
 
@@ -299,7 +299,7 @@ def _each(
     free: list[str],
     nominal: float,
 ) -> list[float]:
-    """One value per control point; those that are fixed or tied need none."""
+    """Return one value per control point; fixed and tied ones get a placeholder."""
     if not isinstance(value, dict):
         return [value] * len(names)
     for name in value:
@@ -316,7 +316,7 @@ def _each(
 
 
 def _check_within(parameter: Parameter, within: tuple[float, float]) -> None:
-    """Raise unless the bounds lie where the law has a meaning."""
+    """Raise unless the bounds lie where the law is meaningful."""
     low, high = within
     for bound in map(float, (parameter.lower, parameter.upper)):
         if not low < bound < high:

@@ -1,4 +1,4 @@
-"""What is wrong with a project file, in words: the key, what it needs, a near one."""
+"""Errors of a project file in words: the key, what it needs, the closest match."""
 
 import contextlib
 import re
@@ -34,7 +34,7 @@ class ProjectError(ValueError):
 
 
 def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
-    """The error that lists problems of a file, one per line."""
+    """Build the error that lists the problems of a file, one per line."""
     problems = list(dict.fromkeys(problems))
     if len(problems) == 1:
         return ProjectError(f"{path}: {problems[0]}")
@@ -43,22 +43,22 @@ def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
 
 
 class WrongKeyError(ValueError):
-    """Something that is wrong at a key of a file.
+    """Something is wrong at a key of a file.
 
     Attributes:
-        key: The key, from where it was looked at.
+        key: The key, relative to the table being read.
         problem: What is wrong.
     """
 
     def __init__(self, key: str, problem: object):
-        """The error of a problem at a key."""
+        """Join key and problem in the message."""
         super().__init__(f"{key}: {problem}")
         self.key, self.problem = key, problem
 
 
 @contextlib.contextmanager
 def under(key: str) -> Iterator[None]:
-    """Puts a key in front of what goes wrong inside, and of keys there."""
+    """Prefix errors raised inside, and their keys, with a key."""
     try:
         yield
     except ProjectError:
@@ -71,7 +71,7 @@ def under(key: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def in_file(path: Path) -> Iterator[None]:
-    """Puts a file in front of the key at which something goes wrong inside."""
+    """Turn key errors raised inside into errors of a file."""
     try:
         yield
     except WrongKeyError as error:
@@ -80,7 +80,7 @@ def in_file(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def at(path: Path, key: str) -> Iterator[None]:
-    """Puts file and key in front of what goes wrong inside."""
+    """Prefix errors raised inside with a file and a key."""
     with in_file(path), under(key):
         yield
 
@@ -88,12 +88,12 @@ def at(path: Path, key: str) -> Iterator[None]:
 def describe(
     error: ValidationError, schema: type[BaseModel], raw: dict[str, Any]
 ) -> list[str]:
-    """One message for each thing that pydantic found.
+    """Write one message for each problem that pydantic found.
 
     Args:
-        error: What pydantic raised.
+        error: The error of pydantic.
         schema: Model of the whole file.
-        raw: The file as it was read, with [shared] still apart.
+        raw: The file as it was read, before [shared] is merged.
 
     Returns:
         Messages that start with the path of a key.
@@ -132,14 +132,14 @@ def _message(
 
 
 def one_of(value: str, known: Iterable[str]) -> str:
-    """The choices that there are instead of a value, and the near one."""
+    """List the known choices, and suggest the one closest to a value."""
     known = list(known)
     listed = ", ".join(f'"{name}"' for name in known)
     return f"one of {listed}.{suggestion(value, known)}"
 
 
 def _belonging(key: str, place: "_Place") -> str | None:
-    """Whose key it is, if another kind of table has it."""
+    """Say which other kinds of table have a key; None if there are none."""
     owners = [_choice(k, place.kinds) for k in place.kinds if key in k.model_fields]
     if owners:
         has = ", ".join(k for k in place.table.model_fields if k != "type")
@@ -157,7 +157,7 @@ def _type_of(kind: type[BaseModel]) -> str:
 
 
 def _choice(kind: type[BaseModel], kinds: tuple[type[BaseModel], ...]) -> str:
-    """How a file chooses one of several kinds of tables."""
+    """Describe how a file chooses one of several kinds of tables."""
     if "type" in kind.model_fields:
         return f'type = "{_type_of(kind)}"'
     return " and ".join(own_keys(kinds)[kinds.index(kind)])
@@ -180,23 +180,23 @@ def _wrong_value(details: ErrorDetails) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value as a project file writes it."""
+    """Format a value as a project file writes it."""
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """The near one in a sentence, quoted as project files quote."""
+    """Suggest the closest known name, in the quotes of project files."""
     return _names.suggestion(name, known, quote='"')
 
 
 def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
-    """Checks that a table of the file has a name.
+    """Check that a name is among the known ones.
 
     Args:
         kind: What it is, for messages.
         name: The name.
-        known: Names that are there.
-        section: Table of the file that has them.
+        known: The known names.
+        section: Table of the file that defines them.
 
     Raises:
         ValueError: If it is not among them.
@@ -216,7 +216,7 @@ def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None
 
 
 def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
-    """Dotted path; an entry of a list is called by its name, or counted from 1."""
+    """Join keys to a path; an entry of a list goes by its name, or counts from 1."""
     posed = keys[:1] in (("configurations",), ("candidates",))
     if posed and len(keys) > 2 and not _has(raw, keys):
         if _has(raw, ("shared", *keys[2:])):
@@ -251,9 +251,9 @@ class _Place(NamedTuple):
     """Where in a file something is wrong.
 
     Attributes:
-        keys: Keys that lead there, without the tags that pydantic tells unions by.
-        table: The table that has the last key, or should have it.
-        kinds: The kinds of tables that it is one of, or could be; empty for no union.
+        keys: Keys that lead there, without the tags of pydantic's unions.
+        table: The table that has, or should have, the last key.
+        kinds: All kinds that this table could be; empty if it is not one of a union.
     """
 
     keys: tuple[str | int, ...]
@@ -278,7 +278,7 @@ def _place(schema: type[BaseModel], loc: tuple[str | int, ...]) -> _Place:
 
 
 def _inside(annotation: Any, step: str | int) -> Any:
-    """The annotation of a key of a table, or of what a list or dictionary holds."""
+    """Return the annotation of a key of a table, or of the items of a collection."""
     if _is_table(annotation):
         field = annotation.model_fields.get(str(step))
         return field.annotation if field else None
@@ -287,7 +287,7 @@ def _inside(annotation: Any, step: str | int) -> Any:
 
 
 def _bare(annotation: Any) -> Any:
-    """An annotation without its options, and without None."""
+    """Strip an annotation of its metadata and of None."""
     parts = [a for a in get_args(annotation) if a is not type(None)]
     if typing.get_origin(annotation) is typing.Annotated:
         return _bare(parts[0])
@@ -297,7 +297,7 @@ def _bare(annotation: Any) -> Any:
 
 
 def _arms(annotation: Any) -> dict[str, Any]:
-    """The parts of a union by the tags that pydantic has for them; empty for others."""
+    """Return the members of a union by pydantic's tags; empty for anything else."""
     annotation = _bare(annotation)
     union = typing.get_origin(annotation) in _UNIONS
     return {_tag(a): _bare(a) for a in get_args(annotation)} if union else {}

@@ -1,4 +1,4 @@
-"""A calibration as one file: read, checked as a whole, ready to run."""
+"""A project: a file that was read and checked, ready to run."""
 
 import dataclasses
 import os
@@ -45,21 +45,21 @@ class Project(eqx.Module):
 
     Attributes:
         name: Name of the project.
-        path: The file it came from.
-        files: That file, and those that it names: the mesh, measurements.
-        model: The body, with the start values of the parameters.
-        space: What is calibrated; None for a file without parameters.
+        path: The project file.
+        files: That file and those that it names (mesh, measurements).
+        model: The model, with the start values of the parameters.
+        space: The parameters; None for a file without parameters.
         calibration: Configurations that are fitted.
         validation: Configurations that are only predicted.
         candidates: Configurations that might be measured, see `rank_candidates`.
         noise: Where the noise comes from: "estimated" or "stated".
-        starts: From how many starts the optimum is looked for.
-        seed: Seed of the random ones.
+        starts: Number of starts.
+        seed: Seed of the random starts.
         intervals: Level of the intervals by profile likelihood; None for none [-].
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
-        registrations: How each camera frame was placed, by configuration; `rms` of
-            each says how well.
+        registrations: Registrations of the camera frames by configuration, with the
+            `rms` that each leaves.
     """
 
     name: str
@@ -85,15 +85,15 @@ class Project(eqx.Module):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The unknowns one by one; empty for a file without parameters."""
+        """All parameters; empty for a file without any."""
         return () if self.space is None else self.space.parameters
 
     def check_calibration(self) -> None:
-        """Checks that there is something to calibrate, and data to do it with.
+        """Check that there are parameters to calibrate and data to fit.
 
         Raises:
             ProjectError: If parameters, fitted configurations or measurements are
-                missing, which a simulation does not need.
+                missing.
         """
         problems = []
         if self.space is None:
@@ -119,17 +119,17 @@ class Project(eqx.Module):
         progress: Callable[[HistoryEntry], None] | None = None,
         search_progress: Callable[[SearchProgress], None] | None = None,
     ) -> CalibrationResult:
-        """Finds the parameters, then predicts the validation configurations.
+        """Find the parameters, then predict the validation configurations.
 
         Args:
             start: Scaled parameters to start from, instead of those of the file [-].
-            checkpoint: File that the state is kept in, and gone on from.
+            checkpoint: File in which the state is kept, and from which it is resumed.
             progress: Called after the first evaluation and after each step.
-            search_progress: Called when a run of a search from many starts has ended.
+            search_progress: Called after each run of a search from many starts.
 
         Returns:
             The result; `result.converged` says whether lambda_p vanished. Its notes
-            hold how well the camera frames were registered.
+            say how well the camera frames were registered.
 
         Raises:
             ProjectError: If there is nothing to calibrate.
@@ -163,10 +163,10 @@ class Project(eqx.Module):
         return dataclasses.replace(result, notes=(*result.notes, note))
 
     def with_intervals(self, result: CalibrationResult) -> CalibrationResult:
-        """The result with the intervals that the file asks for; a note says if not.
+        """Add the intervals that the file asks for, or a note on why there are none.
 
         Args:
-            result: What `calibrate` returned.
+            result: Result of `calibrate`.
         """
         if self.intervals is None or not result.converged:
             return result
@@ -178,10 +178,10 @@ class Project(eqx.Module):
         return dataclasses.replace(result, intervals=found)
 
     def check_identify(self) -> None:
-        """Checks that there is something to judge; nothing need be measured.
+        """Check that there is something to judge; nothing need be measured.
 
         Raises:
-            ProjectError: If parameters, poses or effectors are missing.
+            ProjectError: If parameters, configurations or effectors are missing.
         """
         problems = []
         if self.space is None:
@@ -200,14 +200,14 @@ class Project(eqx.Module):
             raise one_by_one(self.path, problems)
 
     def identify(self) -> Identifiability:
-        """What the calibration configurations would tell, measured or not.
+        """Judge what the calibration configurations would tell, measured or not.
 
         Returns:
             The verdict at the start values, with the stated noise of markers and other
             effectors.
 
         Raises:
-            ProjectError: If there are no parameters, poses or markers.
+            ProjectError: If there are no parameters, configurations or markers.
             RuntimeError: If a configuration has no equilibrium; the text names it.
         """
         self.check_identify()
@@ -215,7 +215,7 @@ class Project(eqx.Module):
         return identify(self.model, self.space, self.calibration, newton=self.newton)
 
     def rank_candidates(self) -> Ranking:
-        """What each candidate would add to the calibration configurations.
+        """Rank the candidates by what they add to the calibration configurations.
 
         Returns:
             The candidates, the best first.
@@ -239,14 +239,14 @@ class Project(eqx.Module):
         )
 
     def simulate(self) -> EquilibriumSolution:
-        """Equilibria of all configurations with the start values.
+        """Solve the equilibria of all configurations at the start values.
 
         Returns:
             One lane per configuration, in the order of `configurations`;
             `check_converged` raises where one has no equilibrium.
 
         Raises:
-            ProjectError: If there is none.
+            ProjectError: If there are no configurations.
         """
         if not self.configurations:
             raise ProjectError(
@@ -266,8 +266,8 @@ def _simulate(model, lanes, newton):
     if model.mechanism.bodies.n_bodies == 0:
         return jax.vmap(solve, (0, None))(lanes, rest)
 
-    # Each from the one before: the poses of a robot with rigid bodies lie near each
-    # other, and far from its parts before they were mounted.
+    # Start each from the previous one: the states of a robot with rigid bodies lie near
+    # each other, and far from its parts before they are mounted.
     def follow(u, lane):
         found = solve(lane, u)
         return jnp.where(found.converged, found.displacement, u), found

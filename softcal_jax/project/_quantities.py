@@ -1,4 +1,4 @@
-"""Numbers with units, as a project file writes them: "200 kPa", "(0, 0, -1) N"."""
+"""Parse quantities of a project file, like "200 kPa" and "(0, 0, -1) N"."""
 
 import functools
 import math
@@ -13,13 +13,13 @@ from softcal_jax._names import METRES, suggestion
 
 
 class Dimension(NamedTuple):
-    """What a quantity measures.
+    """Physical dimension of a quantity.
 
     Attributes:
         name: Its name in messages, with the article.
-        si: Unit of the number that comes out.
+        si: SI unit of the parsed number.
         example: A value as a user would write it.
-        usual: Units that are suggested for a misspelt one.
+        usual: Units to suggest for a misspelt one.
     """
 
     name: str
@@ -57,21 +57,21 @@ OF_UNIT = {
     "kg/m3": DENSITY,
     "N/m3": BEDDING,
 }
-"""What is measured in an SI unit, as laws, actuators and effectors name it."""
+"""Dimension of each SI unit, as laws, actuators and effectors name it."""
 
 
 def dimension_of(unit: str) -> Dimension:
-    """What is measured in an SI unit; one that is not listed goes by its own name."""
+    """Return the dimension of an SI unit; unlisted units make one of their own."""
     own = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}", (unit,))
     return OF_UNIT.get(unit, own)
 
 
-# To pint an angle is a plain number, so it would take "20 %" for one.
+# pint treats angles as plain numbers, so it would accept "20 %" as an angle.
 _ANGLES = ("degree", "radian", "milliradian", "turn")
 
 _NUMBER = r"[+-]?(?:inf|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
 _NAME = r"[A-Za-zµμ°%]+(?:(?:\^|\*\*)?-?\d+|[²³])?"
-# Products and quotients of named units; nothing else reaches pint's own parser.
+# Only products and quotients of named units reach pint's own parser.
 _UNIT = re.compile(rf"{_NAME}(?:\s*[*/·]\s*{_NAME})*")
 _SCALAR = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 _VECTOR = re.compile(r"\s*[(\[](.*)[)\]]\s*(.*?)\s*")
@@ -79,7 +79,7 @@ _VECTOR = re.compile(r"\s*[(\[](.*)[)\]]\s*(.*?)\s*")
 
 @functools.cache
 def _registry() -> pint.UnitRegistry:
-    # Not at import: pint takes a tenth of a second to read its definitions.
+    # Built on first use: pint takes a tenth of a second to read its definitions.
     return pint.UnitRegistry()
 
 
@@ -88,13 +88,13 @@ def _wrong(problem: str, **context: Any) -> PydanticCustomError:
 
 
 def _spelt(unit: str) -> str:
-    """A unit as pint reads it: people write "m3" for "m^3"."""
+    """Spell a unit as pint reads it: people write "m3" for "m^3"."""
     return re.sub(r"(?<=[A-Za-zµμ])(-?\d)", r"^\1", unit).replace("·", "*")
 
 
 @functools.cache
 def unit_factor(unit: str, dimension: Dimension) -> float:
-    """Value of one `unit` in SI.
+    """Compute the value of one `unit` in SI.
 
     Raises:
         PydanticCustomError: If the unit is unknown or measures something else.
@@ -131,14 +131,14 @@ def _shown(value: Any) -> str:
 
 
 def parse_scalar(value: Any, dimension: Dimension) -> float:
-    """A quantity like "200 kPa" in SI units.
+    """Parse a quantity like "200 kPa" into SI units.
 
     Args:
-        value: What the file holds.
-        dimension: What it must measure.
+        value: The value in the file.
+        dimension: Its dimension.
 
     Raises:
-        PydanticCustomError: If it is no such quantity; the text says how to write one.
+        PydanticCustomError: If it is not such a quantity; the text shows an example.
     """
     match = _SCALAR.fullmatch(value) if isinstance(value, str) else None
     if match is None or not match[2]:
@@ -151,14 +151,14 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
 
 
 def parse_in_si(value: Any, unit: str) -> float:
-    """A value as a project file writes it, in SI.
+    """Parse a value of a project file into SI.
 
     Args:
         value: "200 kPa", or a plain number where there is no unit.
-        unit: SI unit of what it is a value of.
+        unit: SI unit; empty for a plain number.
 
     Raises:
-        ValueError: If it is no such value; the text says how to write one.
+        ValueError: If it is not such a value; the text shows an example.
     """
     if unit:
         try:
@@ -173,15 +173,15 @@ def parse_in_si(value: Any, unit: str) -> float:
 def parse_either(
     value: Any, dimensions: Sequence[Dimension], what: str
 ) -> tuple[float, Dimension]:
-    """A quantity of one of several dimensions, and which; in SI units.
+    """Parse a quantity of one of several dimensions into SI, and tell which it is.
 
     Args:
-        value: What the file holds.
-        dimensions: What it may measure.
+        value: The value in the file.
+        dimensions: Possible dimensions.
         what: What is expected, for messages.
 
     Raises:
-        PydanticCustomError: If it measures something else.
+        PydanticCustomError: If it has none of the dimensions.
     """
     for dimension in dimensions:
         try:
@@ -196,14 +196,14 @@ def _is_whole(value: Any) -> bool:
 
 
 def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]:
-    """Three quantities in SI: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"].
+    """Parse three quantities: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"].
 
     Args:
-        value: What the file holds.
-        dimension: What each must measure.
+        value: The value in the file.
+        dimension: Dimension of each component.
 
     Raises:
-        PydanticCustomError: If it is no such vector; the text says how to write one.
+        PydanticCustomError: If it is not such a vector; the text shows an example.
     """
     unit = dimension.example.split()[-1]
     example = f'"(0, 0, -1) {unit}"'
@@ -238,17 +238,17 @@ def _vector_of_text(value: str, dimension: Dimension, expected: str) -> list[flo
 
 
 def scalar(dimension: Dimension) -> Callable[[Any], float]:
-    """Reader of quantities of one dimension."""
+    """Return a parser of quantities of one dimension."""
     return functools.partial(parse_scalar, dimension=dimension)
 
 
 def vector(dimension: Dimension) -> Callable[[Any], tuple[float, float, float]]:
-    """Reader of vectors of one dimension."""
+    """Return a parser of vectors of one dimension."""
     return functools.partial(parse_vector, dimension=dimension)
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:
-    """A unit vector from "-z" or [0, 0, -1].
+    """Parse a unit vector from "-z" or [0, 0, -1].
 
     Raises:
         ValueError: If it has no direction.

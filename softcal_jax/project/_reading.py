@@ -1,4 +1,4 @@
-"""From a file on the disk to its tables, and everything that is wrong in them."""
+"""Read files into tables, and report everything that is wrong in them."""
 
 import tomllib
 from collections.abc import Mapping
@@ -24,19 +24,19 @@ _OF_CONFIGURATIONS = tuple(
     for key in ConfigurationTable.model_fields
     if key not in CandidateTable.model_fields
 )
-"""Keys of [shared] that candidates do not take over."""
+"""Keys of [shared] that do not apply to candidates."""
 
 
 def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:
-    """The file as tables, with [shared] merged into each configuration.
+    """Read a project file into tables, with [shared] merged into each configuration.
 
     Args:
         path: The file.
-        changes: Values that take the place of those in the file, see `with_changes`.
+        changes: Values that replace those of the file, see `with_changes`.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ProjectError: If it is no TOML, or keys or values in it are wrong.
+        ProjectError: If it is not TOML, or keys or values in it are wrong.
     """
     raw = with_changes(path, read_toml(path, "project file"), changes or {})
     shared = raw.get("shared", {})
@@ -65,7 +65,7 @@ T = TypeVar("T", bound=BaseModel)
 
 
 def read_schema(path: Path, schema: type[T], what: str) -> T:
-    """Another file that is written as project files are.
+    """Read another kind of file that is written like a project file.
 
     Args:
         path: A TOML file.
@@ -74,7 +74,7 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ProjectError: If it is no TOML, or keys or values in it are wrong.
+        ProjectError: If it is not TOML, or keys or values in it are wrong.
     """
     raw = read_toml(path, what)
     try:
@@ -84,7 +84,7 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """A TOML file as it stands.
+    """Read a TOML file, unchecked.
 
     Args:
         path: The file.
@@ -92,7 +92,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ProjectError: If it is a folder, or no TOML.
+        ProjectError: If it is a folder, or not TOML.
     """
     if not path.exists():
         raise FileNotFoundError(f"{what} {path} does not exist.")
@@ -106,7 +106,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def _with_shared(raw: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:
-    """The file with [shared] merged into every configuration and candidate."""
+    """Merge [shared] into every configuration and candidate."""
     merged = {key: value for key, value in raw.items() if key != "shared"}
     common = {key: v for key, v in shared.items() if key not in _OF_CONFIGURATIONS}
     for key, base in (("configurations", shared), ("candidates", common)):
@@ -115,12 +115,12 @@ def _with_shared(raw: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:
                 _merged(base, own) if isinstance(own, dict) else own for own in raw[key]
             ]
     for own in _tables(merged, "candidates"):
-        own.pop("measured", None)  # `_measured_candidates` says it in better words
+        own.pop("measured", None)  # `_measured_candidates` has a better message
     return merged
 
 
 def _shared_problems(shared: Any) -> list[str]:
-    """What does not belong into [shared]; its values are judged where they land."""
+    """List unknown keys of [shared]; its values are checked once they are merged."""
     if not isinstance(shared, dict):
         return [f"shared: got {shared!r}; expected a table [shared]."]
     known = [key for key in ConfigurationTable.model_fields if key != "name"]
@@ -149,7 +149,7 @@ def _measured_candidates(raw: dict[str, Any]) -> list[str]:
 
 
 def _merged(shared: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """The own table on top of the shared one; tables in both are merged alike."""
+    """Merge a table over the shared one, recursively where both have a table."""
     out = dict(shared)
     for key, value in own.items():
         both = isinstance(value, dict) and isinstance(out.get(key), dict)

@@ -1,6 +1,6 @@
-"""The whole project file as one table; its parts stand in the files beside this one.
+"""The schema of a whole project file; its parts are in the other modules.
 
-The description of each key is also what a message says about it when it is missing.
+The description of a key is also the text of the message if the key is missing.
 """
 
 from typing import Any, Generic, Literal, TypeVar
@@ -27,7 +27,7 @@ M = TypeVar("M", bound=Material)
 
 
 class SettingsTable(Table):
-    """Settings of the calibration; what is left out keeps its default."""
+    """Settings of the calibration; missing ones keep their defaults."""
 
     noise: Literal["estimated", "stated"] = "estimated"
     tol: Number | None = None
@@ -56,7 +56,7 @@ class SettingsTable(Table):
 
 
 class NewtonTable(Table):
-    """Settings of the equilibrium; what is left out keeps its default.
+    """Settings of the equilibrium; missing ones keep their defaults.
 
     Attributes:
         solver: Sparse solver of its linear systems, see `build_model`.
@@ -77,7 +77,7 @@ class NewtonTable(Table):
 
 
 class ProjectTable(Table, Generic[M]):
-    """A whole project file, whose law has a table of its own."""
+    """A whole project file, with the schema of its law as parameter."""
 
     name: str = Field(description="name of the project")
     mesh: MeshTable = Field(description="a table [mesh]")

@@ -1,4 +1,4 @@
-"""The keys of a project file that say where 6-D sensors are, and what they read."""
+"""Tables of a project file for the places and readings of 6-D sensors."""
 
 from pathlib import Path
 from typing import Literal
@@ -27,15 +27,15 @@ from softcal_jax.project._table import (
 )
 
 Selection = dict[str, str]
-"""Columns of a file of readings and the values that its rows must have."""
+"""Values that the selected rows of a file of readings have, by column."""
 
 
 _UNIT_LENGTH = 1e-3
-"""How far a quaternion may be from unit length: beyond what four digits round."""
+"""Tolerance on the length of a quaternion, above the rounding of four digits."""
 
 
 class OrientationTable(Table):
-    """Which way axes point: angles as trackers have them, or another form."""
+    """An orientation: the angles of a tracker, a quaternion or a rotation vector."""
 
     azimuth: Angle | None = None
     elevation: Angle | None = None
@@ -45,7 +45,7 @@ class OrientationTable(Table):
 
     @property
     def forms(self) -> tuple[str, ...]:
-        """The keys of the forms that are given."""
+        """One key for each form that is given."""
         angles = ("azimuth", "elevation", "roll")
         found = [key for key in angles if getattr(self, key) is not None]
         others = [
@@ -66,7 +66,7 @@ class OrientationTable(Table):
 
     @property
     def rotation(self) -> Float[HostArray, "3 3"]:
-        """Rotation matrix, from the axes of the frame to those it is given in [-].
+        """Rotation matrix from the frame's own axes to those it is given in [-].
 
         The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll).
 
@@ -89,18 +89,18 @@ class OrientationTable(Table):
 
 
 class FrameTable(OrientationTable):
-    """Where a frame stands, in the frame of the mesh."""
+    """Position and orientation of a frame, in the frame of the mesh."""
 
     position: Position = (0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Pose:
-        """The frame as an object: from its coordinates to those it is given in."""
+        """Transformation from the frame's coordinates to those it is given in."""
         return Pose.from_matrix(self.rotation, np.array(self.position))
 
 
 class MeasuredPoseTable(OrientationTable):
-    """The pose of a 6-D sensor: written here, or in a file of readings."""
+    """The pose of a 6-D sensor, written out or read from a file."""
 
     position: Position | None = None
     file: str | None = None
@@ -154,16 +154,16 @@ class MeasuredPoseTable(OrientationTable):
         mounted: OrientationTable,
         rest: Float[HostArray, "3"],
     ) -> Pose:
-        """Motion of a rigid body from rest, by the pose of the sensor on it.
+        """Compute the motion of a rigid body from the pose of the sensor on it.
 
-        With `displacement_from`, the motion between the two readings, so that where
-        exactly the sensor was glued does not matter.
+        It is the motion from rest, or with `displacement_from` between two readings, so
+        that it does not matter exactly where the sensor was glued.
 
         Args:
-            folder: Where relative paths begin.
-            base: Where the base of the tracker stands.
+            folder: Folder that relative paths start from.
+            base: Frame of the tracker's base.
             mounted: Orientation of the sensor on the mesh at rest.
-            rest: Where it is then [m].
+            rest: Position of the sensor at rest [m].
 
         Returns:
             Translation of the point `rest` [m], and rotation.
@@ -181,7 +181,7 @@ class MeasuredPoseTable(OrientationTable):
     def _mean(
         self, folder: Path, base: FrameTable, select: Selection
     ) -> tuple[Float[HostArray, "3"], Float[HostArray, "3 3"]]:
-        """Mean position [m] and axes of the selected readings, in the mesh's frame."""
+        """Average position [m] and axes of selected readings, in the mesh's frame."""
         readings = in_frame(self._readings(folder, select), base=base.pose)
         names = list(dict.fromkeys(readings.names))
         if self.sensor is None and len(names) > 1:

@@ -1,7 +1,7 @@
 """The kinds of [[setup]]: what is calibrated beside the material.
 
-A new kind is one table here, with the key that tells it from the others and what it
-makes, and one line in `AnySetup`.
+To add a kind, write one table with a key of its own and a `build`, and list it in
+`AnySetup`.
 """
 
 from abc import abstractmethod
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 
 class SetupTable(Table):
-    """Something of the setup that is known up to a limit.
+    """An error of the setup that is known up to a limit.
 
     Attributes:
         label: Its key.
-        measures: What `limit` and `prior_std` measure; None for plain numbers.
+        measures: Dimension of `limit` and `prior_std`; None for plain numbers.
     """
 
     label: ClassVar[str]
@@ -59,18 +59,18 @@ class SetupTable(Table):
 
     @abstractmethod
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """The parameters.
+        """Build the parameters.
 
         Args:
-            project: The whole file, which has what they are about.
+            project: The whole file.
 
         Raises:
-            ValueError: If what they are about is unknown.
+            ValueError: If something that they refer to is unknown.
         """
 
 
 class MotorZeroTable(SetupTable):
-    """What motors add to their angles."""
+    """Zero errors of motors."""
 
     label = "motor_zero"
     measures = ANGLE
@@ -78,7 +78,7 @@ class MotorZeroTable(SetupTable):
     motor_zero: Names
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """One parameter per motor."""
+        """Build one parameter per motor."""
         motors = [k for k, own in project.actuators.items() if own.type == "motor"]
         for motor in self.motor_zero:
             known_name("motor", motor, motors, "actuators")
@@ -87,7 +87,7 @@ class MotorZeroTable(SetupTable):
 
 
 class MountingTable(SetupTable):
-    """How far rigid bodies are mounted from where they should be."""
+    """Translations of rigid bodies from where they should be mounted."""
 
     label = "mounting"
     measures = LENGTH
@@ -95,7 +95,7 @@ class MountingTable(SetupTable):
     mounting: Names
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Three parameters per body."""
+        """Build three parameters per body."""
         entries: list[Entry] = []
         for body in self.mounting:
             known_name("rigid body", body, project.bodies, "bodies")
@@ -106,12 +106,12 @@ class MountingTable(SetupTable):
 
 
 class ScopedTable(SetupTable):
-    """Something that all configurations share, or that each has of its own."""
+    """An error that all configurations share, or of which each has its own."""
 
     each: Literal["configuration", "recording"] | tuple[str, ...] | None = None
 
     def scope(self, project: "ProjectTable") -> dict[str, Any]:
-        """Whose it is, as the functions of `fields` take it.
+        """Return the scope, as arguments of the functions of `fields`.
 
         Raises:
             ValueError: If a recording is unknown.
@@ -130,7 +130,7 @@ class ScopedTable(SetupTable):
 
 
 class GravityTiltTable(ScopedTable):
-    """Two angles by which the direction of gravity is off."""
+    """Two error angles of the direction of gravity."""
 
     label = "gravity_tilt"
     measures = ANGLE
@@ -138,13 +138,13 @@ class GravityTiltTable(ScopedTable):
     gravity_tilt: Literal[True]
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Two parameters, for all or for each recording."""
+        """Build two parameters, for all or for each recording."""
         known = {"limit": self.limit, "prior_std": self.prior_std}
         return gravity_tilt(**known, **self.scope(project))
 
 
 class RecordingOffsetTable(ScopedTable):
-    """How far the frame of a recording, or the base of a tracker, is off."""
+    """Offset of the frame of a recording, or of the base of a tracker."""
 
     label = "recording_offset"
     measures = LENGTH
@@ -154,7 +154,7 @@ class RecordingOffsetTable(ScopedTable):
     turn_prior_std: Angle | None = None
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Three parameters, six if it may turn, for all or for each recording."""
+        """Build three parameters, six with turns, for all or for each recording."""
         return recording_offset(
             limit=self.limit,
             prior_std=self.prior_std,
@@ -165,13 +165,13 @@ class RecordingOffsetTable(ScopedTable):
 
 
 class FactorTable(ScopedTable):
-    """A factor: `limit` is the largest, `prior_std` relative."""
+    """A factor: `limit` is its largest value, `prior_std` is relative."""
 
     measures = None
     limit: float = 2.0
 
     def known(self, project: "ProjectTable") -> dict[str, Any]:
-        """What is known of it, and whose it is."""
+        """Return limit, prior and scope, as arguments of the functions of `fields`."""
         own = {"limit": self.limit, "prior_std": self.prior_std}
         return own | self.scope(project)
 
@@ -184,7 +184,7 @@ class LoadFactorTable(FactorTable):
     load_factor: Literal[True]
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """One parameter, for all or for each recording."""
+        """Build one parameter, for all or for each recording."""
         return [load_factor(**self.known(project))]
 
 
@@ -196,7 +196,7 @@ class ActuatorFactorTable(FactorTable):
     actuator_factor: Names
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """One parameter per actuator, for all or for each recording."""
+        """Build one parameter per actuator, for all or for each recording."""
         for name in self.actuator_factor:
             known_name("actuator", name, project.actuators, "actuators")
         known = self.known(project)
@@ -204,7 +204,7 @@ class ActuatorFactorTable(FactorTable):
 
 
 class ClampStiffnessTable(FactorTable):
-    """The stiffness of elastic supports: `limit` is a factor, `prior_std` relative."""
+    """Stiffness of elastic supports; `limit` is a factor, `prior_std` is relative."""
 
     label = "clamp_stiffness"
     limit: float = 1e3
@@ -212,7 +212,7 @@ class ClampStiffnessTable(FactorTable):
     clamp_stiffness: Names
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """One parameter per group, for all or for each recording."""
+        """Build one parameter per group, for all or for each recording."""
         nominal: dict[str, float] = {}
         for c in project.configurations:
             for own in c.supports:
@@ -230,7 +230,7 @@ class ClampStiffnessTable(FactorTable):
 
 
 class FrictionTable(SetupTable):
-    """Coefficients of friction of cables."""
+    """Friction coefficients of cables."""
 
     label = "friction"
     measures = None
@@ -238,7 +238,7 @@ class FrictionTable(SetupTable):
     friction: Names
 
     def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """One parameter per cable."""
+        """Build one parameter per cable."""
         nominal = {
             name: own.friction
             for name, own in project.actuators.items()

@@ -1,7 +1,4 @@
-"""What all tables of a project file share; values come out in SI units.
-
-The description of each key is also what a message says about it when it is missing.
-"""
+"""What all tables of a project file share; parsed values are in SI units."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, get_args
@@ -53,18 +50,18 @@ Names = Annotated[
 
 
 class Table(BaseModel):
-    """A table of the file; a key that it does not know is an error."""
+    """A table of the file; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @classmethod
     def foreign(cls, key: str) -> str | None:
-        """What a message says of a key that belongs elsewhere; None if to nothing."""
+        """Say where an unknown key belongs, for a message; None if nowhere."""
         del key
 
 
 class Maker(Table):
-    """A table of an object; its keys beside `type` are the arguments, in their order.
+    """A table that makes an object; its keys except `type` are the arguments in order.
 
     Attributes:
         makes: The class of the object.
@@ -73,27 +70,27 @@ class Maker(Table):
     makes: ClassVar[type[Any]]
 
     def build(self, *first: Any) -> Any:
-        """The object.
+        """Build the object.
 
         Args:
-            first: Arguments in front of those in the table, like a name.
+            first: Arguments before those of the table, like a name.
         """
         keys = [key for key in type(self).model_fields if key != "type"]
         return self.makes(*first, *(getattr(self, key) for key in keys))
 
 
 class ByKeys:
-    """Marks a union of tables that are told apart by the keys that they need.
+    """Mark a union of tables that are distinguished by their required keys.
 
-    A table of the file is taken for the one most of whose own keys it has, and of
-    these for one that has all; where that leaves several, the error lists the choices.
-    A union of tables with a `type` needs `Field(discriminator="type")` instead.
+    The kind with most of its own keys present is chosen, and among equals one with all
+    of them; if several remain, the error lists the choices. Tables with a `type` use
+    `Field(discriminator="type")` instead.
     """
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """The union, with an error of its own where no table or several fit."""
+        """Build the union, with a clear error where no table or several fit."""
         kinds = get_args(source)
         own = dict(zip([k.__name__ for k in kinds], own_keys(kinds), strict=True))
 
@@ -120,7 +117,7 @@ class ByKeys:
 
 
 def own_keys(kinds: Sequence[type[BaseModel]]) -> list[list[str]]:
-    """Keys that each of some tables needs, without those that all have."""
+    """Return the required keys of each table, without those that all have."""
     needed = [
         [key for key, field in kind.model_fields.items() if field.is_required()]
         for kind in kinds
@@ -130,5 +127,5 @@ def own_keys(kinds: Sequence[type[BaseModel]]) -> list[list[str]]:
 
 
 def table_or_vector(value: Any) -> str:
-    """Tag of a value that is a table or else a list or text."""
+    """Tag a value as a table, or else as a list or text."""
     return "(table)" if isinstance(value, dict) else "(vector)"

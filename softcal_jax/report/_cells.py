@@ -1,4 +1,4 @@
-"""Tables and cells of the terminal."""
+"""Tables and cells for the terminal."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ _LEFT = ("role", "actuator", "rigid body", "state", "of", "effector")
 
 
 def start_table(title: str, first: str, columns: Sequence[str]) -> "rich.table.Table":
-    """A table whose columns of figures are aligned on the right."""
+    """Start a table whose columns of numbers are aligned on the right."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold")
@@ -21,13 +21,13 @@ def start_table(title: str, first: str, columns: Sequence[str]) -> "rich.table.T
 
 
 def plain_text(text: str, style: str = "") -> Any:
-    """Text as it stands: a name like "[a]" is no markup."""
+    """Make literal text, so that a name like "[a]" is not read as markup."""
     from rich.text import Text
 
     return Text(text, style=style)
 
 
 def add_row(table: "rich.table.Table", *cells: str | tuple[str, str]) -> None:
-    """Add cells to a table as they stand, some with a style: (text, style)."""
+    """Add a row of literal texts to a table, some with a style: (text, style)."""
     pairs = [(cell,) if isinstance(cell, str) else cell for cell in cells]
     table.add_row(*(plain_text(*pair) for pair in pairs))

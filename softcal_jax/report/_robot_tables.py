@@ -1,4 +1,4 @@
-"""Actuators, rigid bodies, reactions and effectors as tables for a terminal."""
+"""Tables of actuators, rigid bodies, reactions and effectors for a terminal."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ Configurations = Sequence[ConfigurationResult]
 
 
 def robot_tables(configurations: Configurations) -> list["rich.table.Table"]:
-    """What actuators, rigid bodies and the ground do; nothing for a body without them.
+    """Tabulate actuators, rigid bodies and reactions; no table for what is missing.
 
     Args:
         configurations: Those of a calibration or a simulation.
@@ -51,13 +51,13 @@ def robot_tables(configurations: Configurations) -> list["rich.table.Table"]:
 
 
 def effector_table(configurations: Configurations) -> list["rich.table.Table"]:
-    """Effectors that are no points: measured, before and after, or simulated.
+    """Tabulate effectors that are not points: measured, before, after, or simulated.
 
     Args:
         configurations: Those of a calibration or a simulation.
 
     Returns:
-        One table, or none where there are no such effectors.
+        One table, or none if there are no such effectors.
     """
     fitted = any(result.role != "simulation" for result in configurations)
     columns = ["measured", "before", "after"] if fitted else ["simulated"]
@@ -65,7 +65,7 @@ def effector_table(configurations: Configurations) -> list["rich.table.Table"]:
     for result in configurations:
         for own in result.others:
             if own.is_turn and fitted:
-                continue  # they have a table of their own, since errors are what counts
+                continue  # another table shows the errors of turns
             values = [own.measured, own.simulated_before, own.simulated]
             cells = [_cell(own, value) for value in values[-len(columns) :]]
             name = f"{own.name}{' (turn)' if own.is_turn else ''}"

@@ -1,4 +1,4 @@
-"""Results as tables for a terminal, printed by `rich`."""
+"""Tables of results for a terminal, to be printed by `rich`."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import rich.table
 
 MOST_DIRECTIONS = 6
-"""Blind directions that are listed; more are counted."""
+"""Most blind directions that are listed; the others are only counted."""
 
 _STYLE = {
     "identifiable": "green",
@@ -32,11 +32,11 @@ _STYLE = {
 def summary_table(
     result: CalibrationResult, assessment: Assessment | None = None
 ) -> "rich.console.Group":
-    """A calibration as tables for the terminal, to be printed by `rich`.
+    """Tabulate a calibration for the terminal.
 
     Args:
         result: The calibration.
-        assessment: What it may claim, where that is known already.
+        assessment: Its assessment, if known already.
 
     Returns:
         Parameters, configurations, identifiability, verdict and notes.
@@ -54,7 +54,7 @@ def summary_table(
         text = f"Converged in {steps} steps."
         head = Text(text, style="bold green")
     else:
-        # What for stands in the tables above and in the notes below.
+        # The tables above and the notes below say why.
         text = f"Converged in {steps} steps, but take the values with care."
         head = Text(text, style="bold yellow")
     shown = result.configurations
@@ -69,14 +69,14 @@ def summary_table(
 
 
 def simulation_table(result: SimulationResult) -> "rich.console.Group":
-    """A forward simulation as tables for the terminal, to be printed by `rich`.
+    """Tabulate a forward simulation for the terminal.
 
     Args:
         result: The simulation.
 
     Returns:
-        One line per configuration; one without an equilibrium gives the reason. Then
-        effectors that are no points, actuators, rigid bodies and reactions.
+        One line per configuration, with the reason if it has no equilibrium; then
+        effectors that are not points, actuators, rigid bodies and reactions.
     """
     from rich.console import Group
 
@@ -114,7 +114,7 @@ def _parameter_table(
 
 
 def _interval_table(result: CalibrationResult) -> list["rich.table.Table"]:
-    """Intervals of the parameters, if they were asked for."""
+    """Tabulate the intervals of the parameters, if there are any."""
     if not result.intervals:
         return []
     level = f"{100.0 * result.intervals[0].level:g} %"
@@ -127,7 +127,7 @@ def _interval_table(result: CalibrationResult) -> list["rich.table.Table"]:
 
 
 def _configuration_tables(result: CalibrationResult) -> list["rich.table.Table"]:
-    """How far points are off, and by which angle orientations."""
+    """Tabulate the errors of points and of orientations."""
     columns = ["role", "before", "after", "moved", "after/moved"]
     points = start_table("Rms distance of the markers", "configuration", columns)
     columns = ["role", "before", "after"]
@@ -147,7 +147,7 @@ def _configuration_tables(result: CalibrationResult) -> list["rich.table.Table"]
 
 
 def _outlook(found: Identifiability) -> list[Any]:
-    """What the data tell about each parameter, and what they are blind to."""
+    """Tabulate what the data tell about each parameter, and what they are blind to."""
     from rich.text import Text
 
     table = start_table("What the data tell", "parameter", ["spread left"])
@@ -163,7 +163,7 @@ def _outlook(found: Identifiability) -> list[Any]:
 
 
 def _blindness(found: Identifiability) -> str:
-    """The directions of the parameters that the data hardly see."""
+    """Describe the directions of the parameters that the data hardly see."""
     blind = found.blind[::-1]
     if not blind:
         how = "well" if found.verdict == "identifiable" else "only weakly in part"

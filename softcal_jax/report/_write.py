@@ -1,4 +1,4 @@
-"""The results folder, whole or not at all."""
+"""Write a results folder, whole or not at all."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -49,25 +49,24 @@ def write_results(
 
     The folder holds `result.json` (see `result_dict`; its `files` lists the others),
     `markers.csv`, `convergence.png` and, for each configuration, a .vtu for ParaView
-    and a .png; of a robot with other effectors, rigid bodies or actuators also
+    and a .png; for a robot with other effectors, rigid bodies or actuators also
     `effectors.csv` and `robot.csv`. A calibration that did not converge is written too,
-    and says so in all. A configuration without an equilibrium has neither .vtu nor
-    .png.
+    marked as such. A configuration without an equilibrium has neither .vtu nor .png.
 
     Args:
         result: The calibration.
         directory: The folder; it must be new or empty, or hold earlier results.
         name: Name of the calibration.
         force: Replace earlier results; files that a user added stay.
-        assessment: What the calibration may claim, where that is known already.
-        timing_s: Wall time of more parts, added to those of the result [s].
+        assessment: Assessment of the calibration, if known already.
+        timing_s: Wall time of further parts, added to those of the result [s].
 
     Returns:
         The folder.
 
     Raises:
-        FileExistsError: If the folder has something in it, and `force` is off or it is
-            not a results folder.
+        FileExistsError: If the folder is not empty, and `force` is off or it is not a
+            results folder.
     """
     data = result_dict(result, name=name, assessment=assessment, timing_s=timing_s)
     shown, problem = result.configurations, _picture_problem()
@@ -106,7 +105,7 @@ def write_simulation(
 
     The folder holds `simulation.json` (see `simulation_dict`) and, for each
     configuration with an equilibrium, a .vtu and a .png; the others are listed with
-    the reason. Of a robot with rigid bodies or actuators also `robot.csv`.
+    the reason. For a robot with rigid bodies or actuators also `robot.csv`.
 
     Args:
         result: The simulation.
@@ -143,14 +142,14 @@ def write_identifiability(
     force: bool = False,
     timing_s: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write what data would tell to a folder, whole or not at all.
+    """Write an identifiability result to a folder, whole or not at all.
 
     The folder holds `identifiability.json` (see `outlook_dict`) and the same in words,
     `identifiability.txt`.
 
     Args:
-        found: What the configurations tell; None if there are none.
-        ranking: What candidates would add; None if there are none.
+        found: Result of the configurations; None if there are none.
+        ranking: Ranking of the candidates; None if there are none.
         directory: The folder, as `write_results` takes it; it raises the same.
         name: Name of the project.
         force: Replace earlier results; files that a user added stay.
@@ -169,7 +168,7 @@ def write_identifiability(
 
 
 def _write_robot(folder: Path, shown: Sequence[ConfigurationResult]) -> list[str]:
-    """What rigid bodies, actuators and the ground do, if there are any."""
+    """Write rigid bodies, actuators and reactions, if there are any."""
     if all(own.robot is None for own in shown):
         return []
     write_robot_csv(folder / "robot.csv", shown)
@@ -185,15 +184,15 @@ def _write_bodies(
     pictures: bool,
     trusted: bool = True,
 ) -> list[str]:
-    """Write .vtu and .png of every equilibrium, and note them in its entry.
+    """Write .vtu and .png of every equilibrium, and list them in its entry.
 
     Args:
-        folder: Where they go.
+        folder: The folder to write into.
         model: The model.
         shown: The configurations.
-        entries: Their dictionaries for JSON, which get their `files`.
+        entries: Their dictionaries for JSON, to which `files` is added.
         pictures: Whether this machine can draw.
-        trusted: Whether the parameters may be believed; if not, the pictures say so.
+        trusted: Whether the calibration converged; if not, the pictures say so.
 
     Returns:
         All files.
@@ -215,7 +214,7 @@ def _write_bodies(
 
 
 def _picture_problem() -> str | None:
-    """Why there will be no pictures; known, and said, before the work is done."""
+    """Find out why there will be no pictures, and warn before the work is done."""
     problem = rendering_problem()
     if problem is not None:
         warnings.warn(problem, PictureWarning, stacklevel=3)
