@@ -76,7 +76,7 @@ def by_multiplier(model: Model, actuation: ActuationArrays) -> Bool[Array, " n_a
 def among_all(
     model: Model, values: Float[Array, "*batch n_m"]
 ) -> Float[Array, "*batch n_a"]:
-    """Expand values of the actuators `with_multiplier` to all actuators, 0 elsewhere."""
+    """Expand values of the actuators `with_multiplier` to all, 0 elsewhere."""
     none = jnp.zeros((*values.shape[:-1], model.mechanism.n_actuators), values.dtype)
     return none.at[..., with_multiplier(model)].set(values, unique_indices=True)
 

@@ -221,7 +221,7 @@ class _QuickSteps(NamedTuple):
         return found.step, found.factor
 
     def chord_step(self, s: _Quick) -> tuple[Step, Factor]:
-        """Compute a step with the factor of the last Newton step, without multipliers."""
+        """Compute a step on the factor of the last Newton step, without multipliers."""
         g, _ = unbalanced(self.posed, s.at.deformed, s.lambda_a)
         rhs = -self.posed.on_free(s.at.u, g)
         d = self.model.solver.solve_again(s.factor.system.values, rhs[None])[0]
