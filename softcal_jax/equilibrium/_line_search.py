@@ -55,8 +55,8 @@ def line_search(
 ) -> Trial:
     """Backtrack until the step passes the test and all values are finite.
 
-    At first, full steps are taken even uphill: the first step of a large rotation always
-    raises Pi, by orders of magnitude in a nearly incompressible body, and a strict
+    At first, full steps are taken even uphill: the first step of a large rotation
+    always raises Pi, by orders of magnitude in a nearly incompressible body, and a strict
     search would take very short steps. Full steps are only trusted if they end in a
     stable state.
 
@@ -120,7 +120,8 @@ def _lower_potential(posed: Posed, at: Point, direction: Direction):
         del merit
         new, new_scale = _potential(posed, at)
         armijo = new <= before + 1e-4 * alpha * slope
-        # Near the solution Pi changes by less than its rounding, so the slope decides (approximate Wolfe condition of Hager and Zhang, SIAM J. Optim. 16,
+        # Near the solution Pi changes by less than its rounding, so the slope
+        # decides (approximate Wolfe condition of Hager and Zhang, SIAM J. Optim. 16,
         # 2005).
         g, _ = unbalanced(posed, at.deformed, lambda_a)
         slope_new = jnp.sum(posed.on_free(at.u, g) * d)

@@ -22,7 +22,7 @@ class LinearSolution(NamedTuple):
 
     Attributes:
         x: Solutions, one row per right-hand side.
-        n_negative: Number of negative eigenvalues; -1 if the solver does not count them.
+        n_negative: Number of negative eigenvalues; -1 if not counted.
         ok: False if the matrix was singular or not finite; `x` is then zero.
     """
 
@@ -197,8 +197,8 @@ class Pardiso(AbstractLinearSolver):
     Attributes:
         token: The analysis.
         options: Settings of PARDISO.
-        spare: Fallback in nested dissection order, because minimum degree can meet a zero
-            pivot in a regular, indefinite matrix; None if this is the order already.
+        spare: Fallback with nested dissection, because minimum degree can meet a zero
+            pivot in a regular, indefinite matrix; None if this solver uses it already.
     """
 
     sparsity: Sparsity
