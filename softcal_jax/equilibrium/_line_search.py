@@ -56,9 +56,9 @@ def line_search(
     """Backtrack until the step passes the test and all values are finite.
 
     At first, full steps are taken even uphill: the first step of a large rotation
-    always raises Pi, by orders of magnitude in a nearly incompressible body, and a strict
-    search would take very short steps. Full steps are only trusted if they end in a
-    stable state.
+    always raises Pi, by orders of magnitude in a nearly incompressible body, and a
+    strict search would take very short steps. Full steps are only trusted if they end
+    in a stable state.
 
     Args:
         posed: The configuration, under a share of its load.

@@ -100,7 +100,7 @@ class Model(eqx.Module):
         return eqx.tree_at(lambda m: m.law, self, law)
 
     def tabulated(self) -> "Model":
-        """Return the model with everything precomputed that is constant in the shape."""
+        """Return the model with all that does not depend on its shape precomputed."""
         law = jax.lax.optimization_barrier(self.law.tabulated())
         return eqx.tree_at(lambda m: m.law, self, law)
 

@@ -155,7 +155,7 @@ class Posed(NamedTuple):
     def on_free(
         self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
     ) -> Float[Array, " n_dof"]:
-        """Gather forces on the free unknowns, 0 on the others; arguments as `gather`."""
+        """Gather forces on the free unknowns, 0 on the others; see `gather`."""
         return jnp.where(self.fixed(), 0.0, self.gather(u, forces))
 
     def scatter(
@@ -237,7 +237,7 @@ class Posed(NamedTuple):
         return gap.at[plan.rigid].set(jnp.where(jnp.abs(far) > rounding, far, 0.0))
 
     def held_at(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
-        """Move held nodes and bodies to their imposed positions; keep u elsewhere [m]."""
+        """Move held nodes and bodies to their imposed positions, no others [m]."""
         held = jnp.asarray(self.configuration.fixed)
         target = self.load * jnp.asarray(self.configuration.imposed)
         there = jnp.where(held, target, u)
@@ -256,9 +256,9 @@ class Posed(NamedTuple):
         Args:
             u: Displacement [m].
             values: Tangent over all nodes.
-            unbalanced: Out-of-balance forces, internal minus external. Those on the nodes
-                of a body keep their direction as it rotates, so their moment changes
-                [N].
+            unbalanced: Out-of-balance forces, internal minus external [N]. Those on the
+                nodes of a body keep their direction as it rotates, so their moment
+                changes.
         """
         plan = self.model.reduction
         if plan is None:
