@@ -96,7 +96,7 @@ class RestState(eqx.Module):
     ) -> tuple[Int[HostArray, "4"], Float[HostArray, "4"]]:
         """Return the frame nodes and weights [-] that carry a point of a rigid body.
 
-        The weights are affine, x = x_0 + sum_i w_i (x_i - x_0), so rigid motion is exact.
+        Affine weights: x = x_0 + sum_i w_i (x_i - x_0), exact under rigid motion.
 
         Raises:
             ValueError: If no rigid body has the name.
@@ -111,9 +111,9 @@ class AbstractActuator(eqx.Module):
     """A part of the robot that drives it with a force lambda_a.
 
     Its displacement delta_a(x), zero at rest, may be imposed or measured, and
-    H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if the
-    actuator has a potential, as the type of its cliques states. Some actuators have no
-    displacement.
+    H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if
+    the actuator has a potential, as the type of its cliques states. Some actuators have
+    no displacement.
     """
 
     name: eqx.AbstractVar[str]

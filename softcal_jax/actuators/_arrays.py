@@ -226,8 +226,8 @@ def curvature_entries(
 ) -> tuple[Float[Array, "_ _ _"], ...]:
     """Differentiate the actuators' forces by the positions, clique by clique.
 
-    Their sum is d(F_a^T lambda_a)/dx, which enters the tangent with a minus sign. With a
-    potential it is lambda_a times the Hessian of delta_a, hence symmetric; otherwise
+    Their sum is d(F_a^T lambda_a)/dx, which enters the tangent with a minus sign. With
+    a potential it is lambda_a times the Hessian of delta_a, hence symmetric; otherwise
     rows belong to forces, columns to positions.
 
     Args:
@@ -250,8 +250,8 @@ def curvature_entries(
 def clique_nodes(arrays: ActuatorArrays) -> tuple[Int[HostArray, "_ _"], ...]:
     """List the nodes of the cliques with entries in the tangent, group by group.
 
-    Runs on the host, before `jit`. A node that occurs twice in a clique is padding whose
-    entries are zero.
+    Runs on the host, before `jit`. A node that occurs twice in a clique is padding
+    whose entries are zero.
 
     Args:
         arrays: The actuators.

@@ -55,7 +55,7 @@ def _as_guides(guides: Sequence[Guide | Vector]) -> tuple[Guide, ...]:
 class Cable(AbstractActuator):
     """A cable along straight segments between its guides, with or without friction.
 
-    delta_a = l(X) - l(x), with l the length of the path, is the shortening since rest [m].
+    delta_a = l(X) - l(x), with l the length of the path, is its shortening [m].
     lambda_a is the tension at the pulled end [N], which cannot be negative.
 
     With friction, each guide between the ends reduces the tension (capstan equation of
@@ -63,9 +63,9 @@ class Cable(AbstractActuator):
     exp(-mu theta), with theta the angle between the segments on both sides. In a
     configuration that releases the cable (`releasing` of `ImposedForce` and
     `ImposedDisplacement`) it slides the other way, and the factor is exp(+mu theta).
-    The cable is assumed to slide at all its guides. Friction has no potential: the model
-    is not `conservative`, and its tangent couples all nodes that the cable touches. At
-    theta = 0 the loss has a kink; the tangent there is that without loss.
+    The cable is assumed to slide at all its guides. Friction has no potential: the
+    model is not `conservative`, and its tangent couples all nodes that the cable
+    touches. At theta = 0 the loss has a kink; the tangent there is that without loss.
 
     Attributes:
         name: Its name.
@@ -294,7 +294,7 @@ class FrictionalCables(AbstractFrictionalCliques):
         return jnp.append(jnp.exp(-loss), 1.0)
 
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
-        """Return the forces on the nodes: each segment pulls its ends with its tension."""
+        """Return forces on the nodes: each segment pulls its ends with its tension."""
         tensions = self.tensions(x)
         pulled = lambda x: -jnp.sum(tensions * jax.vmap(_length)(self._segments(x)))
         return jax.grad(pulled)(x)

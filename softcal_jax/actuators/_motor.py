@@ -15,8 +15,8 @@ class Motor(AbstractActuator):
     """A torque that turns a rigid body about the third axis of its frame at rest.
 
     delta_a is the angle of its first axis, projected on the plane of the first two axes
-    at rest [rad], in (-pi, pi]; lambda_a is the torque [N m]. The angle is undefined if a
-    body that is free to tilt turns its first axis normal to that plane.
+    at rest [rad], in (-pi, pi]; lambda_a is the torque [N m]. The angle is undefined if
+    a body that is free to tilt turns its first axis normal to that plane.
 
     Attributes:
         name: Its name.

@@ -15,8 +15,7 @@ from softcal_jax.actuators._surfaces import outward_faces, vector_areas
 class SurfacePressure(AbstractActuator):
     """A pressure on a surface of the body that turns and grows with it.
 
-    lambda_a is the pressure [Pa]; if positive it pushes on the body, against its outward
-    normal. On an open surface there is in general no potential, hence no displacement
+    lambda_a is the pressure [Pa]; if positive it pushes against the outward normal. On an open surface there is in general no potential, hence no displacement
     delta_a, and the tangent is not symmetric.
 
     Attributes:
@@ -54,7 +53,7 @@ class PressureFaces(AbstractCliques):
     curved: ClassVar[bool] = True
 
     def row(self, x: Float[Array, "n_fn 3"]) -> Float[Array, "n_fn 3"]:
-        """Compute consistent forces per pressure, -integral of N n dA over a face [m2]."""
+        """Compute consistent forces per pressure, -integral of N n dA [m2]."""
         n_dA, N = vector_areas(x)
         return -N.T @ n_dA
 

@@ -13,7 +13,7 @@ from softcal_jax._typing import Float, HostArray
 def _three_numbers(
     value: Float[ArrayLike, "3"] | Sequence[float],
 ) -> Float[HostArray, "3"]:
-    return np.array(value, float)  # a copy, since SciPy's rotations need a writable array
+    return np.array(value, float)  # a copy: SciPy's rotations need it writable
 
 
 class Pose(eqx.Module):
