@@ -15,8 +15,9 @@ from softcal_jax.actuators._surfaces import outward_faces, vector_areas
 class SurfacePressure(AbstractActuator):
     """A pressure on a surface of the body that turns and grows with it.
 
-    lambda_a is the pressure [Pa]; if positive it pushes against the outward normal. On an open surface there is in general no potential, hence no displacement
-    delta_a, and the tangent is not symmetric.
+    lambda_a is the pressure [Pa]; if positive it pushes against the outward normal. On
+    an open surface there is in general no potential, hence no displacement delta_a, and
+    the tangent is not symmetric.
 
     Attributes:
         name: Its name.

@@ -18,7 +18,7 @@ class DerivativeCheck(eqx.Module):
         names: Names of the parameters.
         steps: Steps, in scaled units [-].
         errors: Largest difference over the nodes, relative to the largest force [-].
-        orders: Order of each error in the step, from steps above rounding [-]; expect 2.
+        orders: Order of each error, from steps above rounding [-]; 2 is expected.
     """
 
     names: tuple[str, ...]
