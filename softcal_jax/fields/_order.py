@@ -151,7 +151,7 @@ def axis_columns(
         for key in sides[0]:
             columns = [s[key].column if key in s else None for s in sides]
             known = [column for column in columns if column is not None]
-            # If all three are tied, the axis was already found at another control point.
+            # If all three are tied, another control point has given this axis already.
             if len(known) == 3 and known not in found:
                 found.append(known)
         if not found:

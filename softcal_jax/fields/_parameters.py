@@ -35,8 +35,8 @@ class Parameter(AbstractEntry):
         unit: SI unit, for tables.
         max_step: Largest entry of lambda_p in one step, like the step limits of the
             paper; on a log scale 0.01 is 1 %. None leaves it to the trust region [-].
-        periodic: Whether both bounds are equivalent, as for the angle of an axis between
-            -90 and 90 degrees: a step past one bound re-enters at the other.
+        periodic: Whether both bounds are equivalent, as for the angle of an axis, -90
+            to 90 degrees: a step past one bound re-enters at the other.
         prior_std: Standard deviation of the prior about `start`: relative on a log
             scale (0.3 is 30 %), in SI units on a linear one. None without a prior.
     """

@@ -126,8 +126,8 @@ class SetupParameter(AbstractEntry):
     Attributes:
         kind: One of `QUANTITIES`.
         of: What it belongs to, like the motor; empty where it belongs to nothing.
-        unknowns: Name, start, bounds, scaling and prior of the unknown, whose `field` is
-            ignored; one for each name in `each`, if any.
+        unknowns: Name, start, bounds, scaling and prior of the unknown (`field` is
+            ignored); one for each name in `each`, if any.
         axis: Component of a quantity that has several, like "x"; empty otherwise.
         each: Configurations or recordings with an unknown each; all others keep their
             own value. Empty for one unknown common to all.

@@ -1,4 +1,4 @@
-"""Parameters of setup, loads and recordings with the limits that users state."""
+"""Constructors of parameters of setup, loads and recordings."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -12,11 +12,11 @@ from softcal_jax.fields._setup import XYZ, Scope, SetupParameter
 
 
 class Knowledge(NamedTuple):
-    """What is known of a quantity before any data.
+    """Prior knowledge of a quantity.
 
     Attributes:
-        nominal: Value that it should have, in SI units.
-        limit: Largest error looked for, in SI units; on a log scale a factor.
+        nominal: Nominal value, in SI units.
+        limit: Largest error considered, in SI units; on a log scale a factor.
         prior_std: Standard deviation of the error, in SI units or, on a log scale,
             relative; None if it is not known.
     """
@@ -48,15 +48,11 @@ def setup_parameters(
         unit: SI unit, for tables.
         scale: "linear", or "log" for a factor or a stiffness.
         axis: Component of a quantity that has several.
-        each: Configurations or recordings that have an unknown each; one for all by
-            default.
+        each: Configurations or recordings with an unknown each; one for all by default.
         by: What `each` names.
 
-    Returns:
-        The entry.
-
     Raises:
-        ValueError: If they do not fit each other.
+        ValueError: If the arguments are inconsistent.
     """
     nominal, limit, prior_std = knowledge
     log = scale == "log"
@@ -159,9 +155,9 @@ def gravity_tilt(
     each: Sequence[str] = (),
     by: Scope = "recording",
 ) -> tuple[SetupParameter, ...]:
-    """Make the direction of gravity two parameters, angles about two axes across it.
+    """Make the direction of gravity two parameters: angles about two axes normal to it.
 
-    The axes are those of `ConfigurationArrays.acceleration`.
+    The axes are defined in `ConfigurationArrays.acceleration`.
 
     Args:
         limit: Largest tilt looked for, per axis [rad].
@@ -252,14 +248,13 @@ def recording_offset(
 ) -> tuple[SetupParameter, ...]:
     """Make the frame of a recording, or of a tracker's base, parameters.
 
-    Three coordinates of its offset, and of its rotation where asked: see
-    `RecordingBase`.
+    These are three coordinates of its offset and, with `turn_limit`, three of its
+    rotation; see `RecordingBase`.
 
     Args:
         limit: Largest offset looked for, per axis [m].
         prior_std: Its standard deviation before any data [m]; None if not known.
-        turn_limit: Largest turn looked for, per axis [rad]; by default the frame does
-            not turn.
+        turn_limit: Largest rotation considered, per axis [rad]; none by default.
         turn_prior_std: Its standard deviation before any data [rad]; None if not known.
         each: Configurations or recordings that have a frame each; one for all by
             default.
