@@ -84,8 +84,8 @@ def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupPar
 
     Args:
         motor: Name of the motor.
-        limit: Largest error looked for [rad].
-        prior_std: Its standard deviation before any data [rad]; None if not known.
+        limit: Largest error considered [rad].
+        prior_std: Prior standard deviation [rad]; None if not known.
     """
     return setup_parameters(
         "motor_zero",
@@ -107,9 +107,9 @@ def mounting(
 
     Args:
         body: Name of the body.
-        nominal: Translation that it should have [m].
-        limit: Largest error looked for, per axis [m].
-        prior_std: Its standard deviation before any data [m]; None if not known.
+        nominal: Nominal translation [m].
+        limit: Largest error considered, per axis [m].
+        prior_std: Prior standard deviation [m]; None if not known.
     """
     return tuple(
         setup_parameters(
@@ -131,9 +131,9 @@ def friction(
 
     Args:
         actuator: Name of a cable with friction.
-        nominal: Coefficient that it should have [-].
-        limit: Largest error looked for; it stays above zero [-].
-        prior_std: Its standard deviation before any data; None if not known [-].
+        nominal: Nominal coefficient [-].
+        limit: Largest error considered; it stays above zero [-].
+        prior_std: Prior standard deviation; None if not known [-].
     """
     own = Parameter(
         f"friction of {actuator}",
@@ -160,10 +160,9 @@ def gravity_tilt(
     The axes are defined in `ConfigurationArrays.acceleration`.
 
     Args:
-        limit: Largest tilt looked for, per axis [rad].
-        prior_std: Its standard deviation before any data [rad]; None if not known.
-        each: Configurations or recordings that have a tilt each; one for all by
-            default.
+        limit: Largest tilt considered, per axis [rad].
+        prior_std: Prior standard deviation [rad]; None if not known.
+        each: Configurations or recordings with a tilt each; one for all by default.
         by: What `each` names.
     """
     return tuple(
@@ -190,11 +189,10 @@ def load_factor(
     """Make a factor on the dead loads a parameter, for forces known to some percent.
 
     Args:
-        limit: Largest factor looked for, and 1 over the smallest [-].
+        limit: Largest factor considered, and 1 over the smallest [-].
         prior_std: Relative standard deviation of the forces, like 0.05; None if not
             known [-].
-        each: Configurations or recordings that have a factor each; one for all by
-            default.
+        each: Configurations or recordings with a factor each; one for all by default.
         by: What `each` names.
     """
     return setup_parameters(
@@ -219,11 +217,10 @@ def actuator_factor(
 
     Args:
         actuator: Name of the actuator.
-        limit: Largest factor looked for, and 1 over the smallest [-].
+        limit: Largest factor considered, and 1 over the smallest [-].
         prior_std: Relative standard deviation of the force, like 0.05; None if not
             known [-].
-        each: Configurations or recordings that have a factor each; one for all by
-            default.
+        each: Configurations or recordings with a factor each; one for all by default.
         by: What `each` names.
     """
     return setup_parameters(
@@ -252,12 +249,11 @@ def recording_offset(
     rotation; see `RecordingBase`.
 
     Args:
-        limit: Largest offset looked for, per axis [m].
-        prior_std: Its standard deviation before any data [m]; None if not known.
+        limit: Largest offset considered, per axis [m].
+        prior_std: Prior standard deviation [m]; None if not known.
         turn_limit: Largest rotation considered, per axis [rad]; none by default.
-        turn_prior_std: Its standard deviation before any data [rad]; None if not known.
-        each: Configurations or recordings that have a frame each; one for all by
-            default.
+        turn_prior_std: Prior standard deviation [rad]; None if not known.
+        each: Configurations or recordings with a frame each; one for all by default.
         by: What `each` names.
     """
     kinds = [("recording_offset", "offset", "m", Knowledge(0.0, limit, prior_std))]
@@ -292,11 +288,11 @@ def clamp_stiffness(
 
     Args:
         group: Surface group of a `Support` with a stiffness.
-        nominal: Stiffness that it should have [N/m3].
-        limit: Largest ratio to it looked for, and 1 over the smallest [-].
-        prior_std: Relative standard deviation before any data; None if not known [-].
-        each: Configurations or recordings that have a stiffness each; one for all by
-            default.
+        nominal: Nominal stiffness [N/m3].
+        limit: Largest ratio to it considered, and 1 over the smallest [-].
+        prior_std: Relative prior standard deviation; None if not known [-].
+        each: Configurations or recordings with a stiffness each; by default one
+            for all.
         by: What `each` names.
     """
     return setup_parameters(

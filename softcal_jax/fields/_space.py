@@ -245,7 +245,7 @@ class ParameterSpace(eqx.Module):
         columns: Int[HostArray, " n"],
         own: Float[Array, " n"],
     ) -> tuple[Any, Any]:
-        """Do as `apply`, with some coordinates given separately to differentiate by them.
+        """Do as `apply`, with some coordinates given separately, for derivatives.
 
         Args:
             model: As for `apply`.
