@@ -1,7 +1,7 @@
 """Actuators: their displacement delta_a, and the force on the nodes per lambda_a.
 
-A description says what the user means; `actuator_arrays` attaches it to the nodes; pure
-functions of the nodal positions give delta_a, its rows H_a, the forces F_a (H_a where
+Users describe actuators; `actuator_arrays` attaches them to the nodes; pure functions
+of the nodal positions give delta_a, its rows H_a, the forces F_a (equal to H_a where
 there is a potential) and their derivatives.
 """
 

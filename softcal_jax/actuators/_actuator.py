@@ -1,4 +1,4 @@
-"""What all actuators share: a name, units, and cliques of nodes that they act on."""
+"""Base of all actuators: a name, units, and the cliques of nodes they act on."""
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -17,17 +17,16 @@ Vector = Sequence[float] | Float[ArrayLike, "3"]
 """Three numbers, as a user types them."""
 
 _OUTSIDE = 1e-3
-"""How far outside the mesh a point of it may lie, in sizes of the mesh."""
+"""Distance by which a point may lie outside the mesh, relative to its size [-]."""
 
 
 class Kind(NamedTuple):
-    """What an actuator is called and measured in.
+    """Name and units of a kind of actuator.
 
     Attributes:
-        noun: What it is called in messages.
+        noun: Its name in messages.
         force_unit: Unit of lambda_a.
-        displacement_unit: Unit of delta_a; None where there is no displacement that
-            could be imposed or measured.
+        displacement_unit: Unit of delta_a; None without a displacement.
         unilateral: Whether lambda_a must not be negative.
     """
 
@@ -38,14 +37,14 @@ class Kind(NamedTuple):
 
 
 class RestState(eqx.Module):
-    """The mesh and the rigid bodies at rest, which actuators are attached to.
+    """The mesh and the rigid bodies at rest, to which actuators are attached.
 
     Attributes:
         mesh: The mesh.
         points: Rest positions of the mesh's nodes, then of four nodes for each rigid
             body k, n_nodes + 4 k onwards: the origin of its frame, and the ends of its
-            three axes, orthogonal and of one length [m].
-        bodies: The index k of each rigid body, by name.
+            three axes, orthogonal and of equal length [m].
+        bodies: Index k of each rigid body, by name.
     """
 
     mesh: TetMesh
@@ -62,7 +61,7 @@ class RestState(eqx.Module):
             )
 
     def frame_nodes(self, body: str, owner: str) -> Int[HostArray, "4"]:
-        """The four nodes of the frame of a rigid body.
+        """Return the four nodes of the frame of a rigid body.
 
         Raises:
             ValueError: If no rigid body has the name.
@@ -78,7 +77,7 @@ class RestState(eqx.Module):
     def on_mesh(
         self, point: Float[HostArray, "3"], owner: str
     ) -> tuple[Int[HostArray, " n_en"], Float[HostArray, " n_en"]]:
-        """Nodes and weights [-] that carry a material point of the mesh.
+        """Return the nodes and weights [-] that carry a material point of the mesh.
 
         Raises:
             ValueError: If the point lies outside the mesh.
@@ -95,7 +94,7 @@ class RestState(eqx.Module):
     def on_body(
         self, point: Float[HostArray, "3"], body: str, owner: str
     ) -> tuple[Int[HostArray, "4"], Float[HostArray, "4"]]:
-        """Frame nodes and weights [-] that carry a point of a rigid body.
+        """Return the frame nodes and weights [-] that carry a point of a rigid body.
 
         Affine weights: x = x_0 + sum_i w_i (x_i - x_0), exact under rigid motion.
 
@@ -109,12 +108,12 @@ class RestState(eqx.Module):
 
 
 class AbstractActuator(eqx.Module):
-    """A part of the robot that pushes on it by a force lambda_a.
+    """A part of the robot that drives it with a force lambda_a.
 
-    delta_a(x) is its displacement (zero at rest), which may be imposed and measured,
-    and H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, is H_a where
-    it has a potential, and another one where it has none; the type of its cliques says
-    which. A force may also come without a displacement.
+    Its displacement delta_a(x), zero at rest, may be imposed or measured, and
+    H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if
+    the actuator has a potential, as the type of its cliques states. Some actuators have
+    no displacement.
     """
 
     name: eqx.AbstractVar[str]
@@ -129,15 +128,15 @@ class AbstractActuator(eqx.Module):
 
     @property
     def label(self) -> str:
-        """How messages call it, like "cable 'left'"."""
+        """Its name in messages, like "cable 'left'"."""
         return f"{self.kind.noun} {self.name!r}"
 
     @abstractmethod
     def cliques(self, rest: RestState, owner: int) -> AbstractCliques:
-        """The sets of nodes that it acts on.
+        """Attach the actuator to the sets of nodes that it acts on.
 
         Args:
-            rest: What it is attached to.
+            rest: Mesh and bodies at rest.
             owner: Its index among the actuators.
 
         Raises:
@@ -146,22 +145,22 @@ class AbstractActuator(eqx.Module):
 
 
 def as_vector(value: Vector) -> HostArray:
-    """A user's three numbers as an array."""
+    """Convert a user's three numbers to an array."""
     return np.asarray(value, float)
 
 
 def check_vector(what: str, unit: str, value: HostArray):
-    """Refuses what is not three finite numbers.
+    """Check that a vector has three finite numbers.
 
     Raises:
-        ValueError: If it is not.
+        ValueError: If it has not.
     """
     if value.shape != (3,) or not np.all(np.isfinite(value)):
         raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
 
 
 def check_direction(what: str, value: HostArray):
-    """Refuses what has no direction.
+    """Check that a vector has a direction.
 
     Raises:
         ValueError: If the vector is not finite, or zero.

@@ -22,17 +22,17 @@ from softcal_jax.mesh import TetMesh
 
 
 class ActuatorArrays(eqx.Module):
-    """All actuators of a robot: what the solver sees.
+    """All actuators of a robot, as the solver uses them.
 
-    What a program decides by, such as `unilateral`, stays on the host under `jit`.
+    Properties that select code paths, such as `unilateral`, stay static under `jit`.
 
     Attributes:
         groups: The cliques of all actuators, by type and size.
-        rest: Sum of the contributions at rest, in the units of delta_a.
+        rest: Sum of the cliques' contributions at rest, in the units of delta_a.
         names: Name of each actuator.
-        kinds: Its kind, with the units of lambda_a and delta_a.
-        motor_body: Index of the rigid body that it turns; -1 if it is no motor.
-        has_friction: Whether it loses force by friction.
+        kinds: Kind of each, with the units of lambda_a and delta_a.
+        motor_body: Index of the rigid body that each turns; -1 unless it is a motor.
+        has_friction: Whether each has friction.
     """
 
     groups: tuple[AbstractCliques, ...]
@@ -54,7 +54,7 @@ class ActuatorArrays(eqx.Module):
 
     @property
     def has_displacement(self) -> Bool[HostArray, " n_a"]:
-        """Which actuators have a delta_a, so that it can be imposed."""
+        """Which actuators have a delta_a, which could be imposed."""
         return np.array([k.displacement_unit is not None for k in self.kinds], bool)
 
     @property
@@ -98,18 +98,16 @@ def actuator_arrays(
     actuators: Sequence[AbstractActuator],
     bodies: Mapping[str, int],
 ) -> ActuatorArrays:
-    """Attaches actuators to the nodes of a mesh and of rigid bodies.
+    """Attach actuators to the nodes of a mesh and of rigid bodies.
 
     Args:
         mesh: The mesh.
-        points: Rest positions of the mesh's nodes, then of four nodes for each rigid
-            body k, n_nodes + 4 k onwards: the origin of its frame, and the ends of its
-            three axes, orthogonal and of one length [m].
-        actuators: The actuators, none or more, with names of their own.
-        bodies: The index k of each rigid body, by name.
+        points: Rest positions of all nodes, see `RestState` [m].
+        actuators: The actuators, with different names; there may be none.
+        bodies: Index of each rigid body, by name.
 
     Returns:
-        The arrays; lambda_a and delta_a have the order of `actuators`.
+        The arrays, in the order of `actuators`.
 
     Raises:
         ValueError: If a name is used twice, or an actuator does not fit the mesh or
@@ -147,14 +145,14 @@ def actuator_arrays(
 def actuator_displacements(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, " n_a"]:
-    """Displacements delta_a(x) of the actuators, zero at rest.
+    """Compute the displacements delta_a(x) of the actuators, zero at rest.
 
     Args:
         arrays: The actuators.
         x: Positions of the mesh's nodes and the frame nodes [m].
 
     Returns:
-        In the units of their kinds; 0 for an actuator without a displacement.
+        Displacements in the units of their kinds; 0 for an actuator without one.
     """
     return _contributions(arrays.groups, x, arrays.n_actuators) - arrays.rest
 
@@ -162,9 +160,9 @@ def actuator_displacements(
 def actuator_rows(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, "n_a n_all 3"]:
-    """Rows F_a: the force on all nodes for lambda_a = 1.
+    """Compute F_a by rows: the forces on all nodes for lambda_a = 1.
 
-    They are H_a = d delta_a / dx where an actuator has a potential.
+    They equal H_a = d delta_a / dx where an actuator has a potential.
 
     Args:
         arrays: The actuators.
@@ -182,7 +180,7 @@ def actuator_rows(
 def displacement_rows(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, "n_a n_all 3"]:
-    """Rows H_a = d delta_a / dx; zero for an actuator without a displacement.
+    """Compute H_a = d delta_a / dx by rows; 0 for an actuator without displacement.
 
     Args:
         arrays: The actuators.
@@ -206,11 +204,11 @@ def _add_rows(rows, group: AbstractCliques, parts: Float[Array, "n_cliques m 3"]
 def actuators_moving(
     arrays: ActuatorArrays, releasing: Bool[Array | HostArray, " n_a"]
 ) -> ActuatorArrays:
-    """The actuators with their friction against the sense in which they move.
+    """Return the actuators with friction opposing their motion.
 
     Args:
         arrays: The actuators.
-        releasing: Which are let go; the others pull. Only those with friction differ.
+        releasing: Which actuators are released; the others pull.
     """
     if not any(arrays.has_friction):
         return arrays
@@ -226,11 +224,11 @@ def actuators_moving(
 def curvature_entries(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"], lambda_a: Float[Array, " n_a"]
 ) -> tuple[Float[Array, "_ _ _"], ...]:
-    """Derivatives of the actuators' forces by the positions, clique by clique.
+    """Differentiate the actuators' forces by the positions, clique by clique.
 
-    Their sum is d(F_a^T lambda_a)/dx, which the tangent of equilibrium holds with a
-    minus. Where a potential exists, it is lambda_a times the Hessian of delta_a, and
-    symmetric; otherwise a row is the force, a column the position.
+    Their sum is d(F_a^T lambda_a)/dx, which enters the tangent with a minus sign. With
+    a potential it is lambda_a times the Hessian of delta_a, hence symmetric; otherwise
+    rows belong to forces, columns to positions.
 
     Args:
         arrays: The actuators.
@@ -250,10 +248,10 @@ def curvature_entries(
 
 
 def clique_nodes(arrays: ActuatorArrays) -> tuple[Int[HostArray, "_ _"], ...]:
-    """Nodes of the cliques that have entries in the tangent, group by group.
+    """List the nodes of the cliques with entries in the tangent, group by group.
 
-    On the host, before `jit`. A node that stands twice in a clique is padding whose
-    entries are zero.
+    Runs on the host, before `jit`. A node that occurs twice in a clique is padding
+    whose entries are zero.
 
     Args:
         arrays: The actuators.
@@ -264,7 +262,7 @@ def clique_nodes(arrays: ActuatorArrays) -> tuple[Int[HostArray, "_ _"], ...]:
 def _contributions(
     groups: tuple[AbstractCliques, ...], x: Float[Array, "n_all 3"], n_actuators: int
 ) -> Float[Array, " n_a"]:
-    """Sum of the contributions of the cliques of each actuator."""
+    """Sum the contributions of each actuator's cliques."""
     total = jnp.zeros(n_actuators, x.dtype)
     for group in groups:
         if isinstance(group, AbstractDisplacedCliques):
@@ -276,7 +274,7 @@ def _contributions(
 def actuator_geometry(
     arrays: ActuatorArrays, x: Float[HostArray, "n_all 3"]
 ) -> ActuatorGeometry:
-    """What to draw of the actuators.
+    """Collect what to draw of the actuators.
 
     Args:
         arrays: The actuators.

@@ -26,19 +26,19 @@ from softcal_jax.actuators._cliques import (
 from softcal_jax.actuators._geometry import ActuatorGeometry
 
 _COINCIDENT = 1e-9
-"""Distance of guides that counts as none, relative to the extent of the cable."""
+"""Distance at which guides coincide, relative to the extent of the cable [-]."""
 
 _IN_LINE = 1e-12
-"""Sine of a turn at a guide that is only rounding."""
+"""Sine of the angle at a guide below which it is only rounding."""
 
 
 class Guide(eqx.Module):
     """A point that a cable runs through, or ends at.
 
     Attributes:
-        point: Where it is at rest [m].
-        on: What carries it: "mesh" for a material point of the body, "ground" for a
-            point that never moves, or the name of a rigid body.
+        point: Position at rest [m].
+        on: What carries it: "mesh" for a material point of the mesh, "ground" for a
+            fixed point, or the name of a rigid body.
     """
 
     point: Float[HostArray, "3"] = eqx.field(converter=as_vector)
@@ -55,27 +55,26 @@ def _as_guides(guides: Sequence[Guide | Vector]) -> tuple[Guide, ...]:
 class Cable(AbstractActuator):
     """A cable along straight segments between its guides, with or without friction.
 
-    delta_a = l(X) - l(x) with l the length of the path: the shortening since rest [m].
-    lambda_a is the tension at the end that is pulled [N], which cannot push.
+    delta_a = l(X) - l(x), with l the length of the path, is its shortening [m].
+    lambda_a is the tension at the pulled end [N], which cannot be negative.
 
-    With friction, each guide between the ends takes a part of the tension (capstan
-    equation of Euler and Eytelwein): on the way from the pulled end to the other one,
-    the tension is multiplied by exp(-mu theta) there, with theta the angle between the
-    segments on both sides. A configuration that lets the cable go says so (`releasing`
-    of `ImposedForce` and `ImposedDisplacement`); the cable then slides the other way,
-    and the factor is exp(+mu theta). The cable is taken to slide at all its guides;
-    none sticks. This force has no potential: the model is not `conservative`, and its
-    tangent couples all nodes that the cable touches. At theta = 0 the loss has a kink;
-    the tangent there is that without loss.
+    With friction, each guide between the ends reduces the tension (capstan equation of
+    Euler and Eytelwein): from the pulled end to the other, it is multiplied by
+    exp(-mu theta), with theta the angle between the segments on both sides. In a
+    configuration that releases the cable (`releasing` of `ImposedForce` and
+    `ImposedDisplacement`) it slides the other way, and the factor is exp(+mu theta).
+    The cable is assumed to slide at all its guides. Friction has no potential: the
+    model is not `conservative`, and its tangent couples all nodes that the cable
+    touches. At theta = 0 the loss has a kink; the tangent there is that without loss.
 
     Attributes:
         name: Its name.
         guides: The points that it runs through, both ends included; three bare numbers
-            are a guide on the mesh.
-        friction: Coefficient of friction mu at the guides [-]; none by default. With
-            None or 0 the model has no coefficient that could be calibrated.
-        pulled_from: The end that the actuator pulls, the "first" or "last" guide;
-            without friction it makes no difference.
+            make a guide on the mesh.
+        friction: Coefficient of friction mu at the guides [-]. With None (default) or 0
+            there is no coefficient to calibrate.
+        pulled_from: The end that the actuator pulls, the "first" or "last" guide; only
+            used with friction.
     """
 
     name: str
@@ -136,14 +135,14 @@ class Cable(AbstractActuator):
     def cliques(
         self, rest: RestState, owner: int
     ) -> "CableSegments | FrictionalCables":
-        """The segments whose length can change; with friction the cable as a whole.
+        """Return the segments that can change length; with friction the whole cable.
 
         Raises:
             ValueError: If a guide lies outside the mesh, or its body is unknown.
         """
         carriers = [self._carriers(i, rest) for i in range(len(self.guides))]
         if self.friction:
-            # The force is passed on from the end that is pulled, here the last one.
+            # Tension is passed on from the pulled end, which is put last here.
             order = carriers[::-1] if self.pulled_from == "first" else carriers
             own = np.unique(np.concatenate([nodes for nodes, *_ in order]))
             whole = _along(order, own, own.size)
@@ -172,7 +171,7 @@ class Cable(AbstractActuator):
         )
 
     def _carriers(self, i: int, rest: RestState):
-        """Nodes and weights of a guide, and the part of its position that is fixed."""
+        """Return nodes and weights of a guide, and the fixed part of its position."""
         guide, owner = self.guides[i], f"{self.label}, guide {i}"
         if guide.on == "ground":
             return np.zeros(0, np.int32), np.zeros(0), guide.point
@@ -189,18 +188,18 @@ class Cable(AbstractActuator):
 
 
 def _fixed_length(a: Guide, b: Guide) -> bool:
-    """Whether two guides never change their distance."""
+    """Tell whether the distance of two guides never changes."""
     return a.on == b.on and a.on != "mesh"
 
 
 def _segment(ends, m: int):
-    """Nodes of both ends, once each; their weights in either end; the fixed parts."""
+    """Return the nodes of both ends, their weights in each, and the fixed parts."""
     return _along(ends, np.unique(np.concatenate([nodes for nodes, *_ in ends])), m)
 
 
 def _along(guides, own: Int[HostArray, " n"], m: int):
-    """Nodes of guides; their weights in each of them; the fixed parts."""
-    # Padded with a node of its own, so that no other node enters the tangent.
+    """Return the nodes of guides, their weights in each, and the fixed parts."""
+    # Pad with one of these nodes, so that no other node enters the tangent.
     nodes = np.full(m, own[0], np.int32)
     nodes[: own.size] = own
     weights = np.zeros((len(guides), m))
@@ -210,9 +209,9 @@ def _along(guides, own: Int[HostArray, " n"], m: int):
 
 
 def _length(v: Float[Array, "3"]) -> Float[Array, ""]:
-    """Length of a vector, with no slope at zero.
+    """Compute the length of a vector, with zero derivative at zero.
 
-    The root has none there: a collapsed segment would give NaN forces.
+    The derivative of the root is not finite there: a collapsed segment would give NaN.
     """
     square = jnp.sum(v**2)
     positive = square > 0.0
@@ -220,7 +219,7 @@ def _length(v: Float[Array, "3"]) -> Float[Array, ""]:
 
 
 def _turn(before: Float[Array, "3"], after: Float[Array, "3"]) -> Float[Array, ""]:
-    """Angle between two segments, with no slope where they are in line [rad]."""
+    """Compute the angle of two segments; zero derivative where in line [rad]."""
     across, along = _length(jnp.cross(before, after)), jnp.sum(before * after)
     turned = across > _IN_LINE * _length(before) * _length(after)
     angle = jnp.arctan2(jnp.where(turned, across, 1.0), jnp.where(turned, along, 1.0))
@@ -233,8 +232,8 @@ class CableSegments(AbstractPotentialCliques):
     Attributes:
         nodes: Nodes that carry the two ends, once each.
         owner: Index of the cable.
-        weights: Their weights in the positions of the two ends [-].
-        fixed: What the positions have besides: a guide on the ground [m].
+        weights: Weights of the nodes in the positions of the two ends [-].
+        fixed: Constant part of these positions, of guides on the ground [m].
     """
 
     nodes: Int[Array, "*cliques m"]
@@ -244,7 +243,7 @@ class CableSegments(AbstractPotentialCliques):
     curved: ClassVar[bool] = True
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        """Minus the length of one segment [m]."""
+        """Return minus the length of one segment [m]."""
         start, end = self.weights @ x + self.fixed
         return -_length(end - start)
 
@@ -261,10 +260,11 @@ class FrictionalCables(AbstractFrictionalCliques):
     Attributes:
         nodes: Nodes that carry the guides, once each.
         owner: Index of the cable.
-        weights: Their weights in the positions of the guides, the last one pulled [-].
-        fixed: What the positions have besides: a guide on the ground [m].
+        weights: Weights of the nodes in the positions of the guides, of which the last
+            is pulled [-].
+        fixed: Constant part of these positions, of guides on the ground [m].
         friction: Coefficient of friction mu [-].
-        sense: 1 where the cable is pulled, -1 where it is let go.
+        sense: 1 if the cable is pulled, -1 if it is released.
     """
 
     nodes: Int[Array, "*cliques m"]
@@ -279,13 +279,13 @@ class FrictionalCables(AbstractFrictionalCliques):
         return jnp.diff(self.weights @ x + self.fixed, axis=0)
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        """Minus the length of one cable [m]."""
+        """Return minus the length of one cable [m]."""
         return -jnp.sum(jax.vmap(_length)(self._segments(x)))
 
     def tensions(self, x: Float[Array, "m 3"]) -> Float[Array, " n_segments"]:
-        """Tension in each segment of one cable for lambda_a = 1 [-].
+        """Compute the tension in each segment of one cable for lambda_a = 1 [-].
 
-        exp(-mu sum theta) with the angles of the guides up to the end that is pulled.
+        It is exp(-mu sum theta), summed over the guides up to the pulled end.
         """
         segments = self._segments(x)
         turns = jax.vmap(_turn)(segments[:-1], segments[1:])
@@ -294,7 +294,7 @@ class FrictionalCables(AbstractFrictionalCliques):
         return jnp.append(jnp.exp(-loss), 1.0)
 
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
-        """Force on the nodes: each segment pulls its ends by its own tension."""
+        """Return forces on the nodes: each segment pulls its ends with its tension."""
         tensions = self.tensions(x)
         pulled = lambda x: -jnp.sum(tensions * jax.vmap(_length)(self._segments(x)))
         return jax.grad(pulled)(x)
@@ -312,6 +312,6 @@ class FrictionalCables(AbstractFrictionalCliques):
 def _guide_points(
     cables: CableSegments | FrictionalCables, x: Float[HostArray, "n_all 3"]
 ) -> Float[HostArray, "n_cliques n_guides 3"]:
-    """Positions of the guides of all cliques, on the host [m]."""
+    """Compute the positions of the guides of all cliques, on the host [m]."""
     nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
     return np.einsum("cem,cmi->cei", weights, x[nodes]) + np.asarray(cables.fixed)

@@ -15,14 +15,14 @@ from softcal_jax.actuators._surfaces import check_closed, outward_faces, vector_
 class Chamber(AbstractActuator):
     """A cavity in the body, under pressure.
 
-    delta_a = V(x) - V(X) with V the enclosed volume: its growth since rest [m3].
-    lambda_a is the gauge pressure in the cavity [Pa]; where it is positive it pushes
-    from the cavity into the body. Negative is vacuum.
+    delta_a = V(x) - V(X) is the growth of the enclosed volume since rest [m3].
+    lambda_a is the gauge pressure in the cavity [Pa]: positive inflates, negative is
+    vacuum.
 
     Attributes:
         name: Its name.
-        surface: Name of the surface group that is the whole wall of the cavity. The
-            order of the nodes of its faces does not matter.
+        surface: Name of the surface group that is the whole wall of the cavity; the
+            order of a face's nodes does not matter.
     """
 
     name: str
@@ -30,11 +30,11 @@ class Chamber(AbstractActuator):
     kind: ClassVar[Kind] = Kind("chamber", "Pa", "m3")
 
     def cliques(self, rest: RestState, owner: int) -> "ChamberFaces":
-        """The faces of the wall.
+        """Return the faces of the wall.
 
         Raises:
             ValueError: If the surface is unknown, open, not on the boundary, or
-                encloses the body and not a cavity.
+                encloses the body instead of a cavity.
         """
         faces = outward_faces(rest.mesh, self.surface, self.label)
         check_closed(rest.mesh, faces, self.surface, self.label)
@@ -59,13 +59,13 @@ class ChamberFaces(AbstractPotentialCliques):
     """Faces of the walls of chambers; each adds a cone's volume to delta_a.
 
     V = -1/3 integral of (x - c) . n dA by the divergence theorem. The normal n points
-    out of the body, hence into the cavity: the minus.
+    out of the body, hence into the cavity, which explains the minus sign.
 
     Attributes:
         nodes: 3 or 6 nodes of each face, its normal out of the body.
         owner: Index of the chamber.
-        centre: The point c, near the cavity so that the cones' volumes do not cancel;
-            a closed surface has the same volume for all [m].
+        centre: The point c. Any point gives a closed surface the same volume; one near
+            the cavity avoids cancellation [m].
     """
 
     nodes: Int[Array, "*cliques n_fn"]
@@ -74,7 +74,7 @@ class ChamberFaces(AbstractPotentialCliques):
     curved: ClassVar[bool] = True
 
     def contribution(self, x: Float[Array, "n_fn 3"]) -> Float[Array, ""]:
-        """Volume of the cone from the centre to one face [m3]."""
+        """Compute the volume of the cone from the centre to one face [m3]."""
         arm = x - self.centre[None]
         n_dA, N = vector_areas(arm)
         return -jnp.sum(n_dA * (N @ arm)) / 3.0

@@ -1,8 +1,8 @@
-"""Cliques: the small sets of nodes over whose contributions an actuator sums.
+"""Cliques: small sets of nodes whose contributions add up to an actuator.
 
-A cable segment, a face of a chamber, the frame of a motor: each is one clique, and the
+A cable segment, a face of a chamber, the frame of a motor: each is one clique, and
 generic code differentiates, scales and adds them. Three kinds differ in how force and
-displacement hang together: a force alone (`AbstractCliques`), a force beside a
+displacement are related: a force alone (`AbstractCliques`), a force beside a
 displacement (`AbstractFrictionalCliques`), or a force that is the gradient of the
 displacement (`AbstractPotentialCliques`).
 """
@@ -22,14 +22,14 @@ from softcal_jax.actuators._geometry import ActuatorGeometry
 class AbstractCliques(eqx.Module):
     """All cliques of one type, and the forces on their nodes.
 
-    The arrays hold all cliques along their first axis; the methods see one of them,
-    under the `vmap` of `each_clique`.
+    Arrays hold all cliques along their first axis; methods see a single clique, under
+    the `vmap` of `each_clique`.
 
     Attributes:
-        nodes: Nodes of the cliques. None stands twice in a clique, except as padding:
-            a repeated node on which the clique exerts no force.
+        nodes: Nodes of the cliques. A node only repeats within a clique as padding, on
+            which the clique exerts no force.
         owner: Index of the actuator that each belongs to.
-        curved: Whether the force changes with the position of the nodes.
+        curved: Whether the force depends on the positions of the nodes.
     """
 
     nodes: eqx.AbstractVar[Int[Array, "*cliques m"]]
@@ -42,14 +42,14 @@ class AbstractCliques(eqx.Module):
 
     @abstractmethod
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """What to draw of all cliques, on the host.
+        """Collect what to draw of all cliques, on the host.
 
         Args:
             x: Positions of the mesh's nodes and the frame nodes [m].
         """
 
     def curvature(self, x: Float[Array, "m 3"]) -> Float[Array, "3*m 3*m"]:
-        """Derivative of the force by the positions, node by node, for lambda_a = 1."""
+        """Differentiate the force by the positions, node by node, for lambda_a = 1."""
         return jax.jacfwd(self.row)(x).reshape(x.size, x.size)
 
 
@@ -58,10 +58,10 @@ class AbstractDisplacedCliques(AbstractCliques):
 
     @abstractmethod
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        """What one clique adds to delta_a, up to a constant."""
+        """Compute what one clique adds to delta_a, up to a constant."""
 
     def displacement_row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
-        """How that changes with the positions `x` of the nodes of one clique."""
+        """Differentiate `contribution` by the positions `x` of one clique's nodes."""
         return jax.grad(self.contribution)(x)
 
 
@@ -74,11 +74,11 @@ class AbstractPotentialCliques(AbstractDisplacedCliques):
 
 
 class AbstractFrictionalCliques(AbstractDisplacedCliques):
-    """Cliques whose force is less than the gradient, or more, by friction.
+    """Cliques whose force differs from the gradient by friction.
 
     Attributes:
         friction: Coefficient of friction [-].
-        sense: 1 where the actuator pulls, -1 where it is let go.
+        sense: 1 if the actuator pulls, -1 if it is released.
     """
 
     friction: eqx.AbstractVar[Float[Array, "*cliques"]]
@@ -87,7 +87,7 @@ class AbstractFrictionalCliques(AbstractDisplacedCliques):
     def moving(
         self, releasing: Bool[Array | HostArray, " n_a"]
     ) -> "AbstractFrictionalCliques":
-        """The same cliques, of actuators of which some are let go."""
+        """Return the cliques with their sense of motion set."""
         sense = jnp.where(jnp.asarray(releasing)[self.owner], -1.0, 1.0)
         return eqx.tree_at(lambda cliques: cliques.sense, self, sense)
 
@@ -97,5 +97,5 @@ def each_clique(
     cliques: AbstractCliques,
     x: Float[Array, "n_all 3"],
 ) -> Float[Array, "n_cliques ..."]:
-    """A method of every clique at its own nodes' positions."""
+    """Call a method of every clique with the positions of its own nodes."""
     return jax.vmap(method)(cliques, x[cliques.nodes])

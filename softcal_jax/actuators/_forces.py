@@ -28,7 +28,7 @@ class ForceActuator(AbstractActuator):
 
     Attributes:
         name: Its name.
-        point: Where it acts at rest, on or in the mesh [m].
+        point: Its point of action at rest, on or in the mesh [m].
         direction: Direction of a positive force, of any length.
     """
 
@@ -42,7 +42,7 @@ class ForceActuator(AbstractActuator):
         check_direction(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
-        """The nodes that carry the point.
+        """Return the nodes that carry the point.
 
         Raises:
             ValueError: If the point lies outside the mesh.
@@ -72,7 +72,7 @@ class SurfaceForceActuator(AbstractActuator):
         check_direction(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
-        """The nodes of the surface.
+        """Return the nodes of the surface.
 
         Raises:
             ValueError: If the surface is unknown.
@@ -107,11 +107,11 @@ class WeightedNodes(AbstractPotentialCliques):
     curved: ClassVar[bool] = False
 
     def contribution(self, x: Float[Array, "1 3"]) -> Float[Array, ""]:
-        """Weighted position of one node [m]."""
+        """Compute the weighted position of one node [m]."""
         return jnp.sum(self.weights * x)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """One arrow for each actuator, where its force acts in the mean."""
+        """Draw one arrow per actuator at the mean point of action of its force."""
         nodes, weights = np.asarray(self.nodes)[:, 0], np.asarray(self.weights)[:, 0]
         actuators, of = np.unique(np.asarray(self.owner), return_inverse=True)
         total = np.zeros((actuators.size, 3))

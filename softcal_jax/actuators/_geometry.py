@@ -16,8 +16,8 @@ class ActuatorGeometry(NamedTuple):
         segment_owner: Their cables.
         faces: Nodes of the faces of chambers and surface pressures.
         face_owner: Their actuators.
-        points: Where a force acts, its mean where it is spread, or the origin of the
-            frame that a motor turns [m].
+        points: Mean point of action of a force, or origin of the frame that a motor
+            turns [m].
         arrows: Direction of a force, or the axis of a motor [-].
         point_owner: Their actuators.
     """
@@ -32,17 +32,17 @@ class ActuatorGeometry(NamedTuple):
 
 
 def joined(pictures: Sequence[ActuatorGeometry]) -> ActuatorGeometry:
-    """All pictures in one."""
+    """Join all pictures into one."""
     fields = zip(ActuatorGeometry(), *pictures, strict=True)
     return ActuatorGeometry(*(_stacked(*parts) for parts in fields))
 
 
 def _stacked(none: HostArray, *parts: HostArray) -> HostArray:
-    # Faces of a quadratic mesh have other nodes than `none`, so none is left out.
+    # Skip empty parts: faces of a quadratic mesh have more nodes than those of `none`.
     some = [part for part in parts if len(part)]
     return np.concatenate(some).astype(none.dtype) if some else none
 
 
 def unit(v: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
-    """Directions of vectors [-]."""
+    """Normalise vectors [-]."""
     return v / np.linalg.norm(v, axis=1, keepdims=True)

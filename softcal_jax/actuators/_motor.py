@@ -12,11 +12,11 @@ from softcal_jax.actuators._geometry import ActuatorGeometry, unit
 
 
 class Motor(AbstractActuator):
-    """Turns a rigid body about the third axis of its frame at rest.
+    """A torque that turns a rigid body about the third axis of its frame at rest.
 
-    delta_a is the angle of its first axis, seen in the plane of the first two axes at
-    rest [rad], in (-pi, pi]; lambda_a is the torque [N m]. A body that is free to tilt
-    has no such angle once its first axis stands upright on that plane.
+    delta_a is the angle of its first axis, projected on the plane of the first two axes
+    at rest [rad], in (-pi, pi]; lambda_a is the torque [N m]. The angle is undefined if
+    a body that is free to tilt turns its first axis normal to that plane.
 
     Attributes:
         name: Its name.
@@ -28,7 +28,7 @@ class Motor(AbstractActuator):
     kind: ClassVar[Kind] = Kind("motor", "N m", "rad")
 
     def cliques(self, rest: RestState, owner: int) -> "MotorFrames":
-        """The frame of the body.
+        """Return the frame of the body.
 
         Raises:
             ValueError: If no rigid body has the name.
@@ -48,7 +48,7 @@ class MotorFrames(AbstractPotentialCliques):
     Attributes:
         nodes: The four nodes of each frame.
         owner: Index of the motor.
-        plane: First and second axis at rest, of one length [m].
+        plane: First and second axis at rest, of equal length [m].
     """
 
     nodes: Int[Array, "*cliques 4"]
@@ -57,7 +57,7 @@ class MotorFrames(AbstractPotentialCliques):
     curved: ClassVar[bool] = True
 
     def contribution(self, x: Float[Array, "4 3"]) -> Float[Array, ""]:
-        """Angle of the first axis of one frame [rad]."""
+        """Compute the angle of the first axis of one frame [rad]."""
         along, across = self.plane @ (x[1] - x[0])
         return jnp.arctan2(across, along)
 

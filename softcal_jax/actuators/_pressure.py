@@ -15,14 +15,14 @@ from softcal_jax.actuators._surfaces import outward_faces, vector_areas
 class SurfacePressure(AbstractActuator):
     """A pressure on a surface of the body that turns and grows with it.
 
-    lambda_a is the pressure [Pa]; where it is positive it pushes on the body, along
-    minus its outward normal. On an open surface there is no potential in general, so
-    there is no displacement delta_a, and the tangent is not symmetric.
+    lambda_a is the pressure [Pa]; if positive it pushes against the outward normal. On
+    an open surface there is in general no potential, hence no displacement delta_a, and
+    the tangent is not symmetric.
 
     Attributes:
         name: Its name.
-        surface: Name of a surface group on the boundary of the body. The order of the
-            nodes of its faces does not matter.
+        surface: Name of a surface group on the boundary of the body; the order of a
+            face's nodes does not matter.
     """
 
     name: str
@@ -30,7 +30,7 @@ class SurfacePressure(AbstractActuator):
     kind: ClassVar[Kind] = Kind("surface pressure", "Pa", None)
 
     def cliques(self, rest: RestState, owner: int) -> "PressureFaces":
-        """The faces of the surface.
+        """Return the faces of the surface.
 
         Raises:
             ValueError: If the surface is unknown or not on the boundary.
@@ -54,7 +54,7 @@ class PressureFaces(AbstractCliques):
     curved: ClassVar[bool] = True
 
     def row(self, x: Float[Array, "n_fn 3"]) -> Float[Array, "n_fn 3"]:
-        """Consistent forces per pressure, -integral of N n dA over the face [m2]."""
+        """Compute consistent forces per pressure, -integral of N n dA [m2]."""
         n_dA, N = vector_areas(x)
         return -N.T @ n_dA
 

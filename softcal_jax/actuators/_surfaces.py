@@ -1,4 +1,4 @@
-"""Surfaces that a pressure acts on: their orientation, and whether they are closed."""
+"""Surfaces under pressure: orientation, closedness and vector areas."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,10 +11,9 @@ from softcal_jax.mesh import TetMesh, boundary_faces
 def outward_faces(
     mesh: TetMesh, surface: str, owner: str
 ) -> Int[HostArray, "n_faces n_fn"]:
-    """Faces of a surface group, once each, normals out of the body.
+    """Return the faces of a surface group, once each, with outward normals.
 
-    The order of a group's nodes is the user's or a mesh file's, so the tet behind each
-    face decides.
+    The order of nodes in a group is arbitrary, so the tet behind each face decides.
 
     Args:
         mesh: The mesh.
@@ -44,13 +43,13 @@ def outward_faces(
 def check_closed(
     mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"], surface: str, owner: str
 ):
-    """Refuses a surface that has a border.
+    """Check that a surface is closed.
 
-    It is closed if its faces run along every edge as often one way as the other.
+    It is if its faces traverse every edge equally often in both directions.
 
     Args:
         mesh: The mesh.
-        faces: Its faces, normals out of the body.
+        faces: Its faces, with outward normals.
         surface: Name of the surface group, for messages.
         owner: What acts on it, for messages.
 
@@ -73,7 +72,7 @@ def check_closed(
 def vector_areas(
     x: Float[Array, "n_fn 3"],
 ) -> tuple[Float[Array, "n_q 3"], Float[Array, "n_q n_fn"]]:
-    """Pieces n dA of one face at its quadrature points, and the shape functions there.
+    """Compute n dA and shape functions at the quadrature points of one face.
 
     n dA = 1/2 w_q dx/dxi x dx/deta. The rule is exact for the integral of N n dA: of
     degree 1 on linear faces, 4 on quadratic ones.
@@ -82,7 +81,7 @@ def vector_areas(
         x: Positions of the 3 or 6 nodes [m].
 
     Returns:
-        The pieces [m2] and the shape functions [-].
+        The vector areas n dA [m2] and the shape functions [-].
     """
     n_fn = x.shape[0]
     rule = triangle_rule(1 if n_fn == 3 else 4)

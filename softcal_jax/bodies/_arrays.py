@@ -16,21 +16,21 @@ class BodyArrays(eqx.Module):
     """The rigid bodies of a model.
 
     Each body adds four nodes to those of the mesh: the origin of its frame and the ends
-    of its axes, `length` away. Whatever is fixed on the body is an affine combination
-    of them, so that markers, cables and weights need not know of bodies.
+    of its axes, `length` away. Every point fixed on the body is an affine combination
+    of them, so markers, cables and masses need no special treatment.
 
     Attributes:
         attached: Nodes of the mesh that belong to a body.
-        body: The body of each.
+        body: Index of the body of each.
         weights: Their weights on the four frame nodes [-].
         origin: Origin of each frame at rest [m].
         axes: Axes of each frame at rest, by rows [-].
-        owner: The body whose six unknowns move each body: itself, unless it is tied.
+        owner: Index of the body whose six unknowns move each body: itself unless tied.
         mounting_translation: Translation of the mounting [m].
         mounting_rotation: Its rotation vector [rad].
-        mass: Mass beside that of the tets [kg].
-        mass_weights: Weights of its centre on the frame nodes [-].
-        length: Length of the axes in the mesh [m].
+        mass: Mass in addition to that of the tets [kg].
+        mass_weights: Weights of the centre of this mass on the frame nodes [-].
+        length: Distance of the axis ends from the origin [m].
         names: Names of the bodies.
     """
 
@@ -59,11 +59,11 @@ class BodyArrays(eqx.Module):
         return np.concatenate([self.origin[:, None], ends], axis=1).reshape(-1, 3)
 
     def at(self, body: int, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 4"]:
-        """Weights on the frame nodes of a body for points fixed on it [-].
+        """Return the weights on the frame nodes for points fixed on a body [-].
 
         Args:
-            body: Its index.
-            points: Where they are at rest [m].
+            body: Index of the body.
+            points: Positions at rest [m].
         """
         return _affine(self.origin[body], self.axes[body], self.length, points)
 
@@ -79,9 +79,6 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
     Args:
         mesh: The mesh at rest.
         bodies: Its bodies; there may be none.
-
-    Returns:
-        The arrays.
 
     Raises:
         ValueError: If a name is used twice, a group is unknown, a node belongs to two
@@ -99,7 +96,7 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
         for b, n in zip(bodies, nodes, strict=True)
     ]
     axes = [np.eye(3) if b.axes is None else b.axes for b in bodies]
-    # An array: a number would be a part of compiled programs, one for each mesh.
+    # As an array, since a Python float would force a new compilation for each mesh.
     length = np.asarray(mesh.size, float)
     stacked = lambda rows, *shape: np.array(rows, float).reshape(len(bodies), *shape)
     weights = [
@@ -184,12 +181,12 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
 
 
 class BodyStateArrays(eqx.Module):
-    """What a configuration does with the bodies.
+    """States of the bodies in a configuration.
 
     Attributes:
         kind: Index in `KINDS` for each body.
-        translation: Where held and hinged ones are, beyond their mounting [m].
-        rotation: Rotation vector of held ones, likewise [rad].
+        translation: Displacement of held and hinged bodies from their mounting [m].
+        rotation: Rotation vector of held bodies from their mounting [rad].
     """
 
     kind: Int[Array | HostArray, "*batch n_b"]

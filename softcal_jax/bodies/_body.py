@@ -1,4 +1,4 @@
-"""Descriptions of rigid bodies: which nodes they hold, and what they hang on."""
+"""Descriptions of rigid bodies: their nodes, frame, mounting and state."""
 
 from collections.abc import Iterable, Sequence
 
@@ -28,25 +28,24 @@ def _as_point(
 class RigidBody(eqx.Module):
     """Nodes of the mesh that move as one: a plate, a motor arm, the end of a branch.
 
-    The coupling is exact: the nodes have no unknowns of their own, the body has six. A
-    tet whose nodes all belong to one body is not deformed; its weight stays.
+    The coupling is exact: the body has six unknowns, its nodes have none of their own.
+    A tet whose nodes all belong to one body does not deform but keeps its weight.
 
-    The body has a frame. A configuration says whether it is free, held, or turns about
-    the third axis of that frame (`BodyState`; a `Motor` turns it, too).
+    A configuration lets the body move freely, holds it, or hinges it about the third
+    axis of its frame (`BodyState`); a `Motor` turns it about that axis, too.
 
     Attributes:
         name: Name of the body.
         where: Its nodes: name of a node or surface group, several names, or indices.
-        origin: Origin of its frame on the mesh at rest; by default the mean of its
-            nodes. A hinge goes through it [m].
+        origin: Origin of its frame at rest, through which a hinge passes; the mean of
+            its nodes by default [m].
         axes: Axes of the frame at rest, by rows; by default those of the mesh [-].
-        mounting: How the body is brought from where the mesh has it to where it is
-            mounted, like a flat sheet that is bent onto its motors; relative to the
-            other body where it is tied to one.
-        tied_to: Another body, not tied itself, that this one is fixed on.
-        mass: Mass beside that of its tets [kg].
-        centre_of_mass: Where that mass is, on the mesh at rest; by default the origin
-            of the frame [m].
+        mounting: Motion from its pose in the mesh to its pose as mounted, like a flat
+            sheet that is bent onto its motors; relative to the other body if tied.
+        tied_to: Another body, not tied itself, to which this one is fixed.
+        mass: Mass in addition to that of its tets [kg].
+        centre_of_mass: Position of that mass in the mesh at rest; the origin of the
+            frame by default [m].
     """
 
     name: str
@@ -92,7 +91,7 @@ class RigidBody(eqx.Module):
 def hinge_axes(
     axis: Float[ArrayLike, "3"] | Sequence[float],
 ) -> Float[HostArray, "3 3"]:
-    """Axes of a frame whose third one is the axis of a hinge, by rows [-].
+    """Return the axes of a frame, by rows, whose third is a hinge's axis [-].
 
     Args:
         axis: Direction of the hinge, of any length.
@@ -108,7 +107,7 @@ def hinge_axes(
             f"{axis!r}."
         )
     third = third / length
-    # The coordinate axis that is farthest from it gives a well-defined first axis.
+    # The coordinate axis farthest from it gives a well-defined first axis.
     first = np.eye(3)[np.argmin(np.abs(third))]
     first = first - third * (third @ first)
     first /= np.linalg.norm(first)
@@ -116,12 +115,12 @@ def hinge_axes(
 
 
 class BodyState(eqx.Module):
-    """What a configuration does with a rigid body.
+    """State of a rigid body in a configuration.
 
     Attributes:
-        kind: "free", "held" or "hinged" (only turning about its third axis).
-        pose: Where it is held, beyond its mounting; of a hinge only the translation,
-            and nothing of a free body.
+        kind: "free", "held" or "hinged" (it only turns about its third axis).
+        pose: Imposed motion from its mounting; a hinge uses only the translation, a
+            free body nothing.
     """
 
     kind: str
@@ -135,4 +134,4 @@ class BodyState(eqx.Module):
 
 
 KINDS = ("free", "hinged", "held")
-"""What a body may do, in the order of `BodyStateArrays.kind`."""
+"""Kinds of states, in the order of the indices in `BodyStateArrays.kind`."""

@@ -1,8 +1,8 @@
-"""Where rigid bodies are, and how they and what hangs on them move.
+"""Kinematics of rigid bodies: frames, mounting and twists.
 
 A step of a body is a twist: three displacements of the origin of its frame and three
-angles, along its mounted axes. Angles are counted in metres at the ends of the frame's
-axes (times `BodyArrays.length`), so that all unknowns have one unit.
+angles, along its mounted axes. Angles count in metres at the ends of the frame's axes
+(times `BodyArrays.length`), so that all unknowns have one unit.
 """
 
 from typing import NamedTuple
@@ -17,11 +17,11 @@ from softcal_jax.bodies._rotations import rotation_matrix
 
 
 class Frames(NamedTuple):
-    """Where the frames of the bodies are.
+    """Poses of the frames of the bodies.
 
     Attributes:
-        origin: Their origins [m].
-        rotation: Their rotations from rest [-].
+        origin: Origins [m].
+        rotation: Rotations from rest [-].
     """
 
     origin: Float[Array, "n_b 3"]
@@ -29,14 +29,14 @@ class Frames(NamedTuple):
 
 
 def frames_at(bodies: BodyArrays, ends: Float[Array, "n_frame_nodes 3"]) -> Frames:
-    """Frames from the positions of the frame nodes.
+    """Compute frames from the positions of the frame nodes.
 
     Args:
         bodies: The bodies.
-        ends: Positions of origin and axis ends, four of each body [m].
+        ends: Positions of origin and axis ends, four per body [m].
 
     Returns:
-        The frames; axes that a linear prediction has distorted are made orthogonal.
+        The frames, with axes orthogonalised in case a linear prediction distorted them.
     """
     ends = ends.reshape(bodies.n_bodies, 4, 3)
     now = (ends[:, 1:] - ends[:, :1]) / bodies.length
@@ -49,14 +49,14 @@ def frames_at(bodies: BodyArrays, ends: Float[Array, "n_frame_nodes 3"]) -> Fram
 
 
 def frame_nodes(bodies: BodyArrays, frames: Frames) -> Float[Array, "n_b 4 3"]:
-    """Positions of the frame nodes [m]."""
+    """Compute the positions of the frame nodes [m]."""
     axes = _apply(frames.rotation[:, None], jnp.asarray(bodies.axes))
     ends = frames.origin[:, None] + bodies.length * axes
     return jnp.concatenate([frames.origin[:, None], ends], axis=1)
 
 
 def _apply(R: Float[Array, "... 3 3"], v: Float[Array, "... 3"]):
-    """R v, for stacks of both."""
+    """Compute R v for stacks of both."""
     return jnp.sum(R * v[..., None, :], axis=-1)
 
 
@@ -64,7 +64,7 @@ class Mounted(NamedTuple):
     """Frames after a share of their mounting.
 
     Attributes:
-        load: The share, also of poses that are imposed [-].
+        load: The share, which also applies to imposed poses [-].
         rotation: Rotations of the mountings.
         axes: Axes of the frames, by rows [-].
     """
@@ -87,17 +87,14 @@ def place(
     frames: Frames,
     twist: Float[Array, "n_b 6"],
 ) -> Frames:
-    """Frames after a twist of the free ones, with all others where they have to be.
+    """Apply a twist to the free bodies, and put all others in their places.
 
     Args:
         bodies: The bodies.
-        state: What the configuration does with them.
+        state: Their states in the configuration.
         mounted: Share of mountings and imposed poses that is applied.
         frames: Frames before the twist.
         twist: Twist of each body along its mounted axes, angles in metres [m].
-
-    Returns:
-        The frames.
     """
     load, mounting, axes = mounted
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
@@ -110,7 +107,7 @@ def place(
         angle[:, None] * axes[:, 2],
         load * state.rotation,
     ]
-    # All at once: each call would be compiled on its own.
+    # One stacked call, since each separate one would be compiled again.
     by_twist, by_angle, by_pose = jax.vmap(jax.vmap(rotation_matrix))(jnp.stack(turns))
     free = Frames(
         frames.origin + along(twist[:, :3]), _product(by_twist, frames.rotation)
@@ -124,7 +121,7 @@ def place(
     origin = pick(free.origin, hinged.origin, held.origin)
     kind = kind[:, :, None]
     rotation = pick(free.rotation, hinged.rotation, held.rotation)
-    # A tied body has the motion of its owner after its own mounting.
+    # A tied body follows its owner, after its own mounting.
     owner = bodies.owner
     tied = (owner != jnp.arange(bodies.n_bodies, dtype=jnp.int32))[:, None]
     arm = rest + load * bodies.mounting_translation - rest[owner]
@@ -147,7 +144,7 @@ def _transposed(A: Float[Array, "n_b 3 3"]):
 
 
 def _hinge_angle(R: Float[Array, "n_b 3 3"], axes: Float[Array, "n_b 3 3"]):
-    """Angle by which each rotation turns about the third axis [rad]."""
+    """Compute the angle of each rotation about the third axis [rad]."""
     first = _apply(R, axes[:, 0])
     return jnp.arctan2(
         jnp.sum(first * axes[:, 1], axis=1), jnp.sum(first * axes[:, 0], axis=1)
@@ -155,7 +152,7 @@ def _hinge_angle(R: Float[Array, "n_b 3 3"], axes: Float[Array, "n_b 3 3"]):
 
 
 def blocked(state: BodyStateArrays, bodies: BodyArrays):
-    """Which entries of the twists are no unknowns."""
+    """Flag the entries of the twists that are not unknowns."""
     kind = state.kind[:, None]
     hinge = jnp.arange(6)[None] == 5
     free = (kind == KINDS.index("free")) | ((kind == KINDS.index("hinged")) & hinge)

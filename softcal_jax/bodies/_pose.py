@@ -1,4 +1,4 @@
-"""A rigid motion: how far a frame has moved and turned."""
+"""Rigid motions: translation and rotation."""
 
 from collections.abc import Sequence
 
@@ -13,16 +13,16 @@ from softcal_jax._typing import Float, HostArray
 def _three_numbers(
     value: Float[ArrayLike, "3"] | Sequence[float],
 ) -> Float[HostArray, "3"]:
-    return np.array(value, float)  # a copy: SciPy's rotations want to write
+    return np.array(value, float)  # a copy: SciPy's rotations need it writable
 
 
 class Pose(eqx.Module):
     """Rigid motion X -> rotation @ (X - origin) + origin + translation.
 
-    The origin is that of the frame that moves; `RigidBody.origin` for a body.
+    The origin is that of the moving frame; for a body `RigidBody.origin`.
 
     Attributes:
-        translation: How far the origin moves [m].
+        translation: Displacement of the origin [m].
         rotation_vector: Axis of the rotation times its angle [rad].
     """
 
@@ -49,7 +49,7 @@ class Pose(eqx.Module):
     def from_matrix(
         cls, rotation: Float[ArrayLike, "3 3"], translation: Float[ArrayLike, "3"]
     ) -> "Pose":
-        """The motion with a rotation matrix [-] and a translation [m].
+        """Make a pose from a rotation matrix [-] and a translation [m].
 
         Raises:
             ValueError: If the matrix is not a rotation.

@@ -1,11 +1,11 @@
-"""Rotations: from a rotation vector to a matrix and back, safe to differentiate."""
+"""Differentiable conversion between rotation vectors and matrices."""
 
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
 
-# Below this squared angle the series are exact to rounding [rad2].
+# Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
 
 
@@ -16,20 +16,20 @@ for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
 
 
 def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """The matrix that takes a vector v to w x v, hat(w)."""
-    # Two operations, where a stack of the entries is twenty to compile.
+    """Return the matrix hat(w) that maps a vector v to w x v."""
+    # Compiles to two operations, where stacking the entries would take twenty.
     return jnp.sum(jnp.asarray(_SIGNS, w.dtype) * w[None, None], axis=2)
 
 
 def rotation_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Rotation about w by its length: the exponential of hat(w), Rodrigues' formula.
+    """Compute the rotation matrix exp(hat(w)) by Rodrigues' formula.
 
     Args:
         w: Rotation vector [rad].
     """
     square = jnp.sum(w * w)
     small = square < _SMALL
-    # The branch that is not taken must not divide by zero either.
+    # Under autodiff, the unselected branch must not divide by zero either.
     angle = jnp.sqrt(jnp.where(small, 1.0, square))
     sine = jnp.where(
         small,
@@ -46,10 +46,10 @@ def rotation_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """Rotation vector of a rotation matrix, of length 0 to pi [rad].
+    """Compute the rotation vector of a rotation matrix, of length 0 to pi [rad].
 
-    Through the unit quaternion, whose largest component is found first (Shepperd,
-    J. Guidance Control 1, 1978): accurate at all angles, half a turn included.
+    Goes through the unit quaternion, largest component first (Shepperd, J. Guidance
+    Control 1, 1978), which is accurate at all angles, half a turn included.
     """
     trace = jnp.trace(R)
     four = 1.0 + jnp.concatenate([trace[None], 2.0 * jnp.diag(R) - trace])

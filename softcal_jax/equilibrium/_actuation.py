@@ -1,14 +1,14 @@
-"""Actuators in equilibrium: their forces, and what imposes their displacements.
+"""Actuators in equilibrium: their forces, and imposed displacements.
 
-Their forces on the nodes are F_a^T lambda_a. Where delta_a is imposed, lambda_a is
-solved for: the bordered system
+The forces on the nodes are F_a^T lambda_a. Where delta_a is imposed, lambda_a is an
+unknown of the bordered system
 
     [ K  -F_a^T ] [ dx        ]   [ -g                   ]
     [ H_a   0   ] [ dlambda_a ] = [ delta_a imposed - delta_a ]
 
-with H_a = d delta_a / dx, by elimination of dx, through the compliance
-W_aa = H_a K^-1 F_a^T of the same factors. Where the actuators have a potential,
--sum_a lambda_a delta_a (Eq. 1 of the paper), F_a is H_a.
+with H_a = d delta_a / dx. Eliminating dx leaves the compliance W_aa = H_a K^-1 F_a^T,
+which needs no second factorization. Where the actuators have a potential,
+-sum_a lambda_a delta_a (Eq. 1 of the paper), F_a equals H_a.
 """
 
 from functools import partial
@@ -31,26 +31,26 @@ from softcal_jax.equilibrium._sparsity import element_entries
 
 
 def positions(model: Model, u: Float[Array, "n_points 3"]):
-    """Positions of all nodes [m]."""
+    """Return the positions of all nodes [m]."""
     return jnp.asarray(model.mechanism.points) + u
 
 
 def displacements(model: Model, u: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
-    """Displacements delta_a of the actuators."""
+    """Return the displacements delta_a of the actuators."""
     return model.mechanism.displacements(positions(model, u))
 
 
 def force_rows(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_a n_points 3"]:
-    """F_a by rows: the force of each actuator on all nodes for lambda_a = 1."""
+    """Return F_a by rows: forces of each actuator on all nodes for lambda_a = 1."""
     return actuator_rows(model.mechanism.actuators, positions(model, u))
 
 
 def own_displacement_rows(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_m n_points 3"] | None:
-    """H_a by rows, of the actuators `with_multiplier`; None where it is F_a."""
+    """Return H_a by rows for the actuators `with_multiplier`; None if it equals F_a."""
     actuators = model.mechanism.actuators
     if not any(actuators.has_friction):
         return None
@@ -58,9 +58,9 @@ def own_displacement_rows(
 
 
 def with_multiplier(model: Model) -> Int[HostArray, " n_m"]:
-    """Indices of the actuators whose lambda_a may have to be solved for.
+    """Return the indices of the actuators whose lambda_a may be an unknown.
 
-    A motor is not among them: an imposed angle holds its body.
+    Motors are left out: an imposed angle holds the body itself.
     """
     actuators = model.mechanism.actuators
     motor = np.array(actuators.motor_body) >= 0
@@ -68,7 +68,7 @@ def with_multiplier(model: Model) -> Int[HostArray, " n_m"]:
 
 
 def by_multiplier(model: Model, actuation: ActuationArrays) -> Bool[Array, " n_a"]:
-    """Which actuators have a displacement imposed, and lambda_a solved for."""
+    """Flag the actuators with an imposed displacement, whose lambda_a is unknown."""
     may_be = np.isin(np.arange(model.mechanism.n_actuators), with_multiplier(model))
     return jnp.asarray(actuation.by_displacement) & may_be
 
@@ -76,7 +76,7 @@ def by_multiplier(model: Model, actuation: ActuationArrays) -> Bool[Array, " n_a
 def among_all(
     model: Model, values: Float[Array, "*batch n_m"]
 ) -> Float[Array, "*batch n_a"]:
-    """Values of the actuators `with_multiplier` among those of all, 0 for others."""
+    """Expand values of the actuators `with_multiplier` to all, 0 elsewhere."""
     none = jnp.zeros((*values.shape[:-1], model.mechanism.n_actuators), values.dtype)
     return none.at[..., with_multiplier(model)].set(values, unique_indices=True)
 
@@ -87,11 +87,11 @@ def add_curvature(
     u: Float[Array, "n_points 3"],
     lambda_a: Float[Array, " n_a"],
 ) -> Float[Array, " nnz"]:
-    """The tangent of all nodes with the part of the actuators' forces, -dF_a^T/dx.
+    """Add the derivative of the actuators' forces, -d(F_a^T lambda_a)/dx, to a tangent.
 
     Args:
         model: The model.
-        values: Tangent of the body.
+        values: Tangent of the mesh over all nodes.
         u: Displacement [m].
         lambda_a: Forces of the actuators.
     """
@@ -108,11 +108,11 @@ class Bordered(NamedTuple):
 
     Attributes:
         x: Steps of the unknowns, one row per right-hand side [m].
-        lambda_a: Changes of the forces of the actuators `with_multiplier`, 0 where they
-            are imposed.
+        lambda_a: Changes of the forces of the actuators `with_multiplier`, 0 where the
+            force is imposed.
         W_aa: Compliance of these actuators.
-        n_negative: Negative eigenvalues of the tangent on the steps that leave the
-            imposed displacements alone; -1 where the solver counts none.
+        n_negative: Number of negative eigenvalues of the tangent restricted to steps
+            that keep the imposed displacements; -1 if the solver does not count them.
         ok: Whether the solutions exist.
     """
 
@@ -130,8 +130,8 @@ class System(NamedTuple):
         values: Tangent of the unknowns, supports masked.
         F_a: Forces of the actuators `with_multiplier` on the unknowns, by rows, zero on
             held ones.
-        active: Which of them have a displacement imposed that acts.
-        H_own: H_a of these actuators; None where it is F_a.
+        active: Which of these actuators have an imposed displacement that acts.
+        H_own: H_a of these actuators; None if it equals F_a.
     """
 
     values: Float[Array, " nnz_reduced"]
@@ -141,7 +141,7 @@ class System(NamedTuple):
 
     @property
     def H_a(self) -> Float[Array, "n_m n_dof"]:
-        """How the displacements of these actuators follow the unknowns, by rows."""
+        """Derivatives of these actuators' displacements by the unknowns, by rows."""
         return self.F_a if self.H_own is None else self.H_own
 
     def solve(
@@ -152,14 +152,14 @@ class System(NamedTuple):
         *,
         transpose: bool = False,
     ) -> Bordered:
-        """Steps of the unknowns under forces, with some displacements given.
+        """Solve for the steps of unknowns and multipliers.
 
         Args:
             model: The model.
             force: Right-hand sides, 0 on held unknowns [N].
-            gap: How far each active displacement has to go.
-            transpose: Solve with the transposed matrix: K^T, and F_a and H_a in each
-                other's place.
+            gap: Imposed minus current displacement of each active actuator.
+            transpose: Solve with the transposed matrix: K^T, with F_a and H_a
+                exchanged.
         """
         solve = jax.custom_batching.custom_vmap(partial(_solve, transpose=transpose))
 
@@ -181,7 +181,7 @@ class System(NamedTuple):
                 each = lambda lane: solve(solver, lane[0], *lane[1])
                 out = jax.lax.map(each, (lanes, tuple(whole)))
                 return out, jax.tree.map(lambda _: True, out)
-            # One matrix: the actuators' own columns are solved for once.
+            # One matrix for all lanes: solve for the actuators' columns only once.
             flat = [a.reshape(a.shape[0] * a.shape[1], a.shape[2]) for a in whole]
             out = solve(solver, system, *flat)
             x, lambda_a = (
@@ -203,7 +203,7 @@ def _solve(
     *,
     transpose: bool,
 ) -> Bordered:
-    """`System.solve`, by elimination of the unknowns."""
+    """Do the work of `System.solve`, eliminating the unknowns first."""
     n_rhs, n_m = gap.shape
     if n_m == 0:
         solved = solver.factor_solve(system.values, force, transpose=transpose)
@@ -223,8 +223,8 @@ def _solve(
     unit = jnp.diag(jnp.where(system.active, 0.0, 1.0))
     lambda_a = jnp.linalg.solve(S + unit, rest.T).T
     x = x + jnp.sum(lambda_a[:, :, None] * by_a[None], axis=1)
-    # In(bordered) = In(K) + In(-S); one negative one for each multiplier is its
-    # own, the others are those of K on the steps that leave delta_a alone.
+    # Inertia: In(bordered) = In(K) + In(-S). Each multiplier contributes one negative
+    # eigenvalue; the rest are those of K on steps that keep delta_a.
     positive = jnp.linalg.eigvalsh(0.5 * (S + S.T) - unit) > 0.0
     count = lambda flags: jnp.sum(flags, dtype=solved.n_negative.dtype)
     constrained = solved.n_negative + count(positive) - count(system.active)
@@ -241,9 +241,9 @@ def estimated_forces(
     active: Bool[Array, " n_a"],
     unbalanced: Float[Array, " n_dof"],
 ) -> Float[Array, " n_a"]:
-    """Forces of the active actuators that best balance the rest; 0 for all others.
+    """Estimate the forces of the active actuators by least squares; 0 for the others.
 
-    Exact at equilibrium (first-order multiplier estimate).
+    This first-order multiplier estimate is exact at equilibrium.
 
     Args:
         F_a: Forces of the actuators on the unknowns by rows, zero on held ones.

@@ -24,23 +24,22 @@ from softcal_jax.equilibrium._sparsity import element_entries
 from softcal_jax.materials import PointValues, is_point_values
 
 FieldOfLaw = Callable[[Any], Any]
-"""Accessor of one field of a law, as `eqx.tree_at` takes it."""
+"""Accessor of one field of a law, as `eqx.tree_at` expects it."""
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **own):
     """Apply a function of (u, dN, w, law, active, ...) to all tets, block by block.
 
     Args:
-        model: The body.
+        model: The model.
         u: Nodal values.
-        kernel: The function, of one tet, from the top level of a module: it is traced
-            once for all its calls in a program and in those that follow, and kept; a
-            closure would be traced each time, and keep the program that made it.
+        kernel: Function of one tet, defined at module level so that its trace is
+            cached; a closure would be traced at every call and keep its program alive.
         per_tet: Further values of each tet, in blocks.
-        own: What the function takes beside: arrays for all tets, or what is hashable.
+        own: Further arguments shared by all tets: arrays, or hashable options.
 
     Returns:
-        Arrays with axes (block number, ..., tet in block).
+        Arrays with axes (block, ..., tet in block).
     """
     blocks = (model.shape_gradients, model.weights, model.law_blocks(), model.active)
     arrays = {name: value for name, value in own.items() if eqx.is_array(value)}
@@ -64,7 +63,7 @@ def _mapped(kernel, options, u, arrays, nodes, *of_tets):
 def strain_energy(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_blocks block"]:
-    """Strain energy of each tet, in blocks [J]."""
+    """Compute the strain energy of each tet, in blocks [J]."""
     return _map_blocks(model, u, _energy, formulation=model.formulation)
 
 
@@ -75,7 +74,7 @@ def _energy(u, dN, w, law, active, formulation):
 def internal_force(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_points 3"]:
-    """Internal force f(u; p), the gradient of the strain energy [N]."""
+    """Compute the internal force f(u; p), the gradient of the strain energy [N]."""
     forces = _map_blocks(model, u, _force, formulation=model.formulation)
     return _add_forces(model, forces)
 
@@ -85,7 +84,7 @@ def _force(u, dN, w, law, active, formulation):
 
 
 def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
-    """Strain energy, the sum of its absolute parts, internal force, smallest det F."""
+    """Compute energy, sum of its absolute parts, internal force and smallest det F."""
     energy, forces, det = _map_blocks(
         model, u, _energy_and_force, formulation=model.formulation
     )
@@ -104,16 +103,15 @@ def tangent_values(
     u: Float[Array, "n_points 3"],
     before: Float[Array, "n_points 3"] | None = None,
 ) -> Float[Array, " nnz"]:
-    """Tangent stiffness K = df/du over all nodes, in the order of the pattern [N/m].
+    """Compute the tangent K = df/du over all nodes, in the order of the pattern [N/m].
 
-    The upper triangle of a conservative model, where K is symmetric; all entries of
-    any other.
+    For a conservative model K is symmetric and only its upper triangle is returned.
 
     Args:
-        model: The body.
+        model: The model.
         u: Displacement [m].
-        before: Where a step to `u` began, see `element_stiffness`; it has no place in
-            the mixed formulation, which has its own [m].
+        before: Displacement at which the step to `u` began, see `element_stiffness`;
+            the mixed formulation ignores it [m].
     """
     check_law(model.law, model.conservative, model.formulation)
     both, stepped = u, None
@@ -139,7 +137,7 @@ def _stiffness(u, dN, w, law, active, formulation, symmetric, stepped):
 def mixed_tangent(
     model: Model, u: Float[Array, "n_points 3"], theta: Float[Array, "n_blocks block"]
 ) -> tuple[Float[Array, " nnz"], Float[Array, "n_points 3"]]:
-    """Stiffness and force of the Newton step with volume ratios of their own."""
+    """Compute tangent and force of the Newton step with independent volume ratios."""
     check_law(model.law, model.conservative, model.formulation)
     entries, forces = _map_blocks(
         model, u, _mixed_newton, theta, symmetric=model.pattern.symmetric
@@ -153,7 +151,7 @@ def _mixed_newton(u, dN, w, law, active, theta, symmetric):
 
 
 def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
-    """The entries of an element matrix that the pattern keeps."""
+    """Select the entries of an element matrix that the pattern stores."""
     n_en = K.shape[0]
     p, q = element_entries(n_en, symmetric)
     return K.reshape(3 * n_en, -1)[p, q]
@@ -162,7 +160,7 @@ def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
 def predicted_dilatation(
     model: Model, u: Float[Array, "n_points 3"], du: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_blocks block"]:
-    """Volume ratio of each tet after a step, to first order: J_bar + dJ_bar du [-]."""
+    """Predict the volume ratio of each tet after a step: J_bar + dJ_bar du [-]."""
     return _map_blocks(model, jnp.concatenate([u, du], axis=1), _predicted_dilatation)
 
 
@@ -170,21 +168,21 @@ def _predicted_dilatation(both, dN, w, law, active):
     del law, active
     u, du = both[:, :3], both[:, 3:]
     J, dJ = jax.jvp(lambda u: mean_dilatation(u, dN, w), (u,), (du,))
-    # A step that would turn a tet inside out is not believed beyond a factor 4.
+    # First order is meaningless where a step would invert a tet: limit to a factor 4.
     return jnp.clip(J + dJ, 0.25, 4.0)
 
 
 def field_forces(
     model: Model, u: Float[Array, "n_points 3"], fields: Mapping[str, FieldOfLaw]
 ) -> dict[str, Float[Array, "n_blocks m n_en 3 block"]]:
-    """Derivatives of each tet's internal force by its own values of some fields [N].
+    """Differentiate each tet's internal force by its own values of some fields [N].
 
-    A field is one number per tet, or one per quadrature point, so one pass over the
-    tets tells the derivative by all of them; parameters that spread the field over the
-    body only weigh it.
+    A field has one value per tet or per quadrature point, so one pass over the tets
+    gives the derivatives by all values; parameters that spread the field over the mesh
+    are weighted sums of them.
 
     Args:
-        model: The body.
+        model: The model.
         u: Displacement [m].
         fields: Accessors of fields of the law, by name; equal ones are traced once.
 
@@ -210,7 +208,7 @@ def _field_forces(u, dN, w, law, active, fields, formulation):
             new = eqx.tree_at(where, new, value)
         return element_force(u, dN, w, new, formulation)
 
-    # Once for all fields: what a law computes of F is the same for each of them.
+    # Linearise once: what a law computes from F is shared by all fields.
     _, slope = jax.linearize(force, plain)
     still = jax.tree.map(jnp.zeros_like, plain)
 
@@ -226,12 +224,12 @@ def add_weighted(
     forces: Mapping[str, Float[Array, "n_blocks _ n_en 3 block"]],
     weights: Mapping[str, Float[Array, "n_p n_tets _"]],
 ) -> Float[Array, "n_p n_points 3"]:
-    """Nodal forces of the body, each tet's multiplied by its weight [N].
+    """Sum the forces of all tets, weighted per parameter, into nodal forces [N].
 
     Args:
-        model: The body.
+        model: The model.
         forces: Forces of each tet per unit of each field, from `field_forces`.
-        weights: How far each parameter moves these fields.
+        weights: Change of these fields in each tet per unit of each parameter.
     """
 
     def of_tets(name, weight):
@@ -264,7 +262,7 @@ def _add_forces(
 def gravity_load(
     model: Model, gravity: Float[Array, "3"]
 ) -> Float[Array, "n_points 3"]:
-    """Weight of mesh and rigid bodies as nodal forces [N], for an acceleration."""
+    """Compute the weight of mesh and rigid bodies as nodal forces [N]."""
     density = jnp.broadcast_to(model.density, (model.n_tets,))
     mass = density[:, None] * model.node_volumes
     nodal = jnp.zeros(model.n_points).at[model.mesh.tets].add(mass)

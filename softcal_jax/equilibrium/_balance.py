@@ -1,4 +1,4 @@
-"""Balance of forces of a posed model: what is out of balance, and by how much."""
+"""Balance of forces of a posed model: residual, gaps and their norm."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
 
 _TAUT = 1e-6
-"""Slack of a cable, in sizes of the mesh, that may still be rounding of a taut one."""
+"""Slack below which a cable still counts as taut, relative to the mesh size [-]."""
 
 
 class Deformed(NamedTuple):
-    """A displacement, and what the balance of forces needs to know there.
+    """A displacement with the quantities that the balance of forces needs.
 
     Attributes:
         u: The displacement [m].
@@ -51,24 +51,24 @@ class Point(NamedTuple):
 
     @property
     def finite(self) -> Bool[Array, ""]:
-        """Whether energy and force are numbers."""
+        """Whether energy and force are finite."""
         return jnp.isfinite(self.energy) & jnp.all(jnp.isfinite(self.deformed.force))
 
 
 def deform(model: Model, u: Float[Array, "n_points 3"]) -> Deformed:
-    """Internal force and displacements of the actuators, without the energy."""
+    """Compute internal force and actuator displacements, without the energy."""
     return Deformed(u, internal_force(model, u), actuation.displacements(model, u))
 
 
 def evaluate(model: Model, u: Float[Array, "n_points 3"]) -> Point:
-    """Energy, force and displacements of the actuators at a displacement."""
+    """Compute energy, internal force and actuator displacements."""
     energy, scale, force, det = energy_and_force(model, u)
     deformed = Deformed(u, force, actuation.displacements(model, u))
     return Point(deformed, energy, scale, det)
 
 
 def at_rest(model: Model) -> Point:
-    """The undeformed state: every law is free of energy and stress there."""
+    """Return the undeformed state, where every law is free of energy and stress."""
     none = jnp.zeros((model.n_points, 3))
     delta_a = jnp.zeros(model.mechanism.n_actuators) - model.mechanism.motor_zero
     zero, one = jnp.zeros(()), jnp.ones(())
@@ -76,14 +76,14 @@ def at_rest(model: Model) -> Point:
 
 
 def by_multiplier(posed: Posed) -> Bool[Array, " n_a"]:
-    """Which actuators have a displacement imposed, and their force solved for."""
+    """Flag the actuators with an imposed displacement, whose force is unknown."""
     return actuation.by_multiplier(posed.model, posed.configuration.actuation)
 
 
 def actuator_loads(
     posed: Posed, lambda_a: Float[Array, " n_a"]
 ) -> Float[Array, " n_a"]:
-    """Forces of all actuators: solved for, or the imposed ones at this load.
+    """Return the forces of all actuators: solved for, or imposed at this load.
 
     Args:
         posed: The configuration.
@@ -94,7 +94,7 @@ def actuator_loads(
 
 
 def unbalanced(posed: Posed, at: Deformed, lambda_a: Float[Array, " n_a"]):
-    """Out-of-balance forces g on all nodes, and forces F_a of the actuators [N].
+    """Compute the out-of-balance forces g on all nodes [N], and the rows F_a.
 
     Args:
         posed: The configuration.
@@ -115,11 +115,11 @@ def add_boundary_stiffness(
     u: Float[Array, "n_points 3"],
     lambda_a: Float[Array, " n_a"],
 ) -> Float[Array, " nnz"]:
-    """Add to the tangent of the body what actuators and elastic supports have in it.
+    """Add the stiffness of actuators and elastic supports to the tangent.
 
     Args:
         posed: The configuration.
-        values: Tangent of the body over all nodes.
+        values: Tangent of the mesh over all nodes.
         u: Displacement [m].
         lambda_a: Forces of the actuators whose displacement is imposed.
     """
@@ -134,7 +134,7 @@ def add_boundary_stiffness(
 def rows_on_free(
     posed: Posed, u: Float[Array, "n_points 3"], rows: Float[Array, "n n_points 3"]
 ) -> Float[Array, "n n_dof"]:
-    """Rows of forces on all nodes as forces on the free unknowns."""
+    """Reduce rows of forces on all nodes to forces on the free unknowns."""
     if rows.shape[0] == 0:
         return jnp.zeros((0, posed.model.n_dof), rows.dtype)
     return jax.vmap(lambda row: posed.on_free(u, row))(rows)
@@ -148,14 +148,14 @@ def bordered_system(
     forces: Float[Array, "n_a n_points 3"],
     active: Bool[Array, " n_a"],
 ) -> tuple[actuation.System, Float[Array, "n_m n_points 3"]]:
-    """The tangent with its border, the actuators whose lambda_a may be solved for.
+    """Border the tangent with the actuators whose lambda_a may be an unknown.
 
     Args:
         posed: The configuration.
         u: Displacement [m].
         values: Tangent of the unknowns, supports masked.
         forces: F_a of all actuators on all nodes, by rows.
-        active: Which actuators have a displacement imposed that acts.
+        active: Which actuators have an imposed displacement that acts.
 
     Returns:
         The system, and H_a of these actuators on all nodes.
@@ -172,13 +172,13 @@ def bordered_system(
 
 
 def gap(posed: Posed, at: Deformed, lambda_a, stiffness):
-    """How far imposed displacements have to go, 0 where a cable is slack.
+    """Compute imposed minus current displacements, 0 where a cable is slack.
 
     Args:
         posed: The configuration.
         at: The deformed state.
         lambda_a: Forces of the actuators.
-        stiffness: Force that a unit of gap is worth, to tell slack from taut.
+        stiffness: Force per unit of gap, to distinguish slack from taut.
 
     Returns:
         The gaps, and which actuators act.
@@ -192,7 +192,7 @@ def gap(posed: Posed, at: Deformed, lambda_a, stiffness):
 
 
 def taut(posed: Posed, at: Deformed) -> Bool[Array, " n_a"]:
-    """Which imposed displacements act at an equilibrium: all but slack cables'."""
+    """Flag the imposed displacements that act at an equilibrium: no slack cables."""
     model = posed.model
     wanted = posed.load * jnp.asarray(posed.configuration.actuation.value)
     short = wanted - at.delta_a >= -_TAUT * model.mechanism.bodies.length
@@ -201,9 +201,9 @@ def taut(posed: Posed, at: Deformed) -> Bool[Array, " n_a"]:
 
 
 def estimated_forces(posed: Posed, at: Deformed) -> Float[Array, " n_a"]:
-    """Forces of actuators whose displacement is imposed, from the balance of all.
+    """Estimate the forces behind imposed displacements from the balance of forces.
 
-    Exact at equilibrium, where a slack cable has none.
+    Exact at equilibrium; 0 for slack cables.
     """
     g, rows = unbalanced(posed, at, jnp.zeros_like(at.delta_a))
     return actuation.estimated_forces(
@@ -212,7 +212,7 @@ def estimated_forces(posed: Posed, at: Deformed) -> Float[Array, " n_a"]:
 
 
 def merit(posed: Posed, at: Deformed, lambda_a, gap_stiffness) -> Float[Array, ""]:
-    """Norm of the out-of-balance forces, gaps by the force they need [N]."""
+    """Compute the norm of out-of-balance forces and of gaps, as forces [N]."""
     g, _ = unbalanced(posed, at, lambda_a)
     g = posed.on_free(at.u, g)
     to_go, _ = gap(posed, at, lambda_a, gap_stiffness)
@@ -220,12 +220,12 @@ def merit(posed: Posed, at: Deformed, lambda_a, gap_stiffness) -> Float[Array, "
 
 
 def relative(posed: Posed, at: Deformed, merit, stiffness, rtol: float):
-    """A merit relative to the larger of external and internal force [-].
+    """Divide a merit by the larger of external and internal force [-].
 
     Args:
         posed: The configuration.
         at: The deformed state.
-        merit: What `merit` gives there [N].
+        merit: Value of `merit` there [N].
         stiffness: Mean stiffness of an unknown [N/m].
         rtol: Relative residual at which Newton stops [-].
     """
@@ -233,8 +233,8 @@ def relative(posed: Posed, at: Deformed, merit, stiffness, rtol: float):
     size = jnp.maximum(jnp.max(jnp.ptp(points, axis=0)), jnp.max(jnp.abs(at.u)))
     norm = jnp.linalg.norm
     scale = jnp.maximum(norm(posed.load * posed.f_ext), norm(at.force))
-    # Without any load, what remains is the rounding of each unknown's displacement,
-    # also in a robot that is turned as a whole.
+    # Without any load only rounding of the displacements remains, also in a robot that
+    # is rotated as a whole.
     eps = jnp.finfo(points.dtype).eps
     rounding = eps / rtol * stiffness * size * posed.model.n_dof**0.5
     return merit / jnp.maximum(scale, rounding)

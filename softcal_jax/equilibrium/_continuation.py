@@ -1,8 +1,8 @@
-"""Equilibrium from a good guess, with its last factors kept for sensitivities.
+"""Equilibrium from a good guess, with the last factors kept for sensitivities.
 
 After a step of the parameters, x + (dx/dp) dp is close to the new equilibrium, and one
-or two full Newton steps reach it. The tangent of the last one then serves twice: for
-the Newton step, and for the right-hand sides of the sensitivities.
+or two full Newton steps reach it. The factors of the last one then also serve the
+right-hand sides of the sensitivities.
 """
 
 from typing import NamedTuple
@@ -36,26 +36,24 @@ from softcal_jax.equilibrium._solution import EquilibriumSolution
 from softcal_jax.equilibrium._solve import as_solution
 
 MAX_QUICK_STEPS = 5
-"""Full Newton steps after which a guess was not good."""
+"""Full Newton steps after which the guess counts as bad."""
 
 CHORDS_FROM = 1e-4
-"""Relative residual from which steps on the last factor take the place of Newton's.
+"""Relative residual below which chord steps replace Newton steps.
 
-Each takes an evaluation of the forces and a solve, no assembly and no factorization.
-Begun further away, they would leave the sensitivities a tangent that is off by more.
+A chord step costs one evaluation of the forces and one solve, without assembly or
+factorization. Starting them earlier would leave a less accurate tangent to the
+sensitivities.
 """
 
 MOST_CHORDS = 3
-"""Chord steps that may still be needed, if each reduces the residual like the last.
-
-Where more would be needed, a Newton step follows.
+"""Most chord steps still expected, at the rate of the last; else take a Newton step.
 """
 
 SHORT = 1e-3
-"""Relative residual from which the next step needs no foreseen stress.
+"""Relative residual below which the tangent is assembled without predicted stress.
 
-Newton's method converges quadratically there, and the tangent without the foreseen
-stress takes less time.
+Newton's method converges quadratically there, and this tangent is cheaper.
 """
 
 
@@ -64,7 +62,7 @@ class Continuation(NamedTuple):
 
     Attributes:
         equilibrium: The equilibrium.
-        linearisation: The system, on the factors of the last Newton step if possible.
+        linearisation: The system, with the factors of the last Newton step if possible.
     """
 
     equilibrium: EquilibriumSolution
@@ -74,9 +72,10 @@ class Continuation(NamedTuple):
 class _Quick(NamedTuple):
     """State of the quick steps.
 
-    `before` is where the last step began, or where it ended if it left a small residual
-    (`SHORT`); `factor` is that of the last Newton step; `chord` tells that the next
-    step is taken on it, `arrived` that nothing is left but to factorize once more.
+    `before` is where the last step began, or where it ended if the residual is small
+    (`SHORT`). `factor` belongs to the last Newton step. `chord`: the next step reuses
+    it. `arrived`: converged, at most one more factorization is needed. `robust`: the
+    careful solve comes next.
     """
 
     solution: EquilibriumSolution
@@ -102,31 +101,29 @@ def continue_equilibrium(
 ) -> Continuation:
     """Find the equilibrium near a guess, and keep its last factors for sensitivities.
 
-    Full Newton steps are taken as long as each brings the residual down, the body is
-    stable and no tet inverted; otherwise `solve_equilibrium` starts again with all its
-    care. The last digits come from steps on the last factor (chord steps). The state
-    of the linear system is the equilibrium; its tangent is that of the displacement
-    before the last Newton step, and off by no more than the way from there. (With rows
-    of the parameters from there too, a direction without any effect would seem to have
-    one, as large as that way.)
+    Full Newton steps are taken as long as each reduces the residual, the state is
+    stable and no tet is inverted; otherwise the careful method of `solve_equilibrium`
+    takes over. The last digits come from steps on the last factor (chord steps). The
+    linear system is stated at the equilibrium, but its tangent is that before the last
+    Newton step, so its error is of the order of that step. (The rows of the parameters
+    are not taken from there, or a direction without any effect would seem to have one.)
 
     Args:
-        model: The body.
+        model: The model.
         configuration: One configuration.
         guess: Displacement close to the equilibrium [m].
         settings: Settings of Newton's method, for the careful solve.
-        before: Displacement of an equilibrium from which the guess was extrapolated, to
-            first order; it spares a Newton step of a slender body [m].
-        precise: Whether one more Newton step is taken, so that the tangent is that of
+        before: Equilibrium displacement from which the guess was extrapolated to first
+            order; it saves slender robots a Newton step [m].
+        precise: Whether to take one more Newton step, so that the tangent belongs to
             the equilibrium.
 
     Returns:
         The equilibrium and the linear system.
     """
     if not model.solver.counts_negative or has_volume_unknowns(model):
-        # A quick step could end in an unstable state unseen (nobody counts negative
-        # eigenvalues of a non-symmetric tangent either); or, in a nearly incompressible
-        # body, it hardly ever converges.
+        # Without a count of negative eigenvalues a quick step could end in an unstable
+        # state unnoticed; in a nearly incompressible mesh it hardly ever converges.
         solution = as_solution(newton(model, configuration, guess, settings))
         u, lambda_a = solution.displacement, solution.multipliers
         return Continuation(solution, linearise(model, configuration, u, lambda_a))
@@ -151,7 +148,7 @@ class _QuickSteps(NamedTuple):
     Attributes:
         posed: The configuration, at full load.
         settings: Settings of Newton's method, for the careful solve.
-        precise: Whether the tangent has to be that of the equilibrium.
+        precise: Whether the tangent must belong to the equilibrium.
     """
 
     posed: Posed
@@ -165,16 +162,16 @@ class _QuickSteps(NamedTuple):
 
     @property
     def has_multipliers(self) -> bool:
-        """Whether forces of actuators may have to be solved for."""
+        """Whether forces of actuators may be unknowns."""
         return with_multiplier(self.model).size > 0
 
     def start(self, guess: Float[Array, "n_points 3"], before) -> _Quick:
-        """State before the first step; held nodes go where they are held."""
+        """Return the state before the first step, with held nodes in place."""
         posed = self.posed
         rigid = posed.rigid(guess)
         at = evaluate(self.model, posed.held_at(rigid))
         usable = at.finite & (at.min_det_F > 0.0)
-        # A support that moved, or nothing but rest to start from: with care.
+        # After a moved support, or from rest, only the careful solve is safe.
         usable = usable & ~jnp.any(posed.imposed(rigid) != 0.0)
         usable = usable & jnp.any(guess != 0.0)
         lambda_a = jnp.zeros_like(at.deformed.delta_a)
@@ -208,30 +205,30 @@ class _QuickSteps(NamedTuple):
         )
 
     def careful(self, s: _Quick) -> tuple[EquilibriumSolution, Point, Array]:
-        """Newton with line search and load steps, from the state's displacement."""
+        """Run Newton with line search and load steps from the state's displacement."""
         state = newton(self.model, self.posed.configuration, s.at.u, self.settings)
         return as_solution(state), state.at, state.lambda_a
 
     def residual(self, at: Point, lambda_a):
-        """Out-of-balance forces, relative to all; gaps of actuators do not count."""
+        """Compute the relative out-of-balance force, without gaps of actuators."""
         size = merit(self.posed, at.deformed, lambda_a, jnp.zeros_like(lambda_a))
         no_stiffness = jnp.zeros((), at.u.dtype)
         return relative(self.posed, at.deformed, size, no_stiffness, self.settings.rtol)
 
     def newton_step(self, at: Point, lambda_a, before) -> tuple[Step, Factor]:
-        """A Newton step, and its own factor."""
+        """Compute a Newton step and its factor."""
         found = newton_direction(self.posed, at.deformed, lambda_a, before=before)
         return found.step, found.factor
 
     def chord_step(self, s: _Quick) -> tuple[Step, Factor]:
-        """A step on the factor of the last Newton step; imposes no displacements."""
+        """Compute a step on the factor of the last Newton step, without multipliers."""
         g, _ = unbalanced(self.posed, s.at.deformed, s.lambda_a)
         rhs = -self.posed.on_free(s.at.u, g)
         d = self.model.solver.solve_again(s.factor.system.values, rhs[None])[0]
         return Step(d, s.lambda_a, jnp.zeros_like(s.lambda_a)), s.factor
 
     def step(self, s: _Quick) -> _Quick:
-        """A full Newton step, after a careful solve if one is due; or a chord step."""
+        """Take a Newton step, after a careful solve if one is due, or a chord step."""
         solution, at, lambda_a = jax.lax.cond(
             s.robust, self.careful, lambda s: (s.solution, s.at, s.lambda_a), s
         )
@@ -269,7 +266,7 @@ class _QuickSteps(NamedTuple):
             n_negative=factor.n_negative,
         )
         taken = ~was_careful & sound & (falls | ~s.chord)
-        # Whether a few chord steps are enough is judged by how the residual falls.
+        # Extrapolate the fall of the residual: will a few chord steps be enough?
         to_come = residual * (residual / solution.residual) ** MOST_CHORDS
         close = jnp.where(s.chord, to_come <= rtol, residual <= CHORDS_FROM)
         pick = lambda a, b: jnp.where(taken, a, b)

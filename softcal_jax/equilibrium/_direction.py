@@ -27,19 +27,19 @@ from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import mask_supports, product
 
 _LARGEST_TURN = 0.5
-"""Turn of a body on a hinge beyond which a Newton step says nothing [rad]."""
+"""Rotation on a hinge beyond which a Newton step is meaningless [rad]."""
 
 
 class Factor(NamedTuple):
-    """A factorized tangent, and what its factorization told.
+    """A factorized tangent, and what its factorization reported.
 
     Attributes:
         system: The matrix.
         stiffness: Mean stiffness of an unknown [N/m].
         gap_stiffness: Force per displacement of each actuator whose displacement is
             imposed.
-        n_negative: Negative eigenvalues, see `Bordered`.
-        ok: Whether solutions with it exist.
+        n_negative: Number of negative eigenvalues, see `Bordered`.
+        ok: Whether the factorization succeeded.
     """
 
     system: actuation.System
@@ -50,7 +50,7 @@ class Factor(NamedTuple):
 
     @classmethod
     def none(cls, model: Model) -> "Factor":
-        """No factor yet, and not ok: for the state of a loop before its first one."""
+        """Return a placeholder, not ok, for the initial state of a loop."""
         n_m, real = actuation.with_multiplier(model).size, jnp.zeros(())
         rows = jnp.zeros((n_m, model.n_dof))
         system = actuation.System(
@@ -73,8 +73,8 @@ class Step(NamedTuple):
 
     Attributes:
         d: Step of the unknowns, held ones included [m].
-        lambda_a: Forces before the step of actuators whose displacement is imposed; a
-            cable found to be slack has none.
+        lambda_a: Forces, before the step, of actuators whose displacement is imposed;
+            0 for a cable found to be slack.
         d_lambda: Their step.
     """
 
@@ -84,14 +84,14 @@ class Step(NamedTuple):
 
 
 class Direction(NamedTuple):
-    """A Newton step, and how far it may go.
+    """A Newton step with its slope and longest sensible share.
 
     Attributes:
         step: The whole step.
         slope: Out-of-balance force times the step [J].
-        moving: Whether something held still has to move.
+        moving: Whether held nodes or bodies still have to move into place.
         reach: Longest share of the step that is worth trying [-].
-        factor: The tangent.
+        factor: The factorized tangent.
     """
 
     step: Step
@@ -107,7 +107,7 @@ def has_volume_unknowns(model: Model) -> bool:
 
 
 def dilatation(model: Model, theta, u, du):
-    """Volume ratios after a step; nothing to do in the displacement formulation."""
+    """Update the volume ratios after a step; a no-op without volume unknowns."""
     return predicted_dilatation(model, u, du) if has_volume_unknowns(model) else theta
 
 
@@ -120,22 +120,22 @@ def newton_direction(
     strict=None,
     before: Float[Array, "n_points 3"] | None = None,
 ) -> Direction:
-    """Newton step at a deformed state.
+    """Compute the Newton step at a deformed state.
 
     Args:
         posed: The configuration, under a share of its load.
         at: The deformed state.
         lambda_a: Forces of the actuators.
-        theta: Volume ratios, in the mixed formulation alone.
-        strict: Whether only steps that lower the potential are taken, likewise.
-        before: Displacement where a step to the point began, if its tangent shall
-            have the stress that the step foresaw; see `tangent_values` [m].
+        theta: Volume ratios; only for the mixed formulation.
+        strict: Whether only steps that lower the potential are taken; likewise.
+        before: Displacement at which the step to this state began, to assemble the
+            tangent with the stress predicted by that step; see `tangent_values` [m].
     """
     model, u = posed.model, at.u
     fixed, held_step = posed.fixed(), posed.imposed(u)
     moving = jnp.any(held_step != 0.0)
     to_go, active = gap(posed, at, lambda_a, jnp.ones(()))
-    # The force of a slack cable is gone before the step.
+    # A slack cable loses its force before the step.
     lambda_a = jnp.where(active, lambda_a, 0.0)
     if has_volume_unknowns(model):
         assert theta is not None
@@ -146,7 +146,7 @@ def newton_direction(
         values, force = tangent_values(model, u, before), at.force
     g, rows = unbalanced(posed, at, lambda_a)
     values = add_boundary_stiffness(posed, values, u, lambda_a)
-    # What is held and still has to move pulls on the rest: - K du_held.
+    # Held nodes that still have to move pull on the rest: - K du_held.
     pull = jax.lax.cond(
         moving,
         lambda: product(model.pattern, values, held_step.ravel()),
@@ -168,7 +168,7 @@ def newton_direction(
     d_lambda = actuation.among_all(model, solved.lambda_a[0])
     compliance = jnp.abs(jnp.diag(solved.W_aa))
     tiny = jnp.finfo(u.dtype).tiny
-    # Of slack cables, too: a step that tightens one leaves a gap to close.
+    # Slack cables included: a step that tightens one leaves a gap to close.
     stiff = actuation.among_all(model, 1.0 / jnp.maximum(compliance, tiny))
     factor = Factor(
         system=system,
@@ -191,11 +191,11 @@ def newton_direction(
 
 
 def _on_hinges(posed: Posed, twists, slope, moving):
-    """Sign of a step, and its reach, where a body turns freely on a hinge.
+    """Return the sign and the reach of a step where a body turns on a free hinge.
 
-    Only weight and a torque may hold it: its stiffness against turning is next to
-    nothing at rest, and of either sign. Newton's step would then turn it many times
-    round, or up to where it balances on its head.
+    If only weight or a torque holds the body, its rotational stiffness at rest is
+    almost zero, with either sign. A full Newton step would spin it many times, or turn
+    it into the unstable upright position.
     """
     one, model = jnp.ones(()), posed.model
     if posed.states is None:

@@ -20,15 +20,15 @@ def effector_values(
     multipliers: Float[Array, " n_a"] | None = None,
     unbalanced: Float[Array, "n_points 3"] | None = None,
 ) -> Float[Array, "n_rows 3"]:
-    """Coordinates of all effectors: positions [m], turns [rad], scalars, forces [N].
+    """Compute all effectors: positions [m], rotations [rad], scalars and forces [N].
 
     Args:
         model: The model.
         configuration: One configuration, with its effectors.
         u: Equilibrium displacement [m].
-        multipliers: Forces of actuators whose displacement is imposed; found from the
-            balance by default.
-        unbalanced: What `residual` gives, where it is known already [N].
+        multipliers: Forces of actuators whose displacement is imposed; estimated from
+            the balance by default.
+        unbalanced: Value of `residual`, if already known [N].
 
     Returns:
         Rows in the order of `EffectorArrays`.
@@ -43,7 +43,7 @@ def effector_values(
 def effector_positions(
     model: Model, effectors: EffectorArrays, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_rows_of_positions 3"]:
-    """Rows that follow from positions alone: points, turns and scalars.
+    """Compute the rows that depend on positions alone: points, rotations, scalars.
 
     Args:
         model: The model.
@@ -82,10 +82,10 @@ def effector_positions(
 def marker_positions(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
 ) -> Float[Array, "n_markers 3"]:
-    """Simulated positions of the markers of one configuration [m].
+    """Compute the simulated marker positions of one configuration [m].
 
     Args:
-        model: The body.
+        model: The model.
         configuration: One configuration, with markers.
         solution: Its equilibrium.
 
@@ -99,16 +99,16 @@ def marker_positions(
 
 
 def _turn(R: Float[Array, "3 3"], reference: Float[Array, "3 3"]):
-    """Rotation vector from a reference orientation, in the frame of the mesh."""
+    """Compute the rotation vector from a reference orientation, in the mesh frame."""
     return rotation_vector(jnp.sum(R[:, None, :] * reference[None, :, :], axis=-1))
 
 
 def _angle(
     R: Float[Array, "3 3"], other: Float[Array, "3 3"], axis: Float[Array, "3"]
 ) -> Float[Array, ""]:
-    """Angle of the relative rotation other^T R about an axis fixed on the other."""
+    """Compute the angle of the rotation other^T R about an axis fixed on the other."""
     relative = jnp.sum(other[:, :, None] * R[:, None, :], axis=0)
-    # A direction across the axis, from the coordinate axis that is farthest from it.
+    # A direction normal to the axis, from the coordinate axis farthest from it.
     start = jnp.eye(3)[jnp.argmin(jnp.abs(axis))]
     across = start - axis * jnp.sum(axis * start)
     size = jnp.sum(across**2)
@@ -116,7 +116,7 @@ def _angle(
     turned = jnp.sum(relative * across[None, :], axis=1)
     y = jnp.sum(turned * jnp.cross(axis, across))
     x = jnp.sum(turned * across)
-    # Padding has no axis, and atan2(0, 0) no derivative.
+    # Padding has a zero axis, and atan2(0, 0) has no derivative.
     return jnp.arctan2(y, jnp.where((x == 0.0) & (y == 0.0), 1.0, x))
 
 
@@ -127,10 +127,10 @@ def actuator_forces(
     multipliers: Float[Array, " n_a"] | None = None,
     unbalanced: Float[Array, "n_points 3"] | None = None,
 ) -> Float[Array, " n_a"]:
-    """Forces lambda_a of all actuators, imposed or solved for, in their units.
+    """Compute the forces lambda_a of all actuators, in their units.
 
-    Of a motor whose angle is imposed: the torque with which it holds its body.
-    It takes what `effector_values` takes.
+    For a motor with an imposed angle this is the torque that holds its body. Arguments
+    as for `effector_values`.
     """
     forces = configuration.actuation.forces
     if unbalanced is None:
@@ -143,7 +143,7 @@ def actuator_forces(
     gathered = Posed.of(model, configuration).gather(u, unbalanced)
     for a, body in enumerate(model.mechanism.actuators.motor_body):
         if body >= 0:
-            # The last entry of the wrench, per metre at the end of the frame's axis.
+            # Angles count in metres at the end of the frame's axis, hence the length.
             torque = gathered[u.size + 6 * body + 5] * model.mechanism.bodies.length
             held = configuration.actuation.by_displacement[a]
             forces = forces.at[a].set(jnp.where(held, torque, forces[a]))
@@ -157,9 +157,9 @@ def effector_forces(
     multipliers: Float[Array, " n_a"] | None = None,
     unbalanced: Float[Array, "n_points 3"] | None = None,
 ) -> Float[Array, "n_rows_of_forces 3"]:
-    """Rows that need the balance of forces: those of actuators, and reactions [N].
+    """Compute the rows that need the balance: actuator forces and reactions [N].
 
-    It takes what `effector_values` takes.
+    Arguments as for `effector_values`.
     """
     effectors = configuration.effectors
     rows = []
@@ -171,7 +171,7 @@ def effector_forces(
         none = jnp.zeros_like(value)
         rows.append(jnp.stack([value, none, none], axis=1))
     weights = jnp.asarray(effectors.reaction_weights)
-    # What springs hold is balanced, and a reaction of the ground all the same.
+    # Spring forces are part of the balance, but the ground carries them too.
     ground = unbalanced - Posed.of(model, configuration).spring_force(u)
     held = ground[effectors.reaction_nodes]
     rows.append(jnp.sum(weights[:, :, None] * held, axis=1))

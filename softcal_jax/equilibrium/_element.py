@@ -2,14 +2,14 @@
 
 Two formulations of the volume change:
 
-* "displacement": F at every quadrature point as it is.
+* "displacement": F at every quadrature point is used unchanged.
 * "mean-dilatation": the volume ratio of every point is replaced by the tet's mean,
   F_bar = (J_bar / J)^(1/3) F with J_bar = <J> (Nagtegaal, Parks and Rice 1974; in the
   energy-consistent form of Simo, Taylor and Pister 1985). One volume constraint per
   tet in place of four, so nearly incompressible quadratic tets do not lock; a potential
-  exists for every law, so force and stiffness stay symmetric.
+  remains, so the stiffness stays symmetric.
 
-On linear tets, with their single point, both are the same.
+On linear tets, with a single quadrature point, both are the same.
 """
 
 from typing import Literal
@@ -27,26 +27,26 @@ Formulation = Literal["displacement", "mean-dilatation"]
 def deformation_gradients(
     u: Float[Array, "n_en 3"], dN: Float[Array, "n_qp n_en 3"]
 ) -> Float[Array, "n_qp 3 3"]:
-    """Deformation gradient F = I + sum_a u_a dN_a/dX at the quadrature points [-].
+    """Compute F = I + sum_a u_a dN_a/dX at the quadrature points [-].
 
-    From differences of displacements inside the tet: from positions, the rounding of
-    F would be that of the size of the body over that of the tet, and the residual of a
-    nearly incompressible body would not come down.
+    Differences of displacements within the tet keep rounding small. From positions, it
+    would grow with the ratio of mesh size to tet size, and the residual of a nearly
+    incompressible mesh would stagnate.
     """
     relative = u[1:] - u[:1]
     H = sum_of(r[None, :, None] * dN[:, a, None] for a, r in enumerate(relative, 1))
-    # Not again for each entry of what is computed of it.
+    # The barrier stops XLA from recomputing F for each entry of the result.
     return jax.lax.optimization_barrier(jnp.eye(3)[None] + H)
 
 
 def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
-    """Volume ratios J, the factors (theta / J)^(1/3) that make all theta, and F^-T."""
+    """Return the volume ratios J, the factors (theta / J)^(1/3), and F^-T."""
     J = jax.vmap(determinant)(F)
     return J, jnp.cbrt(theta / J), jax.vmap(cofactor)(F) / J[:, None, None]
 
 
 def _at_points(law: AbstractLaw, function, F: Float[Array, "n_qp 3 3"]):
-    """Energy, stress or tangent of a law at the quadrature points of a tet."""
+    """Evaluate a function of a law and F at the quadrature points of a tet."""
     plain, axes = law_at_points(law)
     return jax.vmap(function, in_axes=(axes, 0))(plain, F)
 
@@ -68,13 +68,13 @@ def mean_dilatation(
     dN: Float[Array, "n_qp n_en 3"],
     w: Float[Array, " n_qp"],
 ) -> Float[Array, ""]:
-    """Volume of a tet over its volume at rest, J_bar [-]."""
+    """Compute the volume of a tet relative to its volume at rest, J_bar [-]."""
     J = jax.vmap(determinant)(deformation_gradients(u, dN))
     return jnp.sum(w * J) / jnp.sum(w)
 
 
 def is_mixed(formulation: Formulation, n_qp: int) -> bool:
-    """Whether the mean volume ratio enters; with one point it is the only one."""
+    """Tell whether the mean volume ratio replaces several different ones."""
     return formulation == "mean-dilatation" and n_qp > 1
 
 
@@ -85,7 +85,7 @@ def element_energy(
     law: AbstractLaw,
     formulation: Formulation,
 ) -> Float[Array, ""]:
-    """Strain energy of a tet, sum_q w_q psi(F_q) [J]."""
+    """Compute the strain energy of a tet, sum_q w_q psi(F_q) [J]."""
     return element_energy_and_force(u, dN, w, law, formulation)[0]
 
 
@@ -96,7 +96,7 @@ def element_force(
     law: AbstractLaw,
     formulation: Formulation,
 ) -> Float[Array, "n_en 3"]:
-    """Internal force of a tet, the gradient of its energy in u [N]."""
+    """Compute the internal force of a tet, the gradient of its energy [N]."""
     return element_energy_and_force(u, dN, w, law, formulation)[1]
 
 
@@ -107,7 +107,7 @@ def element_energy_and_force(
     law: AbstractLaw,
     formulation: Formulation,
 ) -> tuple[Float[Array, ""], Float[Array, "n_en 3"]]:
-    """Strain energy [J] of a tet, and its gradient in u [N]."""
+    """Compute the strain energy [J] of a tet and its gradient with respect to u [N]."""
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         theta = mean_dilatation(u, dN, w)
@@ -133,17 +133,18 @@ def element_stiffness(
     before: Float[Array, "n_en 3"] | None = None,
     stepped: Bool[Array, ""] | None = None,
 ) -> Float[Array, "n_en 3 n_en 3"]:
-    """Tangent stiffness of a tet, the Hessian of its energy in u [N/m].
+    """Compute the tangent stiffness of a tet, the Hessian of its energy [N/m].
 
     Args:
         u: Nodal displacements [m].
         dN: Shape gradients at the quadrature points [1/m].
         w: Quadrature weights, volume included [m3].
         law: Constitutive law.
-        formulation: Of the volume change.
-        before: Displacements from which a step led to `u`; the stress that bends with
-            the tet is then the one that the step foresaw, see `_foreseen` [m].
-        stepped: Whether `before` differs from `u` anywhere in the body; given with it.
+        formulation: Formulation of the volume change.
+        before: Displacements at which the step to `u` began; the geometric stiffness
+            then uses the stress predicted by that step, see `_foreseen` [m].
+        stepped: Whether `before` differs from `u` anywhere in the mesh; required with
+            `before`.
     """
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
@@ -163,7 +164,7 @@ def element_stiffness(
 def _second(
     F: Float[Array, "n_qp 3 3"], P: Float[Array, "n_qp 3 3"]
 ) -> Float[Array, "n_qp 3 3"]:
-    """Second Piola-Kirchhoff stress F^-1 P [Pa]."""
+    """Compute the second Piola-Kirchhoff stress F^-1 P [Pa]."""
     J, G = jax.vmap(determinant)(F), jax.vmap(cofactor)(F)
     return jax.vmap(matmul)(jnp.swapaxes(G, 1, 2), P) / _each(J)
 
@@ -171,13 +172,13 @@ def _second(
 def _foreseen(
     law: AbstractLaw, before: Float[Array, "n_qp 3 3"], F: Float[Array, "n_qp 3 3"]
 ) -> Float[Array, "n_qp 3 3"]:
-    """Second Piola-Kirchhoff stress that a step from `before` foresees at its end [Pa].
+    """Predict the second Piola-Kirchhoff stress at the end of a step, linearly [Pa].
 
-    A long step in a slender body turns it only to first order, which stretches it; the
-    stress of that stretch, which the next step takes away, is in the tangent at the
-    end of the step and misleads it. Newton's method on stresses of their own at the
-    quadrature points, condensed out, has the stress there that was foreseen (Magisano,
-    Leonetti and Garcea, Comput. Methods Appl. Mech. Eng. 313, 2017).
+    A long step rotates a slender body only to first order, which stretches it. The
+    stress of this spurious stretch spoils the tangent at the end of the step. A mixed
+    Newton method with independent stresses at the quadrature points, condensed out,
+    uses the linear prediction instead (Magisano, Leonetti and Garcea, Comput. Methods
+    Appl. Mech. Eng. 313, 2017).
     """
     second = lambda F: _second(F, _stresses(law, F))
     stress, change = jax.jvp(second, (before,), (F - before,))
@@ -185,14 +186,14 @@ def _foreseen(
 
 
 def _each(a: Float[Array, " n_qp"]) -> Float[Array, "n_qp 1 1"]:
-    """One number per quadrature point, to multiply a tensor per point."""
+    """Reshape one number per quadrature point to multiply a tensor per point."""
     return a[:, None, None]
 
 
 def _push(
     P: Float[Array, "n_qp 3 3"], dN: Float[Array, "n_qp n_en 3"]
 ) -> Float[Array, "n_en 3"]:
-    """Nodal forces of the stresses at the quadrature points."""
+    """Sum weighted stresses at the quadrature points into nodal forces."""
     return sum_of(
         P[q, None, :, J] * dN[q, :, None, J]
         for q in range(P.shape[0])
@@ -203,10 +204,10 @@ def _push(
 def _pull(
     A: Float[Array, "n_qp 3 3 3 3"], dN: Float[Array, "n_qp n_en 3"]
 ) -> Float[Array, "n_en 3 n_en 3"]:
-    """Stiffness of the tangents: both reference slots contracted with gradients.
+    """Contract both reference indices of weighted tangents with shape gradients.
 
-    No tensor is fused into the contraction that follows, which would compute it again
-    for every node.
+    The barriers stop XLA from fusing a tensor into the contraction that follows, which
+    would recompute it for every node.
     """
     A = jax.lax.optimization_barrier(A)
     half = jax.lax.optimization_barrier(jnp.einsum("qaJ,qiJkL->qaikL", dN, A))
@@ -214,7 +215,7 @@ def _pull(
 
 
 def _outer(a: Float[Array, "*q m 3"], b: Float[Array, "*q n 3"]):
-    """Tensor product over the last two axes."""
+    """Compute the tensor product over the last two axes."""
     return a[..., :, :, None, None] * b[..., None, None, :, :]
 
 
@@ -225,16 +226,16 @@ def mixed_newton(
     w: Float[Array, " n_qp"],
     law: AbstractLaw,
 ) -> tuple[Float[Array, "n_en 3 n_en 3"], Float[Array, "n_en 3"]]:
-    """Newton system of a tet whose volume ratio `theta` is an unknown of its own.
+    """Compute the Newton system of a tet with an independent volume ratio `theta`.
 
     Three-field form of Simo, Taylor and Pister (Comput. Methods Appl. Mech. Eng. 51,
     1985): W(u, theta) = sum_q w_q psi((theta / J_q)^(1/3) F_q) with theta = J_bar(u)
     enforced by a pressure; theta and the pressure are condensed out of the Newton
-    step. The point of it is that a large step is judged by its linear volume change:
-    with theta tied to u, a nearly incompressible body resists every rotation that the
-    step has not yet completed.
+    step. A large step is then judged by its linear volume change. With theta tied to u,
+    a nearly incompressible body would resist every rotation that the step completes
+    only to first order.
 
-    With theta = J_bar(u) the stiffness is the Hessian of `element_energy` and the force
+    At theta = J_bar(u) the stiffness is the Hessian of `element_energy` and the force
     is `element_force`.
 
     Args:

@@ -1,9 +1,9 @@
 """PARDISO on the host, called from a program that runs on a GPU.
 
-The solvers of `_linear_solver` are part of a program for the CPU. This one passes the
+The solvers of `_linear_solver` run inside programs for the CPU. This one passes the
 matrix to the host and waits for the solution, through a callback that JAX supports on
-every platform. Such programs must run one at a time: on a CPU, as many at once as JAX
-has threads would wait for each other forever.
+every platform. Such programs must run one at a time: on a CPU, as many of them as JAX
+has threads would deadlock.
 """
 
 import os
@@ -25,20 +25,20 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 _ANALYSE, _FACTORIZE, _SOLVE = 11, 22, 33
 _SYMMETRIC_INDEFINITE, _STRUCTURALLY_SYMMETRIC = -2, 1
 _ZERO_PIVOT = -4
-"""Phases, matrix types and an error, by PARDISO's codes."""
+"""PARDISO's codes of phases, matrix types and an error."""
 
-# The settings of `_linear_solver`, with indices from 1 as in oneMKL: take all settings
-# from here, nested dissection, no iterative refinement, no scaling or matching, 1x1
-# pivots, the one-level factorization.
+# As in `_linear_solver`, but indices count from 1 as in oneMKL: no default settings,
+# nested dissection, no iterative refinement, no scaling or matching, 1x1 pivots,
+# one-level factorization.
 _OPTIONS = {1: 1, 2: 2, 8: 0, 11: 0, 13: 0, 21: 0, 24: 0}
-_PERTURBATION = 10  # small pivots are replaced by 10 to minus this entry
-_PERTURBED, _NEGATIVE = 14, 23  # reported numbers of pivots and eigenvalues
+_PERTURBATION = 10  # exponent: small pivots are replaced by 10^-exponent
+_PERTURBED, _NEGATIVE = 14, 23  # counts of perturbed pivots, negative eigenvalues
 
 
 class HostPardiso(AbstractLinearSolver):
-    """Intel oneMKL PARDISO through pypardiso, for symmetric matrices and others.
+    """Intel oneMKL PARDISO through pypardiso.
 
-    All symmetric matrices share one set of factors, and so do all others.
+    All symmetric matrices share one set of factors, all others share another.
     """
 
     sparsity: Sparsity
@@ -47,7 +47,7 @@ class HostPardiso(AbstractLinearSolver):
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "HostPardiso":
-        """Keep the pattern; it is analysed with the first matrix.
+        """Store the pattern; the first matrix triggers its analysis.
 
         Raises:
             ImportError: If pypardiso is not installed.
@@ -72,17 +72,17 @@ class HostPardiso(AbstractLinearSolver):
 
     @property
     def runs_in_threads(self):
-        """Whether several threads may run it: no."""
+        """Whether several threads may run it: never."""
         return False
 
     def solve_again(self, values, rhs):
-        """Solve; the factors are kept if the last matrix was the same."""
+        """Solve, reusing the factors if the last matrix was the same."""
         return self._factor_solve(values, rhs)[0]
 
 
 @dataclass
 class _Slot:
-    """Factors that are kept, and the matrix that they belong to."""
+    """The factors kept by one PARDISO instance, and their matrix."""
 
     pardiso: Any
     lock: Lock
@@ -90,8 +90,8 @@ class _Slot:
     kept: sparse.csr_array | None = None
 
     def prepare(self, matrix: sparse.csr_array) -> None:
-        """Factorize a matrix unless its factors are kept."""
-        kept, self.kept = self.kept, None  # nothing is kept if this fails
+        """Factorize a matrix unless its factors are already stored."""
+        kept, self.kept = self.kept, None  # forget the factors if this fails
         nothing = np.zeros((matrix.indptr.size - 1, 1))
         if kept is None or not (
             np.array_equal(kept.indptr, matrix.indptr)
@@ -106,15 +106,15 @@ class _Slot:
         self.kept = matrix
 
     def call(self, phase: int, matrix: sparse.csr_array, b: HostArray) -> HostArray:
-        """Run a phase of PARDISO; return solutions by columns from that of solving."""
+        """Run a phase of PARDISO; the solve phase returns solutions by columns."""
         self.pardiso.set_phase(phase)
         return self.pardiso._call_pardiso(matrix, np.asfortranarray(b))
 
 
 @cache
 def _slot(symmetric: bool) -> _Slot:
-    """Return the slot of all symmetric matrices, or that of all others."""
-    # Threads that do not spin: the assembly needs their cores.
+    """Return the slot for symmetric matrices, or the one for all others."""
+    # Do not let idle threads spin: the assembly needs their cores.
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pypardiso import PyPardisoSolver
 
@@ -136,7 +136,7 @@ class _Solved(NamedTuple):
 
 @dataclass(frozen=True)
 class _OnHost:
-    """The solve outside JAX; it compares equal, so that programs are not recompiled."""
+    """The host callback; instances compare equal, so programs are not recompiled."""
 
     symmetric: bool
 

@@ -1,4 +1,4 @@
-"""`vmap` that runs its lanes one after the other, each to its own end."""
+"""A `vmap` that runs its lanes sequentially, each to its own convergence."""
 
 import functools
 from collections.abc import Callable
@@ -13,27 +13,26 @@ T = TypeVar("T", bound=Callable)
 def lane_by_lane(function: T) -> T:
     """Make `vmap` of a function loop over the lanes inside the compiled program.
 
-    A `while_loop` under an ordinary `vmap` runs every lane until the slowest has ended.
-    Here a lane that has converged costs nothing more, a batch gives bit for bit what
-    its members give alone, and arrays that the lanes share are never copied. Assembly
-    already fills the vector units from the tets of one lane, and the sparse solver
-    takes one matrix at a time.
+    An ordinary `vmap` of a `while_loop` runs every lane until the slowest has ended.
+    Here a converged lane costs nothing more, a batch gives bit for bit the results of
+    its members, and arrays that the lanes share are never copied. Assembly already
+    fills the vector units with the tets of one lane, and the sparse solver takes one
+    matrix at a time.
 
-    A loop of lanes keeps one core busy, but for what PARDISO and XLA share within a
-    lane: `Workers`, outside of compiled programs, runs lanes on all cores. 16
-    evaluations of the beam of `benchmarks.batch` took 126 and 141 ms there, in two
-    rounds on two cores of which two independent processes would have made 119 ms. A
-    rule that calls back to the host, where threads run a compiled lane each, took 135
-    and 137 ms, but two threads of a user that call such a program wait for each other
-    for ever. `shard_map` over two CPU devices took 117 and 159 ms, but the devices must
-    be asked for before JAX starts, and PARDISO would be held to one core also where a
-    lane is alone.
+    Apart from the threads of PARDISO and XLA within a lane, this loop uses one core;
+    `Workers`, outside of compiled programs, runs lanes on all cores. Measured for 16
+    evaluations of the beam of `benchmarks.batch`, two rounds on two cores on which two
+    independent processes would take 119 ms: `Workers` took 126 and 141 ms. A batching
+    rule that calls back to host threads took 135 and 137 ms, but deadlocks if two user
+    threads call such a program. `shard_map` over two CPU devices took 117 and 159 ms,
+    but needs the devices before JAX starts, and confines PARDISO to one core even for
+    a single lane.
 
     Args:
         function: Takes and returns pytrees of arrays.
 
     Returns:
-        The function with its batching rule; nested `vmap` loops too.
+        The function with this batching rule, which also holds for nested `vmap`.
     """
     batched = jax.custom_batching.custom_vmap(function)
 

@@ -1,7 +1,7 @@
-"""Line search along a Newton step: on the potential, or on the residual.
+"""Line search along a Newton step, on the potential or on the residual.
 
-Where no potential exists, or the equilibrium is a saddle because displacements of
-actuators are imposed, it is on the norm of the residual.
+The norm of the residual is used where no potential exists, or where imposed actuator
+displacements make the equilibrium a saddle point.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ class Trial(NamedTuple):
         at: The point.
         lambda_a: Forces of the actuators whose displacement is imposed.
         merit: Norm of the residual there [N].
-        good: Whether it may be taken.
+        good: Whether the point is acceptable.
     """
 
     at: Point
@@ -40,7 +40,7 @@ class Trial(NamedTuple):
 
 
 def always_potential(model: Model) -> bool:
-    """Whether the line search is on the potential in every configuration."""
+    """Tell whether the line search uses the potential in every configuration."""
     return model.conservative and actuation.with_multiplier(model).size == 0
 
 
@@ -53,20 +53,20 @@ def line_search(
     merit_before: Float[Array, ""] | None,
     max_backtracks: int,
 ) -> Trial:
-    """Backtrack until the step passes the test and all is finite.
+    """Backtrack until the step passes the test and all values are finite.
 
-    Full steps are taken first, downhill or not: the first step of a large rotation
-    always raises Pi, and of a nearly incompressible body by orders of magnitude; a
-    strict search then takes very short steps. Full steps are only trusted when they
-    end in a stable state.
+    At first, full steps are taken even uphill: the first step of a large rotation
+    always raises Pi, by orders of magnitude in a nearly incompressible body, and a
+    strict search would take very short steps. Full steps are only trusted if they end
+    in a stable state.
 
     Args:
         posed: The configuration, under a share of its load.
         at: Where the step begins.
         direction: The step.
         strict: Whether only steps that pass the test are taken.
-        merit_before: Norm of the residual one step ago; None where the search is
-            always on the potential [N].
+        merit_before: Norm of the residual one step ago; None if the search always uses
+            the potential [N].
         max_backtracks: Halvings before the step counts as failed.
     """
     lower, moving = _lower(posed, at, direction, merit_before), direction.moving
@@ -77,8 +77,8 @@ def line_search(
         lambda_a = step.lambda_a + alpha * step.d_lambda
         size = merit(posed, new.deformed, lambda_a, gap_stiffness)
         enough = lower(alpha, new, lambda_a, size)
-        # Some laws survive a tet turned inside out, and then hardly find back. A
-        # support that goes too far is cut short like a load.
+        # Some laws survive an inverted tet but hardly recover from it. A support that
+        # moves too far is cut like a load.
         inside_out = (new.min_det_F <= 0.0) & (at.min_det_F > 0.0)
         inside_out = inside_out & (~moving | ~strict)
         good = (enough | moving | ~strict) & new.finite & ~inside_out
@@ -93,13 +93,13 @@ def line_search(
         alpha, trials, _ = carry
         return 0.5 * alpha, trials + 1, trial(alpha)
 
-    # The first trial is in the loop, too: another would be compiled once more.
+    # The first trial is inside the loop, so that it is compiled only once.
     none = Trial(at, step.lambda_a, jnp.zeros(()), jnp.zeros((), bool))
     return jax.lax.while_loop(keep_trying, halve, (direction.reach, 0, none))[2]
 
 
 def _lower(posed: Posed, at: Point, direction: Direction, merit_before):
-    """The test of a trial step that suits what is imposed."""
+    """Choose the test of a trial step: on the potential, or on the residual."""
     if always_potential(posed.model):
         return _lower_potential(posed, at, direction)
     assert merit_before is not None
@@ -112,7 +112,7 @@ def _lower(posed: Posed, at: Point, direction: Direction, merit_before):
 
 
 def _lower_potential(posed: Posed, at: Point, direction: Direction):
-    """Test of a trial step: whether Pi has gone down enough (Armijo)."""
+    """Return a test of whether a trial step lowers Pi enough (Armijo)."""
     before, scale = _potential(posed, at)
     slope, d = direction.slope, direction.step.d
 
@@ -120,7 +120,7 @@ def _lower_potential(posed: Posed, at: Point, direction: Direction):
         del merit
         new, new_scale = _potential(posed, at)
         armijo = new <= before + 1e-4 * alpha * slope
-        # Near the solution Pi changes by less than its own rounding, and the slope
+        # Near the solution Pi changes by less than its rounding, so the slope
         # decides (approximate Wolfe condition of Hager and Zhang, SIAM J. Optim. 16,
         # 2005).
         g, _ = unbalanced(posed, at.deformed, lambda_a)
@@ -134,13 +134,13 @@ def _lower_potential(posed: Posed, at: Point, direction: Direction):
 
 
 def _lower_residual(posed: Posed, at: Point, direction: Direction, merit_before):
-    """Test of a trial step: whether the residual has gone down enough.
+    """Return a test of whether a trial step lowers the residual enough.
 
-    Below the larger of the last two, which a Newton direction can always reach (Grippo,
-    Lampariello and Lucidi, SIAM J. Numer. Anal. 23, 1986), and the first step of a load
-    step is free: a rotation that the step completes only to first order stretches a
-    slender body, so its residual rises by orders of magnitude and falls again one step
-    later. Monotone descent takes very short steps already under own weight.
+    The residual must fall below the larger of the last two, which a Newton direction
+    can always reach (Grippo, Lampariello and Lucidi, SIAM J. Numer. Anal. 23, 1986);
+    the first step of a load step is free. A rotation completed only to first order
+    stretches a slender body, so the residual rises by orders of magnitude for one step.
+    Monotone descent would take very short steps even under gravity alone.
     """
     now = merit(
         posed,
@@ -158,7 +158,7 @@ def _lower_residual(posed: Posed, at: Point, direction: Direction, merit_before)
 
 
 def _potential(posed: Posed, at: Point):
-    """Pi at a point, and the scale of its rounding [J]."""
+    """Compute Pi at a point, and the scale of its rounding [J]."""
     work = posed.load * posed.f_ext * at.u
     springs = posed.spring_energy(at.u)
     value, scale = at.energy + springs - jnp.sum(work), at.energy_scale + springs

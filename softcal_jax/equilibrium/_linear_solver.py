@@ -1,7 +1,6 @@
 """Sparse direct solvers with one interface, usable inside jit and vmap.
 
-pyproject.toml installs one on each platform: PARDISO on x86-64 Linux and Windows, KLU
-elsewhere.
+pyproject.toml installs PARDISO on x86-64 Linux and Windows, and KLU elsewhere.
 """
 
 import os
@@ -23,7 +22,7 @@ class LinearSolution(NamedTuple):
 
     Attributes:
         x: Solutions, one row per right-hand side.
-        n_negative: Number of negative eigenvalues; -1 if they are not counted.
+        n_negative: Number of negative eigenvalues; -1 if not counted.
         ok: False if the matrix was singular or not finite; `x` is then zero.
     """
 
@@ -60,7 +59,7 @@ class AbstractLinearSolver(eqx.Module):
             transpose: Solve with the transposed matrix.
 
         Returns:
-            The solutions, zero and flagged if they do not exist.
+            The solutions; zero and not ok if they do not exist.
         """
         if transpose and self.sparsity.mirror is not None:
             values = values[self.sparsity.mirror]
@@ -74,7 +73,7 @@ class AbstractLinearSolver(eqx.Module):
     def another(self, number: int) -> "AbstractLinearSolver":
         """Return a solver of the same pattern for another thread, with its own factors.
 
-        It is this one if it keeps no factors or does not run in threads.
+        Solvers that keep no factors or do not run in threads return themselves.
 
         Args:
             number: Index of the thread, from 1; equal indices share factors.
@@ -85,7 +84,7 @@ class AbstractLinearSolver(eqx.Module):
     def on_one_core(self) -> AbstractContextManager[None]:
         """Enter a context in which new solvers use one core each.
 
-        Solvers made outside must not be used inside it, nor the new ones after it.
+        Solvers made outside must not be used inside, nor the new ones outside.
         """
         return nullcontext()
 
@@ -93,10 +92,10 @@ class AbstractLinearSolver(eqx.Module):
     def solve_again(
         self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
     ) -> Float[Array, "n_rhs n_dof"]:
-        """Solve with the factors of the last `factor_solve`, if they are still there.
+        """Solve with the factors of the last `factor_solve`.
 
-        The solver keeps one set of factors, which another program may have replaced in
-        the meantime: the caller checks the solution.
+        Another program may have replaced them in the meantime, so the caller must check
+        the solution.
 
         Args:
             values: The matrix that was factorized.
@@ -107,7 +106,7 @@ class AbstractLinearSolver(eqx.Module):
 @jax.custom_batching.custom_vmap
 def _factor_solve(solver, values, rhs):
     finite = jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(rhs))
-    # A NaN makes PARDISO abort the process: factorize the identity instead.
+    # NaN makes PARDISO abort the process: factorize the identity instead.
     unit = jnp.zeros_like(values).at[solver.sparsity.diagonal].set(1.0)
     x, n_negative, ok = solver._factor_solve(
         jnp.where(finite, values, unit), jnp.where(finite, rhs, 0.0)
@@ -132,11 +131,11 @@ def _factor_solve_rule(axis_size, in_batched, solver, values, rhs):
 
 
 _Options = tuple[tuple[int, int], ...]
-"""Settings of PARDISO: pairs of an index into iparm, from 0, and a value."""
+"""Settings of PARDISO: pairs of an index into iparm, counted from 0, and a value."""
 
-# No iterative refinement (Newton's method refines, and the residual is within a factor
-# of 2), 1x1 pivots, and the one-level factorization: only that supports minimum degree
-# and reports its work, and a process that uses both levels can crash.
+# No iterative refinement (Newton's method refines anyway; the residual grows by less
+# than a factor of 2), 1x1 pivots, and the one-level factorization: only this one
+# supports minimum degree and reports its work, and a process that mixes both can crash.
 _COMMON: _Options = ((7, 0), (20, 0), (23, 0), (18, -1))
 
 _NESTED: _Options = (*_COMMON, (1, 2))
@@ -155,8 +154,8 @@ _MKL_DOMAIN_PARDISO = 4
 def _load_pardiso(sparsity: Sparsity):
     """Import pardiso-mkl-jax with OpenMP threads that do not spin.
 
-    By default MKL's threads keep their cores busy for a while after each call, but JAX
-    needs these cores for the assembly.
+    By default MKL's threads spin for a while after each call, but JAX needs their cores
+    for the assembly.
     """
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pardiso_mkl_jax import MatrixType, primitive
@@ -167,9 +166,10 @@ def _load_pardiso(sparsity: Sparsity):
 
 
 def _analyse(sparsity: Sparsity, options: _Options, number: int):
-    """Analyse a pattern outside jit; return its token and what PARDISO reports.
+    """Analyse a pattern outside jit; return its token and PARDISO's report.
 
-    The package identifies an analysis by its inputs, so the values depend on `number`.
+    pardiso-mkl-jax identifies an analysis by its inputs, so `number` goes into the
+    values to make each one distinct.
     """
     primitive, kind = _load_pardiso(sparsity)
     return primitive.analyze(
@@ -182,23 +182,23 @@ def _analyse(sparsity: Sparsity, options: _Options, number: int):
 
 
 def _work(sparsity: Sparsity, options: _Options) -> int:
-    """Compute the work of a factorization in this order [million operations]."""
+    """Return the work of a factorization in this ordering [million operations]."""
     return int(_analyse(sparsity, options, 0)[1][_MFLOP])
 
 
 class Pardiso(AbstractLinearSolver):
-    """Intel oneMKL PARDISO through pardiso-mkl-jax, for symmetric matrices and others.
+    """Intel oneMKL PARDISO through pardiso-mkl-jax.
 
-    Symmetric ones are treated as indefinite: the definite type stops the program at the
-    first non-positive pivot, the indefinite one goes on and counts the negative
-    eigenvalues. Others have the structurally symmetric type, because the general one
-    scales and matches by values, which are unknown when the pattern is analysed.
+    Symmetric matrices are treated as indefinite: the definite type aborts at the first
+    non-positive pivot, the indefinite one continues and counts negative eigenvalues.
+    Other matrices use the structurally symmetric type, because the general one scales
+    and matches by values, which are unknown when the pattern is analysed.
 
     Attributes:
         token: The analysis.
         options: Settings of PARDISO.
-        spare: A solver in nested dissection order, or None if this one has it already.
-            Minimum degree can meet a zero pivot in a regular, indefinite matrix.
+        spare: Fallback with nested dissection, because minimum degree can meet a zero
+            pivot in a regular, indefinite matrix; None if this solver uses it already.
     """
 
     sparsity: Sparsity
@@ -210,7 +210,7 @@ class Pardiso(AbstractLinearSolver):
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Pardiso":
-        """Analyse the pattern in the order that needs less work."""
+        """Analyse the pattern in the ordering that needs less work."""
         nested, degree = (
             _work(sparsity, order) for order in (_NESTED, _MINIMUM_DEGREE)
         )
@@ -251,8 +251,8 @@ class Pardiso(AbstractLinearSolver):
     def on_one_core(self):
         """Enter a context in which new solvers use one core each.
 
-        PARDISO plans for a number of threads when it analyses a pattern, and fails if
-        it finds another number later.
+        PARDISO plans for the number of threads at analysis, and fails if it differs
+        later.
         """
         from pardiso_mkl_jax._mkl_loader import libmkl_rt
 
@@ -281,14 +281,14 @@ class Pardiso(AbstractLinearSolver):
 
 
 class Klu(AbstractLinearSolver):
-    """KLU through klujax, for any matrix; it does not count negative eigenvalues.
+    """KLU through klujax, for platforms without PARDISO.
 
-    For platforms without PARDISO. CHOLMOD would be faster, but its package stops the
-    program at the first indefinite tangent of a batch.
+    It does not count negative eigenvalues. CHOLMOD would be faster, but its package
+    aborts at the first indefinite tangent of a batch.
 
     Attributes:
-        full_rows: Row of each entry of the full matrix: those of the pattern, then the
-            lower triangle of a symmetric one.
+        full_rows: Row of each entry of the full matrix: the pattern, then the lower
+            triangle of a symmetric one.
         full_cols: Column of each entry.
         source: Index of its value in the pattern.
     """
@@ -325,7 +325,7 @@ class Klu(AbstractLinearSolver):
 
 
 def require_float64() -> None:
-    """Raise unless JAX computes in float64; equilibrium in float32 does not converge.
+    """Raise unless JAX computes in float64; in float32 equilibria do not converge.
 
     Raises:
         ValueError: If `jax_enable_x64` is off.

@@ -1,4 +1,4 @@
-"""The linear system at a known equilibrium, and what is out of balance there."""
+"""The linear system at a known equilibrium, and the residual there."""
 
 from functools import partial
 
@@ -24,7 +24,7 @@ from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import mask_supports, product
 
 SAME_MATRIX = 1e-6
-"""Largest relative residual with which a solution is one of the given matrix [-]."""
+"""Largest relative residual at which a solution belongs to the given matrix [-]."""
 
 
 def residual(
@@ -35,15 +35,16 @@ def residual(
 ) -> Float[Array, "n_points 3"]:
     """Compute the out-of-balance force f - f_ext - F_a^T lambda_a [N]; Eq. (1).
 
-    Zero on free coordinates at equilibrium; on held ones it is the reaction, the force
-    of the support on the body. Summed over a rigid body it is zero, or what holds it.
+    At equilibrium it is zero on free coordinates; on held ones it is the reaction, the
+    force of the support on the robot. Summed over a rigid body it is zero, or the force
+    that holds the body.
 
     Args:
         model: The model.
         configuration: One configuration.
         u: Displacement [m].
-        lambda_a: Forces of the actuators whose displacement is imposed; found from the
-            balance by default, which holds at equilibrium.
+        lambda_a: Forces of the actuators whose displacement is imposed; by default
+            estimated from the balance, which is exact at equilibrium.
     """
     posed, at = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
@@ -54,7 +55,7 @@ def residual(
 def solved_forces(
     model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
 ) -> Float[Array, " n_a"]:
-    """Find the forces of actuators with imposed displacement, at an equilibrium."""
+    """Compute the forces of actuators with imposed displacement at an equilibrium."""
     return estimated_forces(Posed.of(model, configuration), deform(model, u))
 
 
@@ -66,10 +67,10 @@ class Linearisation(eqx.Module):
         u: Displacement at the equilibrium [m].
         lambda_a: Forces of actuators whose displacement is imposed.
         system: The matrix.
-        regular: Whether it could be factorized, as far as is known.
-        factorized: Whether the solver may still have the factors of this matrix.
-        differentiable: Whether solutions are to be linear in their right-hand sides for
-            autodiff, too; they are then nan, not flagged, where there are none.
+        regular: False if a factorization is known to have failed.
+        factorized: Whether the solver may still hold the factors of this matrix.
+        differentiable: Whether autodiff can transpose `solve`; where there is no
+            solution it then returns nan instead of a flag.
     """
 
     posed: Posed
@@ -91,11 +92,11 @@ class Linearisation(eqx.Module):
         return self.posed.configuration
 
     def free(self, forces: Float[Array, "n_points 3"]) -> Float[Array, " n_dof"]:
-        """Forces on the free unknowns, 0 on the others [N]."""
+        """Reduce nodal forces to the free unknowns, 0 on the others [N]."""
         return self.posed.on_free(self.u, forces)
 
     def scatter(self, x: Float[Array, "n n_dof"]) -> Float[Array, "n n_points 3"]:
-        """Displacements of all nodes in steps of the unknowns [m]."""
+        """Expand steps of the unknowns to displacements of all nodes [m]."""
         return jax.vmap(lambda d: self.posed.scatter(self.u, d))(x)
 
     def solve(
@@ -105,15 +106,15 @@ class Linearisation(eqx.Module):
         *,
         transpose: bool = False,
     ) -> actuation.Bordered:
-        """Solve for several right-hand sides, by one factorization at most.
+        """Solve for several right-hand sides with at most one factorization.
 
         Args:
             force: Forces on the free unknowns, 0 on the others [N].
-            gap: How far the imposed displacements have to go.
+            gap: Imposed minus current displacements of active actuators.
             transpose: Solve with the transposed matrix.
 
         Returns:
-            The solutions; not ok, and zero, where there are none.
+            The solutions; zero and not ok if they do not exist.
         """
         solve = partial(self.system.solve, self.model, transpose=transpose)
         if self.differentiable:
@@ -129,12 +130,11 @@ class Linearisation(eqx.Module):
         return jax.lax.cond(ok, again, lambda: zeros)
 
     def _on_last_factors(self, solve, force, gap) -> actuation.Bordered:
-        """Solve on the factors of the last Newton step.
+        """Solve with the factors of the last Newton step.
 
-        PARDISO keeps its factors in a place that other programs may write to in
-        between; one product with a mixture of all solutions shows whether they did.
-        The matrix is then factorized again, and so it is where displacements of
-        actuators are imposed.
+        Another program may have replaced PARDISO's factors in between; one product with
+        a combination of all solutions detects it. The matrix is then factorized again,
+        as it always is where displacements of actuators are imposed.
         """
         if gap.shape[1] > 0:
             return solve(force, gap)
@@ -164,7 +164,7 @@ def _solve_linearly(
     """Solve the bordered system in a way that autodiff can transpose."""
     n_dof, n_m = force.shape[1], gap.shape[1]
     values, active = system.values, system.active
-    # An array without entries would make JAX 0.10.2 lose the solver's call.
+    # With an empty array JAX 0.10.2 would drop the call of the solver.
     join = lambda x, lam: jnp.concatenate([x, lam], axis=1) if n_m > 0 else x
 
     def matvec(v):
@@ -182,7 +182,7 @@ def _solve_linearly(
         wanted = jnp.where(active[None], -below, 0.0) if n_m > 0 else below
         found = system.solve(model, b[:, :n_dof], wanted, transpose=transpose)
         lam = jnp.where(active[None], found.lambda_a, below) if n_m > 0 else below
-        # A derivative that does not exist must not pass for zero.
+        # A derivative that does not exist must not be mistaken for zero.
         return jnp.where(found.ok, join(found.x, lam), jnp.nan)
 
     x = jax.lax.custom_linear_solve(
@@ -215,7 +215,7 @@ def linearise(
         model: The model.
         configuration: One configuration.
         u: Displacement at the equilibrium [m].
-        lambda_a: Forces of actuators whose displacement is imposed; found from the
+        lambda_a: Forces of actuators whose displacement is imposed; estimated from the
             balance by default.
         differentiable: See `Linearisation`.
     """
@@ -249,17 +249,17 @@ def factor_solve(
     *,
     transpose: bool = False,
 ) -> LinearSolution:
-    """Solve K(u) dx = rhs on the free unknowns, one factorization for all rows.
+    """Solve K(u) dx = rhs on the free unknowns, with one factorization for all rows.
 
-    Where displacements of actuators are imposed, they stay: the inverse is that of the
-    bordered system, W_ep - W_ea W_aa^-1 W_ap in place of W_ep.
+    Imposed actuator displacements are kept: the inverse is that of the bordered system,
+    which gives W_ep - W_ea W_aa^-1 W_ap in place of W_ep.
 
     Args:
         model: The model.
-        configuration: Its supports decide which rows are held.
+        configuration: One configuration; its supports hold rows.
         u: Equilibrium displacement, where K is taken [m].
         rhs: Right-hand sides; entries on held nodes are ignored [N].
-        transpose: Solve with K^T, which is K only for a conservative model.
+        transpose: Solve with K^T, which equals K only for a conservative model.
 
     Returns:
         Displacements of all nodes, zero on held ones [m].

@@ -25,25 +25,25 @@ from softcal_jax.equilibrium._sparsity import Sparsity, build_sparsity, destinat
 from softcal_jax.materials import AbstractLaw
 from softcal_jax.mesh import TetMesh, check_mesh
 
-# Tets are computed in blocks that stay in the first cache, the tet index last so that
-# it vectorises: the corotational law takes twice as long with 32 as with 16.
+# Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
+# corotational law takes twice as long with blocks of 32 as with 16.
 BLOCK = 16
 
 
 class Model(eqx.Module):
-    """A meshed body with its material; every array is a traced argument of the solver.
+    """A mesh with its law and mechanism; its arrays are traced arguments of the solver.
 
     Attributes:
         mesh: The mesh [m].
         law: Constitutive law; its arrays hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
-        mechanism: Its rigid bodies and actuators.
-        active: 1 for each tet; 0 for the copies that fill up the last block, and for
-            tets whose nodes all belong to one rigid body.
+        mechanism: Rigid bodies and actuators.
+        active: 1 for each tet; 0 for copies that pad the last block, and for tets
+            whose nodes all belong to one rigid body.
         pattern: Sparsity of the tangent over all nodes.
-        curvature_at: Where the entries of the actuators' tangents go in it.
+        curvature_at: Positions in the pattern of the actuators' tangents.
         reduction: How the tangent is reduced to the unknowns; None without bodies.
-        solver: Sparse solver of the unknowns.
+        solver: Sparse solver for the unknowns.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
     """
 
@@ -65,12 +65,12 @@ class Model(eqx.Module):
 
     @property
     def n_points(self) -> int:
-        """Nodes of the mesh and of the frames of the rigid bodies."""
+        """Number of nodes, those of the rigid bodies' frames included."""
         return self.mechanism.points.shape[0]
 
     @property
     def n_dof(self) -> int:
-        """Unknowns: three per node, held ones too, and six per rigid body."""
+        """Number of unknowns: three per node, held or free, and six per rigid body."""
         return self.solver.sparsity.n_dof
 
     @property
@@ -82,14 +82,14 @@ class Model(eqx.Module):
     def conservative(self) -> bool:
         """Whether a potential exists, so that the tangent is symmetric.
 
-        Without one, the full tangent goes to a non-symmetric solver, Newton brings down
-        the residual in place of the potential, and no count of negative eigenvalues
-        tells whether a state is stable.
+        Without one, the full tangent goes to a non-symmetric solver, Newton reduces the
+        residual instead of the potential, and stability cannot be judged by counting
+        negative eigenvalues.
         """
         return self.solver.sparsity.symmetric
 
     def with_law(self, law: AbstractLaw) -> "Model":
-        """The same body with another law of the same or another class.
+        """Return the model with another law, of the same or another class.
 
         Raises:
             ValueError: If a per-tet array has the wrong length, or the law has no
@@ -100,12 +100,12 @@ class Model(eqx.Module):
         return eqx.tree_at(lambda m: m.law, self, law)
 
     def tabulated(self) -> "Model":
-        """The same body, with what does not depend on its shape computed once."""
+        """Return the model with all that does not depend on its shape precomputed."""
         law = jax.lax.optimization_barrier(self.law.tabulated())
         return eqx.tree_at(lambda m: m.law, self, law)
 
     def law_blocks(self) -> AbstractLaw:
-        """The law with per-tet arrays cut into blocks, as `assembly` maps over it."""
+        """Return the law with per-tet arrays cut into blocks for the assembly."""
         n_blocks, _, block = self.weights.shape
         return jax.tree.map(
             lambda leaf: to_blocks(leaf, self.n_tets, n_blocks, block), self.law
@@ -115,7 +115,7 @@ class Model(eqx.Module):
 def to_blocks(
     leaf: Float[Array, "..."], n_tets: int, n_blocks: int, block: int
 ) -> Float[Array, "n_blocks block ..."]:
-    """One value per tet, in blocks; one value for all is repeated."""
+    """Cut per-tet values into blocks; a single value is repeated for all tets."""
     if leaf.ndim == 0:
         return jnp.broadcast_to(leaf, (n_blocks, block))
     pad = n_blocks * block - n_tets
@@ -133,10 +133,10 @@ def _check_fields(law: AbstractLaw, n_tets: int) -> None:
 
 
 def check_law(law: AbstractLaw, conservative: bool, formulation: Formulation) -> None:
-    """Raise unless a model with this tangent and formulation can take the law.
+    """Raise unless the law suits this kind of tangent and formulation.
 
     Raises:
-        ValueError: If the law has no potential and something rests on one.
+        ValueError: If the law has no potential and one of them requires it.
     """
     name = type(law).__name__
     if conservative and not law.conservative:
@@ -161,30 +161,30 @@ def build_model(
     formulation: Literal["auto"] | Formulation = "auto",
     solver: str | None = None,
 ) -> Model:
-    """Prepare a body for equilibrium: shape gradients, sparsity, symbolic analysis.
+    """Prepare a model for equilibrium: shape gradients, sparsity, symbolic analysis.
 
-    Which element: quadratic tets (`to_quadratic`) for anything that bends; linear tets
-    lock and their moduli are effective, mesh-dependent numbers. Which formulation, for
-    quadratic tets: "displacement" is a little too stiff, and the more accurate one up
-    to nu = 0.45; "mean-dilatation" is a little too soft, and the more accurate one from
-    nu = 0.49 on (`python -m benchmarks run locking`).
+    Element: use quadratic tets (`to_quadratic`) for anything that bends; linear tets
+    lock, and their calibrated moduli depend on the mesh. Formulation of quadratic tets:
+    "displacement" is slightly too stiff but more accurate up to nu = 0.45;
+    "mean-dilatation" is slightly too soft but more accurate from nu = 0.49 on
+    (`python -m benchmarks run locking`).
 
-    A law without a potential (`ClassicalCorotational`) makes a model that is not
-    `conservative`: it costs more, and says nothing about stability.
+    A law without a potential (`ClassicalCorotational`) makes the model not
+    `conservative`: solving it costs more, and stability remains unknown.
 
     Args:
         mesh: The mesh [m], linear or quadratic.
-        law: Constitutive law; arrays of it hold one value, or one per tet.
+        law: Constitutive law; its arrays hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
-        bodies: Its rigid bodies.
-        actuators: Its cables, chambers, motors and other actuators. A
-            `SurfacePressure` has no potential, and makes the model not `conservative`.
+        bodies: The rigid bodies.
+        actuators: Cables, chambers, motors and other actuators. A
+            `SurfacePressure` has no potential and makes the model not `conservative`.
         formulation: How the volume change enters. "auto" takes "mean-dilatation" for
             quadratic tets whose law has a Poisson's ratio `nu` of 0.49 or more, and
             "displacement" otherwise; `Model.formulation` says which.
-        solver: Sparse direct solver: "pardiso" or "klu" on the CPU, of which the
-            default is the one of the platform; or "pardiso-host", the default where JAX
-            computes on a GPU (extra `gpu`).
+        solver: Sparse direct solver: "pardiso" or "klu" on the CPU, by default that of
+            the platform; or "pardiso-host", the default where JAX computes on a GPU
+            (extra `gpu`).
 
     Returns:
         The model.
@@ -192,9 +192,8 @@ def build_model(
     Raises:
         ValueError: If JAX is not in float64, the mesh is not sound, the density is
             negative, a per-tet array has the wrong length, a body or an actuator does
-            not fit the mesh, the formulation is unknown, or needs a potential that
-            the law does not have, or the solver is unknown or does not run where JAX
-            computes.
+            not fit the mesh, the formulation is unknown or needs a potential that the
+            law lacks, or the solver is unknown or cannot run where JAX computes.
         ImportError: If the package of the solver is not installed.
     """
     require_float64()
@@ -250,9 +249,9 @@ def build_model(
 
 
 def _linked(mechanism: Mechanism) -> list[np.ndarray]:
-    """Nodes of the mesh that each rigid body holds together, tied ones included.
+    """Return the nodes that each rigid body holds together, tied bodies included.
 
-    Bodies with motors are linked by the ground.
+    Bodies with motors are linked through the ground.
     """
     bodies = mechanism.bodies
     owner = bodies.owner[bodies.body]
@@ -262,7 +261,7 @@ def _linked(mechanism: Mechanism) -> list[np.ndarray]:
 
 
 def _within_one_body(mesh: TetMesh, mechanism: Mechanism) -> np.ndarray:
-    """Which tets have all nodes in one rigid body."""
+    """Flag the tets whose nodes all belong to one rigid body."""
     body = np.full(mesh.n_nodes, -1)
     body[mechanism.bodies.attached] = mechanism.bodies.body
     of_tet = body[mesh.tets]
@@ -318,7 +317,7 @@ def _formulation(choice: str, law: AbstractLaw, n_en: int) -> Formulation:
 
 
 def _shape_gradients_at(mesh: TetMesh, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shape gradients dN_a/dX_J and weights (volume included) at quadrature points."""
+    """Compute shape gradients dN_a/dX_J and weights, volume included."""
     rule = tet_rule(degree)
     reference = shape_gradients(rule.barycentric, mesh.tets.shape[1])
     jacobian = np.einsum("eai,qaj->eqij", mesh.points[mesh.tets], reference)

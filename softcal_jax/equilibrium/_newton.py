@@ -2,8 +2,8 @@
 
 Minimises Pi(x) = sum_e V_e psi(F_e) - t (f_ext . u + lambda_a . delta_a) over the free
 unknowns, while the load factor t goes from 0 to 1 (paper Eqs. 1-3; equilibrium is a
-minimum of Pi when forces are imposed). One state machine in one `while_loop`: an
-iteration is a Newton step, and the end of a load step, or its failure, only changes t.
+minimum of Pi when forces are imposed). A single `while_loop` does it all: each
+iteration is a Newton step, and the end or failure of a load step only changes t.
 """
 
 from dataclasses import dataclass
@@ -32,18 +32,18 @@ from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
 
 _NEAR = 1e-3
-"""Residual, in internal forces, of a state whose tangent is that of the next one."""
+"""Residual relative to internal forces below which a step hardly moves the tangent."""
 
 
 class NewtonSettings(eqx.Module):
     """Settings of the equilibrium solve; static, so each set compiles once.
 
     Attributes:
-        rtol: Residual at which Newton stops, relative to the largest of external force,
-            internal force and reactions [-].
+        rtol: Residual at which Newton stops, relative to the larger of external and
+            internal force [-].
         max_steps: Newton iterations for one configuration, all load steps together.
         max_steps_per_load: Newton iterations after which a load step is cut, unless
-            the last one brought the residual down by a factor of ten.
+            the last one reduced the residual tenfold.
         smallest_load_step: Load increment below which load stepping gives up [-].
         strict_below: Load increment below which the line search is strict [-].
         max_backtracks: Halvings of a Newton step before it counts as failed.
@@ -67,13 +67,13 @@ class NewtonSettings(eqx.Module):
 
 
 class NewtonState(NamedTuple):
-    """State of the loop; `ok` and `*_ok` are of the last equilibrium on the load path.
+    """State of the loop.
 
-    `theta` is the volume ratio of each tet in the mixed Newton step; everything else,
-    the stopping rule too, is of the body with theta = J_bar(u). `turned` tells whether
-    the last trial step turned a tet inside out. `merit_before` is the norm of the
-    residual one step ago, for the line search on it; inf at the start of a load step,
-    None where the line search is always on the potential.
+    `ok` and `*_ok` belong to the last equilibrium on the load path. `theta` holds the
+    volume ratios of the mixed Newton step; everything else, including the stopping
+    rule, uses theta = J_bar(u). `turned`: the last trial step inverted a tet.
+    `merit_before` is the norm of the residual one step ago, for the line search; inf at
+    the start of a load step, None if the line search always uses the potential.
     """
 
     at: Point
@@ -114,25 +114,25 @@ class NewtonLoop:
         return self.posed.model
 
     def strict(self, s: NewtonState):
-        """Whether only steps that lower Pi are taken."""
+        """Tell whether only steps that lower Pi are taken."""
         if not self.model.solver.counts_negative:
-            # Nobody would notice that full steps had ended in an unstable state.
+            # Full steps could end in an unstable state unnoticed.
             return jnp.ones((), bool)
         return s.increment < self.settings.strict_below
 
     def remembered(self, merit):
-        """Norm of a residual, kept only where the line search may need it."""
+        """Return the norm of a residual, or None if the line search never needs it."""
         return None if always_potential(self.model) else jnp.asarray(merit)
 
     def step(self, s: NewtonState) -> NewtonState:
-        """One Newton iteration, and what follows from it for the load."""
+        """Do one Newton iteration, then keep, raise or cut the load."""
         posed, strict = self.posed.at_load(s.load), self.strict(s)
         direction = newton_direction(
             posed, s.at.deformed, s.lambda_a, theta=s.theta, strict=strict
         )
         factor = direction.factor
         downhill = jnp.ones((), bool)
-        if self.model.conservative:  # otherwise it always points down the residual
+        if self.model.conservative:  # otherwise it always descends the residual
             saddle = jnp.any(by_multiplier(posed))
             downhill = direction.moving | (direction.slope <= 0.0) | ~strict | saddle
         tried = line_search(
@@ -155,14 +155,14 @@ class NewtonLoop:
             step_in_load=s.step_in_load + 1,
             n_negative=factor.n_negative,
             any_singular=~factor.ok,
-            # A singular tangent gives no step; the ones before it tell why.
+            # A singular tangent gives no step; keep the flag of the step before.
             turned=jnp.where(factor.ok, tried.at.min_det_F <= 0.0, s.turned),
         )
         before = merit(
             posed, s.at.deformed, direction.step.lambda_a, factor.gap_stiffness
         )
-        # Where one step went all the way, as in a strut under an axial force, the
-        # tangent was that of another state: factorize once more at this one, and stay.
+        # A single step that converges, as in a strut under an axial force, leaves the
+        # tangent of another state: factorize once more at this state without moving.
         near = before <= _NEAR * jnp.linalg.norm(tried.at.deformed.force)
         near = near | (factor.n_negative < 0)
         stay = (s.residual <= rtol) & (s.step_in_load > 1)
@@ -189,10 +189,10 @@ class NewtonLoop:
         return jax.lax.cond(failed, self.back, lambda s: s, s)
 
     def suspicious(self, s: NewtonState, det):
-        """Whether full steps may have jumped; load stepping then finds the path.
+        """Tell whether full steps may have left the load path.
 
-        To a saddle, where negative eigenvalues show it, or past a tet turned inside
-        out, which some laws survive.
+        They may have jumped to a saddle, shown by negative eigenvalues, or past an
+        inverted tet, which some laws survive. Load stepping then finds the path.
         """
         jumped = (det <= 0.0) & (s.increment >= self.settings.strict_below)
         if self.model.conservative:
@@ -200,7 +200,7 @@ class NewtonLoop:
         return jumped
 
     def next_load(self, s: NewtonState) -> NewtonState:
-        """Keep an equilibrium; raise the load, or finish."""
+        """Store the equilibrium, then raise the load or finish."""
         increment = jnp.minimum(2.0 * s.increment, 1.0 - s.load)
         finished = s.load >= 1.0
         sound = s.at.min_det_F > 0.0
@@ -220,7 +220,7 @@ class NewtonLoop:
         )
 
     def back(self, s: NewtonState) -> NewtonState:
-        """Return to the last equilibrium and take half the load increment."""
+        """Return to the last equilibrium and halve the load increment."""
         increment = 0.5 * s.increment
         give_up = increment < self.settings.smallest_load_step
         buckled = RESULTS.where(
@@ -241,11 +241,11 @@ class NewtonLoop:
         )
 
     def start(self, u0: Float[Array, "n_points 3"]) -> NewtonState:
-        """State before the first iteration, at full load."""
+        """Return the state before the first iteration, at full load."""
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
         rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
         guess = evaluate(self.model, self.posed.rigid(u0))
-        # A guess with inverted tets or infinite energy is worth less than rest.
+        # Rest is a better start than inverted tets or infinite energy.
         usable = guess.finite & (guess.min_det_F > 0.0)
         at = _select(usable, guess, rest)
         lambda_a = none = jnp.zeros(self.model.mechanism.n_actuators)
@@ -281,10 +281,10 @@ def newton(
     u0: Float[Array, "n_points 3"],
     settings: NewtonSettings,
 ) -> NewtonState:
-    """Solve one configuration from the guess `u0`, at full load first.
+    """Solve one configuration from the guess `u0`, first at full load.
 
-    A guess that does not lead to the solution at full load is dropped, and load
-    stepping begins from rest.
+    If the guess does not lead to a solution at full load, load stepping starts from
+    rest.
     """
     loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
     keep_going = lambda s: ~s.done & (s.step < settings.max_steps)

@@ -1,9 +1,9 @@
 """A configuration of a model at a share of its load, and its unknowns.
 
 The unknowns are three per node and six per rigid body. A state is the displacement u
-of all nodes, those of bodies and their frames among them. A step d of the unknowns
-moves it: free nodes by d, the nodes of a body by the exact rigid motion of its twist,
-and what is held to where it is held.
+of all nodes, including those of bodies and their frames. A step d of the unknowns moves
+free nodes by d, the nodes of a body by the exact rigid motion of its twist, and held
+nodes and bodies to their imposed positions.
 """
 
 from typing import NamedTuple
@@ -32,16 +32,16 @@ from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._reduction import reduce_values
 
 _UNMOVED = 1e-12
-"""Distance to where a body is held, in sizes of its frame, that is only rounding."""
+"""Distance of a held body from its place that is rounding, per frame length [-]."""
 
 
 def _body_states(
     model: Model, configuration: ConfigurationArrays, mounted: Mounted
 ) -> BodyStateArrays:
-    """What the configuration does with the bodies, its motors included.
+    """Return how the configuration and its motors constrain the bodies.
 
-    A motor whose angle is imposed holds its body there; one whose torque is imposed
-    leaves it on the hinge.
+    A motor with an imposed angle holds its body; with an imposed torque it leaves the
+    body free on its hinge.
     """
     mechanism = model.mechanism
     state, actuation = configuration.bodies, configuration.actuation
@@ -60,19 +60,19 @@ def _body_states(
 def external_force(
     model: Model, configuration: ConfigurationArrays
 ) -> Float[Array, "n_points 3"]:
-    """Dead loads and weight as nodal forces, f_ext(p) [N]."""
+    """Compute dead loads and weight as nodal forces, f_ext(p) [N]."""
     return configuration.dead_loads + gravity_load(model, configuration.acceleration)
 
 
 class Posed(NamedTuple):
-    """One configuration of a model under a share of its load; make it by `of`.
+    """One configuration of a model under a share of its load; built by `of`.
 
     Attributes:
-        model: The model, its friction against the motion of the configuration.
-        configuration: Its supports, loads, and what it does with bodies and actuators.
+        model: The model, with friction opposing the motion of the configuration.
+        configuration: Supports, loads, and states of bodies and actuators.
         f_ext: External forces at full load [N].
         load: Share of the load that is applied [-].
-        states: What the configuration does with the bodies, its motors included.
+        states: How configuration and motors constrain the bodies; None without bodies.
         mounted: Frames of the bodies at this load; None without bodies.
     """
 
@@ -85,9 +85,9 @@ class Posed(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
-        """A configuration of a model at full load.
+        """Pose a model in a configuration at full load.
 
-        Friction in the model gets the sign of the configuration's motion.
+        Friction takes its sign from the configuration's direction of motion.
         """
         f_ext = external_force(model, configuration)
         if any(model.mechanism.actuators.has_friction):
@@ -102,7 +102,7 @@ class Posed(NamedTuple):
         return cls(model, configuration, f_ext, load, states, frames)
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
-        """The same configuration under another share of its load."""
+        """Return the same configuration under another share of its load."""
         if self.mounted is None:
             return self._replace(load=load)
         frames = mounted(self.model.mechanism.bodies, load)
@@ -113,7 +113,7 @@ class Posed(NamedTuple):
         return self.model.reduction is not None
 
     def spring_force(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
-        """Forces of the nodes on the springs of elastic supports [N]."""
+        """Compute the forces of the nodes on the springs of elastic supports [N]."""
         springs = self.configuration.springs
         if not springs.names:
             return jnp.zeros_like(u)
@@ -121,12 +121,12 @@ class Posed(NamedTuple):
         return springs.coefficients() * stretch
 
     def spring_energy(self, u: Float[Array, "n_points 3"]) -> Float[Array, ""]:
-        """Energy of the springs of elastic supports [J]."""
+        """Compute the energy of the springs of elastic supports [J]."""
         stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)
         return 0.5 * jnp.sum(self.spring_force(u) * stretch)
 
     def fixed(self) -> Bool[Array, " n_dof"]:
-        """Which of them are not free: held, or of a node that belongs to a body."""
+        """Flag the unknowns that are not free: held, or of nodes that follow a body."""
         held = jnp.asarray(self.configuration.fixed)
         plan, states = self.model.reduction, self.states
         if plan is None or states is None:
@@ -137,7 +137,7 @@ class Posed(NamedTuple):
     def gather(
         self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
     ) -> Float[Array, " n_dof"]:
-        """Forces on the unknowns, G^T f, of forces on all nodes [N].
+        """Gather forces on all nodes into forces on the unknowns, G^T f [N].
 
         Args:
             u: Displacement [m].
@@ -155,13 +155,13 @@ class Posed(NamedTuple):
     def on_free(
         self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
     ) -> Float[Array, " n_dof"]:
-        """Forces on the free unknowns, 0 on the others; takes what `gather` takes."""
+        """Gather forces on the free unknowns, 0 on the others; see `gather`."""
         return jnp.where(self.fixed(), 0.0, self.gather(u, forces))
 
     def scatter(
         self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
     ) -> Float[Array, "n_points 3"]:
-        """Displacements of all nodes in a small step of the unknowns, G d [m]."""
+        """Spread a small step of the unknowns over all nodes, G d [m]."""
         plan = self.model.reduction
         if plan is None:
             return d.reshape(u.shape)
@@ -170,19 +170,19 @@ class Posed(NamedTuple):
         return free.at[plan.rigid].set(along, unique_indices=True)
 
     def rigid(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
-        """Make every body rigid again, placed as its frame is [m].
+        """Make every body rigid again, as its frame is placed [m].
 
-        For guesses: a linear prediction stretches what turns.
+        Guesses need it: a linear prediction stretches what rotates.
         """
         return self._with_bodies(u, self._frames(u)) if self._has_bodies else u
 
     def move(
         self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
     ) -> Float[Array, "n_points 3"]:
-        """Displacement after a step of the unknowns [m].
+        """Apply a step of the unknowns to a displacement [m].
 
-        Bodies move rigidly and stay so. Held bodies go to where they are held at this
-        load; the step of supported nodes is already part of d.
+        Bodies move rigidly. Held bodies go to their imposed pose at this load; the step
+        of supported nodes is already part of d.
         """
         if self.states is None or self.mounted is None:
             return u + d.reshape(u.shape)
@@ -194,10 +194,10 @@ class Posed(NamedTuple):
     def swing(
         self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
     ) -> Float[Array, "n_points 3"]:
-        """As `move`, but turn a robot that hangs on one hinge alone as a whole.
+        """Do as `move`, but rotate a robot that only hangs on one hinge as a whole.
 
-        In `move`, free nodes follow a turn of the hinge along straight lines, which
-        stretches stiff parts by far more energy than the work of weight and torque.
+        In `move`, free nodes follow a rotation of the hinge along straight lines, which
+        costs stiff parts far more energy than weight and torque supply.
         """
         if self.states is None or self.mounted is None:
             return self.move(u, d)
@@ -225,7 +225,7 @@ class Posed(NamedTuple):
         return jnp.where(alone, around, v)
 
     def imposed(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
-        """How far held nodes still have to move to where they are held [m]."""
+        """Return the remaining motion of held nodes to their imposed positions [m]."""
         held = jnp.asarray(self.configuration.fixed)
         target = self.load * jnp.asarray(self.configuration.imposed)
         gap = jnp.where(held, target - u, 0.0)
@@ -238,7 +238,7 @@ class Posed(NamedTuple):
         return gap.at[plan.rigid].set(jnp.where(jnp.abs(far) > rounding, far, 0.0))
 
     def held_at(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
-        """Displacement with held nodes where they are held; u elsewhere [m]."""
+        """Move held nodes and bodies to their imposed positions, no others [m]."""
         held = jnp.asarray(self.configuration.fixed)
         target = self.load * jnp.asarray(self.configuration.imposed)
         there = jnp.where(held, target, u)
@@ -252,14 +252,14 @@ class Posed(NamedTuple):
         values: Float[Array, " nnz"],
         unbalanced: Float[Array, "n_points 3"],
     ) -> Float[Array, " nnz_reduced"]:
-        """Tangent in the unknowns from that of all nodes [N/m].
+        """Reduce the tangent over all nodes to the unknowns [N/m].
 
         Args:
             u: Displacement [m].
             values: Tangent over all nodes.
-            unbalanced: Out-of-balance forces, internal minus external: those on the
-                nodes of a body keep their direction when it turns, so that their
-                moment changes [N].
+            unbalanced: Out-of-balance forces, internal minus external [N]. Those on the
+                nodes of a body keep their direction as it rotates, so their moment
+                changes.
         """
         plan = self.model.reduction
         if plan is None:
@@ -278,7 +278,7 @@ class Posed(NamedTuple):
         return frames_at(self.model.mechanism.bodies, (points + u)[n_nodes:])
 
     def _with_bodies(self, u: Float[Array, "n_points 3"], frames: Frames):
-        """The displacement with all nodes of bodies where the frames have them."""
+        """Place all nodes of bodies according to their frames."""
         bodies, n_nodes = self.model.mechanism.bodies, self.model.mesh.n_nodes
         points = jnp.asarray(self.model.mechanism.points)
         ends = frame_nodes(bodies, frames)
@@ -288,7 +288,7 @@ class Posed(NamedTuple):
         return u.at[bodies.attached].set(moved, unique_indices=True)
 
     def _arms(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_rigid 3"]:
-        """From the origin of the body that moves it to each rigid node [m]."""
+        """Return the vectors from the owning body's origin to each rigid node [m]."""
         plan = self.model.reduction
         assert plan is not None
         x = jnp.asarray(self.model.mechanism.points) + u
@@ -296,7 +296,7 @@ class Posed(NamedTuple):
         return x[plan.rigid] - origins[plan.owner]
 
     def _follow(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_rigid 3 6"]:
-        """How rigid nodes follow the twists of their bodies, G [-]."""
+        """Return G: motion of rigid nodes per unit twist of their bodies [-]."""
         plan, bodies = self.model.reduction, self.model.mechanism.bodies
         assert plan is not None
         assert self.mounted is not None
@@ -307,9 +307,9 @@ class Posed(NamedTuple):
         return jnp.swapaxes(jnp.concatenate([axes, turns], axis=1), 1, 2)
 
     def _geometric(self, u, unbalanced) -> Float[Array, "n_b 6 6"]:
-        """Second derivative of the work of forces in the twists.
+        """Return the second derivatives of the forces' work by the twists.
 
-        Of x(w) = exp(hat(w)) r at w = 0: sym(g r^T) - (g . r) I for a force g.
+        For x(w) = exp(hat(w)) r and a force g: sym(g r^T) - (g . r) I at w = 0.
         """
         plan, bodies = self.model.reduction, self.model.mechanism.bodies
         assert plan is not None

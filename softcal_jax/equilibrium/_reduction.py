@@ -1,9 +1,9 @@
 """The tangent in the unknowns of free nodes and rigid bodies.
 
-Nodes of a body move with it, du = G d, so its tangent is G^T K G and a part from the
-turning of forces (`Posed.reduce`). K is assembled over all nodes first; here its
-entries go to their places. Rows of nodes that belong to bodies stay, empty, so that
-node i always has the unknowns 3 i to 3 i + 2.
+Nodes of a body move with it, du = G d, so its tangent is G^T K G plus a geometric part
+(`Posed.reduce`). K is assembled over all nodes first, then its entries are
+redistributed here. Nodes that belong to bodies keep empty rows, so that node i always
+has the unknowns 3 i to 3 i + 2.
 """
 
 from collections.abc import Sequence
@@ -23,19 +23,19 @@ class Reduction(eqx.Module):
     Attributes:
         full: Pattern over all nodes.
         reduced: Pattern over the unknowns: three per node, then six per body.
-        rigid: Nodes that belong to bodies, their frame nodes too.
-        owner: The body whose unknowns move each.
+        rigid: Nodes that belong to bodies, frame nodes included.
+        owner: Index of the body whose unknowns move each.
         kept: Entries between free nodes.
         kept_at: Where they go.
         mixed: Blocks between a free and a rigid node.
-        mixed_rigid: Index in `rigid` of the latter.
+        mixed_rigid: Index in `rigid` of the rigid node.
         mixed_at: Where they go.
         mixed_below_at: Where their transposes go, if the matrix is not symmetric.
         mixed_below: Blocks between a rigid and a free node, likewise.
         inner: Blocks between two rigid nodes.
-        inner_first: Indices in `rigid` of the first of these.
-        inner_second: Indices in `rigid` of the second.
-        bodies: Entries of the matrix between bodies that the pattern has.
+        inner_first: Index in `rigid` of the first node.
+        inner_second: Index in `rigid` of the second node.
+        bodies: Entries of the matrix between bodies that the pattern stores.
         bodies_at: Where they go.
     """
 
@@ -64,13 +64,13 @@ def build_reduction(
     owner: Int[HostArray, " n_rigid"],
     n_bodies: int,
 ) -> Reduction:
-    """Plan the reduction, once, on the host.
+    """Plan the reduction once, on the host.
 
     Args:
         full: Pattern over all nodes.
-        cliques: Sets of nodes that the tangent couples; those within one body left out.
+        cliques: Sets of nodes that the tangent couples, except within one body.
         rigid: Nodes that belong to bodies.
-        owner: The body that moves each.
+        owner: Index of the body that moves each.
         n_bodies: Number of bodies.
     """
     n_nodes = full.n_dof // 3
@@ -136,7 +136,7 @@ def build_reduction(
 
 
 def _ordered_pairs(cliques, n_nodes: int) -> tuple[HostArray, HostArray]:
-    """Every pair of coupled nodes once, in both orders."""
+    """List every ordered pair of coupled nodes once."""
     keys = [
         np.unique(nodes[:, :, None].astype(np.int64) * n_nodes + nodes[:, None, :])
         for nodes in cliques
@@ -150,7 +150,7 @@ def _node_rows(nodes: HostArray) -> HostArray:
 
 
 def _blocks(full: Sparsity, a: HostArray, b: HostArray) -> HostArray:
-    """Where the 3 x 3 blocks of pairs of nodes stand."""
+    """Find the positions of the 3 x 3 blocks of pairs of nodes."""
     rows = np.broadcast_to(_node_rows(a)[:, :, None], (a.size, 3, 3))
     columns = np.broadcast_to(_node_rows(b)[:, None, :], rows.shape)
     return full.positions(rows, columns)
@@ -162,13 +162,13 @@ def reduce_values(
     G: Float[Array, "n_rigid 3 6"],
     extra: Float[Array, "n_b 6 6"],
 ) -> Float[Array, " nnz_reduced"]:
-    """Tangent of the unknowns, G^T K G plus a block on each body.
+    """Compute the tangent of the unknowns, G^T K G plus a block for each body.
 
     Args:
         plan: Where entries go.
         values: Tangent over all nodes.
-        G: How the rigid nodes follow the unknowns of their bodies.
-        extra: What is added on the diagonal blocks of the bodies.
+        G: Motion of the rigid nodes per unit of their bodies' unknowns.
+        extra: Added to the diagonal blocks of the bodies.
     """
     n_b = extra.shape[0]
     out = jnp.zeros(plan.reduced.nnz, values.dtype)

@@ -1,4 +1,4 @@
-"""What rigid bodies, actuators and supports do at equilibrium, for results."""
+"""States of rigid bodies, actuators and supports at equilibrium, for results."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -26,14 +26,14 @@ from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
 class BodyPlace(eqx.Module):
-    """Where a rigid body is.
+    """Pose of a rigid body at equilibrium.
 
     Attributes:
         name: Its name.
         state: "free", "hinged", "held", or "tied" to another body.
         position: Origin of its frame [m].
         translation: How far the origin has moved from rest [m].
-        rotation_vector: Its rotation from rest [rad].
+        rotation_vector: Rotation from rest [rad].
     """
 
     name: str
@@ -48,11 +48,11 @@ class ActuatorState(eqx.Module):
 
     Attributes:
         name: Its name.
-        kind: What it is, like "cable".
-        imposed: Which of both the configuration imposes; the other one follows.
+        kind: Kind of actuator, like "cable".
+        imposed: Which of the two the configuration imposes; the other follows.
         force: lambda_a.
         force_unit: Its unit.
-        displacement: delta_a; None where there is none.
+        displacement: delta_a; None if the actuator has none.
         displacement_unit: Its unit.
     """
 
@@ -85,7 +85,7 @@ class RobotState(eqx.Module):
         actuators: The actuators.
         reactions: Supports of the configuration, then rigid bodies that are held or
             turn on a hinge.
-        displacement: Of the nodes of the mesh and of the bodies' frames [m].
+        displacement: Displacement of the nodes of mesh and body frames [m].
     """
 
     bodies: tuple[BodyPlace, ...]
@@ -95,7 +95,7 @@ class RobotState(eqx.Module):
 
 
 class _Balance(eqx.Module):
-    """What follows from the balance of forces of one configuration."""
+    """Results of the balance of forces of one configuration."""
 
     of_ground: Float[Array, "n_points 3"]
     forces: Float[Array, " n_a"]
@@ -126,13 +126,13 @@ def robot_states(
     solution: EquilibriumSolution,
     arrays: ConfigurationArrays | None = None,
 ) -> tuple[RobotState | None, ...]:
-    """Poses of bodies, forces of actuators and reactions at equilibria.
+    """Compute poses of bodies, forces of actuators and reactions at equilibria.
 
     Args:
-        model: The model that the equilibria are of.
-        configurations: What was solved.
+        model: The model.
+        configurations: The configurations that were solved.
         solution: Their equilibria, one lane per configuration.
-        arrays: The same configurations as arrays, where they have been stacked already.
+        arrays: The same configurations as arrays, if already stacked.
 
     Returns:
         One entry per configuration; None where there is no equilibrium, and for a
@@ -174,7 +174,7 @@ def _state(
 
 
 def _kinds(model: Model, lane: ConfigurationArrays) -> list[str]:
-    """What each rigid body does; a motor holds it by its angle, or turns its hinge."""
+    """Return the state of each rigid body; motors hold or hinge theirs."""
     bodies, actuators = model.mechanism.bodies, model.mechanism.actuators
     kinds = [KINDS[int(kind)] for kind in lane.bodies.kind]
     for a, k in enumerate(actuators.motor_body):
@@ -230,7 +230,7 @@ def _actuators(
 def _grounds(
     model: Model, configuration: Configuration, lane: ConfigurationArrays
 ) -> list[tuple[str, Int[HostArray, " n"]]]:
-    """What holds the robot, and by which nodes."""
+    """List what holds the robot, by name, with the nodes held."""
     mesh, mechanism = model.mesh, model.mechanism
     bodies = mechanism.bodies
     nodes_of = lambda where: (

@@ -1,9 +1,9 @@
-"""How an equilibrium follows its inputs, Eqs. (4) to (9): one function for all of them.
+"""Derivatives of an equilibrium by its inputs, Eqs. (4) to (9).
 
-Every input, be it a parameter, what is imposed on an actuator or a leaf of the model
-that a user differentiates, is known by three rows at a fixed state: the force that a
-unit of it puts on the free unknowns, the motion of what is held, and the direct change
-of the readings. The linearised equilibrium turns them into derivatives.
+An input is a parameter, a value imposed on an actuator or a leaf of the model that a
+user differentiates. Three rows at a fixed state describe each: the force per unit input
+on the free unknowns, the motion of held nodes and bodies, and the direct change of the
+readings. One function turns them into derivatives by the linearised equilibrium.
 """
 
 from collections.abc import Callable
@@ -24,19 +24,20 @@ Readings = Callable[
     [Model, ConfigurationArrays, Float[Array, "n_points 3"], Float[Array, " n_a"]],
     Float[Array, "..."],
 ]
-"""What is read off a state, like `effector_values`: of u and multipliers."""
+"""Function that reads values off a state (u, multipliers), like `effector_values`."""
 
 
 class InputRows(NamedTuple):
-    """What a unit of each input does at a fixed state; from `input_rows` one row.
+    """Effects of a unit of each input at a fixed state; `input_rows` gives one row.
+
+    Held nodes and bodies follow the input in all of them.
 
     Attributes:
-        force: -dR/dp, the force on the free unknowns; what is held moves along [N].
-        held: Motion of what is held [m].
-        gap: How far imposed displacements of actuators have to go, for those that are
-            solved for their force.
-        reading: Direct change of the readings, with what is held moving along; empty
-            where nothing is read.
+        force: -dR/dp, the force on the free unknowns [N].
+        held: Motion of held nodes and bodies [m].
+        gap: Change of imposed minus current displacement of the actuators whose force
+            may be an unknown.
+        reading: Direct change of the readings; empty if nothing is read.
     """
 
     force: Float[Array, "*n n_dof"]
@@ -60,7 +61,7 @@ def input_rows(
         configuration: One configuration.
         u: Displacement at its equilibrium [m].
         lambda_a: Forces of actuators whose displacement is imposed.
-        along: Takes a function of (model, configuration) to its derivative along the
+        along: Maps a function of (model, configuration) to its derivative along the
             direction.
         readings: What is read off; nothing by default.
     """
@@ -71,7 +72,7 @@ def input_rows(
     def balance(model, configuration):
         there = held(model, configuration)
         forces = residual(model, configuration, there, lambda_a)
-        # The arm of a force changes, too, where the mounting of a tied body does.
+        # Posed anew: the mounting of a tied body changes the arms of forces.
         return Posed.of(model, configuration).gather(there, forces)
 
     def gap(model, configuration):
@@ -98,11 +99,10 @@ class Sensitivity(NamedTuple):
 
     Attributes:
         W_ep: Change of each reading per unit of each input.
-        displacement: Change of the displacement, by rows [m]; None from the adjoint
-            side.
-        unknowns: Change of the free unknowns, likewise [m].
-        multipliers: Change of the multipliers, likewise.
-        ok: Whether the tangent is regular; all else is zero where it is not.
+        displacement: Change of the displacement, by rows [m]; None if adjoint.
+        unknowns: Change of the free unknowns [m]; likewise.
+        multipliers: Change of the multipliers; likewise.
+        ok: Whether the tangent is regular; if not, the solutions are zero.
     """
 
     W_ep: Float[Array, "n_e n"]
@@ -121,16 +121,15 @@ def sensitivity(
 ) -> Sensitivity:
     """Turn the rows of inputs into derivatives of state and readings; Eq. (9).
 
-    W_ep = H_e K^-1 H_p^T + de/dp, by one factorization; K is bordered by the rows of
-    actuators whose displacement is imposed. The adjoint side takes K^-T H_e^T, where
-    K^T is not K without a potential.
+    W_ep = H_e K^-1 H_p^T + de/dp, with one factorization; K is bordered by the rows of
+    actuators whose displacement is imposed. The adjoint method solves for K^-T H_e^T.
 
     Args:
         linearisation: The system at the equilibrium.
-        rows: What a unit of each input does, stacked.
+        rows: Rows of all inputs, stacked.
         readings: What is read off; nothing by default.
-        adjoint: Solve for the rows of H_e instead of those of the inputs: better where
-            there are fewer.
+        adjoint: Solve for the rows of H_e instead of those of the inputs; faster if
+            there are fewer readings.
     """
     lin = linearisation
     if adjoint:
@@ -159,11 +158,11 @@ def sensitivity(
 
 
 class AdjointRows(NamedTuple):
-    """K^-T H_e^T: how readings follow forces on the unknowns, and gaps of actuators.
+    """K^-T H_e^T: derivatives of readings by forces and gaps.
 
     Attributes:
-        state: Change of each reading per force on each free unknown.
-        gap: Change of each reading per gap.
+        state: Change of each reading per unit force on each free unknown.
+        gap: Change of each reading per unit gap.
         ok: Whether the tangent is regular.
     """
 
@@ -188,7 +187,7 @@ def adjoint_rows(linearisation: Linearisation, readings: Readings) -> AdjointRow
 
 
 def _at_fixed_inputs(lin: Linearisation, readings: Readings):
-    """The readings as a function of the state alone, in one row."""
+    """Return the readings as a flat function of the state alone."""
     return lambda u, lambda_a: readings(
         lin.model, lin.configuration, u, lambda_a
     ).ravel()

@@ -1,4 +1,4 @@
-"""What the search for an equilibrium ended with."""
+"""Result of the search for an equilibrium."""
 
 from functools import partial
 
@@ -22,12 +22,11 @@ class EquilibriumSolution(eqx.Module):
         result: Outcome; only `RESULTS.converged` is an equilibrium.
         steps: Newton iterations, each on a factor of its own, all load steps together.
         load_steps: Load increments that were taken (1: full load at once).
-        load_reached: Share of the load that the body was found to carry [-]; 1 if done.
-        residual: Residual relative to the largest of external force, internal force
-            and reaction [-].
+        load_reached: Share of the load at the last equilibrium [-]; 1 if converged.
+        residual: Residual relative to the larger of external and internal force [-].
         min_det_F: Smallest det F over all quadrature points [-].
-        n_negative: Negative eigenvalues of the last tangent, 0 for a stable state;
-            -1 where nobody can tell: the linear solver does not count them, or the
+        n_negative: Number of negative eigenvalues of the last tangent, 0 for a stable
+            state; -1 if unknown, because the linear solver does not count them or the
             model is not conservative.
     """
 
@@ -48,14 +47,14 @@ class EquilibriumSolution(eqx.Module):
 
 
 def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
-    """Raise RuntimeError that names every configuration without an equilibrium.
+    """Raise an error that names every configuration without an equilibrium.
 
     Args:
         solution: Solutions of a batch.
         names: Names of its configurations.
 
     Raises:
-        RuntimeError: If a lane did not converge; the text says which, and why.
+        RuntimeError: If a lane did not converge; the message says which and why.
     """
     bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
     if bad.size == 0:
@@ -74,5 +73,5 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
 
 
 def _of_lane(lane, leaf):
-    """The value of one lane; a solution without a batch is lane 0."""
+    """Return the value of one lane; an unbatched solution is lane 0."""
     return np.atleast_1d(np.asarray(leaf))[lane]

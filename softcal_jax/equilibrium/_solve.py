@@ -23,10 +23,10 @@ def _lane(settings: NewtonSettings):
 
 
 def as_solution(state: NewtonState) -> EquilibriumSolution:
-    """What the end of Newton's loop means for a user."""
+    """Turn the final state of Newton's loop into a solution."""
     carried = state.done & (state.load_ok >= 1.0)
     return EquilibriumSolution(
-        # Where there is no equilibrium, no displacement may pass for one.
+        # Without an equilibrium, no displacement may be mistaken for one.
         displacement=jnp.where(carried, state.at.u, jnp.nan),
         multipliers=jnp.where(carried, state.lambda_a, jnp.nan),
         result=state.result,
@@ -46,10 +46,10 @@ def _equilibrium(model, configuration, u0, *, settings):
 
 @_equilibrium.def_jvp
 def _equilibrium_jvp(primals, tangents, *, settings):
-    """Differentiate an equilibrium by the theorem of implicit functions.
+    """Differentiate an equilibrium by the implicit function theorem.
 
-    By `sensitivity`, as all parameters are; here the input is a step along the
-    tangents.
+    Like all derivatives it comes from `sensitivity`; the single input is a step along
+    the tangents.
     """
     model, configuration, u0 = primals
     t_model, t_configuration, _ = tangents
@@ -65,7 +65,7 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     rows = jax.tree.map(lambda row: row[None], rows)
     lin = linearise(model, configuration, u, lambda_a, differentiable=True)
     d = sensitivity(lin, rows)
-    # Where there is no equilibrium there is no derivative of it.
+    # Without an equilibrium there is no derivative either.
     or_nan = lambda a: jnp.where(solution.converged, a[0], jnp.nan)
     none = jax.tree.map(lambda _: None, solution)
     return solution, eqx.tree_at(
@@ -83,21 +83,20 @@ def solve_equilibrium(
     guess: Float[Array, "n_points 3"] | None = None,
     settings: NewtonSettings | None = None,
 ) -> EquilibriumSolution:
-    """Static equilibrium of one configuration; traceable, differentiable, for `vmap`.
+    """Solve for the static equilibrium of one configuration.
 
-    Derivatives with respect to the model's law and density, and to the loads and the
-    imposed displacements, are implicit (forward and reverse): the Newton iterations are
-    not differentiated.
+    Works under `jit`, `vmap` and autodiff. Derivatives by model and configuration
+    (forward and reverse) are implicit: Newton iterations are not differentiated.
 
     Args:
-        model: The body.
+        model: The model.
         configuration: Supports and loads of one configuration.
-        guess: Displacement to start from [m]; at rest by default.
+        guess: Displacement to start from [m]; rest by default.
         settings: Settings of Newton's method.
 
     Returns:
-        The solution with its outcome; nothing is raised here, since a batch may hold
-        lanes that fail. `check_converged` raises.
+        The solution with its outcome. Nothing is raised here, since some lanes of a
+        batch may fail; `check_converged` raises.
     """
     u0 = jnp.zeros((model.n_points, 3)) if guess is None else guess
     return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())

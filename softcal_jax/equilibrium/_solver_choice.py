@@ -16,8 +16,8 @@ _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
 _NAMES = ["klu", "pardiso", "pardiso-host"]
 
 _REMOVED = ("auto", "multigrid")
-"""Names of former solvers. With six parameters at 58 719 and 106 624 nodes, a step of a
-calibration with multigrid took 1.5 times as long as with PARDISO."""
+"""Names of former solvers. With six parameters at 58 719 and 106 624 nodes, one
+calibration step with multigrid took 1.5 times as long as with PARDISO."""
 
 
 def check_solver(name: str | None) -> None:
@@ -39,12 +39,12 @@ def check_solver(name: str | None) -> None:
 
 
 def choose_solver(name: str | None, unknowns: Sparsity) -> AbstractLinearSolver:
-    """Prepare the solver of this name for a pattern; no other one is tried.
+    """Prepare the solver of this name for a pattern, without falling back to others.
 
     Args:
         name: Name of the solver. None takes the one that pyproject.toml installs on the
             platform, or "pardiso-host" where JAX does not compute on the CPU.
-        unknowns: Pattern of the matrices to come.
+        unknowns: Pattern of the matrices to solve.
 
     Raises:
         ImportError: If its package is not installed.

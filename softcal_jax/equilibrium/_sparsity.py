@@ -1,7 +1,7 @@
 """Sparsity of the tangent: one pattern for every configuration of a mesh.
 
-All degrees of freedom keep their rows. A support is a mask that turns rows and columns
-into those of the identity, so configurations that are held at different places share
+All degrees of freedom keep their rows. A support is a mask that replaces rows and
+columns by those of a scaled identity, so configurations with different supports share
 one symbolic analysis and one compiled program.
 """
 
@@ -17,15 +17,15 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 class Sparsity(eqx.Module):
     """A matrix with a symmetric pattern in compressed rows, diagonal included.
 
-    A symmetric matrix is kept as its upper triangle, any other one in full.
+    Symmetric matrices are stored as their upper triangle, all others in full.
 
     Attributes:
         indptr: Start of each row.
         indices: Column of each entry, ascending within a row.
         rows: Row of each entry.
         diagonal: Position of each diagonal entry.
-        mirror: Position of the entry on the other side of the diagonal, so that
-            `values[mirror]` is the transposed matrix; None for an upper triangle.
+        mirror: Position of the transposed entry, so that `values[mirror]` is the
+            transposed matrix; None for an upper triangle.
     """
 
     indptr: Int[HostArray, " n_dof_plus_1"]
@@ -36,27 +36,27 @@ class Sparsity(eqx.Module):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the matrix is its own transpose, kept as its upper triangle."""
+        """Whether the matrix is symmetric and stored as its upper triangle."""
         return self.mirror is None
 
     @property
     def n_dof(self) -> int:
-        """Rows of the matrix."""
+        """Number of rows."""
         return self.diagonal.shape[0]
 
     @property
     def nnz(self) -> int:
-        """Stored entries."""
+        """Number of stored entries."""
         return self.indices.shape[0]
 
     def positions(
         self, rows: Int[HostArray, "..."], columns: Int[HostArray, "..."]
     ) -> Int[HostArray, "..."]:
-        """Where entries stand; on the other side of the diagonal, if kept only there.
+        """Find the positions of entries, or of their mirror images if only those exist.
 
         Args:
             rows: Their rows.
-            columns: Their columns; every entry is in the pattern.
+            columns: Their columns; every entry must be in the pattern.
         """
         keys = self.rows.astype(np.int64) * self.n_dof + self.indices
         row, column = _upward(self.symmetric, np.asarray(rows), np.asarray(columns))
@@ -65,7 +65,7 @@ class Sparsity(eqx.Module):
 
 
 def element_entries(n_en: int, symmetric: bool) -> tuple[HostArray, HostArray]:
-    """Local rows and columns of an element matrix: its upper triangle, or all."""
+    """List local rows and columns of an element matrix: upper triangle, or all."""
     if symmetric:
         return np.triu_indices(3 * n_en)
     p, q = np.indices((3 * n_en, 3 * n_en)).reshape(2, -1)
@@ -73,24 +73,24 @@ def element_entries(n_en: int, symmetric: bool) -> tuple[HostArray, HostArray]:
 
 
 def _upward(symmetric: bool, row, col):
-    """Places of the entries as they are kept: a symmetric matrix has i <= j only."""
+    """Map entries to the stored ones: a symmetric matrix only stores i <= j."""
     return (np.minimum(row, col), np.maximum(row, col)) if symmetric else (row, col)
 
 
 def build_sparsity(
     cliques: Sequence[Int[HostArray, "_ _"]], n_nodes: int, *, symmetric: bool = True
 ) -> Sparsity:
-    """Pattern of a matrix that couples the nodes of each clique, tets before all.
+    """Build the pattern of a matrix that couples the nodes of each clique, like a tet.
 
     Args:
-        cliques: Sets of nodes that are coupled; arrays of sets of equal size.
-        n_nodes: Nodes, three unknowns each.
-        symmetric: Whether the matrix is, so that the upper triangle is enough.
+        cliques: Sets of coupled nodes; each array holds sets of equal size.
+        n_nodes: Number of nodes, with three unknowns each.
+        symmetric: Whether the matrix is symmetric.
 
     Returns:
         The pattern.
     """
-    # Node pairs first: nine times fewer keys to sort than pairs of unknowns.
+    # Sort pairs of nodes first: nine times fewer keys than pairs of unknowns.
     own = np.arange(n_nodes, dtype=np.int64)
     found = [own * n_nodes + own]
     for nodes in cliques:
@@ -113,18 +113,18 @@ def from_entries(
     *,
     symmetric: bool,
 ) -> Sparsity:
-    """Pattern from its entries, in any order and as often as they come.
+    """Build a pattern from entries in any order, duplicates allowed.
 
     Args:
         rows: Their rows.
         columns: Their columns.
-        n_dof: Rows of the matrix; each has an entry on the diagonal.
-        symmetric: Whether entries below the diagonal are left out.
+        n_dof: Number of rows; every diagonal entry must be given.
+        symmetric: Whether to leave out entries below the diagonal.
     """
     keys = rows.astype(np.int64) * n_dof + columns
     keys = np.unique(keys[rows <= columns] if symmetric else keys)
     rows, indices = keys // n_dof, keys % n_dof
-    # Sorted by column, the entries stand in the order of the transpose.
+    # Sorting by column gives the order of the transpose.
     mirror = None if symmetric else np.lexsort((rows, indices)).astype(np.int32)
     return Sparsity(
         indptr=np.searchsorted(rows, np.arange(n_dof + 1)).astype(np.int32),
@@ -138,10 +138,10 @@ def from_entries(
 def destinations(
     sparsity: Sparsity, nodes: Int[HostArray, "n m"]
 ) -> Int[HostArray, "n_entries n"]:
-    """Where the entries of each clique's matrix go, in the order of `element_entries`.
+    """Find the positions of each clique's entries, ordered as in `element_entries`.
 
     Args:
-        sparsity: A pattern that holds the cliques.
+        sparsity: A pattern that contains the cliques.
         nodes: Their nodes.
     """
     n, m = nodes.shape
@@ -153,7 +153,7 @@ def destinations(
 def product(
     sparsity: Sparsity, values: Float[Array, " nnz"], v: Float[Array, " n_dof"]
 ) -> Float[Array, " n_dof"]:
-    """K v, for a K that is kept in the entries of its pattern."""
+    """Compute K v from the stored entries of K."""
     rows, cols = sparsity.rows, sparsity.indices
     if not sparsity.symmetric:
         return jnp.zeros_like(v).at[rows].add(values * v[cols])
@@ -165,14 +165,14 @@ def product(
 def mask_supports(
     sparsity: Sparsity, values: Float[Array, " nnz"], fixed: Bool[Array, " n_dof"]
 ) -> tuple[Float[Array, " nnz"], Float[Array, ""]]:
-    """Make the rows and columns of held unknowns those of the identity, scaled.
+    """Replace rows and columns of held unknowns by those of a scaled identity.
 
     Returns:
         The entries, and the scale: the mean stiffness of an unknown [N/m].
     """
     held = fixed[sparsity.rows] | fixed[sparsity.indices]
     diagonal = values[sparsity.diagonal]
-    # The mean stiffness, not 1, keeps the matrix well scaled in any unit.
+    # Unlike 1, the mean stiffness keeps the matrix well scaled in any unit.
     scale = jnp.mean(jnp.abs(diagonal))
     on_diagonal = jnp.where(fixed, scale, diagonal)
     return jnp.where(held, 0.0, values).at[sparsity.diagonal].set(on_diagonal), scale

@@ -1,4 +1,4 @@
-"""Compiled programs side by side, one on each core of this machine."""
+"""Compiled programs in parallel, one per core of this machine."""
 
 import os
 from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
@@ -21,18 +21,18 @@ _COMPILED: set[Hashable] = set()
 """Programs that have run in this process."""
 
 _COMPILING: dict[Hashable, Lock] = {}
-"""Held by the thread that compiles a program, while others wait for it."""
+"""Locks held by the thread that compiles a program, while others wait."""
 
 
 class Batch(NamedTuple):
-    """Lanes of one program, which a job waits for.
+    """Lanes of one program whose results a job waits for.
 
     Attributes:
-        function: Runs the program with a solver and the values of a lane, and waits for
-            its end.
-        lanes: What it is called with, one entry per lane.
-        program: Key of the program, see `program_key`: one thread compiles a new one,
-            and the others wait for it.
+        function: Runs the program with a solver and the values of a lane, and blocks
+            until it ends.
+        lanes: Arguments of the function, one entry per lane.
+        program: Key from `program_key`; a new program is compiled by one thread while
+            the others wait.
     """
 
     function: Callable[[AbstractLinearSolver, Any], Any]
@@ -41,15 +41,15 @@ class Batch(NamedTuple):
 
 
 Job = Generator[Batch, list[Any], T]
-"""Asks for batches one after the other, is sent their results, and returns its end."""
+"""Generator that yields batches, is sent their results, and returns its result."""
 
 
 def program_key(name: str, *arguments: Any) -> Hashable:
-    """What tells one compiled program from another.
+    """Build a key that identifies a compiled program.
 
     Args:
         name: Name of the function.
-        arguments: What all its lanes share; arrays count by shape and type alone.
+        arguments: Arguments shared by all lanes; arrays count by shape and type only.
     """
     leaves, tree = jax.tree.flatten(arguments)
     kind = lambda leaf: (leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf
@@ -57,10 +57,10 @@ def program_key(name: str, *arguments: Any) -> Hashable:
 
 
 def usable_cores() -> int:
-    """Cores that this process may use; fewer than the machine has under a scheduler.
+    """Return the number of cores that this process may use.
 
-    A process that was told to use fewer threads (`OMP_NUM_THREADS`) shares the machine
-    with others, like the workers of a sweep.
+    A scheduler may grant fewer than the machine has, and `OMP_NUM_THREADS` limits
+    processes that share the machine, like the workers of a sweep.
     """
     n = available_cores()
     told = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
@@ -68,25 +68,25 @@ def usable_cores() -> int:
 
 
 class Workers:
-    """Context with threads that share the lanes of all jobs that are under way.
+    """Context whose threads share the lanes of all running jobs.
 
-    Each thread takes whole lanes, on one core, with a sparse solver of its own: two
-    threads on the factors of one would overwrite each other's. Which thread takes a
-    lane changes nothing in its result.
+    Each thread runs whole lanes on one core, with a sparse solver of its own, because
+    threads that share one would overwrite its factors. The result of a lane does not
+    depend on the thread.
 
     Attributes:
-        n: Number of threads; with one, everything runs in the thread of the caller,
-            and the sparse solver keeps all cores. It is one where the solver does not
-            run in threads.
+        n: Number of threads. With one, everything runs in the caller's thread and the
+            sparse solver keeps all cores; always one if the solver does not run in
+            threads.
     """
 
     def __init__(self, model: Model, lanes: int, n: int | None = None):
-        """Threads for jobs.
+        """Prepare the context.
 
         Args:
-            model: The body, whose sparse solver they need.
-            lanes: Lanes of all jobs; there are no more threads than these.
-            n: Threads; by default as many as there are cores.
+            model: The model, whose sparse solver is copied.
+            lanes: Number of lanes of all jobs, an upper limit of the threads.
+            n: Number of threads; by default that of usable cores.
 
         Raises:
             ValueError: If `n` is less than one.
@@ -111,7 +111,7 @@ class Workers:
             self._pool.shutdown(cancel_futures=True)
 
     def end_of(self, job: Job[T]) -> T:
-        """Run one job and return its end.
+        """Run one job and return its result.
 
         Args:
             job: The job, see `ends`.
@@ -121,21 +121,20 @@ class Workers:
     def ends(
         self, jobs: Iterable[Job[T]], told: Callable[[int, T], None] | None = None
     ) -> list[T]:
-        """Run jobs, their lanes side by side, and return their ends in their order.
+        """Run jobs with their lanes in parallel; return their results in order.
 
-        Lanes of an earlier job go first, and a job begins when those of the others do
-        not fill the threads: so jobs end one after the other, each leaves its place to
-        the next, and few are lost if this is interrupted. Between its batches a job
-        computes in the thread of the caller.
+        Lanes of earlier jobs go first, and a new job starts only when the others do not
+        fill the threads. Jobs therefore finish one after the other, and few are lost if
+        this is interrupted. Between batches a job computes in the caller's thread.
 
         Args:
             jobs: Generators that yield a `Batch` and are sent its results.
-            told: Called with the index of a job that has ended and what it returned.
+            told: Called with the index and the result of each job as it ends.
         """
         return _Round(self, list(jobs), told or (lambda *_: None)).ends()
 
     def submit(self, batch: Batch, lane: int) -> Future:
-        """Hand out one lane; with one worker its result is there at once.
+        """Submit one lane; with a single worker it runs at once.
 
         Args:
             batch: The batch.
@@ -162,12 +161,12 @@ class Workers:
             self._free.put(solver)
 
     def on_one_core(self) -> AbstractContextManager[None]:
-        """Context in which the workers' solvers run."""
+        """Return the context in which the workers' solvers must run."""
         return self._solver.on_one_core() if self.n > 1 else nullcontext()
 
 
 class _Round:
-    """Jobs on their way to their ends."""
+    """State of the jobs of one call of `Workers.ends`."""
 
     def __init__(self, workers: Workers, jobs: list[Job], told):
         self._workers, self._jobs, self._told = workers, jobs, told
@@ -178,7 +177,7 @@ class _Round:
         self._waiting: list[tuple[int, int]] = []  # a heap of (job, lane)
         self._under_way: dict[Future, tuple[int, int]] = {}
         self._one_core = ExitStack()
-        # Twice as many as threads, so that none waits while a job computes its step.
+        # Two lanes per thread, so that none idles while a job computes its step.
         self._most = 2 * workers.n if workers.n > 1 else 1
 
     def ends(self) -> list[Any]:
@@ -193,7 +192,7 @@ class _Round:
             self._one_core.close()
 
     def _fill(self) -> bool:
-        """Hand out lanes; return whether any is under way."""
+        """Submit lanes; return whether any is running."""
         while len(self._under_way) < self._most:
             if self._waiting:
                 if not self._under_way:
@@ -208,11 +207,11 @@ class _Round:
         return bool(self._under_way)
 
     def _take(self) -> None:
-        """Wait for lanes, and send each job the batch that is complete with them."""
+        """Wait for lanes to end, and send complete batches to their jobs."""
         done, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
         places = {future: self._under_way.pop(future) for future in done}
         if not self._under_way:
-            # What the caller computes between batches may take all cores again.
+            # Between batches the caller may use all cores again.
             self._one_core.close()
         for future, (job, lane) in places.items():
             found = self._found[job]
@@ -222,7 +221,7 @@ class _Round:
 
     def _go_on(self, job: int, found: list[Any] | None) -> None:
         try:
-            # A generator that has just begun takes None.
+            # A new generator must be sent None.
             batch = self._jobs[job].send(found)  # pyright: ignore[reportArgumentType]
         except StopIteration as end:
             self._ends[job] = end.value

@@ -7,11 +7,10 @@ d = (ln E_l - ln E_s) / 2 >= 0, its logarithm has the components
     m,  c = d cos 2 theta,  s = d sin 2 theta.
 
 Polar coordinates have two traps for a Gauss-Newton step. The angle winds: 181 degrees
-is 1 degree, far away. And at E_s = E_l the angle has no effect: a fit whose axis is a
-quarter turn wrong is pushed there, and stays. In (m, c, s) both are gone, the order
-E_s <= E_l holds by itself, and a step that crosses the origin turns the axis by 90
-degrees, as it should. The parameters remain {E_s, E_l, theta}; only the
-steps between them are taken as tensors.
+is the same axis as 1 degree, but far away. And at E_s = E_l the angle has no effect: a
+fit whose axis is a quarter turn wrong is driven there and stays. (m, c, s) avoid both,
+E_s <= E_l always holds, and a step across the origin turns the axis by 90 degrees, as
+it should. The parameters remain {E_s, E_l, theta}; only steps are taken as tensors.
 """
 
 from typing import NamedTuple
@@ -21,11 +20,11 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float, HostArray, Int
 
 NEARLY_ISOTROPIC = 1e-7
-"""Smallest d: at 0 the angle is lost, and with it the derivative along c and s [-]."""
+"""Smallest d: at 0 the angle and the derivatives along c and s are undefined [-]."""
 
 
 class AxisChart(NamedTuple):
-    """Where the axes stand in z, one entry per control point.
+    """Indices of the axes' parameters in z, one entry per control point.
 
     Attributes:
         small: Columns of ln E_s.
@@ -40,7 +39,7 @@ class AxisChart(NamedTuple):
     S: Float[Array, " n_axes"]
 
     def to_tensor(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """(m, c, s) in the places of (ln E_s, ln E_l, theta / S)."""
+        """Replace (ln E_s, ln E_l, theta / S) by (m, c, s)."""
         m = 0.5 * (z[self.large] + z[self.small])
         d = 0.5 * (z[self.large] - z[self.small])
         twice = 2.0 * self.S * z[self.angle]
@@ -48,7 +47,7 @@ class AxisChart(NamedTuple):
         return z.at[self.angle].set(d * jnp.sin(twice))
 
     def from_tensor(self, tensor: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """The inverse; angles come out between -90 and 90 degrees."""
+        """Invert `to_tensor`, with angles between -90 and 90 degrees."""
         m, c, s = tensor[self.small], tensor[self.large], tensor[self.angle]
         d = jnp.sqrt(c**2 + s**2)
         theta = 0.5 * jnp.arctan2(s, c) / self.S
@@ -61,7 +60,7 @@ class AxisChart(NamedTuple):
         lower: Float[Array, " n_p"],
         upper: Float[Array, " n_p"],
     ) -> Float[Array, " n_p"]:
-        """Moduli brought into their bounds, and a little apart."""
+        """Clip the moduli to their bounds, keeping them slightly apart."""
         gap = 2.0 * NEARLY_ISOTROPIC
         s, l = self.small, self.large
         top = jnp.clip(z[l], jnp.maximum(lower[l], lower[s] + gap), upper[l])

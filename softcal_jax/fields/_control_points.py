@@ -20,7 +20,7 @@ def idw_weights(
     power: float = 2.0,
     nearest: int | None = None,
 ) -> Float[Array, "n_points n_cp"]:
-    """Weights that spread values at control points over other points.
+    """Compute weights that spread values at control points over other points.
 
     Inverse-distance weighting, paper Sec. IV.A (Shepard 1968): w_ij is proportional to
     d_ij^-power, with d_ij the distance from point i to control point j.
@@ -29,24 +29,23 @@ def idw_weights(
         points: Where values are wanted [m].
         control_points: Positions of the control points [m].
         power: Decay exponent [-], positive; the paper settles on 2.
-        nearest: How many control points a point listens to, the nearest ones; all by
-            default. The field then jumps where the set changes.
+        nearest: How many of the nearest control points act on a point; all by default.
+            The field jumps where this set changes.
 
     Returns:
         Weights [-] in [0, 1] whose rows sum to one. A point on a control point takes
         that control point alone.
 
     Raises:
-        ValueError: If the power is not positive, or `nearest` is not a number of the
-            control points.
+        ValueError: If the power is not positive, or `nearest` is out of range.
     """
     check_power(power)
     x, c = jnp.asarray(points, float), jnp.asarray(control_points, float)
     check_nearest(nearest, c.shape[0])
     squares = jnp.sum((x[:, None] - c[None]) ** 2, axis=2)
-    # The limit on a control point, and a derivative of zero there, not 0 / 0.
+    # On a control point: the limit, with a derivative of zero instead of 0 / 0.
     squares = jnp.maximum(squares, jnp.finfo(squares.dtype).tiny)
-    # As logarithms, so that no power overflows.
+    # Logarithms avoid overflow of the power.
     nearness = -0.5 * power * jnp.log(squares)
     if nearest is not None and nearest < c.shape[0]:
         reach = jnp.sort(squares, axis=1)[:, nearest - 1 : nearest]
@@ -64,7 +63,7 @@ def check_power(power: float) -> None:
 
 
 def check_nearest(nearest: int | None, n_cp: int) -> None:
-    """Raise ValueError unless the number is one of 1 to n_cp."""
+    """Raise ValueError unless `nearest` lies between 1 and n_cp."""
     if nearest is not None and not 1 <= nearest <= n_cp:
         raise ValueError(
             f"nearest must lie between 1 and the number of control points, {n_cp}, "
@@ -77,13 +76,13 @@ class ControlPoints(eqx.Module):
 
     Attributes:
         names: One name per control point; "CP 1", "CP 2", ... by default.
-        positions: Their positions, in the frame of the mesh at rest [m].
+        positions: Positions in the frame of the mesh at rest [m].
         power: Exponent of the inverse-distance weighting [-].
-        nearest: How many control points a tet listens to; all by default.
-        axes: Axes along which distance is counted. "xz" spreads one field of (x, z)
-            over everything above and below, like two equal sheets that share theirs.
-        max_distance: How far from the body a control point may lie [m]; by default a
-            tenth of the diagonal of what it acts on.
+        nearest: How many of the nearest control points act on a tet; all by default.
+        axes: Coordinate axes that count for the distance. With "xz" the field does not
+            depend on y, so that two equal sheets can share one.
+        max_distance: Largest distance of a control point from the mesh [m]; by default
+            a tenth of the diagonal of its region.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -105,7 +104,7 @@ class ControlPoints(eqx.Module):
         axes: str = AXES,
         max_distance: float | None = None,
     ):
-        """Control points from their positions, or from a mapping of names to them.
+        """Make control points from positions, or from a mapping of names to them.
 
         Raises:
             ValueError: If a position is not three finite numbers, two coincide, names
@@ -180,7 +179,7 @@ class ControlPoints(eqx.Module):
     def weights(
         self, points: Float[ArrayLike, "n_points 3"]
     ) -> Float[Array, "n_points n_cp"]:
-        """Weights of the control points at some points [-]."""
+        """Compute the weights of the control points at some points [-]."""
         x = jnp.asarray(points, float)
         columns = jnp.asarray(self.columns)
         return idw_weights(

@@ -20,12 +20,12 @@ class FadingAxis(NamedTuple):
     angle: ControlPointParameters
 
     def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
-        """The model with its moduli drawn together in the cores.
+        """Reduce the contrast of the moduli in the cores.
 
-        Their geometric mean stays, and so does the angle.
+        Their geometric mean and the angle stay.
 
         Args:
-            model: The model, with the three fields as they are without a core.
+            model: The model, with the three fields as without a core.
             values: Values of all parameters by name, in SI units.
         """
         low, high = (
@@ -41,7 +41,7 @@ class FadingAxis(NamedTuple):
 def fading_axes(
     entries: Entries, axes: tuple[tuple[str, str, str], ...]
 ) -> list[FadingAxis]:
-    """The axes whose angle has a core.
+    """Return the axes whose angle has a core.
 
     Args:
         entries: Entries of a parameter space.
@@ -71,7 +71,7 @@ def fading_axes(
 def _beside(
     angle: ControlPointParameters, field: str, fields: list[ControlPointParameters]
 ) -> ControlPointParameters:
-    """The entry of a field where the angle is sampled."""
+    """Return the entry of a field with the region and sampling of the angle."""
     where = (angle.region, angle.sampling)
     for entry in fields:
         if entry.field == field and (entry.region, entry.sampling) == where:

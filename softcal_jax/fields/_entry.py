@@ -1,4 +1,4 @@
-"""What every entry of a parameter space is to the rest: one method that applies it."""
+"""Base of all entries of a parameter space: one method that applies their values."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -15,9 +15,9 @@ if TYPE_CHECKING:  # a parameter is an entry itself
 class AbstractEntry(eqx.Module):
     """One or several unknowns, and what they set in a model and its configurations.
 
-    `apply` is all that sensitivities need: they follow from it by autodiff. A new kind
-    of parameter is a subclass, or a line in `fields._setup.QUANTITIES` where it sets
-    an array that the model or the configurations already have.
+    Sensitivities follow from `apply` by autodiff. A new kind of parameter is a line in
+    `fields._setup.QUANTITIES` if it sets an array that the model or the configurations
+    already have, otherwise a subclass.
     """
 
     @property
@@ -30,8 +30,8 @@ class AbstractEntry(eqx.Module):
     def fields(self) -> tuple[str, ...]:
         """Fields of the law, or the density, if it sets these and nothing else.
 
-        One pass over the tets then tells the forces of all unknowns of a field. Empty
-        for an entry that sets anything else; `check_parameters` holds it to its word.
+        One pass over the tets then gives the forces of all unknowns of a field. Empty
+        for an entry that sets anything else; `check_parameters` verifies this.
         """
 
     @property
@@ -42,7 +42,7 @@ class AbstractEntry(eqx.Module):
     @property
     @abstractmethod
     def label(self) -> str:
-        """How messages call it."""
+        """Its name in messages."""
 
     @abstractmethod
     def apply(
@@ -68,7 +68,7 @@ class AbstractEntry(eqx.Module):
     def renamed(
         self, points: Mapping[str, str], names: Mapping[str, str]
     ) -> "AbstractEntry":
-        """The same entry with other names.
+        """Return the same entry with other names.
 
         Args:
             points: New names of control points.

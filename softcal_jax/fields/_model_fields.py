@@ -20,14 +20,14 @@ def set_field(
     value: Float[ArrayLike, "..."] | PointValues,
     region: str | None = None,
 ) -> Any:
-    """The model with one field changed; traceable and differentiable.
+    """Change one field of a model; traceable and differentiable.
 
     Args:
         model: Anything with `law`, `density` and `mesh`.
         field: Name of a field of the law, like "E", or "density".
-        value: Its new value, in SI units: one, one per tet that it applies to, or
+        value: New value in SI units: one for all, one per tet of the region, or
             `PointValues` for these tets.
-        region: Tet group that it applies to; the whole body by default.
+        region: Tet group that it applies to; the whole mesh by default.
 
     Returns:
         The changed model.
@@ -70,21 +70,21 @@ def _in_region(model: Any, old: Any, value: PointValues, region: str | None):
 
 
 def region_tets(mesh: Any, region: str | None) -> HostArray:
-    """Indices of the tets of a region; of all without one."""
+    """Return the indices of the tets of a region; of all tets without one."""
     if region is None:
         return np.arange(mesh.n_tets)
     return np.asarray(mesh.tets_of(region))
 
 
 def find_field(model: Any, field: str):
-    """Accessor of the field of a model's law, or of its density, that has a name.
+    """Find a field of a model's law, or its density, by name.
 
     Args:
         model: Anything with `law` and `density`.
         field: Name of the field, like "E"; a dotted path if the name is not unique.
 
     Returns:
-        A function from a model to that array, as `eqx.tree_at` takes it.
+        A function from a model to that array, as `eqx.tree_at` expects it.
 
     Raises:
         ValueError: If no field has that name, or more than one.
@@ -107,7 +107,7 @@ def find_field(model: Any, field: str):
 
 @dataclass(frozen=True)
 class _Accessor:
-    """A field by its dotted path; equal ones are one to compiled programs."""
+    """Accessor by dotted path; hashable, so equal ones share compiled programs."""
 
     path: str
 

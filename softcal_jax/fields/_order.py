@@ -27,20 +27,20 @@ class Term(NamedTuple):
 def order_terms(
     entries: Entries, order: tuple[tuple[str, str], ...]
 ) -> list[tuple[Term, Term]]:
-    """Both sides of every inequality smaller <= larger.
+    """Collect both sides of every inequality smaller <= larger.
 
     Args:
         entries: Entries of a parameter space.
         order: Pairs of parameter names, or of fields with control points.
 
     Returns:
-        One pair per control point of two fields, or per pair of parameters. A pair of
-        two known values is left out.
+        One pair per control point of two fields, or per pair of parameters, except for
+        pairs of known values.
 
     Raises:
-        ValueError: If a name is unknown, two fields share no control point, the name
-            of one stands for two places, one side is on a log scale and the other on a
-            linear one, or two known values contradict the order.
+        ValueError: If a name is unknown, two fields share no control point, a control
+            point's name is ambiguous, the scales of both sides differ, or two known
+            values contradict the order.
     """
     pairs = []
     for smaller, larger in order:
@@ -77,12 +77,12 @@ def _check_known(small: Term, large: Term) -> None:
 
 
 def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
-    """Terms of a parameter, or of a field at each of its control points.
+    """Return the terms of a parameter, or of a field by control point.
 
     Args:
         entries: Entries of a parameter space.
         name: The parameter or the field.
-        key: What names it, "order" or "axes", for the error.
+        key: Option that names it, "order" or "axes", for errors.
     """
     parameters = [q for entry in entries for q in entry.parameters]
     columns = {q.name: i for i, q in enumerate(parameters)}
@@ -129,7 +129,7 @@ def _known(entry: ControlPointParameters, point: str) -> Term:
 def axis_columns(
     entries: Entries, axes: tuple[tuple[str, str, str], ...]
 ) -> Int[HostArray, "n_axes 3"]:
-    """Columns of (smaller modulus, larger modulus, angle) of every axis.
+    """Find the columns of (smaller modulus, larger modulus, angle) of every axis.
 
     Args:
         entries: Entries of a parameter space.
@@ -151,7 +151,7 @@ def axis_columns(
         for key in sides[0]:
             columns = [s[key].column if key in s else None for s in sides]
             known = [column for column in columns if column is not None]
-            # A control point tied in all three is the axis of another one.
+            # If all three are tied, another control point has given this axis already.
             if len(known) == 3 and known not in found:
                 found.append(known)
         if not found:

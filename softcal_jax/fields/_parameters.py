@@ -1,4 +1,4 @@
-"""One unknown number: its bounds, its scaling S and where it enters the model."""
+"""One unknown constant: bounds, scaling S and place in the model."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,7 +25,7 @@ class Parameter(AbstractEntry):
     Attributes:
         name: Name in tables and results.
         field: The field of the law that it sets, like "E", or "density".
-        start: Value before calibration, in `unit`'s SI value.
+        start: Value before calibration, in SI units.
         lower: Smallest value allowed.
         upper: Largest value allowed.
         scale: "log" for moduli (a step is a ratio), "linear" otherwise.
@@ -35,12 +35,10 @@ class Parameter(AbstractEntry):
         unit: SI unit, for tables.
         max_step: Largest entry of lambda_p in one step, like the step limits of the
             paper; on a log scale 0.01 is 1 %. None leaves it to the trust region [-].
-        periodic: Whether upper and lower bound are the same thing, as for the angle of
-            an axis between -90 and 90 degrees: a step may then leave by one and comes
-            back in by the other.
-        prior_std: Standard deviation of what is known before any data, about `start`:
-            relative on a log scale (0.3 is 30 %), in SI units on a linear one. None
-            where nothing is known.
+        periodic: Whether both bounds are equivalent, as for the angle of an axis, -90
+            to 90 degrees: a step past one bound re-enters at the other.
+        prior_std: Standard deviation of the prior about `start`: relative on a log
+            scale (0.3 is 30 %), in SI units on a linear one. None without a prior.
     """
 
     name: str = eqx.field(static=True)
@@ -116,18 +114,18 @@ class Parameter(AbstractEntry):
         return self.upper - self.lower if self.S is None else self.S
 
     def prior_weight(self) -> Float[Array, ""]:
-        """1 / standard deviation of the prior in scaled units; 0 without one [-]."""
+        """Return 1 / standard deviation of the scaled prior; 0 without one [-]."""
         if self.prior_std is None:
             return jnp.zeros(())
         unit = jnp.ones(()) if self.scale == "log" else self.unit_step
         return unit / self.prior_std
 
     def to_scaled(self, p: Float[Array, ""]) -> Float[Array, ""]:
-        """Scaled coordinate z: ln p, or p / S [-]."""
+        """Compute the scaled coordinate z: ln p, or p / S [-]."""
         return jnp.log(p) if self.scale == "log" else p / self.unit_step
 
     def from_scaled(self, z: Float[Array, ""]) -> Float[Array, ""]:
-        """Value of a scaled coordinate: p = exp z, or p = S z."""
+        """Compute the value of a scaled coordinate: p = exp z, or p = S z."""
         return jnp.exp(z) if self.scale == "log" else z * self.unit_step
 
     @property
@@ -153,7 +151,7 @@ class Parameter(AbstractEntry):
         return set_field(model, self.field, value, self.region), configuration
 
     def check(self, model: Any) -> None:
-        """Raise ValueError if it would flatten constants that differ over the body."""
+        """Raise ValueError if it would overwrite values that differ over the mesh."""
         value = find_field(model, self.field)(model)
         values = np.asarray(value.values if is_point_values(value) else value)
         if self.region is None and values.ndim and np.ptp(values) > 0:
@@ -166,6 +164,6 @@ class Parameter(AbstractEntry):
     def renamed(
         self, points: Mapping[str, str], names: Mapping[str, str]
     ) -> "Parameter":
-        """The same parameter with another name."""
+        """Return the same parameter with another name."""
         del points
         return replace(self, name=names[self.name])

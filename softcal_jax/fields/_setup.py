@@ -1,7 +1,6 @@
-"""What is only roughly known of setup, loads and recordings, as parameters (Sec. VII).
+"""Parameters of setup, loads and recordings that are only roughly known (Sec. VII).
 
-An error of the setup that is no parameter ends up in the moduli, where residuals need
-not show it.
+If such an error is not a parameter it biases the moduli, and residuals may hide it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -34,7 +33,7 @@ class Quantity(NamedTuple):
         put: Changes an entry: of (model or configuration, index, function of the old
             value).
         of_configuration: Whether configurations hold it, or the model.
-        noun: What its first axis counts, like "motor"; empty if it counts nothing.
+        noun: What its first axis enumerates, like "motor"; empty if nothing.
         names: Names along the first axis, from the model or the configuration.
         components: Names along the last axis; empty for one number.
         scales: Scales that a parameter of it may have.
@@ -60,14 +59,14 @@ def _entry_of(path: str) -> Put:
 
 
 def _motors(model: Any) -> list[str]:
-    """Names of all actuators, empty for those that are no motor."""
+    """List the names of all actuators, empty unless they are motors."""
     actuators = model.mechanism.actuators
     both = zip(actuators.names, actuators.motor_body, strict=True)
     return [name if body >= 0 else "" for name, body in both]
 
 
 def _rough(model: Any) -> list[str]:
-    """Names of all actuators, empty for those without friction."""
+    """List the names of all actuators, empty unless they have friction."""
     actuators = model.mechanism.actuators
     both = zip(actuators.names, actuators.has_friction, strict=True)
     return [name if has_friction else "" for name, has_friction in both]
@@ -136,18 +135,18 @@ def _as_tuple(parameters: Parameter | Sequence[Parameter]) -> tuple[Parameter, .
 class SetupParameter(AbstractEntry):
     """One unknown of the setup, the loads or the recordings.
 
-    It is calibrated together with the material: the paper asks for this decoupling in
-    Sec. VII. `motor_zero`, `mounting`, `gravity_tilt`, `load_factor`,
+    It is calibrated together with the material, to decouple them (paper Sec. VII).
+    `motor_zero`, `mounting`, `gravity_tilt`, `load_factor`,
     `actuator_factor`, `recording_offset` and `clamp_stiffness` make them.
 
     Attributes:
         kind: One of `QUANTITIES`.
         of: What it belongs to, like the motor; empty where it belongs to nothing.
-        unknowns: The unknown: name, start, bounds, scaling and prior; its `field` is
-            not looked at. One for each name in `each`, where there are any.
+        unknowns: Name, start, bounds, scaling and prior of the unknown (`field` is
+            ignored); one for each name in `each`, if any.
         axis: Component of a quantity that has several, like "x"; empty otherwise.
-        each: Configurations or recordings that have an unknown each; those not named
-            keep what they state. Empty for one unknown common to all.
+        each: Configurations or recordings with an unknown each; all others keep their
+            own value. Empty for one unknown common to all.
         by: What `each` names, "configuration" or "recording".
     """
 
@@ -245,7 +244,7 @@ class SetupParameter(AbstractEntry):
             self._index(model)
 
     def _index(self, owner: Any) -> tuple[int, ...]:
-        """Where its entry stands in the array.
+        """Find the index of its entry in the array.
 
         Raises:
             ValueError: If model or configuration do not have what it belongs to.
@@ -265,7 +264,7 @@ class SetupParameter(AbstractEntry):
     def apply(
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
     ) -> tuple[Any, Any]:
-        """Set its entry, in configurations that it does not belong to as it was."""
+        """Set its entry; configurations that it does not belong to keep theirs."""
         of_configuration = self.quantity.of_configuration
         owner = configuration if of_configuration else model
         if owner is None:
@@ -285,7 +284,7 @@ class SetupParameter(AbstractEntry):
     def renamed(
         self, points: Mapping[str, str], names: Mapping[str, str]
     ) -> "SetupParameter":
-        """The same unknowns with other names."""
+        """Return the same unknowns with other names."""
         del points
         own = tuple(replace(q, name=names[q.name], unit="") for q in self.parameters)
         return replace(self, unknowns=own)

@@ -1,4 +1,4 @@
-"""Parameters of setup, loads and recordings with the limits that users state."""
+"""Constructors of parameters of setup, loads and recordings."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -12,11 +12,11 @@ from softcal_jax.fields._setup import XYZ, Scope, SetupParameter
 
 
 class Knowledge(NamedTuple):
-    """What is known of a quantity before any data.
+    """Prior knowledge of a quantity.
 
     Attributes:
-        nominal: Value that it should have, in SI units.
-        limit: Largest error looked for, in SI units; on a log scale a factor.
+        nominal: Nominal value, in SI units.
+        limit: Largest error considered, in SI units; on a log scale a factor.
         prior_std: Standard deviation of the error, in SI units or, on a log scale,
             relative; None if it is not known.
     """
@@ -48,15 +48,11 @@ def setup_parameters(
         unit: SI unit, for tables.
         scale: "linear", or "log" for a factor or a stiffness.
         axis: Component of a quantity that has several.
-        each: Configurations or recordings that have an unknown each; one for all by
-            default.
+        each: Configurations or recordings with an unknown each; one for all by default.
         by: What `each` names.
 
-    Returns:
-        The entry.
-
     Raises:
-        ValueError: If they do not fit each other.
+        ValueError: If the arguments are inconsistent.
     """
     nominal, limit, prior_std = knowledge
     log = scale == "log"
@@ -88,8 +84,8 @@ def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupPar
 
     Args:
         motor: Name of the motor.
-        limit: Largest error looked for [rad].
-        prior_std: Its standard deviation before any data [rad]; None if not known.
+        limit: Largest error considered [rad].
+        prior_std: Prior standard deviation [rad]; None if not known.
     """
     return setup_parameters(
         "motor_zero",
@@ -111,9 +107,9 @@ def mounting(
 
     Args:
         body: Name of the body.
-        nominal: Translation that it should have [m].
-        limit: Largest error looked for, per axis [m].
-        prior_std: Its standard deviation before any data [m]; None if not known.
+        nominal: Nominal translation [m].
+        limit: Largest error considered, per axis [m].
+        prior_std: Prior standard deviation [m]; None if not known.
     """
     return tuple(
         setup_parameters(
@@ -135,9 +131,9 @@ def friction(
 
     Args:
         actuator: Name of a cable with friction.
-        nominal: Coefficient that it should have [-].
-        limit: Largest error looked for; it stays above zero [-].
-        prior_std: Its standard deviation before any data; None if not known [-].
+        nominal: Nominal coefficient [-].
+        limit: Largest error considered; it stays above zero [-].
+        prior_std: Prior standard deviation; None if not known [-].
     """
     own = Parameter(
         f"friction of {actuator}",
@@ -159,15 +155,14 @@ def gravity_tilt(
     each: Sequence[str] = (),
     by: Scope = "recording",
 ) -> tuple[SetupParameter, ...]:
-    """Make the direction of gravity two parameters, angles about two axes across it.
+    """Make the direction of gravity two parameters: angles about two axes normal to it.
 
-    The axes are those of `ConfigurationArrays.acceleration`.
+    The axes are defined in `ConfigurationArrays.acceleration`.
 
     Args:
-        limit: Largest tilt looked for, per axis [rad].
-        prior_std: Its standard deviation before any data [rad]; None if not known.
-        each: Configurations or recordings that have a tilt each; one for all by
-            default.
+        limit: Largest tilt considered, per axis [rad].
+        prior_std: Prior standard deviation [rad]; None if not known.
+        each: Configurations or recordings with a tilt each; one for all by default.
         by: What `each` names.
     """
     return tuple(
@@ -194,11 +189,10 @@ def load_factor(
     """Make a factor on the dead loads a parameter, for forces known to some percent.
 
     Args:
-        limit: Largest factor looked for, and 1 over the smallest [-].
+        limit: Largest factor considered, and 1 over the smallest [-].
         prior_std: Relative standard deviation of the forces, like 0.05; None if not
             known [-].
-        each: Configurations or recordings that have a factor each; one for all by
-            default.
+        each: Configurations or recordings with a factor each; one for all by default.
         by: What `each` names.
     """
     return setup_parameters(
@@ -223,11 +217,10 @@ def actuator_factor(
 
     Args:
         actuator: Name of the actuator.
-        limit: Largest factor looked for, and 1 over the smallest [-].
+        limit: Largest factor considered, and 1 over the smallest [-].
         prior_std: Relative standard deviation of the force, like 0.05; None if not
             known [-].
-        each: Configurations or recordings that have a factor each; one for all by
-            default.
+        each: Configurations or recordings with a factor each; one for all by default.
         by: What `each` names.
     """
     return setup_parameters(
@@ -252,17 +245,15 @@ def recording_offset(
 ) -> tuple[SetupParameter, ...]:
     """Make the frame of a recording, or of a tracker's base, parameters.
 
-    Three coordinates of its offset, and of its rotation where asked: see
-    `RecordingBase`.
+    These are three coordinates of its offset and, with `turn_limit`, three of its
+    rotation; see `RecordingBase`.
 
     Args:
-        limit: Largest offset looked for, per axis [m].
-        prior_std: Its standard deviation before any data [m]; None if not known.
-        turn_limit: Largest turn looked for, per axis [rad]; by default the frame does
-            not turn.
-        turn_prior_std: Its standard deviation before any data [rad]; None if not known.
-        each: Configurations or recordings that have a frame each; one for all by
-            default.
+        limit: Largest offset considered, per axis [m].
+        prior_std: Prior standard deviation [m]; None if not known.
+        turn_limit: Largest rotation considered, per axis [rad]; none by default.
+        turn_prior_std: Prior standard deviation [rad]; None if not known.
+        each: Configurations or recordings with a frame each; one for all by default.
         by: What `each` names.
     """
     kinds = [("recording_offset", "offset", "m", Knowledge(0.0, limit, prior_std))]
@@ -297,11 +288,11 @@ def clamp_stiffness(
 
     Args:
         group: Surface group of a `Support` with a stiffness.
-        nominal: Stiffness that it should have [N/m3].
-        limit: Largest ratio to it looked for, and 1 over the smallest [-].
-        prior_std: Relative standard deviation before any data; None if not known [-].
-        each: Configurations or recordings that have a stiffness each; one for all by
-            default.
+        nominal: Nominal stiffness [N/m3].
+        limit: Largest ratio to it considered, and 1 over the smallest [-].
+        prior_std: Relative prior standard deviation; None if not known [-].
+        each: Configurations or recordings with a stiffness each; by default one
+            for all.
         by: What `each` names.
     """
     return setup_parameters(

@@ -43,12 +43,12 @@ def _as_triples(axes: Iterable[Sequence[str]]) -> tuple[tuple[str, str, str], ..
 
 
 class Pin(eqx.Module):
-    """A parameter that is drawn to a value, whatever is known of it before.
+    """A parameter drawn to a value, in place of its prior.
 
     Attributes:
         column: Index of the parameter.
         value: Its scaled value [-].
-        weight: 1 / how far it may be off, scaled [-].
+        weight: 1 / tolerated deviation, scaled [-].
     """
 
     column: Int[Array, ""]
@@ -59,22 +59,22 @@ class Pin(eqx.Module):
 class ParameterSpace(eqx.Module):
     """The calibrated parameters, in the order of lambda_p.
 
-    A step of the paper, p + S lambda_p, is z + lambda_p here; on a log scale
-    lambda_p is the logarithm of the ratio of new and old value.
+    The paper's step p + S lambda_p is z + lambda_p here; on a log scale lambda_p is the
+    logarithm of the ratio of new to old value.
 
     Attributes:
-        entries: Parameters, single ones and fields with control points.
+        entries: Single parameters and fields with control points.
         order: Pairs (smaller, larger) of parameter names, or of fields with the same
-            control points: ("E_l", "E_t") keeps the fibre the soft axis. A linear
-            constraint of every QP step.
+            control points: ("E_l", "E_t") keeps the fibre the soft axis. They are
+            linear constraints of every QP step.
         axes: Triples (smaller modulus, larger modulus, angle) of fields with the same
-            control points: ("E_l", "E_t", "theta") for a soft fibre. Steps of these are
+            control points: ("E_l", "E_t", "theta") for a soft fibre. Their steps are
             taken as tensors, see `AxisChart`: neither winding of the angle nor the
-            isotropic state can trap them, and smaller <= larger holds by itself. Where
-            the angle has a `core`, their contrast fades in it.
-        tensor_steps: Whether they are, or as moduli and angles; `order` is then wanted.
-        pin: A parameter that is held at a value, for a profile of the likelihood; in
-            place of its prior.
+            isotropic state can trap them, and smaller <= larger always holds. If the
+            angle has a `core`, their contrast fades in it.
+        tensor_steps: Whether steps of axes are taken as tensors; if not, as moduli and
+            angles, which need `order`.
+        pin: A parameter held at a value, for a profile of the likelihood.
     """
 
     entries: tuple[Entry, ...] = eqx.field(converter=tuple)
@@ -106,29 +106,29 @@ class ParameterSpace(eqx.Module):
         return [parameter.name for parameter in self.parameters]
 
     def start(self) -> Float[Array, " n_p"]:
-        """Scaled start."""
+        """Return the scaled start."""
         return self.to_scaled(jnp.stack([q.start for q in self.parameters]))
 
     def lower(self) -> Float[Array, " n_p"]:
-        """Scaled lower bounds."""
+        """Return the scaled lower bounds."""
         return self.to_scaled(jnp.stack([q.lower for q in self.parameters]))
 
     def upper(self) -> Float[Array, " n_p"]:
-        """Scaled upper bounds."""
+        """Return the scaled upper bounds."""
         return self.to_scaled(jnp.stack([q.upper for q in self.parameters]))
 
     def to_scaled(self, p: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Scaled coordinates z of values p."""
+        """Convert values p to scaled coordinates z."""
         return jnp.stack([q.to_scaled(p[i]) for i, q in enumerate(self.parameters)])
 
     def from_scaled(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Values p of scaled coordinates z."""
+        """Convert scaled coordinates z to values p."""
         return jnp.stack([q.from_scaled(z[i]) for i, q in enumerate(self.parameters)])
 
     def room(
         self, z: Float[Array, " n_p"]
     ) -> tuple[Float[Array, " n_p"], Float[Array, " n_p"]]:
-        """Largest step down and up that the bounds on p leave; infinite if periodic."""
+        """Return the largest steps down and up within bounds; infinite if periodic."""
         periodic = jnp.asarray([q.periodic for q in self.parameters])
         return (
             jnp.where(periodic, -jnp.inf, self.lower() - z),
@@ -136,20 +136,20 @@ class ParameterSpace(eqx.Module):
         )
 
     def max_step(self) -> Float[Array, " n_p"]:
-        """Step limits of the parameters; infinite where there is none."""
+        """Return the step limits of the parameters, infinite by default."""
         none = jnp.asarray(jnp.inf)
         limits = [none if q.max_step is None else q.max_step for q in self.parameters]
         return jnp.stack(limits)
 
     def wrap(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """The same parameters with periodic ones between their bounds."""
+        """Wrap periodic parameters into their bounds."""
         low, high = self.lower(), self.upper()
         periodic = jnp.asarray([q.periodic for q in self.parameters])
         return jnp.where(periodic, low + jnp.mod(z - low, high - low), z)
 
     @property
     def chart(self) -> AxisChart | None:
-        """Step coordinates of the axes; None without, or if steps are not tensors."""
+        """Step coordinates of the axes; None without axes or tensor steps."""
         if not (self.axes and self.tensor_steps):
             return None
         columns = axis_columns(self.entries, self.axes)
@@ -159,26 +159,26 @@ class ParameterSpace(eqx.Module):
     def distance(
         self, z: Float[Array, " n_p"], other: Float[Array, " n_p"]
     ) -> Float[Array, " n_p"]:
-        """Distance of scaled parameters, the shorter way round if periodic."""
+        """Compute distances of scaled parameters, the shorter way if periodic."""
         return jnp.abs(self.shorter(z - other))
 
     @property
     def has_prior(self) -> bool:
-        """Whether something is known of a parameter before any data."""
+        """Whether any parameter has a prior or is pinned."""
         known = any(q.prior_std is not None for q in self.parameters)
         return known or self.pin is not None
 
     def prior_weights(self) -> Float[Array, " n_p"]:
-        """1 / standard deviations of the prior; 0 where nothing is known [-]."""
+        """Return 1 / standard deviations of the prior; 0 without one [-]."""
         weights = jnp.stack([q.prior_weight() for q in self.parameters])
         if self.pin is None:
             return weights
         return weights.at[self.pin.column].set(self.pin.weight)
 
     def from_prior(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Distance of scaled parameters from their start, in units of the prior [-].
+        """Compute signed distances from the start, in units of the prior [-].
 
-        With a sign; the shorter way round if periodic.
+        Periodic parameters go the shorter way.
         """
         middle = self.start()
         if self.pin is not None:
@@ -186,20 +186,20 @@ class ParameterSpace(eqx.Module):
         return self.prior_weights() * self.shorter(z - middle)
 
     def shorter(self, gap: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Differences of scaled parameters, the shorter way round if periodic."""
+        """Reduce differences of scaled parameters to the shorter way if periodic."""
         turn = self.upper() - self.lower()
         periodic = jnp.asarray([q.periodic for q in self.parameters])
         return jnp.where(periodic, gap - turn * jnp.round(gap / turn), gap)
 
     def admissible(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Parameters within their bounds, the moduli of an axis a little apart."""
+        """Clip parameters to their bounds, keeping moduli of an axis slightly apart."""
         z = self.wrap(z)
         if self.chart is not None:
             z = self.chart.clip(z, self.lower(), self.upper())
         return jnp.clip(z, self.lower(), self.upper())
 
     def order_rows(self) -> tuple[Float[Array, "n_rows n_p"], Float[Array, " n_rows"]]:
-        """The order constraints as A z <= b."""
+        """Return the order constraints as A z <= b."""
         terms = order_terms(self.entries, self.order)
         A, b = jnp.zeros((len(terms), len(self.parameters))), jnp.zeros(len(terms))
         for row, pair in enumerate(terms):
@@ -213,7 +213,7 @@ class ParameterSpace(eqx.Module):
         return A, b
 
     def order_names(self) -> list[tuple[str, str]]:
-        """Names of the smaller and the larger value of each order constraint."""
+        """List the names of smaller and larger value of each order constraint."""
         terms = order_terms(self.entries, self.order)
         return [(small.name, large.name) for small, large in terms]
 
@@ -229,10 +229,10 @@ class ParameterSpace(eqx.Module):
             z: Scaled coordinates [-].
 
         Returns:
-            Both, with what the parameters set; setting it again changes nothing.
+            Both, with the values set; setting them again changes nothing.
 
         Raises:
-            ValueError: If one of them does not have what a parameter sets.
+            ValueError: If either lacks what a parameter sets.
         """
         none = np.zeros(0, int)
         return self.apply_partly(model, configuration, z, none, z[none])
@@ -245,13 +245,13 @@ class ParameterSpace(eqx.Module):
         columns: Int[HostArray, " n"],
         own: Float[Array, " n"],
     ) -> tuple[Any, Any]:
-        """Do the same with some coordinates given apart, for derivatives by them alone.
+        """Do as `apply`, with some coordinates given separately, for derivatives.
 
         Args:
             model: As for `apply`.
             configuration: As for `apply`.
             z: Scaled coordinates [-].
-            columns: Indices of those that are given apart.
+            columns: Indices of the coordinates given separately.
             own: Their values, in place of those in `z` [-].
         """
         parameters = self.parameters
@@ -265,7 +265,7 @@ class ParameterSpace(eqx.Module):
         return model, configuration
 
     def model_at(self, model: Any, z: Float[Array, " n_p"]) -> Any:
-        """Set the values of scaled coordinates in a model, whatever its configuration.
+        """Set the values of scaled coordinates in a model alone.
 
         Args:
             model: Anything with `law`, `density`, `mesh` and `mechanism`.
@@ -288,7 +288,7 @@ class ParameterSpace(eqx.Module):
 def as_space(
     parameters: ParameterSpace | Entry | Sequence[Entry],
 ) -> ParameterSpace:
-    """A parameter space of one parameter or several."""
+    """Make a parameter space of one parameter or several."""
     if isinstance(parameters, ParameterSpace):
         return parameters
     if isinstance(parameters, AbstractEntry):
@@ -297,10 +297,10 @@ def as_space(
 
 
 def check_names(entries: tuple[Entry, ...]) -> None:
-    """Raise unless every parameter has a name of its own and ties lead to one.
+    """Raise unless parameter names are unique and ties name a parameter.
 
     Raises:
-        ValueError: If a name stands twice, or a value is tied to no parameter.
+        ValueError: If a name repeats, or a value is tied to an unknown parameter.
     """
     names = [q.name for entry in entries for q in entry.parameters]
     for name in names:

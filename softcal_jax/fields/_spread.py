@@ -28,23 +28,22 @@ class ControlPointParameters(AbstractEntry):
 
     p(X) = sum_j w_j(X) p_j with the inverse-distance weights w_j, paper Sec. IV.A.
 
-    How values are mixed (`interpolation`): "linear" as in the paper. "log" mixes
+    `interpolation` is how values are mixed: "linear" as in the paper; "log" mixes
     logarithms, for moduli that differ by orders of magnitude. "director" is for the
     angle of an axis: the mixed direction is that of sum_j w_j (cos 2 theta_j,
-    sin 2 theta_j), so that +90 and -90 degrees are the same axis, as they are for the
-    material. With "linear" they are not: between a control point at 85 and one at
-    -85 degrees the axis would turn through 0, although the two are 10 degrees apart,
-    and a calibration can end half a turn away from the truth. Take "director" unless
-    results of the paper are to be repeated. Bounds that span 180 degrees then mean no
-    bounds: the angle leaves by one and comes back by the other.
+    sin 2 theta_j), so +90 and -90 degrees are the same axis, as in the material. With
+    "linear", the axis between control points at 85 and -85 degrees would turn through
+    0, although the two are 10 degrees apart, and a calibration can end half a turn from
+    the truth. Use "director" unless to reproduce the paper. Bounds that span 180
+    degrees then do not bind: the angle leaves by one and re-enters by the other.
 
     Between control points whose axes differ much the mixed directions nearly cancel:
     rho = |sum_j w_j (cos 2 theta_j, sin 2 theta_j)| is small, and the direction turns
     by a right angle from one tet to the next, over the full contrast of the moduli.
-    Such a defect moves through the mesh with the parameters, and every tet that it
-    passes is a bend in the cost of a calibration. With a `core` the contrast fades
-    there, as the order of a liquid crystal does in the core of a defect: see `contrast`
-    and `ParameterSpace.axes`, which says whose moduli.
+    Such a defect moves through the mesh with the parameters, and each tet it passes
+    puts a kink into the cost of a calibration. With a `core` the contrast fades there,
+    like the order of a liquid crystal in the core of a defect: see `contrast`, and
+    `ParameterSpace.axes` for the moduli concerned.
 
     Attributes:
         field: Field of the law, like "E_t", "E_l" or "theta"; or "density".
@@ -58,15 +57,15 @@ class ControlPointParameters(AbstractEntry):
         region: Tet group that the field is set in; the whole body by default.
         unit: SI unit, for tables.
         interpolation: How values are mixed; see above.
-        sampling: Where: at the centroid of each tet, or at its quadrature points.
-        fixed: Control points whose value is known, and that value.
-        tied: Control points whose value is that of another parameter, and its name,
-            like {"upper 1": "E_t of lower 1"}.
+        sampling: Whether at the centroid of each tet or at its quadrature points.
+        fixed: Known values, by control point.
+        tied: Names of other parameters whose value is used, by control point, like
+            {"upper 1": "E_t of lower 1"}.
         max_step: Largest entry of lambda_p in one step [-].
         prior_std: Standard deviation of what is known of each value before any data,
             about its start; relative on a log scale, in SI units on a linear one.
         core: For the angle of an axis: rho below which the contrast of its moduli
-            fades, like 0.1; 0 lets it be full everywhere [-].
+            fades, like 0.1; with 0 it never fades [-].
     """
 
     field: str = eqx.field(static=True)
@@ -182,7 +181,7 @@ class ControlPointParameters(AbstractEntry):
             )
 
     def parameter_name(self, control_point: str) -> str:
-        """Name of the unknown at a control point; it may be that of another field."""
+        """Return the name of the unknown at a control point, maybe of another field."""
         return dict(self.tied).get(control_point, f"{self.field} of {control_point}")
 
     @property
@@ -210,7 +209,7 @@ class ControlPointParameters(AbstractEntry):
     def at_control_points(
         self, values: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " n_cp"]:
-        """Values at the control points: calibrated, tied or fixed, in SI units."""
+        """Return the values at the control points, in SI units."""
         return jnp.stack(
             [
                 self.fixed[name]
@@ -221,7 +220,7 @@ class ControlPointParameters(AbstractEntry):
         )
 
     def points(self, mesh: TetMesh) -> HostArray | Array:
-        """Where the field is sampled; (n_tets, 3) or (n_tets, n_qp, 3) [m]."""
+        """Return the sampling points, (n_tets, 3) or (n_tets, n_qp, 3) [m]."""
         nodes = jnp.asarray(mesh.points)[jnp.asarray(mesh.tets)]
         if self.region is not None:
             nodes = nodes[jnp.asarray(mesh.tets_of(self.region))]
@@ -234,7 +233,7 @@ class ControlPointParameters(AbstractEntry):
     def evaluate(
         self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, "..."]:
-        """The field itself, in SI units.
+        """Evaluate the field, in SI units.
 
         Args:
             mesh: The mesh [m].
@@ -250,7 +249,7 @@ class ControlPointParameters(AbstractEntry):
     def contrast(
         self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, "..."]:
-        """What is left of ln(E_l / E_s) where the mixed directions nearly cancel [-].
+        """Compute the share of ln(E_l / E_s) that remains after fading [-].
 
         rho sqrt(1 + core^2) / sqrt(rho^2 + core^2): 1 where all directions agree, and
         0 where there is none. The tensor of the axis is then a smooth function of the
@@ -270,7 +269,7 @@ class ControlPointParameters(AbstractEntry):
         return rho * jnp.sqrt((1.0 + self.core**2) / (square + self.core**2))
 
     def _weights(self, mesh: TetMesh):
-        """Weights of the control points, and the shape of the field."""
+        """Return the weights of the control points, and the shape of the field."""
         points = self.points(mesh)
         return self.control_points.weights(points.reshape(-1, 3)), points.shape[:-1]
 
@@ -296,7 +295,7 @@ class ControlPointParameters(AbstractEntry):
         return self.set_on(model, self.evaluate(model.mesh, values)), configuration
 
     def set_on(self, model: Any, field: Float[Array, "..."]) -> Any:
-        """The model with values of this field, as `evaluate` gives them."""
+        """Set values of this field, as from `evaluate`, in a model."""
         if self.sampling == "quadrature":
             return set_field(model, self.field, PointValues(field), self.region)
         return set_field(model, self.field, field, self.region)
@@ -312,7 +311,7 @@ class ControlPointParameters(AbstractEntry):
         nodes = mesh.points[np.unique(tets)][:, points.columns]
         diagonal = float(np.linalg.norm(np.ptp(nodes, axis=0)))
         reach = 0.1 * diagonal if points.max_distance is None else points.max_distance
-        # Nodes stand for the body: inside a coarse tet none is near.
+        # Distances are to nodes, of which none is near inside a coarse tet.
         edges = mesh.points[mesh.tets[:, :4]][:, :, points.columns]
         coarse = float(np.max(np.linalg.norm(np.ptp(edges, axis=1), axis=1)))
         positions = np.asarray(points.positions)[:, points.columns]
@@ -328,7 +327,7 @@ class ControlPointParameters(AbstractEntry):
         self._check_weights(mesh)
 
     def _check_weights(self, mesh: TetMesh) -> None:
-        """Raise unless every control point is the nearest somewhere."""
+        """Raise unless every control point acts on some tet."""
         points = self.control_points
         sampled = np.asarray(self.points(mesh)).reshape(-1, 3)
         strongest = np.asarray(points.weights(sampled)).max(axis=0)
@@ -347,7 +346,7 @@ class ControlPointParameters(AbstractEntry):
     def renamed(
         self, points: Mapping[str, str], names: Mapping[str, str]
     ) -> "ControlPointParameters":
-        """The same field with other names, and without its unit."""
+        """Return the same field with other names, and without its unit."""
         at = self.control_points
         return ControlPointParameters(
             self.field,
@@ -376,11 +375,11 @@ class ControlPointParameters(AbstractEntry):
 
 
 _LOST = 1e-20
-"""Square of rho at which there is no direction [-]."""
+"""Square of rho below which there is no direction [-]."""
 
 
 def _direction(weights, angles):
-    """The mixed direction, as cosine and sine of twice its angle times its length."""
+    """Mix directions: cosine and sine of twice the angle, times the length rho."""
     return weights @ jnp.cos(2.0 * angles), weights @ jnp.sin(2.0 * angles)
 
 
@@ -394,8 +393,8 @@ def _mix(
     if interpolation == "linear":
         return weights @ values
     c, s = _direction(weights, values)
-    # Half way between two axes at right angles there is no mean direction, nor a
-    # derivative of it: such a point keeps the angle 0 and moves with nobody.
+    # Half way between perpendicular axes there is neither a mean direction nor its
+    # derivative: such a point gets the constant angle 0.
     lost = c**2 + s**2 < _LOST
     c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
     return 0.5 * jnp.arctan2(s, c)

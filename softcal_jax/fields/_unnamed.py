@@ -1,14 +1,14 @@
-"""A parameter space without its names, so that alike ones share compiled programs."""
+"""Parameter spaces without names, so that similar ones share compiled programs."""
 
 from softcal_jax.fields._space import ParameterSpace
 from softcal_jax.fields._spread import ControlPointParameters
 
 
 def unnamed(space: ParameterSpace) -> ParameterSpace:
-    """The same parameters, numbered.
+    """Replace the names of parameters by numbers.
 
-    Names belong to a compiled program: spaces that differ in nothing else, like two
-    layouts with as many control points, would be two programs. Numbered they are one.
+    Names are static in compiled programs, so spaces that only differ in names, like two
+    layouts with equally many control points, would compile twice.
 
     Args:
         space: The parameters.

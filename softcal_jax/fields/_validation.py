@@ -1,4 +1,4 @@
-"""Whether parameters fit the model they are to calibrate."""
+"""Checks that parameters fit the model that they calibrate."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,8 +24,7 @@ def check_parameters(
     Args:
         model: Anything with `law`, `density`, `mesh` and `mechanism`, on the host.
         space: The parameters.
-        configuration: Arrays of one configuration, where there are any: what
-            parameters set in it is then looked at, too.
+        configuration: Arrays of one configuration, to check what parameters set in it.
 
     Raises:
         ValueError: If a field or region does not exist, two parameters set the same
@@ -107,8 +106,8 @@ def check_scopes(space: ParameterSpace, configurations: Sequence[Any]) -> None:
 def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> None:
     """Raise if an entry sets nothing, or more than the fields that it names.
 
-    Sensitivities follow from `apply` by autodiff, but those of fields take a shorter
-    way that sees nothing else. What an entry leaves alone stays the same object.
+    Sensitivities follow from `apply` by autodiff, but those of fields use a shortcut
+    that misses everything else. Arrays that an entry does not set stay the same object.
     """
     p = space.from_scaled(space.start())
     values = dict(zip(space.names, p, strict=True))
@@ -129,7 +128,7 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
 
 
 def _differences(old: Any, new: Any) -> set[str]:
-    """Paths of the arrays that are other objects, field values as a whole."""
+    """Return the paths of arrays that were replaced, with field values as a whole."""
     paths = lambda tree: {
         jax.tree_util.keystr(path): leaf
         for path, leaf in jax.tree_util.tree_leaves_with_path(
@@ -174,7 +173,7 @@ def _check_order(space: ParameterSpace) -> None:
 
 
 def _laws(law: Any) -> list[Any]:
-    """The law as it is; at each quadrature point where it differs between them."""
+    """Return the law, or one per quadrature point if it differs between them."""
     leaves = jax.tree.leaves(law, is_leaf=is_point_values)
     n_qp = max([v.values.shape[1] for v in leaves if is_point_values(v)], default=1)
     return [

@@ -23,11 +23,11 @@ from softcal_jax.sensitivity._rows import Derivative, parameter_rows
 
 
 class Compliance(NamedTuple):
-    """W_ep of one configuration, and what it was made of.
+    """W_ep of one configuration, with the displacements behind it.
 
     Attributes:
         W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
-        displacement: dx/dz by rows, for warm starts [m]; None from the adjoint side.
+        displacement: dx/dz by rows, for warm starts [m]; None if adjoint.
         ok: False if the tangent could not be factorized; W_ep is then zero.
     """
 
@@ -46,20 +46,20 @@ def parameter_compliance(
     method: Literal["auto", "direct", "adjoint"] = "auto",
     derivative: Derivative = "autodiff",
 ) -> Compliance:
-    """Compute W_ep = H_e K^-1 H_p^T at an equilibrium, by one factorization; Eq. (9).
+    """Compute W_ep = H_e K^-1 H_p^T at an equilibrium, with one factorization; Eq. (9).
 
     Args:
-        model: The body.
+        model: The model.
         configuration: One configuration with its effectors.
         u: Displacement at its equilibrium with the parameters of `z` [m].
         space: The parameters.
         z: Their scaled values [-].
         method: "direct" solves for the n_p columns of H_p^T, "adjoint" for the n_e rows
-            of H_e; "auto" takes the fewer right-hand sides.
-        derivative: How H_p is made, see `parameter_forces`.
+            of H_e; "auto" chooses the fewer right-hand sides.
+        derivative: How H_p is computed, see `parameter_forces`.
 
     Returns:
-        W_ep with effector coordinates in the order effector, axis.
+        W_ep, with effector coordinates in the order effector, axis.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z, derivative=derivative)
@@ -70,7 +70,7 @@ def parameter_compliance(
 
 
 class EnergyCompliance(NamedTuple):
-    """W_ep and W_pp of configurations, one lane each; nothing measured is needed.
+    """W_ep and W_pp of configurations, one lane each; needs no measurements.
 
     Attributes:
         W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
@@ -90,16 +90,16 @@ def energy_compliance(
     space: ParameterSpace,
     z: Float[Array, " n_p"],
 ) -> EnergyCompliance:
-    """Compute W_ep and W_pp = H_p K^-1 H_p^T at an equilibrium, by one factorization.
+    """Compute W_ep and W_pp = H_p K^-1 H_p^T at an equilibrium, with one factorization.
 
-    Paper Eq. (9) and Sec. V-C. Row i of u' = K^-1 H_p^T is how the nodes move per unit
-    of lambda_p,i and H_p^T are the forces that move them (sign as in
-    `parameter_forces`), so W_pp,ij = h_i . u'_j = u'_i . K u'_j is positive where K is.
-    With m(z) = min_u Pi(u; z) it is what the relaxation of the nodes takes off the
-    curvature of the energy: W_pp = d2 Pi/dz2 at fixed u minus d2 m/dz2.
+    Paper Eq. (9) and Sec. V-C. Row i of u' = K^-1 H_p^T is the motion of the nodes per
+    unit of lambda_p,i, and the rows h_i of H_p^T are the forces that cause it (sign as
+    in `parameter_forces`). So W_pp,ij = h_i . u'_j = u'_i . K u'_j is positive definite
+    if K is. With m(z) = min_u Pi(u; z), it is the curvature of the energy lost by
+    relaxation: W_pp = d2 Pi/dz2 at fixed u minus d2 m/dz2.
 
     Args:
-        model: The body.
+        model: The model.
         configuration: One configuration with its effectors.
         u: Displacement at its equilibrium with the parameters of `z` [m].
         space: The parameters.
@@ -119,7 +119,7 @@ def energy_compliance(
 def _relaxation(
     lin: Linearisation, rows: InputRows, found: Sensitivity, fields: HostArray
 ) -> Float[Array, "n_p n_p"]:
-    """W_pp = u'_i . K u'_j, with the motion of what is held where there may be any.
+    """Compute W_pp = u'_i . K u'_j, with the motion of held nodes where they move.
 
     Parameters that set `fields` of the law move nothing that is held.
     """
@@ -132,5 +132,5 @@ def _relaxation(
         stiff = jax.vmap(lambda du: jax.jvp(force, (lin.u,), (du,))[1])(moved)
         whole = jnp.einsum("ink,jnk->ij", moved, stiff)
         W = jnp.where(fields[:, None] & fields[None], W, whole)
-    # Symmetric but for the rounding of the factorization.
+    # Symmetric up to the rounding of the factorization.
     return 0.5 * (W + W.T)

@@ -1,4 +1,4 @@
-"""The paper's finite differences held against autodiff."""
+"""Check of the paper's finite differences against autodiff."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ class DerivativeCheck(eqx.Module):
         names: Names of the parameters.
         steps: Steps, in scaled units [-].
         errors: Largest difference over the nodes, relative to the largest force [-].
-        orders: Slope of each error over the steps where it falls [-]; 2 is right.
+        orders: Order of each error, from steps above rounding [-]; 2 is expected.
     """
 
     names: tuple[str, ...]
@@ -27,7 +27,7 @@ class DerivativeCheck(eqx.Module):
     orders: Float[HostArray, " n_p"]
 
     def __str__(self) -> str:
-        """A table with one row per step."""
+        """Format a table with one row per step."""
         lines = ["step      " + "  ".join(f"{name:>12}" for name in self.names)]
         for step, row in zip(self.steps, self.errors, strict=True):
             lines.append(f"{step:8.1e}  " + "  ".join(f"{e:12.3e}" for e in row))
@@ -47,20 +47,19 @@ def check_parameter_derivatives(
     """Compare the paper's finite-difference H_p with autodiff over a sweep of steps.
 
     Args:
-        model: The body.
+        model: The model.
         configuration: One configuration.
-        u: Displacement at which forces are compared; not all zero [m].
+        u: Displacement at which forces are compared, not all zero [m].
         space: The parameters.
         z: Their scaled values [-].
-        steps: Steps in scaled units, falling [-].
+        steps: Decreasing steps in scaled units [-].
 
     Returns:
-        Errors and orders. A parameter on which the force depends linearly, like a
-        modulus on a linear scale, has no truncation error: its order is nan and its
-        errors are rounding.
+        Errors and orders. If the force is linear in a parameter, like a modulus on a
+        linear scale, there is only rounding and the order is nan.
 
     Raises:
-        ValueError: If fewer than two steps are given, or they do not fall.
+        ValueError: If fewer than two steps are given, or they do not decrease.
     """
     if len(steps) < 2 or np.any(np.diff(steps) >= 0):
         raise ValueError(f"steps must be at least two falling numbers, got {steps}.")

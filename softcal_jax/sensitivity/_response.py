@@ -20,21 +20,21 @@ from softcal_jax.fields import ParameterSpace
 from softcal_jax.sensitivity._rows import parameter_rows
 
 FEW_PARAMETERS = 12
-"""Up to here the direct side is taken even where the adjoint one needs fewer solves.
+"""Number of parameters up to which the direct method is always used.
 
-It also tells dx/dp, from which the next equilibria start; on one factor, a dozen
-right-hand sides cost about as much as a factorization.
+It also yields dx/dp, from which the next equilibria start, and a dozen right-hand sides
+cost only about as much as one factorization.
 """
 
 
 class Response(NamedTuple):
-    """Equilibrium of one configuration, and how its effectors follow the parameters.
+    """Equilibrium of one configuration, with its effectors and their compliance.
 
     Attributes:
         equilibrium: The equilibrium.
         effectors: Effector coordinates there.
         W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
-        displacement: dx/dz by rows [m]; None from the adjoint side.
+        displacement: dx/dz by rows [m]; None if adjoint.
         ok: False if there is no equilibrium or no tangent; W_ep is then zero.
     """
 
@@ -58,21 +58,21 @@ def equilibrium_response(
 ) -> Response:
     """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
 
-    What `solve_equilibrium` and `parameter_compliance` give one after the other, with
-    one factorization less: W_ep is solved for on the factor of the last Newton step.
+    Combines `solve_equilibrium` and `parameter_compliance` and saves a factorization:
+    W_ep reuses the factor of the last Newton step.
 
     Args:
-        model: The body.
-        configuration: One configuration with its effectors; `vmap` runs the
-            configurations one after the other, each to its own end.
+        model: The model.
+        configuration: One configuration with its effectors; `vmap` runs configurations
+            sequentially, each to its own convergence.
         guess: Displacement close to the equilibrium [m].
         space: The parameters.
         z: Their scaled values [-].
-        newton: Settings of Newton's method where the guess is not good.
-        before: Displacement of an equilibrium from which the guess was extrapolated, to
-            first order; by default the guess [m].
-        precise: Whether W_ep is exact, for one more Newton step; otherwise it is off by
-            the way of the last.
+        newton: Settings of Newton's method, for a poor guess.
+        before: Equilibrium displacement from which the guess was extrapolated to first
+            order; the guess itself by default [m].
+        precise: Whether to make W_ep exact by one more Newton step; otherwise its error
+            is of the order of the last step.
 
     Returns:
         Equilibrium, effectors and compliance, coordinates in the order effector, axis.

@@ -1,4 +1,4 @@
-"""What each parameter does at a fixed state: the rows that Eq. (9) is made of.
+"""Rows of the parameters at a fixed state, from which Eq. (9) is built.
 
 Sign: Eqs. (1) and (7) of the paper give K dx = ... - (df/dp) S lambda_p, Eq. (8) writes
 + H_p^T lambda_p. Hence H_p^T = -(dR/dp) S, with R = f - f_ext; it is defined here, in
@@ -34,7 +34,7 @@ from softcal_jax.materials import is_point_values
 Derivative = Literal["autodiff", "finite-difference"]
 
 FINITE_DIFFERENCE_STEP = 6e-6
-"""Cube root of the float64 rounding unit: the best step of a central difference."""
+"""Optimal step of a central difference: cube root of the float64 rounding unit."""
 
 
 def parameter_forces(
@@ -47,15 +47,15 @@ def parameter_forces(
     derivative: Derivative = "autodiff",
     step: float | Float[Array, ""] = FINITE_DIFFERENCE_STEP,
 ) -> Float[Array, "n_p n_points 3"]:
-    """Compute H_p^T by rows: the force of a unit step of each parameter on the nodes.
+    """Compute H_p^T by rows: the force on the nodes per unit step of each parameter.
 
-    H_p^T = -(d R / d p) S at fixed displacement; autodiff, or the paper's finite
-    differences of the internal force (Sec. III; central here, so that the error is of
-    second order). Parameters that only move what is held, such as the zero of a motor,
-    put no force on a fixed state.
+    H_p^T = -(d R / d p) S at fixed displacement, by autodiff or by the paper's finite
+    differences of the internal force (Sec. III; central here, hence of second order).
+    Parameters that only move held nodes or bodies, such as the zero of a motor, exert
+    no force on a fixed state.
 
     Args:
-        model: The body.
+        model: The model.
         configuration: One configuration.
         u: Displacement [m].
         space: The parameters.
@@ -89,17 +89,16 @@ def parameter_rows(
     *,
     derivative: Derivative = "autodiff",
 ) -> InputRows:
-    """Compute what a unit of lambda_p of each parameter does at an equilibrium.
+    """Compute the rows of all parameters at an equilibrium, per unit of lambda_p.
 
-    All of it follows from `space.apply`, whatever the kinds of the parameters. Those
-    that set fields of the law take one pass over the tets for each field; they move
-    nothing that is held.
+    Whatever the kind of parameter, they follow from `space.apply`. Parameters that set
+    fields of the law need one pass over the tets per field and move nothing held.
 
     Args:
         linearisation: The equilibrium, with the parameters applied.
         space: The parameters.
         z: Their scaled values [-].
-        derivative: How the forces of fields are found, see `parameter_forces`.
+        derivative: How the forces of fields are computed, see `parameter_forces`.
 
     Returns:
         Rows for `sensitivity`, with the effectors as readings.
@@ -137,7 +136,7 @@ def parameter_rows(
 
 
 def _others(space: ParameterSpace) -> Int[HostArray, " n_other"]:
-    """Indices of the parameters that set more than fields of the law."""
+    """Return the indices of the parameters that set more than fields of the law."""
     return np.flatnonzero(~np.asarray(space.sets_fields))
 
 
@@ -151,9 +150,9 @@ def _along(
     space: ParameterSpace,
     z: Float[Array, " n_p"],
 ):
-    """Derivatives of functions of (model, configuration) by what is no field.
+    """Return a differentiator of functions of (model, configuration).
 
-    Only these parameters vary, so that autodiff does not pass through the fields.
+    Only parameters that set no fields vary, so autodiff does not pass through fields.
     """
     others = _others(space)
 
@@ -167,7 +166,7 @@ def _along(
 def _readings_of_fields(
     lin: Linearisation, forces: Float[Array, "n_p n_points 3"]
 ) -> Float[Array, "n_p n_e"]:
-    """Direct change of the readings by fields of the law: of forces only."""
+    """Compute the direct change of readings by fields; only force readings change."""
     effectors = lin.configuration.effectors
     if not effectors.has_forces:
         return jnp.zeros((forces.shape[0], effectors.measured.size))
@@ -186,12 +185,12 @@ def field_rows(
 ) -> Float[Array, "n_p n_points 3"]:
     """Compute the forces of parameters that set fields of the law, or the density [N].
 
-    Autodiff in two factors: by the field in each tet, and of the field by z. A dozen
-    control points of one field then cost one pass over the tets. Rows of other
-    parameters are zero.
+    Autodiff in two factors: force by the field in each tet, and field by z, so that all
+    control points of one field share one pass over the tets. Rows of other parameters
+    are zero.
 
     Args:
-        model: The body with the parameters of `z` applied.
+        model: The model with the parameters of `z` applied.
         configuration: One configuration, likewise.
         u: Displacement [m].
         space: The parameters.
@@ -206,7 +205,7 @@ def field_rows(
     slopes = jax.vmap(lambda d: jax.jvp(fields, (z,), (d,))[1])(directions)
     total = jnp.zeros((z.shape[0], *u.shape))
     if "density" in wheres:
-        # Linear in the density alone: what rigid bodies weigh beside is no part of it.
+        # The load is linear in the density once the bodies' extra mass is set to zero.
         bare = eqx.tree_at(
             lambda m: m.mechanism.bodies.mass, model, replace_fn=jnp.zeros_like
         )
@@ -229,7 +228,7 @@ def adjoint_of_tets(
     fields: tuple[str, ...],
     adjoint: Float[Array, "n_e n_dof"],
 ) -> Float[Array, "n_fields n_e n_tets"]:
-    """Tell how readings follow a field that rises in one tet, for all tets at once.
+    """Compute the derivatives of readings by the values of fields in each tet.
 
     Args:
         linearisation: The equilibrium.
@@ -262,7 +261,7 @@ def adjoint_of_tets(
 
 @dataclass(frozen=True)
 class _InLaw:
-    """An accessor of a model's field, for its law; equal if the accessors are."""
+    """A model's field accessor applied to its law; equal if the accessors are."""
 
     where: Callable[[Any], Any]
 
@@ -271,13 +270,13 @@ class _InLaw:
 
 
 class _Holder(NamedTuple):
-    """A law in the place where a model has it."""
+    """A stand-in for a model that only holds the law."""
 
     law: Any
 
 
 def _one_per_tet(model: Model, value: Any) -> Float[Array, "n_tets m"]:
-    """A field by tets and quadrature points; m is 1 for one value per tet."""
+    """Expand a field to tets and quadrature points; m is 1 for one value per tet."""
     if is_point_values(value):
         return value.values
     return jnp.broadcast_to(value, (model.n_tets,))[:, None]
