@@ -118,6 +118,7 @@ class Linearisation(eqx.Module):
         """
         solve = partial(self.system.solve, self.model, transpose=transpose)
         if self.differentiable:
+            assert not transpose, "autodiff transposes these solutions itself"
             return _solve_linearly(self.model, self.system, force, gap)
         if not self.factorized:
             return solve(force, gap)

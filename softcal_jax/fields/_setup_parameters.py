@@ -19,11 +19,13 @@ class Knowledge(NamedTuple):
         limit: Largest error considered, in SI units; on a log scale a factor.
         prior_std: Standard deviation of the error, in SI units or, on a log scale,
             relative; None if it is not known.
+        least: Smallest value that it can have at all, in SI units.
     """
 
     nominal: float
     limit: float
     prior_std: float | None
+    least: float = -np.inf
 
 
 def setup_parameters(
@@ -54,7 +56,7 @@ def setup_parameters(
     Raises:
         ValueError: If the arguments are inconsistent.
     """
-    nominal, limit, prior_std = knowledge
+    nominal, limit, prior_std, least = knowledge
     log = scale == "log"
     lower, upper = (
         (nominal / limit, nominal * limit)
@@ -67,7 +69,7 @@ def setup_parameters(
             own_name,
             field="",
             start=nominal,
-            lower=lower,
+            lower=max(least, lower),
             upper=upper,
             scale=scale,
             S=None if log else limit,
@@ -135,17 +137,12 @@ def friction(
         limit: Largest error considered; it stays above zero [-].
         prior_std: Prior standard deviation; None if not known [-].
     """
-    own = Parameter(
-        f"friction of {actuator}",
-        field="",
-        start=nominal,
-        lower=max(0.0, nominal - limit),
-        upper=nominal + limit,
-        scale="linear",
-        S=limit,
-        prior_std=prior_std,
+    return setup_parameters(
+        "friction",
+        actuator,
+        name=f"friction of {actuator}",
+        knowledge=Knowledge(nominal, limit, prior_std, least=0.0),
     )
-    return SetupParameter("friction", actuator, own)
 
 
 def gravity_tilt(
