@@ -1,5 +1,6 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
+from softcal_jax.calibration._budget import NOISE, Cause, ErrorBudget
 from softcal_jax.calibration._calibrate import (
     build_problem,
     calibrate,
@@ -60,13 +61,16 @@ from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 __all__ = [
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
+    "NOISE",
     "CalibrationProblem",
     "CalibrationResult",
     "CalibrationSettings",
     "CalibrationState",
     "CalibrationWarning",
+    "Cause",
     "Clock",
     "ConfigurationResult",
+    "ErrorBudget",
     "Evaluation",
     "Evaluator",
     "HistoryEntry",

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Literal
 
 import jax
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._budget import error_budget
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._descent import descend
@@ -33,8 +33,12 @@ from softcal_jax.calibration._search import (
     search,
 )
 from softcal_jax.calibration._starts import random_starts
-from softcal_jax.calibration._state import CalibrationSettings, initial_state
-from softcal_jax.calibration._uncertainty import uncertainty
+from softcal_jax.calibration._state import (
+    CalibrationSettings,
+    CalibrationState,
+    initial_state,
+)
+from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
@@ -45,6 +49,7 @@ from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_conver
 from softcal_jax.fields import (
     Entry,
     ParameterSpace,
+    Uncertain,
     as_space,
     check_parameters,
     check_scopes,
@@ -105,6 +110,7 @@ def calibrate(
     *,
     validation: Configuration | Sequence[Configuration] = (),
     noise: Literal["estimated", "stated"] = "estimated",
+    uncertain: Uncertain | None = None,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
     starts: int = 1,
@@ -127,6 +133,8 @@ def calibrate(
         validation: Measured configurations that are only predicted.
         noise: "stated" takes the markers' standard deviations as they are; "estimated"
             takes their ratios and finds the level from the residuals.
+        uncertain: How well everything is known that is not calibrated; by default see
+            `Uncertain`. It widens the standard errors, and `result.budget` splits them.
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         starts: Number of starts of the search: that of the parameters, and random ones
@@ -202,6 +210,17 @@ def calibrate(
             after=after.effectors,
             solution=after.equilibrium,
         )
+        spread = _spread(problem, state, noise)
+        budget = workers.end_of(
+            error_budget(
+                evaluate,
+                configurations,
+                uncertain or Uncertain(),
+                z=state.z,
+                at=after,
+                spread=spread,
+            )
+        )
         missing: tuple[str, ...] = ()
         if held_out is not None:
             predicted, missing = _predict(
@@ -214,10 +233,28 @@ def calibrate(
             )
             fits += predicted
     notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
-    result = _result(
-        problem, noise, settings, state, journal.history, fits, notes, given
+    return CalibrationResult(
+        converged=bool(state.converged),
+        parameters=parameter_estimates(problem.space, state.z, spread, budget, given),
+        uncertainty=spread,
+        budget=budget,
+        configurations=fits,
+        history=tuple(journal.history),
+        space=problem.space,
+        model=problem.space.model_at(problem.model, state.z),
+        z=state.z,
+        W_ep=np.asarray(after.W_ep),
+        settings=settings,
+        newton=problem.newton,
+        timing_s=clock.seconds,
+        notes=(
+            *notes,
+            *order_notes(problem.space, state.z),
+            *uncertainty_notes(problem, spread),
+            *mesh_notes(problem),
+        ),
+        starts=found,
     )
-    return replace(result, starts=found, timing_s=clock.seconds)
 
 
 def _admissible(
@@ -280,39 +317,16 @@ def _predict(
     return fits, tuple(notes)
 
 
-def _result(
-    problem, noise, settings, state, history, fits, notes, start
-) -> CalibrationResult:
+def _spread(problem: CalibrationProblem, state: CalibrationState, noise) -> Uncertainty:
+    """Return the uncertainty by the noise at the end of the fit."""
     down, up = map(np.asarray, problem.space.room(state.z))
-    at_bound = (down >= -1e-9) | (up <= 1e-9)
-    n_measured = int(np.sum(problem.configurations.effectors.inverse_std > 0))
-    spread = uncertainty(
+    return uncertainty(
         np.asarray(state.evaluation.W_ep),
         np.asarray(state.evaluation.error),
-        n_measured,
-        at_bound,
+        int(np.sum(problem.configurations.effectors.inverse_std > 0)),
+        (down >= -1e-9) | (up <= 1e-9),
         noise,
         np.asarray(problem.space.prior_weights()),
-    )
-    return CalibrationResult(
-        converged=bool(state.converged),
-        parameters=parameter_estimates(problem.space, state.z, spread, start),
-        uncertainty=spread,
-        configurations=fits,
-        history=tuple(history),
-        space=problem.space,
-        model=problem.space.model_at(problem.model, state.z),
-        z=state.z,
-        W_ep=np.asarray(state.evaluation.W_ep),
-        settings=settings,
-        newton=problem.newton,
-        timing_s={},
-        notes=(
-            *notes,
-            *order_notes(problem.space, state.z),
-            *uncertainty_notes(problem, spread),
-            *mesh_notes(problem),
-        ),
     )
 
 

@@ -53,7 +53,7 @@ class Evaluator:
         where = lambda p: (p.configurations, p.space)
         self._shared = eqx.tree_at(where, self.numbered, (None, space))
         n_c = problem.configurations.gravity.shape[0]
-        self._configurations = [_lane(problem.configurations, c) for c in range(n_c)]
+        self._configurations = [lane_of(problem.configurations, c) for c in range(n_c)]
         self._program = program_key(
             "evaluate_lane", self._shared, self._configurations[0]
         )
@@ -125,6 +125,7 @@ def with_solver(problem: CalibrationProblem, solver) -> CalibrationProblem:
     return eqx.tree_at(lambda p: p.model.solver, problem, solver)
 
 
-def _lane(batch: T, index: int) -> T:
+def lane_of(batch: T, index: int) -> T:
+    """Return one lane of a batch of configurations."""
     # Sliced on the host: on the device, each shape compiles two more programs.
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._budget import ErrorBudget
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     SimulationResult,
@@ -37,6 +38,7 @@ def parameter_estimates(
     space: ParameterSpace,
     z: Float[Array, " n_p"],
     spread: Uncertainty,
+    budget: ErrorBudget,
     start: Float[Array, " n_p"] | None = None,
 ) -> tuple[ParameterEstimate, ...]:
     """Return values and standard errors of the parameters, in SI units.
@@ -44,24 +46,22 @@ def parameter_estimates(
     Args:
         space: The parameters.
         z: Scaled values [-].
-        spread: Their uncertainty.
+        spread: Their uncertainty by the noise.
+        budget: That by all causes.
         start: Scaled values at the start, if not that of the parameters [-].
     """
     values = np.asarray(space.from_scaled(z))
     before = [parameter.start for parameter in space.parameters]
     if start is not None:
         before = list(np.asarray(space.from_scaled(start)))
-    std = np.sqrt(np.diag(spread.covariance))
+    std = budget.standard_errors
     estimates = []
     for i, parameter in enumerate(space.parameters):
-        # dp = p dz on a log scale, S dz on a linear one.
-        log = parameter.scale == "log"
-        slope = values[i] if log else float(parameter.unit_step)
         estimates.append(
             ParameterEstimate(
                 name=parameter.name,
                 value=float(values[i]),
-                standard_error=float(slope * std[i]),
+                standard_error=float(std[i]),
                 start=float(before[i]),
                 lower=float(parameter.lower),
                 upper=float(parameter.upper),

@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
+from softcal_jax.calibration._budget import ErrorBudget
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._starts import MultiStartResult
 from softcal_jax.calibration._state import CalibrationSettings
@@ -21,7 +22,8 @@ class ParameterEstimate(eqx.Module):
     Attributes:
         name: Its name.
         value: Its value.
-        standard_error: Standard error; nan on a bound, or if not determined.
+        standard_error: Standard error by all causes, see `ErrorBudget`; nan on a bound,
+            or if not determined.
         start: Value at the start.
         lower: Lower bound.
         upper: Upper bound.
@@ -124,7 +126,8 @@ class CalibrationResult(eqx.Module):
     Attributes:
         converged: Whether lambda_p vanished.
         parameters: The calibrated parameters.
-        uncertainty: Their covariance and what it rests on.
+        uncertainty: Their covariance by the noise alone, and what it rests on.
+        budget: Their standard errors, split by cause.
         configurations: Fits, then predictions.
         history: One entry per step.
         space: The parameters, with start and bounds.
@@ -142,6 +145,7 @@ class CalibrationResult(eqx.Module):
     converged: bool
     parameters: tuple[ParameterEstimate, ...]
     uncertainty: Uncertainty
+    budget: ErrorBudget
     configurations: tuple[ConfigurationResult, ...]
     history: tuple[HistoryEntry, ...]
     space: ParameterSpace
@@ -164,6 +168,7 @@ class CalibrationResult(eqx.Module):
             f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
             for p in self.parameters
         ]
+        lines += [f"  {line}" for line in str(self.budget).splitlines()]
         lines += [
             f"  {100 * i.level:g} % interval of {i.name}: {i}" for i in self.intervals
         ]

@@ -2,9 +2,15 @@
 
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
 from softcal_jax.fields._entry import AbstractEntry
+from softcal_jax.fields._errors import (
+    AbstractError,
+    ClampDepth,
+    FieldError,
+    SetupError,
+)
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import SetupParameter
+from softcal_jax.fields._setup import QUANTITIES, SetupParameter
 from softcal_jax.fields._setup_parameters import (
     actuator_factor,
     clamp_stiffness,
@@ -17,24 +23,32 @@ from softcal_jax.fields._setup_parameters import (
 )
 from softcal_jax.fields._space import Entry, ParameterSpace, Pin, as_space, check_names
 from softcal_jax.fields._spread import ControlPointParameters
+from softcal_jax.fields._uncertain import Uncertain, exactly_known
 from softcal_jax.fields._unnamed import unnamed
 from softcal_jax.fields._validation import check_parameters, check_scopes
 
 __all__ = [
+    "QUANTITIES",
     "AbstractEntry",
+    "AbstractError",
+    "ClampDepth",
     "ControlPointParameters",
     "ControlPoints",
     "Entry",
+    "FieldError",
     "Parameter",
     "ParameterSpace",
     "Pin",
+    "SetupError",
     "SetupParameter",
+    "Uncertain",
     "actuator_factor",
     "as_space",
     "check_names",
     "check_parameters",
     "check_scopes",
     "clamp_stiffness",
+    "exactly_known",
     "find_field",
     "friction",
     "gravity_tilt",

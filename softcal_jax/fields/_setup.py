@@ -241,25 +241,7 @@ class SetupParameter(AbstractEntry):
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
         if not self.quantity.of_configuration:
-            self._index(model)
-
-    def _index(self, owner: Any) -> tuple[int, ...]:
-        """Find the index of its entry in the array.
-
-        Raises:
-            ValueError: If model or configuration do not have what it belongs to.
-        """
-        quantity, index = self.quantity, ()
-        if quantity.noun:
-            names = list(quantity.names(owner))
-            known = [name for name in names if name]
-            if self.of not in known:
-                what = f"{quantity.noun} of parameter {self.label!r}"
-                raise unknown_name(what, self.of, known)
-            index = (names.index(self.of),)
-        if quantity.components:
-            index += (quantity.components.index(self.axis),)
-        return index
+            entry_index(self, model)
 
     def apply(
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
@@ -278,7 +260,7 @@ class SetupParameter(AbstractEntry):
                 old = jnp.where(own == name_key(name), values[parameter.name], old)
             return old
 
-        owner = self.quantity.put(owner, self._index(owner), change)
+        owner = self.quantity.put(owner, entry_index(self, owner), change)
         return (model, owner) if of_configuration else (owner, configuration)
 
     def renamed(
@@ -288,3 +270,26 @@ class SetupParameter(AbstractEntry):
         del points
         own = tuple(replace(q, name=names[q.name], unit="") for q in self.parameters)
         return replace(self, unknowns=own)
+
+
+def entry_index(entry: Any, owner: Any) -> tuple[int, ...]:
+    """Find the index of what an entry sets in the array of its quantity.
+
+    Args:
+        entry: Anything with `quantity`, `of`, `axis` and `label`.
+        owner: The model, or a configuration.
+
+    Raises:
+        ValueError: If the owner does not have what the entry belongs to.
+    """
+    quantity, index = entry.quantity, ()
+    if quantity.noun:
+        names = list(quantity.names(owner))
+        known = [name for name in names if name]
+        if entry.of not in known:
+            what = f"{quantity.noun} of parameter {entry.label!r}"
+            raise unknown_name(what, entry.of, known)
+        index = (names.index(entry.of),)
+    if quantity.components:
+        index += (quantity.components.index(entry.axis),)
+    return index

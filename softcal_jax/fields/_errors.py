@@ -1,0 +1,200 @@
+"""Entries of errors that are considered and never calibrated.
+
+Only their derivative at zero counts, where they change nothing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.fields._entry import AbstractEntry
+from softcal_jax.fields._model_fields import find_field, set_field
+from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._setup import QUANTITIES, Quantity, entry_index
+from softcal_jax.materials import PointValues, is_point_values
+
+
+def _number(value) -> Float[Array, ""]:
+    return jnp.asarray(value, float)
+
+
+class AbstractError(AbstractEntry):
+    """One unknown about zero, counted in its standard deviation.
+
+    Attributes:
+        name: Its name.
+        std: Its standard deviation, in SI units or relative.
+    """
+
+    name: eqx.AbstractVar[str]
+    std: eqx.AbstractVar[Float[Array, ""]]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its unknown."""
+        unknown = Parameter(
+            self.name, "", 0.0, -1.0, 1.0, scale="linear", S=1.0, prior_std=1.0
+        )
+        return (unknown,)
+
+    def size(self, values: Mapping[str, Float[Array, ""]]) -> Float[Array, ""]:
+        """Return the error, in SI units or relative."""
+        return values[self.name] * self.std
+
+    @property
+    def tet_group(self) -> None:
+        """None: where it acts is stated by its arrays."""
+        return None
+
+    @property
+    def label(self) -> str:
+        """Its name."""
+        return self.name
+
+    def renamed(
+        self, points: Mapping[str, str], names: Mapping[str, str]
+    ) -> "AbstractError":
+        """Return the same error with another name."""
+        del points
+        return replace(self, name=names[self.name])
+
+
+class FieldError(AbstractError):
+    """An error of a field of the law, or of the density.
+
+    Attributes:
+        name: Its name.
+        std: Its standard deviation.
+        field: The field, as `find_field` finds it.
+        share: Error of each tet per unit of the unknown; 0 where it is calibrated.
+        relative: Whether the error is relative to the value.
+    """
+
+    name: str = eqx.field(static=True)
+    std: Float[Array, ""] = eqx.field(converter=_number)
+    field: str = eqx.field(static=True)
+    share: Float[Array, " n_tets"]
+    relative: bool = eqx.field(static=True, default=False)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The field."""
+        return (self.field,)
+
+    def check(self, model: Any) -> None:
+        """Raise ValueError unless the model has the field."""
+        find_field(model, self.field)
+
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Add the error to the field."""
+        old = find_field(model, self.field)(model)
+        error = self.size(values) * self.share
+        if is_point_values(old):
+            error = error[:, None]
+            own = old.values + error * (old.values if self.relative else 1.0)
+            return set_field(model, self.field, PointValues(own)), configuration
+        per_tet = jnp.broadcast_to(old, self.share.shape)
+        own = per_tet + error * (per_tet if self.relative else 1.0)
+        return set_field(model, self.field, own), configuration
+
+
+class SetupError(AbstractError):
+    """An error of the setup, the loads or a recording, beside its present value.
+
+    Attributes:
+        name: Its name.
+        std: Its standard deviation.
+        kind: One of `QUANTITIES`.
+        of: What it belongs to, like the motor; empty where it belongs to nothing.
+        axis: Component of a quantity that has several; empty otherwise.
+        relative: Whether the error is relative to the value.
+    """
+
+    name: str = eqx.field(static=True)
+    std: Float[Array, ""] = eqx.field(converter=_number)
+    kind: str = eqx.field(static=True)
+    of: str = eqx.field(static=True, default="")
+    axis: str = eqx.field(static=True, default="")
+    relative: bool = eqx.field(static=True, default=False)
+
+    @property
+    def quantity(self) -> Quantity:
+        """What it sets."""
+        return QUANTITIES[self.kind]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """None: it sets no field of the law."""
+        return ()
+
+    def check(self, model: Any) -> None:
+        """Raise ValueError unless the model has the motor or the body."""
+        if not self.quantity.of_configuration:
+            entry_index(self, model)
+
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Add the error to its entry."""
+        error = self.size(values)
+        change = lambda old: old + error * (old if self.relative else 1.0)
+        put, of_configuration = self.quantity.put, self.quantity.of_configuration
+        owner = configuration if of_configuration else model
+        if owner is None:
+            return model, configuration
+        owner = put(owner, entry_index(self, owner), change)
+        return (model, owner) if of_configuration else (owner, configuration)
+
+
+class ClampDepth(AbstractError):
+    """Depth at which the body is really held, behind the held faces of the mesh.
+
+    The held nodes of the reference shape move outwards; they are held there, and the
+    tets that they share with free nodes become longer. Points that are measured stay.
+
+    Attributes:
+        name: Its name.
+        std: Its standard deviation [m].
+        motion: Motion of each node per unit of depth [-].
+    """
+
+    name: str = eqx.field(static=True)
+    std: Float[Array, ""] = eqx.field(converter=_number)
+    motion: Float[Array, "n_nodes 3"]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """None: it sets no field of the law."""
+        return ()
+
+    def check(self, model: Any) -> None:
+        """Every model has a shape."""
+        del model
+
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Stretch the tets, to first order in the depth.
+
+        With v the motion of the reference points X, dN/dX changes by -dN/dX dv/dX and
+        a volume by div v of itself.
+        """
+        dN, n_tets = model.shape_gradients, model.mesh.n_tets
+        moved = (self.size(values) * self.motion)[model.nodes]
+        dv = jnp.einsum("batk,bqajt->bqkjt", moved, dN)
+        div = jnp.einsum("bqkkt->bqt", dv)
+        # Edges stay straight, so the motion is linear in each tet.
+        of_tet = div[:, 0].ravel()[:n_tets]
+        where = lambda m: (m.shape_gradients, m.weights, m.node_volumes)
+        changed = (
+            dN - jnp.einsum("bqakt,bqkjt->bqajt", dN, dv),
+            model.weights * (1.0 + div),
+            model.node_volumes * (1.0 + of_tet)[:, None],
+        )
+        return eqx.tree_at(where, model, changed), configuration
