@@ -20,7 +20,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
-from softcal_jax.calibration._considered import Considered, considered, spaces_of
+from softcal_jax.calibration._considered import Considered, considered
 from softcal_jax.calibration._evaluator import Evaluator, lane_of, with_solver
 from softcal_jax.calibration._problem import Evaluation
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
@@ -34,7 +34,7 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace, Uncertain
-from softcal_jax.sensitivity import parameter_rows
+from softcal_jax.sensitivity import clamp_row, parameter_rows
 
 NOISE = "noise"
 """Name of what remains if everything that is held fixed is right."""
@@ -48,11 +48,13 @@ class Cause(eqx.Module):
 
     Attributes:
         name: Its name, like "nu".
+        errors: Names of its errors, like "recording_offset x in left".
         deviations: Change of the scaled parameters per standard deviation of each of
             its errors [-]; nan for parameters that have no standard error.
     """
 
     name: str
+    errors: tuple[str, ...]
     deviations: Float[HostArray, "n_p n_errors"]
 
     @property
@@ -71,6 +73,8 @@ class ErrorBudget(eqx.Module):
         units: Their SI units.
         noise: Covariance of the scaled parameters by the noise [-].
         causes: What else may be wrong, the largest first.
+        W_c: Change of the stacked errors per standard deviation of what may be wrong,
+            in units of the noise, see `identifiability` [-].
     """
 
     names: tuple[str, ...]
@@ -79,6 +83,7 @@ class ErrorBudget(eqx.Module):
     units: tuple[str, ...]
     noise: Float[HostArray, "n_p n_p"]
     causes: tuple[Cause, ...]
+    W_c: Float[HostArray, "n_e n_errors"]
 
     @property
     def covariance(self) -> Float[HostArray, "n_p n_p"]:
@@ -115,7 +120,7 @@ class ErrorBudget(eqx.Module):
         return text if worst == NOISE else f"{text}: measure {worst} first"
 
     def _readable(self, i: int, std: float) -> str:
-        """Write an error in percent of the value, or as it is for angles and offsets."""
+        """Write an error in percent of the value; angles and offsets as they are."""
         value, unit = abs(float(self.values[i])), self.units[i]
         if unit in ("rad", "m") or value == 0.0:
             factor, shown = readable_unit([std], unit)
@@ -151,14 +156,13 @@ def error_budget(
     columns = yield from considered_columns(evaluate, found, z, at)
     weights = np.asarray(problem.space.prior_weights())
     gain = estimator(np.asarray(at.W_ep), spread, weights)
-    deviations: dict[str, list[HostArray]] = {}
-    for own, column in zip(found, np.moveaxis(columns, 2, 0), strict=True):
-        for key in dict.fromkeys(own.shared):
-            if key is not None:
-                those = np.array([k == key for k in own.shared])
-                moved = -gain @ np.where(those[:, None], column, 0.0).ravel()
-                deviations.setdefault(own.cause, []).append(moved)
-    causes = [Cause(name, np.stack(d, axis=1)) for name, d in deviations.items()]
+    own: dict[str, dict[str, HostArray]] = {}
+    for error, column in zip(found, np.moveaxis(columns, 2, 0), strict=True):
+        for name, those in error.groups():
+            stacked = np.where(those[:, None], column, 0.0).ravel()
+            own.setdefault(error.cause, {})[name] = stacked
+    W_c = {name: np.stack([*errors.values()], 1) for name, errors in own.items()}
+    causes = [Cause(name, tuple(own[name]), -gain @ W) for name, W in W_c.items()]
     size = lambda cause: np.nansum(cause.variance / np.diag(spread.covariance))
     space = problem.space
     _, slopes = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
@@ -169,6 +173,7 @@ def error_budget(
         units=tuple(q.unit for q in space.parameters),
         noise=spread.covariance,
         causes=tuple(sorted(causes, key=size, reverse=True)),
+        W_c=np.concatenate([np.zeros((gain.shape[1], 0)), *W_c.values()], axis=1),
     )
 
 
@@ -193,9 +198,13 @@ def considered_columns(
     weight = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
     if not found:
         return np.zeros((*weight.shape, 0))
+    entries = tuple(own.entry for own in found if own.entry is not None)
+    errors = ParameterSpace(entries) if entries else None
+    motions = [own.motions for own in found if own.entry is None]
     lanes = [
         (
-            spaces_of(found, c),
+            errors,
+            tuple(jnp.asarray(own[c]) for own in motions),
             z,
             lane_of(problem.configurations, c),
             lane_of(at.equilibrium.displacement, c),
@@ -215,12 +224,19 @@ def considered_columns(
 
 @eqx.filter_jit
 def _columns(
-    model, space: ParameterSpace, errors: tuple[ParameterSpace, ...], z, c, u
+    model,
+    space: ParameterSpace,
+    errors: ParameterSpace | None,
+    motions: tuple[Float[Array, "n_nodes 3"], ...],
+    z,
+    c,
+    u,
 ) -> Float[Array, "n_e n_errors"]:
     """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
     lin = linearise(*space.apply(model, c, z), u)
-    of_spaces = [parameter_rows(lin, own, own.start()) for own in errors]
-    rows = jax.tree.map(lambda *own: jnp.concatenate(own), *of_spaces)
-    fewer = rows.force.shape[0] > c.effectors.measured.size
-    found = sensitivity(lin, rows, effector_values, adjoint=fewer)
+    rows = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
+    rows += [clamp_row(lin, motion) for motion in motions]
+    stacked = jax.tree.map(lambda *own: jnp.concatenate(own), *rows)
+    fewer = len(stacked.force) > c.effectors.measured.size
+    found = sensitivity(lin, stacked, effector_values, adjoint=fewer)
     return jnp.where(found.ok, found.W_ep, jnp.nan)

@@ -7,17 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import HostArray
-from softcal_jax.calibration._held_faces import held_nodes, outward_motion
+from softcal_jax._typing import Bool, HostArray
+from softcal_jax.calibration._held_faces import grounded, held_nodes, outward_motion
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import (
     QUANTITIES,
     AbstractError,
-    ClampDepth,
     FieldError,
-    ParameterSpace,
     SetupError,
     SetupParameter,
     Uncertain,
@@ -33,19 +31,27 @@ class Considered(NamedTuple):
 
     Attributes:
         cause: What it is called in the budget.
-        entries: What it sets, for each configuration.
+        name: Its own name.
+        entry: What it sets; None for the depth of clamps.
         shared: For each configuration, a key that those with the same error have in
             common; None where it is calibrated, or cannot occur.
+        motions: For clamps, motion of the reference points in each configuration, see
+            `clamp_row` [m]; empty for other errors.
     """
 
     cause: str
-    entries: tuple[AbstractError, ...]
+    name: str
+    entry: AbstractError | None
     shared: tuple[Hashable, ...]
+    motions: tuple[HostArray, ...] = ()
 
-    @property
-    def entry(self) -> AbstractError:
-        """What it sets in the first configuration."""
-        return self.entries[0]
+    def groups(self) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
+        """List its independent errors: their names, and which configurations share."""
+        keys = [key for key in dict.fromkeys(self.shared) if key is not None]
+        for n, key in enumerate(keys, start=1):
+            own = key if isinstance(key, str) else f"group {n}" * (len(keys) > 1)
+            name = f"{self.name} in {own}" if own else self.name
+            yield name, np.array([other == key for other in self.shared])
 
 
 def considered(
@@ -67,7 +73,7 @@ def considered(
         for own in kind(uncertain, posed)
     ]
     happens = lambda own: any(key is not None for key in own.shared)
-    return tuple(own for own in found if float(own.entry.std) > 0.0 and happens(own))
+    return tuple(filter(happens, found))
 
 
 class _Posed:
@@ -78,12 +84,6 @@ class _Posed:
         self.arrays = jax.tree.map(np.asarray, problem.configurations)
         self.configurations = tuple(configurations)
         self.everywhere: tuple[Hashable, ...] = ("",) * len(self.configurations)
-
-    def same(
-        self, cause: str, entry: AbstractError, shared: tuple[Hashable, ...]
-    ) -> Considered:
-        """Return an error that sets the same in all configurations."""
-        return Considered(cause, (entry,) * len(self.configurations), shared)
 
     def where(self, keys: Sequence[Hashable], there: Any) -> tuple[Hashable, ...]:
         """Return keys where a flag of the configuration is set, None elsewhere."""
@@ -99,14 +99,14 @@ def _fields(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
         room = 0.5 * (INCOMPRESSIBLE - float(np.max(value)))
         entry = FieldError(name, min(uncertain.nu, room), field, jnp.asarray(share))
         open_ = [bool(np.any(share))] * len(posed.configurations)
-        yield posed.same(name, entry, posed.where(posed.everywhere, open_))
+        yield _same(name, entry, posed.where(posed.everywhere, open_))
     share = _not_calibrated(posed, "density")
     heavy = bool(np.any(share * np.asarray(model.density) > 0.0))
     entry = FieldError(
         "density", uncertain.density, "density", jnp.asarray(share), relative=True
     )
     falls = heavy & np.any(posed.arrays.gravity, axis=1)
-    yield posed.same("density", entry, posed.where(posed.everywhere, falls))
+    yield _same("density", entry, posed.where(posed.everywhere, falls))
 
 
 def _ratios(model: Model) -> Iterator[tuple[str, HostArray]]:
@@ -133,19 +133,17 @@ def _loads(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     gravity, forces = posed.arrays.gravity, posed.arrays.actuation
     keys = posed.where([tuple(g) for g in gravity], np.any(gravity, axis=1))
     for axis in QUANTITIES["gravity_tilt"].components:
-        yield posed.same(
+        yield _same(
             "gravity",
             _error("gravity_tilt", uncertain.gravity, axis=axis),
             keys,
         )
     keys = posed.where(posed.everywhere, np.any(posed.arrays.force, axis=(1, 2)))
-    yield posed.same(
-        "loads", _error("load_factor", uncertain.loads, relative=True), keys
-    )
+    yield _same("loads", _error("load_factor", uncertain.loads, relative=True), keys)
     forced = ~forces.by_displacement & (forces.value != 0.0)
     for name, there in zip(forces.names, forced.T, strict=True):
         entry = _error("actuator_factor", uncertain.actuators, name, relative=True)
-        yield posed.same("actuators", entry, posed.where(posed.everywhere, there))
+        yield _same("actuators", entry, posed.where(posed.everywhere, there))
 
 
 def _supports(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
@@ -154,24 +152,20 @@ def _supports(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     for name, stiffness in zip(springs.names, springs.stiffness.T, strict=True):
         entry = _error("clamp_stiffness", uncertain.supports, name, relative=True)
         keys = posed.where(posed.everywhere, stiffness > 0.0)
-        yield posed.same("supports", entry, keys)
+        yield _same("supports", entry, keys)
 
 
 def _clamps(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     """List the error of the depth of clamps."""
     held = held_nodes(posed.model, posed.arrays)
     keys = [nodes.tobytes() for nodes in held]
-    motion = {
-        key: outward_motion(posed.model.mesh, nodes)
+    of_key = {
+        key: uncertain.clamp * outward_motion(posed.model.mesh, nodes)
         for key, nodes in zip(keys, held, strict=True)
     }
-    depth = {
-        key: ClampDepth("clamp", uncertain.clamp, jnp.asarray(own))
-        for key, own in motion.items()
-    }
-    grips = [bool(np.any(motion[key])) for key in keys]
-    entries = tuple(depth[key] for key in keys)
-    yield Considered("clamp", entries, posed.where(keys, grips))
+    motions = tuple(of_key[key] for key in keys)
+    shared = posed.where(keys, [bool(np.any(motion)) for motion in motions])
+    yield Considered("clamp", "clamp", None, shared, motions)
 
 
 def _mechanism(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
@@ -184,12 +178,13 @@ def _mechanism(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     ):
         if body >= 0:
             entry = _error("motor_zero", uncertain.zeros, name)
-            yield posed.same("zeros", entry, posed.where(posed.everywhere, there))
-    for k, name in enumerate(bodies.names):
-        keys = posed.where(posed.everywhere, arrays.bodies.kind[:, bodies.owner[k]] > 0)
+            yield _same("zeros", entry, posed.where(posed.everywhere, there))
+    held = grounded(posed.model, arrays).T
+    for name, there in zip(bodies.names, held, strict=True):
+        keys = posed.where(posed.everywhere, there)
         for axis in QUANTITIES["mounting"].components:
             entry = _error("mounting", uncertain.mountings, name, axis=axis)
-            yield posed.same("mountings", entry, keys)
+            yield _same("mountings", entry, keys)
 
 
 def _readings(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
@@ -201,7 +196,13 @@ def _readings(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     keys = posed.where(names, seen)
     for axis in QUANTITIES["recording_offset"].components:
         entry = _error("recording_offset", uncertain.recordings, axis=axis)
-        yield posed.same("recordings", entry, keys)
+        yield _same("recordings", entry, keys)
+
+
+def _same(cause: str, entry: AbstractError, shared: tuple[Hashable, ...]) -> Considered:
+    """Return an error, with keys of the configurations where it is not zero."""
+    none = (None,) * len(shared)
+    return Considered(cause, entry.name, entry, shared if entry.std > 0.0 else none)
 
 
 def _error(
@@ -229,19 +230,3 @@ def _uncalibrated(own: Considered, posed: _Posed) -> tuple[Hashable, ...]:
             free = [entry.each and name not in entry.each for name in members]
             shared = posed.where(shared, free)
     return shared
-
-
-def spaces_of(found: Sequence[Considered], lane: int) -> tuple[ParameterSpace, ...]:
-    """Return the errors of one configuration as parameters, in the same order.
-
-    The clamp is a space of its own: it changes the shape of the tets, which would make
-    the derivatives by all others as dear as that by it.
-
-    Args:
-        found: The errors, that of the clamp last.
-        lane: Index of the configuration.
-    """
-    entries = [own.entries[lane] for own in found]
-    clamps = [e for e in entries if isinstance(e, ClampDepth)]
-    others = [e for e in entries if not isinstance(e, ClampDepth)]
-    return tuple(ParameterSpace(own) for own in (others, clamps) if own)

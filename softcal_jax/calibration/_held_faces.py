@@ -10,10 +10,25 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh, boundary_faces
 
 
+def grounded(
+    model: Model, configurations: ConfigurationArrays
+) -> Bool[HostArray, "n_c n_b"]:
+    """Flag the bodies that are held, hinged or on a motor, or tied to such a body.
+
+    Args:
+        model: The model.
+        configurations: One lane per configuration.
+    """
+    actuators, bodies = model.mechanism.actuators, model.mechanism.bodies
+    posed = np.asarray(configurations.bodies.kind) != KINDS.index("free")
+    driven = np.isin(np.arange(bodies.n_bodies), actuators.motor_body)
+    return (posed | driven)[:, bodies.owner]
+
+
 def held_nodes(
     model: Model, configurations: ConfigurationArrays
 ) -> Bool[HostArray, "n_c n_nodes"]:
-    """Flag the nodes that cannot move, or only with a body that is held or hinged.
+    """Flag the nodes that cannot move, or only with a grounded body.
 
     Args:
         model: The model.
@@ -21,8 +36,7 @@ def held_nodes(
     """
     bodies, n_nodes = model.mechanism.bodies, model.mesh.n_nodes
     held = np.asarray(configurations.fixed)[:, :n_nodes].all(axis=2)
-    grounded = np.asarray(configurations.bodies.kind) != KINDS.index("free")
-    held[:, bodies.attached] |= grounded[:, bodies.owner[bodies.body]]
+    held[:, bodies.attached] |= grounded(model, configurations)[:, bodies.body]
     return held
 
 

@@ -1,6 +1,7 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
 from softcal_jax._units import Readable, readable_unit
+from softcal_jax.export._budget import budget_dict
 from softcal_jax.export._csv import (
     write_effectors_csv,
     write_markers_csv,
@@ -24,6 +25,7 @@ from softcal_jax.export._vtu_robot import write_robot_vtu
 __all__ = [
     "Readable",
     "assessment_dict",
+    "budget_dict",
     "check_results_folder",
     "file_stems",
     "identifiability_dict",

@@ -13,6 +13,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import Model, RobotState
+from softcal_jax.export._budget import budget_dict
 from softcal_jax.export._identifiability import (
     assessment_dict,
     identifiability_dict,
@@ -33,19 +34,20 @@ def result_dict(
     """Convert a calibration to the content of `result.json`.
 
     Keys: `format`, `name`, `converged`; `parameters` (`name`, `value`, `unit`,
-    `standard_error`, `lower`, `upper`, `start`, `at_bound`; SI); `intervals` (`name`,
-    `level`, `lower`, `upper`, `lower_end`, `upper_end`, `unit`; SI); `configurations`
-    (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
+    `standard_error` by all causes, `lower`, `upper`, `start`, `at_bound`; SI);
+    `intervals` (`name`, `level`, `lower`, `upper`, `lower_end`, `upper_end`, `unit`;
+    SI); `configurations` (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
     `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
     `simulated_before_mm`, `simulated_mm`, `residual_mm`, other points included;
     `effectors` that are not points with `name`, `unit`, `is_turn`, `measured`,
     `simulated_before`, `simulated`, `residual`, in SI, turns from the measured
     orientation; `robot`: rigid bodies, actuators and reactions, see `robot_dict`, null
-    if there are none; then `newton_steps`, `residual`, `min_det_F`);
-    `history` (one entry per step, 0 is the start); `solver`; `settings`; `uncertainty`
-    (covariance of the scaled parameters); `assessment` (see `assessment_dict`);
-    `identifiability` (see `identifiability_dict`); `starts` (see `starts_dict`; null
-    for a single start); `notes`; `versions`; `timing_s`. Missing numbers are null.
+    if there are none; then `newton_steps`, `residual`, `min_det_F`); `history` (one
+    entry per step, 0 is the start); `solver`; `settings`; `uncertainty` (covariance of
+    the scaled parameters by the noise alone); `budget` (standard errors by cause, see
+    `budget_dict`); `assessment` (see `assessment_dict`); `identifiability` (see
+    `identifiability_dict`); `starts` (see `starts_dict`; null for a single start);
+    `notes`; `versions`; `timing_s`. Missing numbers are null.
 
     Args:
         result: The calibration.
@@ -59,7 +61,7 @@ def result_dict(
     found = assessment or assess(result)
     return plain(
         {
-            "format": "softcal_jax.result/1",
+            "format": "softcal_jax.result/2",
             "name": name,
             "converged": result.converged,
             "parameters": [fields_of(parameter) for parameter in result.parameters],
@@ -73,6 +75,7 @@ def result_dict(
                 "noise": result.uncertainty.noise,
             },
             "uncertainty": _uncertainty(result),
+            "budget": budget_dict(result.budget),
             "assessment": assessment_dict(found),
             "identifiability": identifiability_dict(found.identifiability),
             "starts": result.starts and starts_dict(result.starts),

@@ -4,7 +4,6 @@ from softcal_jax.fields._control_points import ControlPoints, idw_weights
 from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._errors import (
     AbstractError,
-    ClampDepth,
     FieldError,
     SetupError,
 )
@@ -31,7 +30,6 @@ __all__ = [
     "QUANTITIES",
     "AbstractEntry",
     "AbstractError",
-    "ClampDepth",
     "ControlPointParameters",
     "ControlPoints",
     "Entry",

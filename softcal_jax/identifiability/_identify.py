@@ -14,6 +14,7 @@ from softcal_jax.identifiability._directions import named_directions
 from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
 from softcal_jax.identifiability._spread import (
     data_only_std,
+    marginalised,
     posterior,
     prior_std,
     si_slope,
@@ -36,6 +37,7 @@ def identifiability(
     n_data: int | None = None,
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
+    W_c: Float[HostArray, "n_e n_errors"] | None = None,
 ) -> Identifiability:
     """Judge what data with these compliances tell about the parameters; Sec. V-C.
 
@@ -56,6 +58,8 @@ def identifiability(
             not zero.
         W_ep: `W` in metres, for condition numbers [m].
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
+        W_c: Change of the data per standard deviation of what is held fixed and may be
+            wrong, in units of the noise, such as `ErrorBudget.W_c`; none by default.
 
     Returns:
         The verdict and the numbers behind it.
@@ -76,6 +80,8 @@ def identifiability(
     numbers = conditioning(W / noise_scale, W_ep=W_ep, W_pp=W_pp)
     prior = prior_std(space)
     G = W / noise_scale * prior
+    if W_c is not None:
+        G = marginalised(G, W_c / noise_scale)
     covariance = posterior(G)
     directions = named_directions(G, space.names)
     outlooks = _outlooks(space, z, np.sqrt(np.diag(covariance)), data_only_std(G))

@@ -86,6 +86,7 @@ def _built(path: Path, table: ProjectTable) -> Project:
         validation=of_role("validation"),
         candidates=tuple(pose.configuration for pose in candidates),
         **table.settings.model_dump(include=own),
+        uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
         files=_files(path, table),

@@ -30,7 +30,7 @@ from softcal_jax.equilibrium import (
     NewtonSettings,
     solve_equilibrium,
 )
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.identifiability import (
     Identifiability,
     Ranking,
@@ -56,6 +56,7 @@ class Project(eqx.Module):
         starts: Number of starts.
         seed: Seed of the random starts.
         intervals: Level of the intervals by profile likelihood; None for none [-].
+        uncertain: How well everything is known that is not calibrated.
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
         registrations: Registrations of the camera frames by configuration, with the
@@ -74,6 +75,7 @@ class Project(eqx.Module):
     starts: int
     seed: int
     intervals: float | None
+    uncertain: Uncertain
     settings: CalibrationSettings
     newton: NewtonSettings
     registrations: dict[str, Registration]
@@ -144,6 +146,7 @@ class Project(eqx.Module):
             self.calibration,
             validation=self.validation,
             noise=self.noise,
+            uncertain=self.uncertain,
             settings=self.settings,
             newton=self.newton,
             starts=self.starts,

@@ -22,6 +22,7 @@ from softcal_jax.project._parameters import (
 from softcal_jax.project._problems import shown
 from softcal_jax.project._setup import AnySetup
 from softcal_jax.project._table import Flag, Integer, Number, Table
+from softcal_jax.project._uncertain import UncertainTable
 
 M = TypeVar("M", bound=Material)
 
@@ -93,6 +94,7 @@ class ProjectTable(Table, Generic[M]):
     effectors: dict[str, AnyEffector] = Field(default_factory=dict)
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
+    uncertain: UncertainTable = UncertainTable()
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
 

@@ -58,7 +58,8 @@ def summary_table(
         text = f"Converged in {steps} steps, but take the values with care."
         head = Text(text, style="bold yellow")
     shown = result.configurations
-    parts: list[Any] = [_parameter_table(result, found), *_interval_table(result)]
+    parts: list[Any] = [_parameter_table(result, found), _budget_table(result)]
+    parts += _interval_table(result)
     parts += _configuration_tables(result)
     parts += [*effector_table(shown), *robot_tables(shown)]
     parts += [*_outlook(found), head]
@@ -110,6 +111,15 @@ def _parameter_table(
         style = "bold" if sound else "bold red"
         start = f"{q.start * factor:.4g} {unit}".rstrip()
         add_row(table, q.name, (text, style), start, bounds.rstrip())
+    return table
+
+
+def _budget_table(result: CalibrationResult) -> "rich.table.Table":
+    """Tabulate what the standard errors come from."""
+    table = start_table("Standard errors by cause", "parameter", [])
+    table.add_column("of its value")
+    for name in result.budget.names:
+        add_row(table, name, result.budget.sentence(name))
     return table
 
 

@@ -1,5 +1,6 @@
 """Sensitivities of effectors to parameters (paper Eqs. 7 to 9)."""
 
+from softcal_jax.sensitivity._clamp_row import clamp_row
 from softcal_jax.sensitivity._compliance import (
     Compliance,
     EnergyCompliance,
@@ -15,6 +16,7 @@ from softcal_jax.sensitivity._rows import (
     adjoint_of_tets,
     parameter_forces,
     parameter_rows,
+    readings_of_forces,
 )
 
 __all__ = [
@@ -24,9 +26,11 @@ __all__ = [
     "Response",
     "adjoint_of_tets",
     "check_parameter_derivatives",
+    "clamp_row",
     "energy_compliance",
     "equilibrium_response",
     "parameter_compliance",
     "parameter_forces",
     "parameter_rows",
+    "readings_of_forces",
 ]

@@ -116,7 +116,7 @@ def parameter_rows(
         force=jax.vmap(lin.free)(forces),
         held=jnp.zeros_like(forces),
         gap=jnp.zeros((n_p, n_m)),
-        reading=_readings_of_fields(lin, forces),
+        reading=readings_of_forces(lin, forces),
     )
     others = _others(space)
     if others.size == 0:
@@ -163,10 +163,18 @@ def _along(
     return derivative
 
 
-def _readings_of_fields(
+def readings_of_forces(
     lin: Linearisation, forces: Float[Array, "n_p n_points 3"]
 ) -> Float[Array, "n_p n_e"]:
-    """Compute the direct change of readings by fields; only force readings change."""
+    """Compute the direct change of readings by forces on the nodes, at a fixed state.
+
+    Args:
+        lin: The equilibrium.
+        forces: Rows of forces on all nodes [N].
+
+    Returns:
+        One row each; only readings of forces change.
+    """
     effectors = lin.configuration.effectors
     if not effectors.has_forces:
         return jnp.zeros((forces.shape[0], effectors.measured.size))

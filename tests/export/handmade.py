@@ -10,7 +10,9 @@ import numpy as np
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
+    Cause,
     ConfigurationResult,
+    ErrorBudget,
     HistoryEntry,
     ParameterEstimate,
     Uncertainty,
@@ -126,13 +128,23 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
         )
     covariance = np.full((2, 2), np.nan)
     covariance[0, 0] = 4e-4
+    error = 2.4e5 * 0.025  # of the noise 2 %, of the clamp 1.5 %
     fields = {
         "parameters": (
-            ParameterEstimate("E", 2.4e5, 4.8e3, 2e5, 1e5, 1e6, "Pa", False),
+            ParameterEstimate("E", 2.4e5, error, 2e5, 1e5, 1e6, "Pa", False),
             ParameterEstimate("nu", 0.44, np.nan, 0.4, 0.3, 0.44, "", True),
         ),
         "uncertainty": Uncertainty(
             covariance, "estimated", 1.5, 10, 22.5, np.array([False, True])
+        ),
+        "budget": ErrorBudget(
+            names=("E", "nu"),
+            values=np.array([2.4e5, 0.44]),
+            slopes=np.array([2.4e5, 0.14]),
+            units=("Pa", ""),
+            noise=covariance,
+            causes=(Cause("clamp", ("clamp",), np.array([[0.015], [np.nan]])),),
+            W_c=np.zeros((12, 0)),
         ),
         "history": make_history(rejected),
         "space": modulus_and_ratio(),
