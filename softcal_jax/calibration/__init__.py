@@ -1,6 +1,11 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
-from softcal_jax.calibration._budget import NOISE, Cause, ErrorBudget
+from softcal_jax.calibration._budget import (
+    NOISE,
+    Cause,
+    ErrorBudget,
+    considered_errors,
+)
 from softcal_jax.calibration._calibrate import (
     build_problem,
     calibrate,
@@ -89,6 +94,7 @@ __all__ = [
     "bounded_step",
     "build_problem",
     "calibrate",
+    "considered_errors",
     "decide",
     "descend",
     "evaluate",

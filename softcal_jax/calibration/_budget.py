@@ -151,20 +151,19 @@ def error_budget(
         at: Evaluation there.
         spread: Uncertainty by the noise.
     """
-    problem = evaluate.problem
-    found = considered(uncertain, problem, configurations)
-    columns = yield from considered_columns(evaluate, found, z, at)
-    weights = np.asarray(problem.space.prior_weights())
-    gain = estimator(np.asarray(at.W_ep), spread, weights)
-    own: dict[str, dict[str, HostArray]] = {}
-    for error, column in zip(found, np.moveaxis(columns, 2, 0), strict=True):
-        for name, those in error.groups():
-            stacked = np.where(those[:, None], column, 0.0).ravel()
-            own.setdefault(error.cause, {})[name] = stacked
-    W_c = {name: np.stack([*errors.values()], 1) for name, errors in own.items()}
+    problem, space = evaluate.problem, evaluate.problem.space
+    displacement = at.equilibrium.displacement
+    own = yield from considered_errors(
+        evaluate, configurations, uncertain, z=z, displacement=displacement
+    )
+    gain = estimator(np.asarray(at.W_ep), spread, np.asarray(space.prior_weights()))
+    weight = np.asarray(problem.configurations.effectors.inverse_std).ravel()
+    W_c = {
+        name: weight[:, None] * np.stack([e.ravel() for e in errors.values()], axis=1)
+        for name, errors in own.items()
+    }
     causes = [Cause(name, tuple(own[name]), -gain @ W) for name, W in W_c.items()]
     size = lambda cause: np.nansum(cause.variance / np.diag(spread.covariance))
-    space = problem.space
     _, slopes = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
     return ErrorBudget(
         names=tuple(space.names),
@@ -177,27 +176,45 @@ def error_budget(
     )
 
 
-def considered_columns(
+def considered_errors(
     evaluate: Evaluator,
-    found: Sequence[Considered],
+    configurations: Sequence[Configuration],
+    uncertain: Uncertain,
+    *,
     z: Float[Array, " n_p"],
-    at: Evaluation,
-) -> Job[Float[HostArray, "n_c n_e n_errors"]]:
-    """Compute W_c: change of the stacked errors per standard deviation of each error.
+    displacement: Float[Array, "n_c n_points 3"],
+) -> Job[dict[str, dict[str, Float[HostArray, "n_c n_e"]]]]:
+    """Compute W_c: change of the effectors per standard deviation of each error.
 
     Args:
         evaluate: Evaluator of the calibration.
-        found: The errors.
+        configurations: Its configurations.
+        uncertain: What is uncertain.
         z: Scaled parameters [-].
-        at: Evaluation there.
+        displacement: The equilibria [m].
 
     Returns:
-        Columns in units of the noise, as if each configuration had the error.
+        For each cause its errors by name, with the changes in the units of the
+        effectors; zero in configurations that do not have the error.
     """
-    problem, n_c = evaluate.numbered, len(at.effectors)
-    weight = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
-    if not found:
-        return np.zeros((*weight.shape, 0))
+    found = considered(uncertain, evaluate.problem, configurations)
+    columns = yield from _all_columns(evaluate, found, z, displacement)
+    own: dict[str, dict[str, HostArray]] = {}
+    for error, column in zip(found, columns, strict=True):
+        for name, those in error.groups():
+            shared = np.where(those[:, None], column, 0.0)
+            own.setdefault(error.cause, {})[name] = shared
+    return own
+
+
+def _all_columns(
+    evaluate: Evaluator, found: Sequence[Considered], z, displacement
+) -> Job[Float[HostArray, "n_errors n_c n_e"]]:
+    """Compute W_c as if each configuration had each error."""
+    problem, n_c = evaluate.numbered, len(displacement)
+    n_e = problem.configurations.effectors.measured[0].size
+    if n_e == 0 or not found:
+        return np.zeros((len(found), n_c, n_e))
     entries = tuple(own.entry for own in found if own.entry is not None)
     errors = ParameterSpace(entries) if entries else None
     motions = [own.motions for own in found if own.entry is None]
@@ -207,7 +224,7 @@ def considered_columns(
             tuple(jnp.asarray(own[c]) for own in motions),
             z,
             lane_of(problem.configurations, c),
-            lane_of(at.equilibrium.displacement, c),
+            lane_of(displacement, c),
         )
         for c in range(n_c)
     ]
@@ -219,7 +236,7 @@ def considered_columns(
 
     key = program_key("considered_columns", shared, lanes[0])
     of_lanes = yield Batch(columns, lanes, key)
-    return weight[:, :, None] * np.stack([np.asarray(own) for own in of_lanes])
+    return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
 
 
 @eqx.filter_jit

@@ -8,6 +8,7 @@ import numpy as np
 from softcal_jax._typing import Float
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.fields import Uncertain
 from softcal_jax.identifiability._gains import Gain, Unranked, gain_table
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._prospects import blind_count, prospects
@@ -60,6 +61,7 @@ def greedy_design(
     at: Float[AnyVector, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
 ) -> Design:
     """Choose n candidates one by one, each time the one that adds most.
 
@@ -76,6 +78,8 @@ def greedy_design(
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated; the defaults of
+            `Uncertain` by default.
 
     Returns:
         The sequence and the verdict at its end, whose condition numbers are those of
@@ -94,19 +98,22 @@ def greedy_design(
         at=at,
         noise=noise,
         newton=newton,
+        uncertain=uncertain,
     )
     most = len(found.candidates) + len(found.unranked)
     if not 1 <= n <= most:
         raise ValueError(f"n must lie between 1 and {most} candidates, got {n}.")
-    blind_before, steps = blind_count(found.known), []
+    blind_before, steps = blind_count(found.told), []
     for _ in range(min(n, len(found.candidates))):
         gains = [found.gain(name) for name in found.candidates]
         steps.append(max(gains, key=lambda gain: gain.d_gain))
         found = found.with_measured(steps[-1].name)
+    n_p = found.n_parameters
     outcome = identifiability(
-        found.known / prior_std(found.space),
+        found.known[:, :n_p] / prior_std(found.space),
         found.space,
         np.asarray(found.z),
         n_data=len(found.known),
+        W_c=found.known[:, n_p:],
     )
     return Design(tuple(steps), found.unranked, outcome, blind_before)

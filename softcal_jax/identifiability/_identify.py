@@ -8,7 +8,7 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, Uncertain
 from softcal_jax.identifiability._conditioning import conditioning
 from softcal_jax.identifiability._directions import named_directions
 from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
@@ -133,6 +133,7 @@ def identify(
     at: Float[AnyVector, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
 ) -> Identifiability:
     """Predict what markers in these configurations would tell, before measuring.
 
@@ -146,6 +147,8 @@ def identify(
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated; the defaults of
+            `Uncertain` by default.
 
     Returns:
         The verdict, see `identifiability`.
@@ -161,10 +164,14 @@ def identify(
         at=at,
         noise=noise,
         newton=newton,
+        uncertain=uncertain,
     )
     n_p = len(found.space.names)
     none = np.zeros((0, n_p))
     W_ep = np.concatenate([none, *(s.W_ep for s in found.sensed)])
     W = np.concatenate([none, *(s.W for s in found.sensed)])
+    W_c = np.concatenate([s.W_c for s in found.sensed]) if found.sensed else None
     W_pp = sum((s.W_pp for s in found.sensed), np.zeros((n_p, n_p)))
-    return identifiability(W, found.space, found.z, n_data=len(W), W_ep=W_ep, W_pp=W_pp)
+    return identifiability(
+        W, found.space, found.z, n_data=len(W), W_ep=W_ep, W_pp=W_pp, W_c=W_c
+    )

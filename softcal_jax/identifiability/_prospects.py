@@ -10,10 +10,11 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, Uncertain
 from softcal_jax.identifiability._gains import Gain, Unranked
 from softcal_jax.identifiability._spread import (
     WEAK_BELOW,
+    marginalised,
     posterior,
     prior_std,
     si_slope,
@@ -33,16 +34,30 @@ class Prospects(eqx.Module):
     Attributes:
         space: The parameters.
         z: Their scaled values, at which everything was linearised [-].
-        known: Signal of the measured configurations, stacked, per prior std [-].
-        candidates: Signal of each candidate that has an equilibrium, by name.
+        known: Rows of the measured configurations, stacked: their signal per prior
+            standard deviation, then their change by errors that are considered [-].
+        candidates: The same of each candidate that has an equilibrium, by name.
         unranked: The other candidates.
     """
 
     space: ParameterSpace
     z: Float[HostArray, " n_p"]
-    known: Float[HostArray, "n_e n_p"]
-    candidates: dict[str, Float[HostArray, "_ n_p"]]
+    known: Float[HostArray, "n_e n_all"]
+    candidates: dict[str, Float[HostArray, "_ n_all"]]
     unranked: tuple[Unranked, ...]
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters."""
+        return len(self.space.names)
+
+    @property
+    def told(self) -> Float[HostArray, "n n_p"]:
+        """What the measured configurations tell, see `marginalised` [-]."""
+        return self._told(self.known)
+
+    def _told(self, rows: Float[HostArray, "n_e n_all"]) -> Float[HostArray, "n n_p"]:
+        return marginalised(rows[:, : self.n_parameters], rows[:, self.n_parameters :])
 
     def with_measured(self, name: str) -> "Prospects":
         """Add a candidate to what is known, and remove it from the candidates."""
@@ -52,8 +67,8 @@ class Prospects(eqx.Module):
 
     def gain(self, name: str) -> Gain:
         """Compute what a candidate adds to what is known."""
-        before = self.known
-        after = np.concatenate([before, self.candidates[name]])
+        before = self.told
+        after = self._told(np.concatenate([self.known, self.candidates[name]]))
         spreads = [np.sqrt(np.diag(posterior(G))) for G in (before, after)]
         best = int(np.argmax(spreads[0] - spreads[1]))
         parameter = self.space.parameters[best]
@@ -95,6 +110,7 @@ def prospects(
     at: Float[AnyVector, " n_p"] | None,
     noise: float | None,
     newton: NewtonSettings | None,
+    uncertain: Uncertain | None,
 ) -> Prospects:
     """Solve measured and candidate configurations in one batch.
 
@@ -112,18 +128,24 @@ def prospects(
         at=at,
         noise=noise,
         newton=newton,
+        uncertain=uncertain,
         required=len(known),
     )
     prior = prior_std(found.space)
-    rows = [s.W * prior for s in found.sensed[: len(known)]]
+    rows = [_rows(s, prior) for s in found.sensed[: len(known)]]
+    n_all = len(prior) + max((s.W_c.shape[1] for s in found.sensed), default=0)
     new = found.sensed[len(known) :]
     return Prospects(
         space=found.space,
         z=np.asarray(found.z),
-        known=np.concatenate([np.zeros((0, len(prior))), *rows]),
-        candidates={s.name: s.W * prior for s in new if not _trouble(s)},
+        known=np.concatenate([np.zeros((0, n_all)), *rows]),
+        candidates={s.name: _rows(s, prior) for s in new if not _trouble(s)},
         unranked=tuple(Unranked(s.name, _trouble(s)) for s in new if _trouble(s)),
     )
+
+
+def _rows(s: Sensed, prior: Float[HostArray, " n_p"]) -> Float[HostArray, "n_e n_all"]:
+    return np.concatenate([s.W * prior, s.W_c], axis=1)
 
 
 def _trouble(s: Sensed) -> str:

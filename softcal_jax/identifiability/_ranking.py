@@ -7,6 +7,7 @@ import equinox as eqx
 from softcal_jax._typing import Float
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.fields import Uncertain
 from softcal_jax.identifiability._gains import Gain, Unranked, gain_table
 from softcal_jax.identifiability._prospects import blind_count, prospects
 from softcal_jax.identifiability._survey import AnyVector, Parameters
@@ -52,6 +53,7 @@ def rank_configurations(
     at: Float[AnyVector, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
 ) -> Ranking:
     """Rank candidate configurations by what they would tell, before measuring.
 
@@ -73,6 +75,8 @@ def rank_configurations(
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated; the defaults of
+            `Uncertain` by default.
 
     Returns:
         The candidates, the best first. Those without an equilibrium at these values or
@@ -90,11 +94,12 @@ def rank_configurations(
         at=at,
         noise=noise,
         newton=newton,
+        uncertain=uncertain,
     )
     gains = [found.gain(name) for name in found.candidates]
     return Ranking(
         tuple(sorted(gains, key=lambda gain: -gain.d_gain)),
         found.unranked,
-        found.known.shape[1],
-        blind_count(found.known),
+        found.n_parameters,
+        blind_count(found.told),
     )

@@ -10,6 +10,8 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
+    Evaluator,
+    considered_errors,
     first_guess,
     simulate,
     without_names,
@@ -24,11 +26,13 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
+    Workers,
     check_converged,
 )
 from softcal_jax.fields import (
     Entry,
     ParameterSpace,
+    Uncertain,
     as_space,
     check_parameters,
 )
@@ -45,6 +49,8 @@ class Sensed(eqx.Module):
         name: Name of the configuration.
         W_ep: Compliances of its measured coordinates [m].
         W: The same in units of the noise [-].
+        W_c: Their change per standard deviation of each error that is considered,
+            likewise; see `considered_errors` [-].
         W_pp: H_p K^-1 H_p^T [J].
         failure: Why there is no equilibrium; empty if there is one.
     """
@@ -52,6 +58,7 @@ class Sensed(eqx.Module):
     name: str
     W_ep: Float[HostArray, "n_e n_p"]
     W: Float[HostArray, "n_e n_p"]
+    W_c: Float[HostArray, "n_e n_errors"]
     W_pp: Float[HostArray, "n_p n_p"]
     failure: str
 
@@ -87,6 +94,7 @@ def survey(
     at: Float[AnyVector, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
     required: int | None = None,
 ) -> Survey:
     """Solve configurations at one value of the parameters and differentiate them.
@@ -99,6 +107,8 @@ def survey(
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated; the defaults of
+            `Uncertain` by default.
         required: Number of leading configurations that must have an equilibrium; all by
             default.
 
@@ -138,6 +148,19 @@ def survey(
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
+    evaluate = Evaluator(problem)
+    with Workers(model, len(names)) as workers:
+        causes = workers.end_of(
+            considered_errors(
+                evaluate,
+                configurations,
+                uncertain or Uncertain(),
+                z=z,
+                displacement=solution.displacement,
+            )
+        )
+    errors = [error for own in causes.values() for error in own.values()]
+    W_c = np.stack([np.zeros_like(weights), *errors], axis=2)[:, :, 1:]
     sensed = []
     W_ep, W_pp = np.asarray(compliance.W_ep), np.asarray(compliance.W_pp)
     for i, name in enumerate(names):
@@ -147,6 +170,7 @@ def survey(
                 name=name,
                 W_ep=W_ep[i, seen],
                 W=weights[i, seen, None] * W_ep[i, seen],
+                W_c=weights[i, seen, None] * W_c[i, seen],
                 W_pp=W_pp[i],
                 failure=failures[i],
             )

@@ -215,7 +215,13 @@ class Project(eqx.Module):
         """
         self.check_identify()
         assert self.space is not None
-        return identify(self.model, self.space, self.calibration, newton=self.newton)
+        return identify(
+            self.model,
+            self.space,
+            self.calibration,
+            newton=self.newton,
+            uncertain=self.uncertain,
+        )
 
     def rank_candidates(self) -> Ranking:
         """Rank the candidates by what they add to the calibration configurations.
@@ -239,6 +245,7 @@ class Project(eqx.Module):
             self.calibration,
             self.candidates,
             newton=self.newton,
+            uncertain=self.uncertain,
         )
 
     def simulate(self) -> EquilibriumSolution:

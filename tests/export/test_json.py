@@ -208,4 +208,4 @@ def test_standard_errors_by_cause(data):
     (error,) = budget["errors"]
     assert (error["cause"], error["name"]) == ("clamp", "clamp")
     assert error["deviations"] == [pytest.approx(3.6e3, rel=1e-12), None]
-    assert budget["covariance"][0][0] == pytest.approx(0.025**2, rel=1e-12)
+    assert budget["covariance"][0][0] == pytest.approx(6e3**2, rel=1e-12)

@@ -1,5 +1,6 @@
 """Gains of candidates against their formulas, and against `identify`."""
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -20,11 +21,15 @@ from two_part_beam import (
 
 from softcal_jax.calibration import at_rest, build_problem, evaluate
 from softcal_jax.configurations import Configuration, Support
-from softcal_jax.identifiability import (
-    greedy_design,
-    identify,
-    rank_configurations,
-)
+from softcal_jax.fields import exactly_known
+from softcal_jax.identifiability import greedy_design as design_with
+from softcal_jax.identifiability import identify as identify_with
+from softcal_jax.identifiability import rank_configurations as rank_with
+
+KNOWN = {"uncertain": exactly_known()}
+greedy_design = partial(design_with, **KNOWN)
+identify = partial(identify_with, **KNOWN)
+rank_configurations = partial(rank_with, **KNOWN)
 
 BARE = Configuration("bare", (Support("x_min"),))
 AGAIN = pose("near again", ROOT)
@@ -177,3 +182,16 @@ def test_wrong_calls():
     for n in (0, 3):
         with pytest.raises(ValueError, match="n must lie between 1 and 2"):
             greedy_design(two_part_beam(), SPACE, (), [HANG, PULL], n)
+
+
+def test_a_candidate_cannot_tell_what_all_poses_share():
+    """However many poses hang under their weight: its error stays in the moduli."""
+    share = 0.05
+    heavy = replace(exactly_known(), density=share)
+    found = rank_with(two_part_beam(), SPACE, HANG, [SWAP], uncertain=heavy)
+    (gain,) = found.gains
+    (exact,) = rank_configurations(two_part_beam(), SPACE, HANG, [SWAP]).gains
+    assert gain.after > 0.99 * share * gain.value > exact.after
+    assert found.n_parameters == 2
+    design = design_with(two_part_beam(), SPACE, HANG, [SWAP], 1, uncertain=heavy)
+    assert design.outcome.parameters[0].relative > 0.99 * share
