@@ -23,6 +23,7 @@ from softcal_jax._units import readable_unit
 from softcal_jax.calibration._considered import Considered, considered
 from softcal_jax.calibration._evaluator import Evaluator, lane_of, with_solver
 from softcal_jax.calibration._problem import Evaluation
+from softcal_jax.calibration._refined import locking_errors
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
@@ -38,6 +39,9 @@ from softcal_jax.sensitivity import clamp_row, parameter_rows
 
 NOISE = "noise"
 """Name of what remains if everything that is held fixed is right."""
+
+MESH = "mesh"
+"""Name of the error of linear tets."""
 
 SMALL = 0.1
 """Share of the standard error below which a sentence leaves a cause out [-]."""
@@ -117,7 +121,8 @@ class ErrorBudget(eqx.Module):
         shown.sort(key=lambda c: (c != NOISE, -own[c]))
         text = ", ".join(f"{cause} {self._readable(i, own[cause])}" for cause in shown)
         worst = max(own, key=lambda c: own[c])
-        return text if worst == NOISE else f"{text}: measure {worst} first"
+        advice = {NOISE: "", MESH: ": use quadratic tets"}
+        return text + advice.get(worst, f": measure {worst} first")
 
     def _readable(self, i: int, std: float) -> str:
         """Write an error in percent of the value; angles and offsets as they are."""
@@ -125,7 +130,8 @@ class ErrorBudget(eqx.Module):
         if unit in ("rad", "m") or value == 0.0:
             factor, shown = readable_unit([std], unit)
             return f"{factor * std:.2g} {shown}".rstrip()
-        return f"{100.0 * std / value:.2g} %"
+        percent = 100.0 * std / value
+        return f"{percent:.0f} %" if percent >= 100.0 else f"{percent:.2g} %"
 
     def __str__(self) -> str:
         """Write one line for each parameter."""
@@ -204,6 +210,10 @@ def considered_errors(
         for name, those in error.groups():
             shared = np.where(those[:, None], column, 0.0)
             own.setdefault(error.cause, {})[name] = shared
+    if uncertain.mesh > 0.0:
+        locking = locking_errors(evaluate.numbered, z, displacement)
+        if locking is not None:
+            own[MESH] = {"locking": uncertain.mesh * locking}
     return own
 
 

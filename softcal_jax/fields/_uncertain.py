@@ -28,6 +28,9 @@ class Uncertain(eqx.Module):
         recordings: Offset of the points of a recording, along each axis [m].
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
+        mesh: Error of linear tets, in units of how far quadratic tets would move the
+            measured points [-]. One error for all configurations. Not known with rigid
+            bodies or actuators, and above 50 000 tets; quadratic tets count as exact.
     """
 
     nu: float = 0.05
@@ -40,6 +43,7 @@ class Uncertain(eqx.Module):
     recordings: float = 0.5e-3
     zeros: float = 0.5 * DEGREE
     mountings: float = 0.5e-3
+    mesh: float = 1.0
 
     def __check_init__(self):
         for name, std in vars(self).items():

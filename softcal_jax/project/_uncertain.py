@@ -35,6 +35,7 @@ class UncertainTable(Table):
     recordings: float | None = None
     zeros: float | None = None
     mountings: float | None = None
+    mesh: Number | None = None
 
     @field_validator(*_OF_KEY, mode="before")
     @classmethod
@@ -51,9 +52,9 @@ class UncertainTable(Table):
             return 0.0
         raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
 
-    @field_validator("nu")
+    @field_validator("nu", "mesh")
     @classmethod
-    def _check_ratio(cls, value: float | None) -> float | None:
+    def _check_number(cls, value: float | None) -> float | None:
         return value if value is None else _not_negative(value, value)
 
     def build(self) -> Uncertain:

@@ -35,6 +35,7 @@ def test_every_key(tmp_path):
         'recordings = "0.1 mm"',
         'zeros = "1 deg"',
         'mountings = "2 mm"',
+        "mesh = 0.5",
     )
     expected = {
         "nu": 0.02,
@@ -47,6 +48,7 @@ def test_every_key(tmp_path):
         "recordings": 1e-4,
         "zeros": np.deg2rad(1.0),
         "mountings": 2e-3,
+        "mesh": 0.5,
     }
     assert set(expected) == {field.name for field in fields(Uncertain)}
     assert vars(own) == pytest.approx(expected, rel=1e-12)
