@@ -169,7 +169,8 @@ def error_budget(
         for name, errors in own.items()
     }
     causes = [Cause(name, tuple(own[name]), -gain @ W) for name, W in W_c.items()]
-    size = lambda cause: np.nansum(cause.variance / np.diag(spread.covariance))
+    whole = np.nan_to_num(sum(cause.variance for cause in causes))
+    size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))
     _, slopes = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
     return ErrorBudget(
         names=tuple(space.names),

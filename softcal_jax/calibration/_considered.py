@@ -133,11 +133,8 @@ def _loads(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     gravity, forces = posed.arrays.gravity, posed.arrays.actuation
     keys = posed.where([tuple(g) for g in gravity], np.any(gravity, axis=1))
     for axis in QUANTITIES["gravity_tilt"].components:
-        yield _same(
-            "gravity",
-            _error("gravity_tilt", uncertain.gravity, axis=axis),
-            keys,
-        )
+        entry = _error("gravity_tilt", uncertain.gravity, axis=axis)
+        yield _same("gravity", entry, keys)
     keys = posed.where(posed.everywhere, np.any(posed.arrays.force, axis=(1, 2)))
     yield _same("loads", _error("load_factor", uncertain.loads, relative=True), keys)
     forced = ~forces.by_displacement & (forces.value != 0.0)
