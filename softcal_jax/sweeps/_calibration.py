@@ -80,11 +80,7 @@ class CalibrationTrial:
             figures["distance to truth [-]"] = float(
                 jnp.max(space.distance(result.z, z))
             )
-        most = project.settings.max_steps
-        reason = f"lambda_p did not vanish within max_steps = {most}"
-        if len(result.history) - 1 < most:
-            reason = "every step was refused, but the fit is at no optimum"
-        return Outcome(figures, result.converged, reason, result.notes)
+        return Outcome(figures, result.converged, why_not(result), result.notes)
 
     def variant(self, point: Mapping[str, Any]) -> Project:
         """Load the project with the control points and keys of a point.
@@ -172,6 +168,18 @@ class CalibrationTrial:
 def _keys(point: Mapping[str, Any]) -> dict[str, Any]:
     """Pick the axes of a point that are keys of the project file."""
     return {axis: value for axis, value in point.items() if axis not in OWN_AXES}
+
+
+def why_not(result: CalibrationResult) -> str:
+    """Say how a calibration that did not converge ended, without numbers of its own.
+
+    Tables count the trials of one reason together; the notes of a row say more.
+    """
+    if len(result.history) > result.settings.max_steps:
+        return f"lambda_p did not vanish within max_steps = {result.settings.max_steps}"
+    if not result.history[-1].accepted:
+        return "its last steps were refused, down to the shortest, away from an optimum"
+    return "no step could be computed: the sensitivities are not finite"
 
 
 def _make_room() -> None:
