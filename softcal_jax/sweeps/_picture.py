@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from softcal_jax._names import unknown_name
 from softcal_jax.plotting import plot_trials
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import TrialRow
@@ -38,11 +37,7 @@ def plot_sweep(
     chosen = default_figures(result)[:MOST_PANELS]
     if figures is not None:
         chosen = [result.figure(name) for name in figures]
-    by = result.default_axes if by is None else by
-    for axis in by:
-        if axis not in result.axes:
-            raise unknown_name("axis", axis, result.axes)
-    rows = result.rows
+    rows, by = result.rows, result.grouping(by)
     columns = {axis: _column([row.point[axis] for row in rows]) for axis in by}
     good = len(result.of_state("converged"))
     lost = len(rows) - good
