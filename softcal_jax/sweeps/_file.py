@@ -34,7 +34,7 @@ from softcal_jax.sweeps._schema import (
     RangeTable,
     SweepTable,
 )
-from softcal_jax.sweeps._trial import Point, Range, grid, sample
+from softcal_jax.sweeps._trial import Point, Range, grid, is_number, sample
 
 _QUANTITY = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
@@ -227,7 +227,7 @@ def _subsets(given: Any, names: list[str]) -> list[list[str]]:
 
 def _range(table: RangeTable) -> Range:
     ends = [table.low, table.high]
-    if all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends):
+    if all(map(is_number, ends)):
         return Range(float(table.low), float(table.high), table.scale)
     parts = [_QUANTITY.fullmatch(str(end)) for end in ends]
     if parts[0] is None or parts[1] is None or parts[0][2] != parts[1][2]:

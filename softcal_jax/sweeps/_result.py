@@ -10,7 +10,7 @@ import numpy as np
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.sweeps._row import State, TrialRow
-from softcal_jax.sweeps._trial import describe
+from softcal_jax.sweeps._trial import describe, is_number
 
 
 def figure_name(name: str) -> tuple[str, str]:
@@ -149,7 +149,13 @@ class SweepResult:
         return "\n".join(lines)
 
 
+def figure_values(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
+    """Return a figure of each row; nan where it is no number, or did not converge."""
+    own = lambda row: row.figures.get(figure) if row.state == "converged" else None
+    found = map(own, rows)
+    return np.array([v if is_number(v) else np.nan for v in found], float)
+
+
 def _numbers(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
-    found = [row.figures.get(figure) for row in rows if row.state == "converged"]
-    kept = [v for v in found if isinstance(v, int | float) and not isinstance(v, bool)]
-    return np.array(kept, float)
+    values = figure_values(rows, figure)
+    return values[~np.isnan(values)]

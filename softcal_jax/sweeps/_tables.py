@@ -1,4 +1,4 @@
-"""A sweep as tables for a terminal, and as CSV."""
+"""A sweep as tables for a terminal, as CSV, and as a picture."""
 
 import csv
 from collections import Counter
@@ -10,9 +10,10 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_estimate, readable_unit
-from softcal_jax.sweeps._result import Group, SweepResult, figure_name
+from softcal_jax.plotting import plot_trials
+from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
 from softcal_jax.sweeps._row import TrialRow
-from softcal_jax.sweeps._trial import describe, shown
+from softcal_jax.sweeps._trial import describe, is_number, shown
 
 if TYPE_CHECKING:
     import rich.console
@@ -23,6 +24,9 @@ ROUNDING = 1e-9
 
 MOST_NAMES = 8
 """Number of figures named below a table; further ones are only counted."""
+
+MOST_PANELS = 4
+"""Largest number of figures in a picture by default."""
 
 _NARROW = 24
 """Characters to which a cell with spaces may be wrapped."""
@@ -170,8 +174,9 @@ def _trial_columns(result: SweepResult) -> list[_Column]:
 
 def _trial_cell(row: TrialRow, figure: str, factor: float) -> str:
     value = row.figures.get(figure)
-    number = isinstance(value, int | float)
-    return f"{factor * value:.5g}" if number else str(value or "-")
+    if isinstance(value, int | float):
+        return f"{factor * value:.5g}"
+    return str(value or "-")
 
 
 def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:
@@ -225,3 +230,44 @@ def write_sweep_csv(result: SweepResult, path: str | Path) -> None:
             cells += [getattr(row, column) for column in columns]
             cells += [row.figures.get(figure) for figure in figures]  # None: empty
             writer.writerow([*cells, " ".join(row.notes)])
+
+
+def plot_sweep(
+    result: SweepResult,
+    path: str | Path,
+    *,
+    by: Sequence[str] | None = None,
+    figures: Sequence[str] | None = None,
+) -> None:
+    """Plot the figures of all trials that converged against the axes.
+
+    Args:
+        result: The sweep.
+        path: PNG file.
+        by: The axes; by default all but repetitions.
+        figures: Names of figures; by default the first that are numbers.
+
+    Raises:
+        ValueError: If there is no such axis or figure, or no trial has converged.
+    """
+    chosen = default_figures(result)[:MOST_PANELS]
+    if figures is not None:
+        chosen = [result.figure(name) for name in figures]
+    rows, panels = result.rows, {}
+    for figure in chosen:
+        factor, label = readable_figure(result, figure)
+        panels[label] = factor * figure_values(rows, figure)
+    columns = {}
+    for axis in result.grouping(by):
+        values = [row.point[axis] for row in rows]
+        numbers = all(map(is_number, values))
+        columns[axis] = [float(v) if numbers else shown(v) for v in values]
+    good = len(result.of_state("converged"))
+    lost = len(rows) - good
+    plot_trials(
+        columns or {"": ["all"] * len(rows)},
+        panels,
+        path,
+        title=f"{result.name}: {good} trials",
+        left_out=f"{lost} more failed or did not converge" if lost else "",
+    )
