@@ -45,19 +45,18 @@ def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
         for effector in configuration.effectors
     )
     measured = configuration.measured
-    of_markers = [name for name in marker_names if name in goals]
-    if of_markers:
-        if measured is None and len(of_markers) < len(marker_names):
-            missing = [name for name in marker_names if name not in goals]
+    missing = [name for name in marker_names if name not in goals]
+    if len(missing) < len(marker_names):
+        if measured is None and missing:
             raise ValueError(
                 f"marker {missing[0]!r} of configuration {configuration.name!r} has no "
                 "goal, but others have: give one to each, or leave it out."
             )
         measured = np.zeros((len(marker_names), 3)) if measured is None else measured
         measured = measured.copy()
-        for name in of_markers:
-            what = f"marker {name!r}"
-            measured[marker_names.index(name)] = _numbers(what, goals[name], 3)
+        for row, name in enumerate(marker_names):
+            if name in goals:
+                measured[row] = _numbers(f"marker {name!r}", goals[name], 3)
     return replace(configuration, effectors=effectors, measured=measured)
 
 
@@ -72,8 +71,7 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
             )
         return replace(effector, measured=goal)
     if isinstance(effector, AbstractScalar):
-        value = float(_numbers(what, goal, 1)[0])
-        return replace(effector, measured=value)
+        return replace(effector, measured=float(_numbers(what, goal, 1)[0]))
     return replace(effector, measured=_numbers(what, goal, 3))  # type: ignore[call-arg]
 
 

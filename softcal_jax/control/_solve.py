@@ -4,40 +4,46 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike
 
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
     Configuration,
     EffectorRecord,
     configuration_lanes,
 )
-from softcal_jax.control._decision import ROUNDING
 from softcal_jax.control._goals import Goal, goal_levels, with_goals
 from softcal_jax.control._limits import Limits, active_limits, limit_arrays
-from softcal_jax.control._outcomes import OUTCOMES
-from softcal_jax.control._problem import ControlProblem, follow_room, linearise
+from softcal_jax.control._problem import (
+    ControlProblem,
+    Linear,
+    follow_room,
+    level_errors,
+    linearise,
+    parts,
+)
+from softcal_jax.control._qp import step_in_levels
 from softcal_jax.control._result import (
+    OUTCOMES,
     GoalFit,
     InverseResult,
     StepRecord,
     TrajectoryResult,
-    imposed,
 )
 from softcal_jax.control._step import (
+    ROUNDING,
+    Arrival,
     ControlSettings,
-    ControlState,
-    control_step,
-    start_control,
+    Decision,
+    Trial,
+    arrive,
+    decide,
 )
 from softcal_jax.equilibrium import Model
-
-_start = eqx.filter_jit(start_control)
-_step = eqx.filter_jit(control_step)
 
 
 def solve_inverse(
@@ -48,7 +54,7 @@ def solve_inverse(
     limits: Mapping[str, Limits] | None = None,
     priorities: Mapping[str, int] | None = None,
     settings: ControlSettings | None = None,
-    guess: Float[Array, "n_points 3"] | None = None,
+    guess: Float[ArrayLike, "n_points 3"] | None = None,
     throw: bool = True,
 ) -> InverseResult:
     """Find the actuation that brings effectors to their goals, or nearest to them.
@@ -85,10 +91,12 @@ def solve_inverse(
     """
     command = _prepare(model, configuration, goals, limits, priorities, settings)
     if guess is None:
-        guess = jnp.zeros((model.n_points, 3))
-    result = _run(command, guess)
-    if throw:
-        _check(result)
+        guess = np.zeros((model.n_points, 3))
+    result = _search(command, np.asarray(guess))
+    if throw and result.outcome == OUTCOMES.no_equilibrium:
+        raise RuntimeError(f"{result.message} {RESULTS[result.solution.result]}.")
+    if throw and not (result.met or result.outcome == OUTCOMES.nearest):
+        raise RuntimeError(result.message)
     return result
 
 
@@ -121,12 +129,11 @@ def follow_trajectory(
         RuntimeError: As `solve_inverse`.
     """
     points: list[InverseResult] = []
-    now, guess = configuration, jnp.zeros((model.n_points, 3))
+    now, guess = configuration, None
     for goal in goals:
-        aimed = replace(configuration, actuation=now.actuation)
         result = solve_inverse(
             model,
-            aimed,
+            replace(configuration, actuation=now.actuation),
             goals=goal,
             limits=limits,
             priorities=priorities,
@@ -159,119 +166,144 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> _Comm
             f"configuration {configuration.name!r} commands no actuator: name those to "
             f"be commanded in `actuation`, where they start. Actuators: {known}."
         )
-    settings = ControlSettings() if settings is None else settings
-    priorities = {} if priorities is None else priorities
-    configuration = with_goals(configuration, {} if goals is None else goals)
-    mesh, mechanism = model.mesh, model.mechanism
-    allowed = limit_arrays(mechanism, configuration, {} if limits is None else limits)
-    lanes = configuration_lanes(mesh, [configuration], mechanism)
+    settings, priorities = settings or ControlSettings(), priorities or {}
+    configuration = with_goals(configuration, goals or {})
+    allowed = limit_arrays(model.mechanism, configuration, limits or {})
+    lanes = configuration_lanes(model.mesh, [configuration], model.mechanism)
     arrays = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
     problem = ControlProblem(
         model=model,
         configuration=arrays,
-        limits=jax.tree.map(jnp.asarray, allowed),
-        start=arrays.actuation.value,
-        levels=jnp.asarray(goal_levels(lanes, configuration.name, priorities)),
-        epsilon=jnp.asarray(settings.epsilon),
+        limits=allowed,
+        start=np.asarray(arrays.actuation.value),
+        levels=goal_levels(lanes, configuration.name, priorities),
+        epsilon=settings.epsilon,
     )
-    (effectors,) = lanes.effectors
     return _Command(
         configuration=configuration,
-        effectors=effectors,
+        effectors=lanes.effectors[0],
         priorities=priorities,
         problem=problem,
         settings=settings,
     )
 
 
-def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
-    """Run the search, one compiled step after the other."""
+def _search(command: _Command, guess: Float[HostArray, "n_points 3"]) -> InverseResult:
+    """Repeat: linearise, solve the QPs, try the step, keep it if it helps."""
     problem, settings = command.problem, command.settings
-    # Tolerances are traced and unused settings fixed, so that neither recompiles.
-    of_program = replace(settings, epsilon=0.0, max_steps=1)
-    of_program = jax.tree.map(jnp.asarray, of_program)
-    state = _start(problem, guess, of_program)
-    if not bool(state.solution.converged):
-        return _result(command, state, OUTCOMES.no_equilibrium, ())
-    records = []
-    while (outcome := _outcome(state, settings)) is None:
-        state = _step(problem, of_program, state)
+    box = problem.box()
+
+    def arrived(value, guess) -> Arrival:
+        model, configuration = problem.model, problem.configuration
+        value, guess = jnp.asarray(value), jnp.asarray(guess)
+        found = arrive(
+            model, configuration, jnp.asarray(box), value, guess, settings.newton
+        )
+        return found._replace(value=np.asarray(found.value))
+
+    here = arrived(problem.start, guess)
+    if not here.stands:
+        return _result(command, here, None, OUTCOMES.no_equilibrium, [])
+    decision = Decision(
+        accepted=True,
+        step_bound=settings.step_bound,
+        penalty=np.ones(len(problem.levels) + 1),
+    )
+    linear, records = linearise(problem, here.value, here.compliance), []
+    while (outcome := _outcome(command, here, linear, decision, records)) is None:
+        levels = tuple(zip(linear.W, linear.error, strict=True))
+        qp = step_in_levels(levels, linear.rows, jnp.asarray(decision.step_bound))
+        step, kkt = map(np.asarray, qp)
+        change = step * linear.scale
+        moved = np.tensordot(change, here.compliance.displacement, axes=1)
+        there = arrived(
+            np.clip(here.value + change, *box),
+            np.asarray(here.solution.displacement) + moved,
+        )
+        trial = _trial(problem, linear, step, float(kkt), there, decision)
+        decision = decide(trial, decision, settings)
+        if decision.accepted:
+            here = there
+            linear = linearise(problem, here.value, here.compliance)
+        violation, *costs = parts(linear.rows.b, linear.error)
         records.append(
             StepRecord(
-                size=float(state.last_step),
-                cost=float(state.cost),
-                violation=float(state.violation),
-                kkt_residual=float(state.kkt_residual),
-                newton_steps=int(state.newton_steps),
-                accepted=bool(state.accepted),
+                size=trial.size,
+                cost=float(sum(costs)),
+                violation=float(violation),
+                kkt_residual=trial.kkt_residual,
+                newton_steps=int(there.solution.steps),
+                accepted=decision.accepted,
             )
         )
-    return _result(command, state, outcome, tuple(records))
+    return _result(command, here, linear, outcome, records)
 
 
-def _outcome(state: ControlState, settings: ControlSettings) -> OUTCOMES | None:
+def _trial(
+    problem: ControlProblem,
+    linear: Linear,
+    step: Float[HostArray, " n_a"],
+    kkt_residual: float,
+    there: Arrival,
+    before: Decision,
+) -> Trial:
+    """Compare the parts before a step with what was expected and what came of it."""
+    rows, error, change = linear.rows, linear.error, linear.W @ step
+    now = parts(rows.b, error)
+    tried = np.full_like(now, np.inf)
+    if there.stands:
+        state = there.compliance.state
+        room = follow_room(problem, state, linear.length)
+        tried = parts(room, level_errors(problem, state, linear.energy))
+    weight = before.penalty[1:, None]
+    lengths = np.sum(weight * change**2) * np.sum(weight * error**2)
+    return Trial(
+        now=now,
+        expected=parts(rows.b - rows.A @ step, error + change),
+        tried=tried,
+        size=float(np.abs(step).max()),
+        kkt_residual=kkt_residual,
+        cosine=-np.sum(weight * change * error)
+        / np.sqrt(max(lengths, np.finfo(float).tiny)),
+    )
+
+
+def _outcome(
+    command: _Command,
+    here: Arrival,
+    linear: Linear,
+    decision: Decision,
+    records: Sequence[StepRecord],
+) -> OUTCOMES | None:
     """Determine how the search has ended; None while it goes on."""
-    if bool(state.met) and (settings.epsilon == 0.0 or bool(state.vanished)):
+    settings = command.settings
+    error = np.abs(command.problem.residuals(here.compliance.state)).max()
+    kept_limits = parts(linear.rows.b, linear.error)[0] <= ROUNDING
+    met = error <= settings.tol and kept_limits
+    if met and (settings.epsilon == 0.0 or decision.vanished):
         return OUTCOMES.met
-    if bool(state.vanished):
+    if decision.vanished:
         return OUTCOMES.nearest
-    if bool(state.stalled):
-        violated = float(state.violation) > ROUNDING
-        return OUTCOMES.limits_violated if violated else OUTCOMES.stalled
-    if int(state.step) >= settings.max_steps:
-        return OUTCOMES.max_steps
-    return None
+    if decision.stalled:
+        return OUTCOMES.stalled if kept_limits else OUTCOMES.limits_violated
+    return OUTCOMES.max_steps if len(records) >= settings.max_steps else None
 
 
 def _result(
     command: _Command,
-    state: ControlState,
+    here: Arrival,
+    linear: Linear | None,
     outcome: OUTCOMES,
-    records: tuple[StepRecord, ...],
+    records: Sequence[StepRecord],
 ) -> InverseResult:
-    problem, mechanism = command.problem, command.problem.model.mechanism
-    names = mechanism.actuators.names
-    value = np.asarray(state.value)
-    actuation = imposed(command.configuration, names, value)
-    configuration = replace(command.configuration, actuation=actuation)
-    of_actuators = state.compliance.state
+    names = command.problem.model.mechanism.actuators.names
     by_name = lambda values: dict(zip(names, map(float, values), strict=True))
-    return InverseResult(
-        outcome=outcome,
-        configuration=configuration,
-        solution=state.solution,
-        goals=_goal_fits(command, np.asarray(of_actuators.effectors)),
-        forces=by_name(of_actuators.forces),
-        displacements=by_name(of_actuators.displacements),
-        active_limits=_active(problem, state),
-        steps=records,
-    )
-
-
-def _active(problem: ControlProblem, state: ControlState) -> tuple[str, ...]:
-    """List the limits that are reached, in words."""
-    if not bool(state.solution.converged):
-        return ()
-    linear = linearise(problem, state.value, state.compliance)
-    lower, upper = problem.box()
-    room = follow_room(problem, state.compliance.state, linear.length)
-    of_inputs = [
-        (state.value - lower) / linear.scale,
-        (upper - state.value) / linear.scale,
-    ]
-    room = np.concatenate([np.stack(of_inputs), np.asarray(room).reshape(2, -1)])
-    active = (room <= 10.0 * ROUNDING) & np.asarray(upper > lower)
-    gone = np.abs(np.asarray(state.value - problem.start))
-    step = np.asarray(problem.limits.step)
-    by_displacement = np.asarray(problem.configuration.actuation.by_displacement)
-    return active_limits(
-        problem.model.mechanism, by_displacement, active, gone >= step * (1.0 - 1e-12)
-    )
-
-
-def _goal_fits(command: _Command, reached) -> tuple[GoalFit, ...]:
-    """Compare every effector that has a goal with that goal; frames have two rows."""
-    return tuple(
+    inputs, state = by_name(here.value), here.compliance.state
+    asked = command.configuration.actuation
+    actuation = {a: replace(asked[a], value=inputs[a]) for a in asked}
+    reached = np.asarray(state.effectors)
+    # Every effector that has a goal is compared with it; frames have two rows.
+    goals = tuple(
         GoalFit(
             replace(effector, simulated=effector.among(reached)),
             command.priorities.get(effector.name, 1),
@@ -279,10 +311,29 @@ def _goal_fits(command: _Command, reached) -> tuple[GoalFit, ...]:
         for effector in command.effectors
         if effector.seen.any()
     )
+    return InverseResult(
+        outcome=outcome,
+        configuration=replace(command.configuration, actuation=actuation),
+        solution=here.solution,
+        goals=goals,
+        forces=by_name(state.forces),
+        displacements=by_name(state.displacements),
+        active_limits=() if linear is None else _active(command.problem, here, linear),
+        steps=tuple(records),
+    )
 
 
-def _check(result: InverseResult) -> None:
-    if result.outcome == OUTCOMES.no_equilibrium:
-        raise RuntimeError(f"{result.message} {RESULTS[result.solution.result]}.")
-    if not (result.met or result.outcome == OUTCOMES.nearest):
-        raise RuntimeError(result.message)
+def _active(problem: ControlProblem, here: Arrival, linear: Linear) -> tuple[str, ...]:
+    """List the limits that are reached, in words."""
+    lower, upper = problem.box()
+    of_inputs = [here.value - lower, upper - here.value] / linear.scale
+    of_rest = follow_room(problem, here.compliance.state, linear.length)
+    room = np.concatenate([of_inputs, of_rest.reshape(2, -1)])
+    active = (room <= 10.0 * ROUNDING) & (upper > lower)
+    gone = np.abs(here.value - problem.start)
+    return active_limits(
+        problem.model.mechanism,
+        np.asarray(problem.configuration.actuation.by_displacement),
+        active,
+        gone >= problem.limits.step * (1.0 - 1e-12),
+    )
