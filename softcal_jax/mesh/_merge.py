@@ -1,6 +1,6 @@
 """Several meshes as one, without common nodes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -56,20 +56,18 @@ def merge(parts: Mapping[str, TetMesh]) -> TetMesh:
     return TetMesh(
         np.concatenate([mesh.points for mesh in meshes]),
         np.concatenate(tets),
-        _prefixed(parts, node_shift, lambda mesh: mesh.node_groups),
-        _prefixed(parts, node_shift, lambda mesh: mesh.surface_groups),
-        whole | _prefixed(parts, tet_shift, lambda mesh: mesh.tet_groups),
+        _prefixed(parts, node_shift, "node_groups"),
+        _prefixed(parts, node_shift, "surface_groups"),
+        whole | _prefixed(parts, tet_shift, "tet_groups"),
     )
 
 
 def _prefixed(
-    parts: Mapping[str, TetMesh],
-    shift: HostArray,
-    groups_of: Callable[[TetMesh], dict[str, HostArray]],
+    parts: Mapping[str, TetMesh], shift: HostArray, kind: str
 ) -> dict[str, HostArray]:
     """Collect the groups of one kind of all parts, with new names and indices."""
     return {
         f"{part}/{name}": members + start
         for (part, mesh), start in zip(parts.items(), shift, strict=False)
-        for name, members in groups_of(mesh).items()
+        for name, members in getattr(mesh, kind).items()
     }

@@ -7,6 +7,12 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import tet_edges
 
 
+def check_order(order: int) -> None:
+    """Raise a `ValueError` unless the order is 1 or 2."""
+    if order not in (1, 2):
+        raise ValueError(f"order must be 1 (linear) or 2 (quadratic), got {order}.")
+
+
 class _MidNodes:
     """Index of the mid node of each edge of the mesh."""
 

@@ -11,8 +11,7 @@ import numpy as np
 from softcal_jax._names import METRES, unknown_name
 from softcal_jax._typing import HostArray
 from softcal_jax.mesh._checks import check_mesh
-from softcal_jax.mesh._groups import RawGroups, raw_groups
-from softcal_jax.mesh._meshio import MeshWarning, read_raw
+from softcal_jax.mesh._meshio import MeshWarning, RawGroups, raw_groups, read_raw
 from softcal_jax.mesh._order import to_linear, to_quadratic
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import tet_faces, volumes

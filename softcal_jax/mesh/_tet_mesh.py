@@ -15,8 +15,8 @@ ArrayData = HostArray | Sequence
 FACE_NODES_OF_TET = {4: 3, 10: 6}
 """Nodes of a face, by the nodes of its tet."""
 
-
 _FAR = 1e12
+"""Bound on coordinates, which keeps the cubes of lengths far from overflow [m]."""
 
 
 def _as_points(points: ArrayData) -> HostArray:
@@ -69,7 +69,6 @@ class TetMesh(eqx.Module):
             raise ValueError(
                 f"points must have the shape (n_nodes, 3), got {self.points.shape}."
             )
-        # The bound also keeps the cubes of lengths far from overflow.
         bad = np.flatnonzero(~(np.abs(self.points) < _FAR).all(axis=1))
         if bad.size:
             where = self.points[bad[0]].tolist()

@@ -1,11 +1,18 @@
-"""Faces, edges and volumes of the tets."""
+"""Faces, edges, areas and volumes of the tets."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.elements import TET_EDGES, TET_FACES, shape_gradients, tet_rule
+from softcal_jax.elements import (
+    TET_EDGES,
+    TET_FACES,
+    shape_functions,
+    shape_gradients,
+    tet_rule,
+    triangle_rule,
+)
 from softcal_jax.mesh._tet_mesh import TetMesh
 
 
@@ -89,3 +96,22 @@ def volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
     """
     rule = tet_rule(1 if mesh.order == 1 else 3)
     return jacobian_determinants(mesh, rule.barycentric) @ rule.weights / 6.0
+
+
+def surface_shares(
+    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
+) -> Float[HostArray, " n_nodes"]:
+    """Integrate every shape function over faces [m2]; the sum is their area.
+
+    Args:
+        mesh: The mesh, in its reference state.
+        faces: 3 or 6 nodes of each face.
+    """
+    rule, n_fn = triangle_rule(4), faces.shape[1]
+    dN = shape_gradients(rule.barycentric, n_fn)
+    tangents = np.einsum("fai,qaj->fqji", mesh.points[faces], dN)
+    area = 0.5 * np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
+    out = np.zeros(mesh.n_nodes)
+    N = shape_functions(rule.barycentric, n_fn)
+    np.add.at(out, faces, (area * rule.weights) @ N)
+    return out
