@@ -35,11 +35,11 @@ def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
     """
     markers = configuration.markers
     marker_names = () if markers is None else markers.names
-    names = [effector.name for effector in configuration.effectors]
+    known = [*(effector.name for effector in configuration.effectors), *marker_names]
     for name in goals:
-        if name not in (*names, *marker_names):
+        if name not in known:
             what = f"effector of configuration {configuration.name!r}"
-            raise unknown_name(what, name, [*names, *marker_names])
+            raise unknown_name(what, name, known)
     effectors = tuple(
         _aimed(effector, goals[effector.name]) if effector.name in goals else effector
         for effector in configuration.effectors
@@ -95,18 +95,8 @@ def goal_levels(
 ) -> Float[HostArray, "n_levels n_rows 3"]:
     """Build the weights of all effector coordinates, one array per priority level.
 
-    Args:
-        lanes: One configuration; its measured values are the goals.
-        name: Its name, for messages.
-        priorities: Level of each effector, 1 first; those not named have 1.
-
-    Returns:
-        1 / standard deviation on the level of a coordinate; 0 on other levels and for
-        coordinates without a goal.
-
-    Raises:
-        ValueError: If no effector has a goal, or a priority is below 1 or names an
-            unknown effector.
+    They are 1 / standard deviation on the level of a coordinate, and 0 on other levels
+    and for coordinates without a goal.
     """
     (records,) = lanes.effectors
     names = [record.name for record in records]

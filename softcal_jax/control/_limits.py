@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._names import unknown_name
-from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Kind
 from softcal_jax.configurations import Configuration, ImposedDisplacement, Mechanism
 
@@ -35,11 +35,8 @@ class Limits(eqx.Module):
 class LimitArrays(NamedTuple):
     """Limits of all actuators, on the imposed quantity (the input) and the other one.
 
-    Attributes:
-        inputs: Lowest and highest inputs; equal for actuators that are not commanded.
-        following: Lowest and highest displacements where the force is imposed, and
-            forces where the displacement is.
-        step: Largest change of each input in one command.
+    Both have a row for the lowest and one for the highest values; those of inputs are
+    equal for actuators that are not commanded. `step` limits the change of an input.
     """
 
     inputs: Float[HostArray, "2 n_a"]
@@ -50,17 +47,7 @@ class LimitArrays(NamedTuple):
 def limit_arrays(
     mechanism: Mechanism, configuration: Configuration, limits: Mapping[str, Limits]
 ) -> LimitArrays:
-    """Convert limits by name to arrays over all actuators.
-
-    Args:
-        mechanism: The actuators of the model.
-        configuration: Its `actuation` names the commanded actuators and their start.
-        limits: Limits by the names of actuators.
-
-    Raises:
-        ValueError: If an actuator is unknown or not commanded, lacks the limited
-            quantity or starts outside its limits, or a lower limit exceeds the upper.
-    """
+    """Convert limits by name to arrays over all actuators, and check them."""
     actuators, actuation = mechanism.actuators, configuration.actuation
     for name in limits:
         if name not in actuators.names:
@@ -114,31 +101,4 @@ def _range(kind: Kind, what: str, quantity: str, given) -> Float[HostArray, "2"]
             f"limits of the {quantity} of {what} clash: lower {lower:g} {unit}, upper "
             f"{upper:g} {unit}{', and it only pulls' * pulls}."
         )
-    return np.array([least, upper])
-
-
-def active_limits(
-    mechanism: Mechanism,
-    by_displacement: Bool[HostArray, " n_a"],
-    active: Bool[HostArray, "4 n_a"],
-    step_reached: Bool[HostArray, " n_a"],
-) -> tuple[str, ...]:
-    """Name the active limits in words.
-
-    Args:
-        mechanism: The actuators.
-        by_displacement: Where the displacement is imposed.
-        active: Whether a limit is active: rows are lower and upper limit of the input,
-            then of the other quantity.
-        step_reached: Where the limit on the step of an input is the active one.
-    """
-    found = []
-    for a, row in np.argwhere(active.T):
-        of_input, side = row < 2, ("lower", "upper")[row % 2]
-        displacement = bool(by_displacement[a]) == of_input
-        what = "displacement" if displacement else "force"
-        if of_input and step_reached[a]:
-            what, side = f"step of the {what}", "longest"
-        noun, name = mechanism.actuators.kinds[a].noun, mechanism.actuators.names[a]
-        found.append(f"{what} of {noun} {name!r} at its {side} limit")
-    return tuple(found)
+    return np.array([least, upper], float)

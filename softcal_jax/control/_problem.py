@@ -1,35 +1,50 @@
-"""One command as arrays, and its QP linearised at an equilibrium (paper Eq. 6)."""
+"""One command, and its QP linearised at an equilibrium (paper Eq. 6)."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    EffectorRecord,
+)
 from softcal_jax.control._compliance import ActuatorCompliance, ActuatorState
 from softcal_jax.control._limits import LimitArrays
 from softcal_jax.control._qp import InputRows
+from softcal_jax.control._step import ControlSettings
 from softcal_jax.equilibrium import Model
 
 
-class ControlProblem(NamedTuple):
-    """One command as arrays.
+class Command(NamedTuple):
+    """A command as the user gave it, and as arrays.
 
     Attributes:
         model: The model.
-        configuration: The configuration; its measured values are the goals.
+        configuration: The configuration; its actuation is where the command starts.
+        lane: The same as arrays; measured values are the goals.
+        effectors: Records of its effectors.
         limits: Limits of the actuators.
-        start: Inputs from which limits on steps are counted.
+        priorities: Level of each effector; those not named have 1.
         levels: 1 / standard deviation of each effector coordinate, level by level.
-        epsilon: Weight of the energy term, see `ControlSettings` [-].
+        settings: Settings.
     """
 
     model: Model
-    configuration: ConfigurationArrays
+    configuration: Configuration
+    lane: ConfigurationArrays
+    effectors: tuple[EffectorRecord, ...]
     limits: LimitArrays
-    start: Float[HostArray, " n_a"]
+    priorities: Mapping[str, int]
     levels: Float[HostArray, "n_levels n_rows 3"]
-    epsilon: float
+    settings: ControlSettings
+
+    @property
+    def start(self) -> Float[HostArray, " n_a"]:
+        """Inputs from which limits on steps are counted."""
+        return np.asarray(self.lane.actuation.value)
 
     def box(self) -> Float[HostArray, "2 n_a"]:
         """Return the lowest and highest inputs, limits on steps included."""
@@ -40,19 +55,19 @@ class ControlProblem(NamedTuple):
 
     def following(self, of_force, of_displacement) -> HostArray:
         """Select, for each actuator, the quantity that is not imposed."""
-        imposed = np.asarray(self.configuration.actuation.by_displacement)
+        imposed = np.asarray(self.lane.actuation.by_displacement)
         imposed = imposed.reshape(-1, *[1] * (of_force.ndim - 1))
         return np.where(imposed, of_force, of_displacement)
 
     def residuals(self, state: ActuatorState) -> Float[HostArray, "n_levels n_e"]:
         """Compute effector errors in units of std, 0 on other levels [-]."""
-        goal = np.asarray(self.configuration.effectors.measured)
+        goal = np.asarray(self.lane.effectors.measured)
         off = self.levels * (np.asarray(state.effectors) - goal)
         return off.reshape(len(self.levels), -1)
 
 
 class Linear(NamedTuple):
-    """The problem linearised at an equilibrium, with scaled inputs y.
+    """A command linearised at an equilibrium, with scaled inputs y.
 
     Attributes:
         scale: Change of an input for y = 1, which moves some node by the size of the
@@ -61,7 +76,7 @@ class Linear(NamedTuple):
         error: Errors of each level, likewise.
         energy: Matrix that turns forces into the energy rows of the last level.
         rows: Limits.
-        length: Scale of the quantities that are not imposed, per row of `rows`.
+        length: Scale of the quantities that are not imposed.
     """
 
     scale: Float[HostArray, " n_a"]
@@ -73,7 +88,7 @@ class Linear(NamedTuple):
 
 
 def linearise(
-    problem: ControlProblem,
+    command: Command,
     value: Float[Array | HostArray, " n_a"],
     compliance: ActuatorCompliance,
 ) -> Linear:
@@ -81,28 +96,30 @@ def linearise(
 
     The energy term is epsilon lambda_a^T W_aa lambda_a, with lambda_a after the step.
     """
-    size = np.ptp(problem.model.mechanism.points, axis=0).max()
+    size = np.ptp(command.model.mechanism.points, axis=0).max()
     moved = np.abs(compliance.displacement).max(axis=(1, 2))
     scale = size / np.where(moved > 0.0, moved, size)
-    weights = problem.levels.reshape(len(problem.levels), -1)
+    weights = command.levels.reshape(len(command.levels), -1)
     W = weights[:, :, None] * (np.asarray(compliance.W_ea) * scale)
     by_force = np.asarray(compliance.by_force) * scale
-    lower, upper = problem.box()
+    lower, upper = command.box()
     W_aa = np.asarray(compliance.W_aa)
-    energy = _energy_rows(problem.epsilon, W_aa, W[-1], by_force, upper > lower)
+    energy = _energy_rows(
+        command.settings.epsilon, W_aa, W[-1], by_force, upper > lower
+    )
     of_energy = np.zeros((len(W), *energy.shape))
     of_energy[-1] = energy @ by_force
     by_displacement = np.asarray(compliance.by_displacement) * scale
-    follow = problem.following(by_force, by_displacement)
+    follow = command.following(by_force, by_displacement)
     length = np.linalg.norm(follow, axis=1)
     length = np.where(length > 0.0, length, 1.0)
-    b = follow_room(problem, compliance.state, length)
+    b = follow_room(command, compliance.state, length)
     limited = np.isfinite(b)
     A = np.concatenate([-follow, follow]) / np.tile(length, 2)[:, None]
     return Linear(
         scale=scale,
         W=np.concatenate([W, of_energy], axis=1),
-        error=level_errors(problem, compliance.state, energy),
+        error=level_errors(command, compliance.state, energy),
         energy=energy,
         rows=InputRows(
             (lower - value) / scale,
@@ -121,21 +138,21 @@ def parts(room, error: HostArray) -> Float[HostArray, " n_parts"]:
 
 
 def level_errors(
-    problem: ControlProblem, state: ActuatorState, energy: Float[HostArray, "n_a n_a"]
+    command: Command, state: ActuatorState, energy: Float[HostArray, "n_a n_a"]
 ) -> Float[HostArray, "n_levels n_all"]:
     """Compute the errors of the levels, with the energy on the last one [-]."""
-    off = problem.residuals(state)
+    off = command.residuals(state)
     forces = np.zeros((len(off), len(energy)))
     forces[-1] = energy @ np.asarray(state.forces)
     return np.concatenate([off, forces], axis=1)
 
 
 def follow_room(
-    problem: ControlProblem, state: ActuatorState, length: Float[HostArray, " n_a"]
+    command: Command, state: ActuatorState, length: Float[HostArray, " n_a"]
 ) -> Float[HostArray, " 2*n_a"]:
     """Compute how far the quantities not imposed are from both their limits [-]."""
-    q = problem.following(state.forces, state.displacements)
-    lower, upper = problem.limits.following
+    q = command.following(state.forces, state.displacements)
+    lower, upper = command.limits.following
     return np.concatenate([(q - lower) / length, (upper - q) / length])
 
 

@@ -15,11 +15,7 @@ NULL = 1e-10
 class InputRows(NamedTuple):
     """Bounds and rows of the scaled step: lower <= y <= upper and A y <= b [-].
 
-    Attributes:
-        lower: Lowest step of each input.
-        upper: Highest step of each input.
-        A: Change, per unit of y, of the quantities that are not imposed.
-        b: Largest change allowed.
+    A y is the change of the quantities that are not imposed.
     """
 
     lower: Float[Array | HostArray, " n_a"]
@@ -37,15 +33,8 @@ def step_in_levels(
     """Minimise ||W y + error|| of the first level, then of the next among its minima.
 
     All minima of a level share W y, so the next level moves only in the null space of
-    W, and priorities are strict whatever the weights. Each level is one bounded QP.
-
-    Args:
-        levels: W and errors of each level, in units of std.
-        rows: Bounds and rows.
-        radius: Trust region, a bound on every entry of the step [-].
-
-    Returns:
-        The scaled step, and the largest optimality residual of the QPs of all levels.
+    W, and priorities are strict whatever the weights. Each level is one bounded QP; the
+    optimality residual is the largest of all. The radius bounds every entry of y.
     """
     moves = rows.upper > rows.lower
     lower = jnp.maximum(rows.lower, -radius)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,15 +10,12 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import (
-    Configuration,
-    EffectorRecord,
-    configuration_lanes,
-)
+from softcal_jax.calibration import QPStep
+from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.control._goals import Goal, goal_levels, with_goals
-from softcal_jax.control._limits import Limits, active_limits, limit_arrays
+from softcal_jax.control._limits import Limits, limit_arrays
 from softcal_jax.control._problem import (
-    ControlProblem,
+    Command,
     Linear,
     follow_room,
     level_errors,
@@ -114,19 +110,19 @@ def follow_trajectory(
 
     Args:
         model: The model.
-        configuration: Where the first command starts; see `solve_inverse`.
+        configuration: Where the first command starts.
         goals: Goals by name, for each point of the trajectory.
         limits: Limits of actuators; `step` holds between neighbouring points.
         priorities: Level of each effector.
         settings: Settings.
-        throw: Raise at the first search that fails, see `solve_inverse`.
+        throw: As `solve_inverse`.
 
     Returns:
         The commands, up to the first one without an equilibrium.
 
     Raises:
         ValueError: As `solve_inverse`.
-        RuntimeError: As `solve_inverse`.
+        RuntimeError: As `solve_inverse`, at the first search that fails.
     """
     points: list[InverseResult] = []
     now, guess = configuration, None
@@ -148,17 +144,7 @@ def follow_trajectory(
     return TrajectoryResult(tuple(points))
 
 
-class _Command(NamedTuple):
-    """A command as the user gave it, and as arrays."""
-
-    configuration: Configuration
-    effectors: tuple[EffectorRecord, ...]
-    priorities: Mapping[str, int]
-    problem: ControlProblem
-    settings: ControlSettings
-
-
-def _prepare(model, configuration, goals, limits, priorities, settings) -> _Command:
+def _prepare(model, configuration, goals, limits, priorities, settings) -> Command:
     """Check a command and build its arrays."""
     if not configuration.actuation:
         known = ", ".join(map(repr, model.mechanism.actuators.names)) or "none"
@@ -170,61 +156,51 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> _Comm
     configuration = with_goals(configuration, goals or {})
     allowed = limit_arrays(model.mechanism, configuration, limits or {})
     lanes = configuration_lanes(model.mesh, [configuration], model.mechanism)
-    arrays = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
-    problem = ControlProblem(
+    return Command(
         model=model,
-        configuration=arrays,
-        limits=allowed,
-        start=np.asarray(arrays.actuation.value),
-        levels=goal_levels(lanes, configuration.name, priorities),
-        epsilon=settings.epsilon,
-    )
-    return _Command(
         configuration=configuration,
+        lane=jax.tree.map(lambda leaf: leaf[0], lanes.arrays),
         effectors=lanes.effectors[0],
+        limits=allowed,
         priorities=priorities,
-        problem=problem,
+        levels=goal_levels(lanes, configuration.name, priorities),
         settings=settings,
     )
 
 
-def _search(command: _Command, guess: Float[HostArray, "n_points 3"]) -> InverseResult:
+def _search(command: Command, guess: Float[HostArray, "n_points 3"]) -> InverseResult:
     """Repeat: linearise, solve the QPs, try the step, keep it if it helps."""
-    problem, settings = command.problem, command.settings
-    box = problem.box()
+    settings, box = command.settings, command.box()
 
     def arrived(value, guess) -> Arrival:
-        model, configuration = problem.model, problem.configuration
+        model, lane = command.model, command.lane
         value, guess = jnp.asarray(value), jnp.asarray(guess)
-        found = arrive(
-            model, configuration, jnp.asarray(box), value, guess, settings.newton
-        )
+        found = arrive(model, lane, jnp.asarray(box), value, guess, settings.newton)
         return found._replace(value=np.asarray(found.value))
 
-    here = arrived(problem.start, guess)
+    here = arrived(command.start, guess)
     if not here.stands:
         return _result(command, here, None, OUTCOMES.no_equilibrium, [])
     decision = Decision(
         accepted=True,
         step_bound=settings.step_bound,
-        penalty=np.ones(len(problem.levels) + 1),
+        penalty=np.ones(len(command.levels) + 1),
     )
-    linear, records = linearise(problem, here.value, here.compliance), []
+    linear, records = linearise(command, here.value, here.compliance), []
     while (outcome := _outcome(command, here, linear, decision, records)) is None:
         levels = tuple(zip(linear.W, linear.error, strict=True))
         qp = step_in_levels(levels, linear.rows, jnp.asarray(decision.step_bound))
-        step, kkt = map(np.asarray, qp)
-        change = step * linear.scale
+        change = np.asarray(qp.lambda_p) * linear.scale
         moved = np.tensordot(change, here.compliance.displacement, axes=1)
         there = arrived(
             np.clip(here.value + change, *box),
             np.asarray(here.solution.displacement) + moved,
         )
-        trial = _trial(problem, linear, step, float(kkt), there, decision)
+        trial = _trial(command, linear, qp, there, decision)
         decision = decide(trial, decision, settings)
         if decision.accepted:
             here = there
-            linear = linearise(problem, here.value, here.compliance)
+            linear = linearise(command, here.value, here.compliance)
         violation, *costs = parts(linear.rows.b, linear.error)
         records.append(
             StepRecord(
@@ -240,36 +216,36 @@ def _search(command: _Command, guess: Float[HostArray, "n_points 3"]) -> Inverse
 
 
 def _trial(
-    problem: ControlProblem,
+    command: Command,
     linear: Linear,
-    step: Float[HostArray, " n_a"],
-    kkt_residual: float,
+    qp: QPStep,
     there: Arrival,
     before: Decision,
 ) -> Trial:
     """Compare the parts before a step with what was expected and what came of it."""
-    rows, error, change = linear.rows, linear.error, linear.W @ step
+    rows, error, step = linear.rows, linear.error, np.asarray(qp.lambda_p)
+    change = linear.W @ step
     now = parts(rows.b, error)
     tried = np.full_like(now, np.inf)
     if there.stands:
         state = there.compliance.state
-        room = follow_room(problem, state, linear.length)
-        tried = parts(room, level_errors(problem, state, linear.energy))
+        room = follow_room(command, state, linear.length)
+        tried = parts(room, level_errors(command, state, linear.energy))
     weight = before.penalty[1:, None]
     lengths = np.sum(weight * change**2) * np.sum(weight * error**2)
+    length = np.sqrt(max(lengths, np.finfo(float).tiny))
     return Trial(
         now=now,
         expected=parts(rows.b - rows.A @ step, error + change),
         tried=tried,
         size=float(np.abs(step).max()),
-        kkt_residual=kkt_residual,
-        cosine=-np.sum(weight * change * error)
-        / np.sqrt(max(lengths, np.finfo(float).tiny)),
+        kkt_residual=float(qp.kkt_residual),
+        cosine=-np.sum(weight * change * error) / length,
     )
 
 
 def _outcome(
-    command: _Command,
+    command: Command,
     here: Arrival,
     linear: Linear,
     decision: Decision,
@@ -277,7 +253,7 @@ def _outcome(
 ) -> OUTCOMES | None:
     """Determine how the search has ended; None while it goes on."""
     settings = command.settings
-    error = np.abs(command.problem.residuals(here.compliance.state)).max()
+    error = np.abs(command.residuals(here.compliance.state)).max()
     kept_limits = parts(linear.rows.b, linear.error)[0] <= ROUNDING
     met = error <= settings.tol and kept_limits
     if met and (settings.epsilon == 0.0 or decision.vanished):
@@ -290,13 +266,13 @@ def _outcome(
 
 
 def _result(
-    command: _Command,
+    command: Command,
     here: Arrival,
     linear: Linear | None,
     outcome: OUTCOMES,
     records: Sequence[StepRecord],
 ) -> InverseResult:
-    names = command.problem.model.mechanism.actuators.names
+    names = command.model.mechanism.actuators.names
     by_name = lambda values: dict(zip(names, map(float, values), strict=True))
     inputs, state = by_name(here.value), here.compliance.state
     asked = command.configuration.actuation
@@ -318,22 +294,27 @@ def _result(
         goals=goals,
         forces=by_name(state.forces),
         displacements=by_name(state.displacements),
-        active_limits=() if linear is None else _active(command.problem, here, linear),
+        active_limits=() if linear is None else _active(command, here, linear),
         steps=tuple(records),
     )
 
 
-def _active(problem: ControlProblem, here: Arrival, linear: Linear) -> tuple[str, ...]:
+def _active(command: Command, here: Arrival, linear: Linear) -> tuple[str, ...]:
     """List the limits that are reached, in words."""
-    lower, upper = problem.box()
+    lower, upper = command.box()
     of_inputs = [here.value - lower, upper - here.value] / linear.scale
-    of_rest = follow_room(problem, here.compliance.state, linear.length)
+    of_rest = follow_room(command, here.compliance.state, linear.length)
     room = np.concatenate([of_inputs, of_rest.reshape(2, -1)])
     active = (room <= 10.0 * ROUNDING) & (upper > lower)
-    gone = np.abs(here.value - problem.start)
-    return active_limits(
-        problem.model.mechanism,
-        np.asarray(problem.configuration.actuation.by_displacement),
-        active,
-        gone >= problem.limits.step * (1.0 - 1e-12),
-    )
+    step = command.limits.step * (1.0 - 1e-12)
+    step_reached = np.abs(here.value - command.start) >= step
+    by_displacement = np.asarray(command.lane.actuation.by_displacement)
+    actuators, found = command.model.mechanism.actuators, []
+    for a, row in np.argwhere(active.T):
+        of_input, side = row < 2, ("lower", "upper")[row % 2]
+        what = "displacement" if by_displacement[a] == of_input else "force"
+        if of_input and step_reached[a]:
+            what, side = f"step of the {what}", "longest"
+        noun, name = actuators.kinds[a].noun, actuators.names[a]
+        found.append(f"{what} of {noun} {name!r} at its {side} limit")
+    return tuple(found)

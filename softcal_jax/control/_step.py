@@ -66,12 +66,9 @@ class ControlSettings(eqx.Module):
 
 
 class Arrival(NamedTuple):
-    """The equilibrium at some inputs, and the derivatives there.
+    """The equilibrium at some inputs, with slack cables wound up, and its derivatives.
 
-    Attributes:
-        value: Inputs of all actuators, with slack cables wound up.
-        solution: The equilibrium.
-        compliance: Derivatives; nan where there is no equilibrium.
+    They are nan where there is no equilibrium.
     """
 
     value: Float[Array | HostArray, " n_a"]
@@ -111,15 +108,15 @@ def arrive(
 
 
 class Trial(NamedTuple):
-    """A step that was tried; its parts are violated limits, then each level's cost.
+    """A step that was tried; its parts are violated limits, then each level's cost [-].
 
     Attributes:
-        now: Parts before the step [-].
-        expected: Parts after the step, by the linear model [-].
-        tried: Parts after the step, at the true equilibrium; inf without one [-].
-        size: Largest entry of the step [-].
-        kkt_residual: Optimality residual of its QPs [-].
-        cosine: Cosine between the errors and their expected reduction [-].
+        now: Parts before the step.
+        expected: Parts after the step, by the linear model.
+        tried: Parts after the step, at the true equilibrium; inf without one.
+        size: Largest entry of the step.
+        kkt_residual: Optimality residual of its QPs.
+        cosine: Cosine between the errors and their expected reduction.
     """
 
     now: Float[HostArray, " n_parts"]

@@ -60,12 +60,8 @@ def sample_workspace(
         model: The model.
         configuration: Its `actuation` says which actuators are commanded, by force or
             by displacement; its effectors are recorded.
-        inputs: One actuation per row, in the order of `actuation`, in the units of the
-            actuators.
+        inputs: One actuation per row, in the order and units of `actuation`.
         settings: Settings of the equilibria.
-
-    Returns:
-        The samples; those without an equilibrium are nan and listed in `failures`.
 
     Raises:
         ValueError: If nothing is commanded, there are no effectors, or the inputs are

@@ -5,11 +5,10 @@ metres.
 """
 
 from softcal_jax.mesh._checks import check_mesh
+from softcal_jax.mesh._conversion import merge, to_linear, to_quadratic
 from softcal_jax.mesh._generators import beam
 from softcal_jax.mesh._location import MaterialPoints, locate
-from softcal_jax.mesh._merge import merge
 from softcal_jax.mesh._meshio import MeshWarning
-from softcal_jax.mesh._order import to_linear, to_quadratic
 from softcal_jax.mesh._reading import read_mesh
 from softcal_jax.mesh._selection import (
     Box,

@@ -45,7 +45,7 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
         raise ValueError("bad mesh:\n- " + "\n- ".join(problems))
 
 
-def shape_volumes(mesh: TetMesh) -> HostArray:
+def _shape_volumes(mesh: TetMesh) -> HostArray:
     """Divide signed volumes by that of the regular tet with the same rms edge [-]."""
     corners = mesh.points[mesh.tets[:, :4]]
     edges = np.array(TET_EDGES)
@@ -76,7 +76,7 @@ def _unused(mesh: TetMesh) -> Iterator[str]:
 
 
 def _bad_shapes(mesh: TetMesh) -> Iterator[str]:
-    shape = shape_volumes(mesh)
+    shape = _shape_volumes(mesh)
     flat = np.abs(shape) < FLAT
     inverted = (shape < 0) & ~flat
     folded = np.zeros_like(flat)

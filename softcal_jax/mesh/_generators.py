@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import HostArray
-from softcal_jax.mesh._order import check_order, to_quadratic
+from softcal_jax.mesh._conversion import check_order, to_quadratic
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
@@ -100,9 +100,6 @@ def beam(
         origin: Corner with the smallest coordinates [m].
         order: 1 for linear tets, 2 for quadratic ones.
         pattern: How a cell is cut into tets: "mirrored" or "centred".
-
-    Returns:
-        The mesh.
 
     Raises:
         ValueError: If an extent is not positive and finite, a cell count is not a

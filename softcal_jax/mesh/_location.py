@@ -37,11 +37,7 @@ class MaterialPoints(eqx.Module):
     def interpolate(
         self, field: Float[Array | HostArray, "n_nodes ..."]
     ) -> Float[Array | HostArray, "n ..."]:
-        """Interpolate a nodal field at the points, in its own unit.
-
-        Args:
-            field: One value per node, of any shape.
-        """
+        """Interpolate a nodal field of any shape at the points, in its own unit."""
         weights = self.weights.reshape(self.weights.shape + (1,) * (field.ndim - 1))
         return (weights * field[self.nodes]).sum(axis=1)
 
@@ -58,9 +54,6 @@ def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> Material
         mesh: The mesh, in its reference state.
         points: Positions [m].
         max_distance: How far outside the mesh a point may lie [m].
-
-    Returns:
-        The points, in the order given.
 
     Raises:
         ValueError: If a point is not finite or lies too far outside, or

@@ -43,8 +43,11 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
             f"mesh file {path} has the extension {suffix!r}; "
             f"expected one of {', '.join(FORMATS)}."
         )
-    if suffix == ".inp":
-        _check_inp(path)
+    if suffix == ".inp" and (sections := len(_headers(path, "NODE"))) > 1:
+        raise ValueError(
+            f"mesh file {path} has {sections} *NODE sections, of which the reader "
+            "keeps the last; merge them into one (export a flat file, without parts)."
+        )
 
     out, err = io.StringIO(), io.StringIO()
     try:
@@ -82,16 +85,6 @@ def _headers(path: Path, keyword: str) -> list[str]:
     """Find the lines of an Abaqus file that open a section."""
     text = path.read_text(errors="replace")
     return re.findall(rf"(?im)^\*{keyword}[ \t]*(?:,.*)?$", text)
-
-
-def _check_inp(path: Path):
-    """Refuse several *NODE sections, of which meshio keeps only the last."""
-    sections = len(_headers(path, "NODE"))
-    if sections > 1:
-        raise ValueError(
-            f"mesh file {path} has {sections} *NODE sections, of which the reader "
-            "keeps the last; merge them into one (export a flat file, without parts)."
-        )
 
 
 def _mend_inp_sets(path: Path, raw: meshio.Mesh):

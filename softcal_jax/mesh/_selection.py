@@ -43,11 +43,7 @@ class AbstractRegion(eqx.Module):
         """Compute the distance of points from the region [m], zero inside."""
 
     def __call__(self, points: Float[HostArray, "n 3"]) -> Bool[HostArray, " n"]:
-        """Say which points lie in the region, within its tolerance.
-
-        Args:
-            points: Positions [m].
-        """
+        """Say which points [m] lie in the region, within its tolerance."""
         return self.distance(points) <= self.tolerance
 
 
@@ -126,14 +122,11 @@ class Sphere(AbstractRegion):
 
 
 def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
-    """Select the nodes whose position satisfies a predicate.
+    """Select the nodes whose position satisfies a predicate, sorted.
 
     Args:
         mesh: The mesh.
         where: `Box`, `Plane`, `Sphere` or any callable from points [m] to booleans.
-
-    Returns:
-        Node indices, sorted.
 
     Raises:
         ValueError: If no node satisfies it, or it does not give one boolean per point.
@@ -145,14 +138,11 @@ def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
 
 
 def select_faces(mesh: TetMesh, where: Predicate) -> Int[HostArray, "n n_fn"]:
-    """Select the boundary faces whose nodes all satisfy a predicate.
+    """Select the boundary faces whose nodes all satisfy a predicate, normals outwards.
 
     Args:
         mesh: The mesh.
         where: `Box`, `Plane`, `Sphere` or any callable from points [m] to booleans.
-
-    Returns:
-        3 or 6 nodes of each face, normals outwards.
 
     Raises:
         ValueError: If no face satisfies it, or it does not give one boolean per point.

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax.mesh._conversion import check_order, to_quadratic
 from softcal_jax.mesh._generators import kuhn_tets, oriented
-from softcal_jax.mesh._order import check_order, to_quadratic
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
@@ -89,9 +89,6 @@ def tripod(
         layers: Number of layers of tets through the thickness.
         order: 2 for quadratic tets; 1 for linear ones, which are far too stiff in
             bending.
-
-    Returns:
-        The mesh.
 
     Raises:
         ValueError: If a length is not positive and finite, a number is out of its
