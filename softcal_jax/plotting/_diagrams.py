@@ -172,11 +172,10 @@ def plot_trials(
 
     if not any(np.isfinite(values).any() for values in figures.values()):
         raise ValueError("there is nothing to draw: no trial has converged yet.")
-    n_rows, n_columns = len(figures), len(columns)
+    n_rows, n_columns = shape = len(figures), len(columns)
     size = (max(8.0, 2.0 + 5.0 * n_columns), 1.2 + 3.0 * n_rows)
     drawing = Figure(figsize=size, dpi=_DPI, layout="constrained")
-    shared = {"sharex": "col", "sharey": "row"}
-    panels = drawing.subplots(n_rows, n_columns, squeeze=False, **shared)
+    panels = drawing.subplots(*shape, sharex="col", sharey="row", squeeze=False)
     for row, (label, values) in zip(panels, figures.items(), strict=True):
         for axes, where in zip(row, columns.values(), strict=True):
             _draw(axes, where, values)
