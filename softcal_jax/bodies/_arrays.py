@@ -9,7 +9,7 @@ import numpy as np
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.bodies._body import RigidBody
-from softcal_jax.mesh import TetMesh, named_nodes
+from softcal_jax.mesh import TetMesh, node_indices
 
 
 class BodyArrays(eqx.Module):
@@ -134,7 +134,7 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
 def _nodes(mesh: TetMesh, body: RigidBody) -> HostArray:
     what = f"rigid body {body.name!r}"
     found = np.unique(
-        np.concatenate([named_nodes(mesh, where, what) for where in body.where])
+        np.concatenate([node_indices(mesh, where, what) for where in body.where])
     )
     x = mesh.points[found] - mesh.points[found].mean(axis=0)
     spread = np.linalg.svd(x, compute_uv=False) if len(found) > 2 else np.zeros(3)

@@ -15,7 +15,7 @@ from softcal_jax.configurations._effector import (
     vector_rows,
 )
 from softcal_jax.configurations._mechanism import Mechanism
-from softcal_jax.mesh import TetMesh, named_nodes
+from softcal_jax.mesh import TetMesh, node_indices
 
 
 class ActuatorDisplacement(AbstractScalar):
@@ -99,7 +99,7 @@ class SupportReaction(AbstractVector):
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Its three coordinates."""
-        nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
+        nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
         ones = np.ones(nodes.size)
         row = EffectorRow(self.name, "reaction", "N", nodes=nodes, weights=ones)

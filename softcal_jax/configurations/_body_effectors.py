@@ -21,7 +21,7 @@ from softcal_jax.configurations._effector import (
     vector_rows,
 )
 from softcal_jax.configurations._mechanism import Mechanism
-from softcal_jax.mesh import TetMesh, named_nodes
+from softcal_jax.mesh import TetMesh, node_indices
 
 
 def _point(value: Float[ArrayLike, "3"] | Sequence[float]) -> HostArray:
@@ -115,7 +115,7 @@ class Centroid(AbstractVector):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Return its position."""
         del mechanism
-        nodes = named_nodes(mesh, self.where, f"effector {self.name!r}")
+        nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         row = EffectorRow(
             name=self.name,
             quantity="point",

@@ -4,6 +4,7 @@ from softcal_jax.identifiability._assessment import Assessment, assess
 from softcal_jax.identifiability._conditioning import Conditioning, conditioning
 from softcal_jax.identifiability._design import Design, greedy_design
 from softcal_jax.identifiability._directions import Direction
+from softcal_jax.identifiability._display import table
 from softcal_jax.identifiability._gains import Gain, Unranked
 from softcal_jax.identifiability._identify import identifiability, identify
 from softcal_jax.identifiability._ranking import Ranking, rank_configurations
@@ -33,4 +34,5 @@ __all__ = [
     "identifiability",
     "identify",
     "rank_configurations",
+    "table",
 ]
