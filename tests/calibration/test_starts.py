@@ -11,6 +11,7 @@ import pytest
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     CalibrationProblem,
+    Evaluator,
     MultiStartResult,
     Optimum,
     at_rest,
@@ -21,7 +22,6 @@ from softcal_jax.calibration import (
     random_starts,
     synthetic_measurements,
 )
-from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._runs import (
     Run,
     images_of,
