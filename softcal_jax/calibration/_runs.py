@@ -1,5 +1,6 @@
 """The outer loop: from one start to its end, and from its mirror images."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -165,11 +166,17 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
 
 
 def better(best: Run, new: Run) -> Run:
-    """Return the lower of two ends, with the steps of both, the errors of the first."""
-    # A run that is continued may converge where it was, within rounding.
-    same = new.converged and not best.converged
-    same = same and new.cost <= 1.000001 * best.cost + 1e-9
-    lower = new if new.cost < best.cost or same else best
+    """Return the lower of two ends, with the steps of both, the errors of the first.
+
+    Of two ends at the same place, within rounding, a converged one counts. Elsewhere an
+    end that is lower counts even if it has not converged: it shows that the other is
+    not the best optimum, and the last images go on from it.
+    """
+    same = math.isclose(new.cost, best.cost, rel_tol=1e-6, abs_tol=1e-9)
+    if same and new.converged != best.converged:
+        lower = new if new.converged else best
+    else:
+        lower = new if new.cost < best.cost else best
     errors = best.errors if best.steps else new.errors
     return replace(lower, steps=best.steps + new.steps, errors=errors)
 
