@@ -90,6 +90,8 @@ class Journal:
         self._mark = _fingerprint(problem, settings, search)
         if self._path.exists():
             self._load(self._path)
+        if self.history:
+            self._begin -= self.history[-1].seconds
 
     def note(self, state: CalibrationState) -> None:
         """Record a step."""

@@ -128,7 +128,7 @@ class HistoryEntry(eqx.Module):
         kkt_residual: Optimality residual of the QP [-].
         newton_steps: Newton iterations of each configuration.
         values: Parameters after the step, in SI units.
-        seconds: Wall time since the start [s].
+        seconds: Wall time spent so far, without pauses before a resume [s].
     """
 
     step: int

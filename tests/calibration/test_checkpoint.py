@@ -85,6 +85,8 @@ def assert_same_history(ours, theirs):
         for name, value in b.values.items():
             assert a.values[name] == pytest.approx(value, rel=1e-3, abs=1e-5)
         assert type(a.lambda_p) is type(a.newton_steps) is tuple
+    seconds = [entry.seconds for entry in ours]
+    assert seconds == sorted(seconds)
 
 
 @pytest.mark.parametrize("n", [0, 1, 4])
