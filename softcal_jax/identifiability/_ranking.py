@@ -122,8 +122,8 @@ class Ranking(eqx.Module):
                 *table(tuple(head.split(", ")), rows),
                 f"Without a candidate {self.blind_before} of {n_p} directions are "
                 "blind. Volume: factor on that of the uncertainty, exp(-D gain / 2). E "
-                "gain: information added where there is least, in units of what the "
-                "bounds know.",
+                "gain: information added where there is least, in units of what bounds "
+                "and priors know.",
                 *map(str, self.unranked),
             ]
         )

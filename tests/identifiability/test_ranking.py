@@ -103,6 +103,7 @@ def test_text(ranking):
     assert "of E of tip: 101 to " in lines[0]
     assert [line.split()[0] for line in lines[2:4]] == ["swap", "pull"]
     assert "1 of 2 directions are blind" in lines[6]
+    assert "in units of what bounds and priors know" in lines[6]
     assert sum(line.startswith("Not ranked") for line in lines) == 2
     assert "nan" not in str(ranking)
 
