@@ -15,12 +15,12 @@ from softcal_jax.calibration import (
     build_problem,
     calibrate,
     evaluate,
-    fit_notes,
     initial_state,
     levenberg_marquardt,
 )
-from softcal_jax.calibration._descent import _decide, _propose
-from softcal_jax.calibration._proposal import SMALLEST_FALL
+from softcal_jax.calibration._notes import fit_notes
+from softcal_jax.calibration._runs import _decide, _propose
+from softcal_jax.calibration._step import SMALLEST_FALL
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -291,7 +291,7 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     assert bool(state.stalled)
     assert not bool(state.converged)
     np.testing.assert_array_equal(state.z, z)
-    notes = fit_notes(problem, state, settings)
+    notes = fit_notes(state, settings)
     assert len(notes) == 1
     assert "steps were refused" in notes[0]
 

@@ -11,6 +11,7 @@ import pytest
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     CalibrationProblem,
+    Evaluator,
     MultiStartResult,
     Optimum,
     at_rest,
@@ -21,9 +22,9 @@ from softcal_jax.calibration import (
     random_starts,
     synthetic_measurements,
 )
-from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._runs import (
     Run,
+    better,
     images_of,
     nothing_yet,
     origin,
@@ -221,6 +222,33 @@ def test_images_of_the_end_and_of_the_start(measured):
         assert wanted(problem, run(1.0, True), image) == elsewhere
         assert wanted(problem, run(1.0, False), image)
         assert not wanted(problem, run(0.0, True), image)
+
+
+def test_which_of_two_ends_counts():
+    """The lower one, converged or not; at the same place the converged one."""
+
+    def end(cost, converged):
+        return Run(
+            z=np.full(1, cost),
+            cost=cost,
+            steps=3,
+            converged=converged,
+            errors=np.full(2, cost),
+        )
+
+    done, almost = end(2.0, True), end(2.0 - 1e-9, False)
+    for first, second in ((done, almost), (almost, done)):
+        found = better(first, second)
+        assert found.converged
+        assert found.cost == 2.0
+        assert found.steps == 6
+        np.testing.assert_array_equal(found.errors, first.errors)
+    # It shows that the other is not the best optimum, and is continued.
+    lower = end(1.0, False)
+    for first, second in ((done, lower), (lower, done)):
+        assert better(first, second).cost == 1.0
+    nothing = nothing_yet(FROM_ANYWHERE, jnp.zeros(1))
+    assert better(nothing, done).cost == 2.0
 
 
 def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):

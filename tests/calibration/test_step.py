@@ -15,8 +15,8 @@ from softcal_jax.calibration import (
     initial_state,
     synthetic_measurements,
 )
-from softcal_jax.calibration._descent import _decide, _propose
 from softcal_jax.calibration._notes import warn_if_too_few_data
+from softcal_jax.calibration._runs import _decide, _propose
 from softcal_jax.calibration._state import MEMORY
 from softcal_jax.robots import anisotropic_beam
 
