@@ -116,11 +116,7 @@ def body_state_arrays(
 ) -> BodyStateArrays:
     """Stack the states of the rigid bodies; those not named are free.
 
-    Args:
-        mechanism: The bodies of the model.
-        states: Their states by name; a `Pose` holds the body there, and a text is the
-            `kind` of a `BodyState`.
-        configuration: Name of the configuration, for messages.
+    A `Pose` holds the body there, and a text is the `kind` of a `BodyState`.
 
     Raises:
         ValueError: If a name is unknown, a body is tied to another or has a motor, or

@@ -3,39 +3,49 @@
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.configurations._effector import EffectorRow
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.mesh import TetMesh, locate, volumes
 
 
-def carriers(
-    mesh: TetMesh, markers: Markers
-) -> list[tuple[Int[HostArray, " n"], Float[HostArray, " n"]]]:
-    """Find the nodes and weights with which each marker follows the mesh.
-
-    Args:
-        mesh: The mesh at rest.
-        markers: The markers.
-
-    Returns:
-        One pair per marker; its position is the weighted sum of node positions.
-
-    Raises:
-        ValueError: If a marker is too far from the mesh, or its base holds too few
-            nodes.
-    """
-    at = locate(mesh, markers.positions, max_distance=markers.max_distance)
-    if markers.base_radius == 0.0:
-        return list(zip(at.nodes, at.weights, strict=True))
-    volume = _nodal_volumes(mesh)
+def marker_rows(
+    mesh: TetMesh, markers: Markers, measured: Float[HostArray, "n_markers 3"] | None
+) -> list[EffectorRow]:
+    """Return markers as rows of effectors, with their measured values if given."""
+    inverse_std, known = markers.inverse_std(), measured is not None
+    values = np.full((len(markers.names), 3), np.nan) if measured is None else measured
     return [
-        _patch(mesh, volume, foot, position, radius=markers.base_radius, name=name)
-        for foot, position, name in zip(
-            at.foot, markers.positions, markers.names, strict=True
+        EffectorRow(
+            name=name,
+            quantity="point",
+            unit="m",
+            measured=values[i],
+            inverse_std=inverse_std[i] * known,
+            nodes=nodes,
+            weights=weights,
+        )
+        for i, (name, (nodes, weights)) in enumerate(
+            zip(markers.names, _carriers(mesh, markers), strict=True)
         )
     ]
 
 
-def _patch(mesh, volume, foot, position, *, radius, name):
+def _carriers(
+    mesh: TetMesh, markers: Markers
+) -> list[tuple[Int[HostArray, " n"], Float[HostArray, " n"]]]:
+    """Find nodes whose positions, summed with weights, are those of each marker."""
+    at = locate(mesh, markers.positions, max_distance=markers.max_distance)
+    if markers.base_radius == 0.0:
+        return list(zip(at.nodes, at.weights, strict=True))
+    # The volume of each tet is shared evenly among its nodes: integrals of quadratic
+    # shape functions would give corners a negative share.
+    volume = np.zeros(mesh.n_nodes)
+    np.add.at(volume, mesh.tets, volumes(mesh)[:, None] / mesh.tets.shape[1])
+    feet = zip(at.foot, markers.positions, markers.names, strict=True)
+    return [_patch(mesh, volume, *foot, radius=markers.base_radius) for foot in feet]
+
+
+def _patch(mesh, volume, foot, position, name, *, radius):
     """Return nodes within a radius of the foot, and weights of their affine motion."""
     nodes = np.flatnonzero(np.linalg.norm(mesh.points - foot, axis=1) <= radius)
     share = np.sqrt(volume[nodes])
@@ -51,14 +61,3 @@ def _patch(mesh, volume, foot, position, *, radius, name):
         )
     at_marker = np.concatenate([[1.0], (position - centre) / radius])
     return nodes, at_marker @ np.linalg.pinv(share[:, None] * A) * share
-
-
-def _nodal_volumes(mesh: TetMesh) -> Float[HostArray, " n_nodes"]:
-    """Share the volume of each tet evenly among its nodes [m3].
-
-    Integrals of quadratic shape functions would give corners a negative share.
-    """
-    share = volumes(mesh) / mesh.tets.shape[1]
-    out = np.zeros(mesh.n_nodes)
-    np.add.at(out, mesh.tets, share[:, None])
-    return out

@@ -2,48 +2,64 @@
 
 import csv
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from softcal_jax._names import METRES, suggestion
-
-
-class Row(NamedTuple):
-    """A line of the file, from 1, and its cells by column."""
-
-    line: int
-    cells: dict[str, str]
+from softcal_jax._typing import Float, HostArray
 
 
 class CsvTable(NamedTuple):
-    """The selected rows of a file.
+    """The selected rows of a file, as cells by column, and their lines from 1.
 
     `key` is the column that names what a row is about: "marker" or "sensor".
     """
 
     path: Path
     header: list[str]
-    rows: list[Row]
+    rows: list[dict[str, str]]
+    lines: tuple[int, ...]
     key: str
     source: str
 
-    def number(self, row: Row, column: str) -> float:
-        """Read the number in a cell, nan if it is blank.
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each row is about."""
+        return tuple(row[self.key] for row in self.rows)
+
+    def numbers(self, columns: Sequence[str]) -> Float[HostArray, "n_rows n_columns"]:
+        """Read the numbers in some columns, nan where a cell is blank.
 
         Raises:
-            ValueError: If it is something else.
+            ValueError: If a cell holds something else.
         """
-        cell = row.cells[column]
-        if not cell:
-            return float("nan")
-        try:
-            return float(cell)
-        except ValueError as error:
+        values = np.full((len(self.rows), len(columns)), np.nan)
+        for i, row in enumerate(self.rows):
+            for k, column in enumerate(columns):
+                try:
+                    values[i, k] = float(row[column] or "nan")
+                except ValueError as error:
+                    raise ValueError(
+                        f"{self.path}, line {self.lines[i]}: {column} of {self.key} "
+                        f"{row[self.key]!r} is {row[column]!r}, not a number."
+                    ) from error
+        return values
+
+    def check_columns(self, columns: Iterable[str]) -> None:
+        """Raise ValueError for a column that is not in the header."""
+        for column in columns:
+            if column in self.header:
+                continue
+            hint = suggestion(column, self.header)
+            if len(self.header) == 1:
+                hint += " Separate the columns by commas."
             raise ValueError(
-                f"{self.path}, line {row.line}: {column} of {self.key} "
-                f"{row.cells[self.key]!r} is {cell!r}, not a number."
-            ) from error
+                f"{self.path}: column {column!r} is missing.{hint} Columns there: "
+                f"{', '.join(self.header)}."
+            )
 
 
 def read_table(
@@ -62,12 +78,52 @@ def read_table(
             `key` is missing, or nothing is selected.
     """
     path = Path(path)
-    header, rows = _read_rows(path, key)
-    chosen = _selected(path, header, rows, dict(select or {}))
-    source = str(path)
-    if select:
-        source += f" ({_listed(select.items())})"
-    return CsvTable(path=path, header=header, rows=chosen, key=key, source=source)
+    # Parsed line by line, so that messages can name the line: no cell spans two.
+    lines = [
+        (number, [cell.strip() for cell in next(csv.reader([line]))])
+        for number, line in read_lines(path, key)
+    ]
+    if len(lines) < 2:
+        raise ValueError(f"{key} file {path} holds no rows below a header.")
+    header = lines[0][1]
+    for column in header:
+        if header.count(column) > 1:
+            raise ValueError(f"{path}: its header has the column {column!r} twice.")
+    rows = []
+    for number, cells in lines[1:]:
+        if len(cells) != len(header):
+            raise ValueError(
+                f"{path}, line {number}: {len(cells)} cells under a header of "
+                f"{len(header)} columns ({', '.join(header)})."
+            )
+        rows.append(dict(zip(header, cells, strict=True)))
+    numbers = tuple(number for number, _ in lines[1:])
+    table = CsvTable(path, header, rows, numbers, key, str(path))
+    table.check_columns([key])
+    return _selected(table, select) if select else table
+
+
+def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
+    for column, value in select.items():
+        table.check_columns([column])
+        present = list(dict.fromkeys(row[column] for row in table.rows))
+        if value not in present:
+            raise ValueError(
+                f"{table.path}: no row has {column} = {value!r}."
+                f"{suggestion(value, present)} Values there: {', '.join(present)}."
+            )
+    listed = ", ".join(f"{column} = {value}" for column, value in select.items())
+    # The items of a dictionary are a set: those of `select` are among those of a row.
+    chosen = [i for i, row in enumerate(table.rows) if select.items() <= row.items()]
+    if not chosen:
+        raise ValueError(
+            f"{table.path}: no row has {listed} together, although each value is there."
+        )
+    return table._replace(
+        rows=[table.rows[i] for i in chosen],
+        lines=tuple(table.lines[i] for i in chosen),
+        source=f"{table.path} ({listed})",
+    )
 
 
 def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
@@ -92,56 +148,6 @@ def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
     ]
 
 
-def _read_rows(path: Path, key: str) -> tuple[list[str], list[Row]]:
-    # Parsed line by line, so that messages can name the line: no cell spans two.
-    lines = [
-        (number, [cell.strip() for cell in next(csv.reader([line]))])
-        for number, line in read_lines(path, key)
-    ]
-    if len(lines) < 2:
-        raise ValueError(f"{key} file {path} holds no rows below a header.")
-    header = lines[0][1]
-    for column in header:
-        if header.count(column) > 1:
-            raise ValueError(f"{path}: its header has the column {column!r} twice.")
-    rows = []
-    for number, cells in lines[1:]:
-        if len(cells) != len(header):
-            raise ValueError(
-                f"{path}, line {number}: {len(cells)} cells under a header of "
-                f"{len(header)} columns ({', '.join(header)})."
-            )
-        rows.append(Row(number, dict(zip(header, cells, strict=True))))
-    if key not in header:
-        raise missing(path, key, header)
-    return header, rows
-
-
-def _selected(
-    path: Path, header: list[str], rows: list[Row], select: dict[str, str]
-) -> list[Row]:
-    for column, value in select.items():
-        if column not in header:
-            raise missing(path, column, header)
-        present = list(dict.fromkeys(row.cells[column] for row in rows))
-        if value not in present:
-            raise ValueError(
-                f"{path}: no row has {column} = {value!r}.{suggestion(value, present)} "
-                f"Values there: {', '.join(present)}."
-            )
-    chosen = [
-        row
-        for row in rows
-        if all(row.cells[column] == value for column, value in select.items())
-    ]
-    if not chosen:
-        raise ValueError(
-            f"{path}: no row has {_listed(select.items())} together, although each "
-            "value is there."
-        )
-    return chosen
-
-
 def check_length_unit(unit: str) -> None:
     """Raise ValueError unless the unit of length is known."""
     if unit not in METRES:
@@ -161,7 +167,13 @@ def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], fl
     path, header = table.path, table.header
     if length_unit is not None:
         check_length_unit(length_unit)
-    unit = _unit_of_columns(path, header)
+    units = [unit for unit in METRES if f"x_{unit}" in header]
+    if len(units) > 1:
+        raise ValueError(
+            f"{path}: it has the coordinates in more than one unit "
+            f"({', '.join(f'x_{unit}' for unit in units)}); keep one."
+        )
+    unit = units[0] if units else None
     if unit is None and length_unit is None and {"x", "y", "z"} <= set(header):
         raise ValueError(
             f"{path}: its columns x, y, z carry no unit; name them like x_mm, or give "
@@ -173,33 +185,5 @@ def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], fl
             f"{length_unit!r}; leave length_unit out."
         )
     columns = [axis if unit is None else f"{axis}_{unit}" for axis in "xyz"]
-    for column in columns:
-        if column not in header:
-            raise missing(path, column, header)
+    table.check_columns(columns)
     return columns, METRES[unit or str(length_unit)]
-
-
-def _unit_of_columns(path: Path, header: list[str]) -> str | None:
-    """Return the unit that the column of x carries in its name, if any."""
-    units = [unit for unit in METRES if f"x_{unit}" in header]
-    if len(units) > 1:
-        raise ValueError(
-            f"{path}: it has the coordinates in more than one unit "
-            f"({', '.join(f'x_{unit}' for unit in units)}); keep one."
-        )
-    return units[0] if units else None
-
-
-def missing(path: Path, column: str, header: list[str]) -> ValueError:
-    """Make the error for a column that is not in the header."""
-    hint = suggestion(column, header)
-    if len(header) == 1:
-        hint += " Separate the columns by commas."
-    return ValueError(
-        f"{path}: column {column!r} is missing.{hint} Columns there: "
-        f"{', '.join(header)}."
-    )
-
-
-def _listed(pairs: Iterable[tuple[str, str]]) -> str:
-    return ", ".join(f"{column} = {value}" for column, value in pairs)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations._axes import parse_axes
+from softcal_jax.configurations._values import as_floats, parse_axes
 
 
 def _as_names(names: Iterable[str]) -> tuple[str, ...]:
@@ -37,9 +37,7 @@ class Markers(eqx.Module):
     """
 
     names: tuple[str, ...] = eqx.field(converter=_as_names)
-    positions: Float[HostArray, "n_markers 3"] = eqx.field(
-        converter=lambda value: np.asarray(value, float)
-    )
+    positions: Float[HostArray, "n_markers 3"] = eqx.field(converter=as_floats)
     std: Float[ArrayLike, "..."] = 1e-3
     axes: str = "xyz"
     max_distance: float = 0.01
@@ -92,14 +90,9 @@ class Markers(eqx.Module):
         return out
 
     def check_measured(
-        self, measured: Float[ArrayLike, "n_markers 3"], configuration: str
-    ) -> Float[HostArray, "n_markers 3"]:
-        """Check measured positions and return them as an array.
-
-        Raises:
-            ValueError: If the number of markers is wrong or a position is not finite.
-        """
-        measured = np.asarray(measured, float)
+        self, measured: Float[HostArray, "n_markers 3"], configuration: str
+    ) -> None:
+        """Raise ValueError unless each marker has a finite position on its axes."""
         if measured.shape != self.positions.shape:
             raise ValueError(
                 f"configuration {configuration!r} has {len(self.names)} markers "
@@ -114,4 +107,3 @@ class Markers(eqx.Module):
                 f"measured at {measured[bad[0]]}: expected finite numbers [m]. Leave a "
                 "marker that was lost out of this configuration's markers."
             )
-        return measured

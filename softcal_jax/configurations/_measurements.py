@@ -29,9 +29,6 @@ class MarkerTable(eqx.Module):
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3"]:
         """Return positions of some markers, in the order of their names [m].
 
-        Args:
-            names: Markers, each in the table.
-
         Raises:
             ValueError: If a marker is not there, or its position is not finite.
         """
@@ -88,21 +85,13 @@ def read_markers(
     """
     table = read_table(path, "marker", select)
     columns, metres = coordinates(table, length_unit)
-    names, positions = [], []
-    for row in table.rows:
-        name = row.cells["marker"]
-        if name in names:
-            first = table.rows[names.index(name)].line
+    for name, line in zip(table.names, table.lines, strict=True):
+        first = table.lines[table.names.index(name)]
+        if first != line:
             raise ValueError(
                 f"{table.path}: marker {name!r} is there twice, in lines {first} and "
-                f"{row.line}; select the rows of one recording "
+                f"{line}; select the rows of one recording "
                 f"(columns: {', '.join(table.header)})."
             )
-        names.append(name)
-        positions.append([table.number(row, column) for column in columns])
-    return MarkerTable(
-        tuple(names),
-        metres * np.array(positions).reshape(-1, 3),
-        tuple(row.line for row in table.rows),
-        table.source,
-    )
+    positions = metres * table.numbers(columns)
+    return MarkerTable(table.names, positions, table.lines, table.source)

@@ -63,9 +63,6 @@ def build_mechanism(
         bodies: Rigid bodies.
         actuators: Cables, chambers, motors, forces.
 
-    Returns:
-        The mechanism.
-
     Raises:
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
             body that is tied to another or has a motor already.

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.configurations._axes import parse_axes
+from softcal_jax.configurations._values import parse_axes, three_numbers
 from softcal_jax.mesh import TetMesh, node_indices, surface_shares
 
 
@@ -33,13 +33,7 @@ class Support(eqx.Module):
         parse_axes(self.axes)
         if self.stiffness is not None:
             self._check_stiffness(self.stiffness)
-        if np.shape(self.displacement) != (3,) or not np.all(
-            np.isfinite(self.displacement)
-        ):
-            raise ValueError(
-                "displacement must be three finite numbers [m], "
-                f"got {self.displacement!r}."
-            )
+        three_numbers("displacement", "m", self.displacement)
 
     def apply(
         self,
@@ -47,17 +41,11 @@ class Support(eqx.Module):
         fixed: Bool[HostArray, "n_nodes 3"],
         imposed: Float[HostArray, "n_nodes 3"],
     ) -> None:
-        """Write the support into the masks of a configuration.
-
-        Raises:
-            ValueError: If the group or a node is unknown, or a node is given two
-                displacements.
-        """
+        """Write the support into the masks of a configuration."""
         nodes = node_indices(mesh, self.where, "a support")
         for axis in parse_axes(self.axes):
-            clash = fixed[nodes, axis] & (
-                imposed[nodes, axis] != self.displacement[axis]
-            )
+            other = imposed[nodes, axis] != self.displacement[axis]
+            clash = fixed[nodes, axis] & other
             if np.any(clash):
                 raise ValueError(
                     f"node {nodes[clash][0]} is held twice along "
