@@ -200,7 +200,8 @@ class ActuatorDisplacement(AbstractScalar):
         if kind.displacement_unit is None:
             raise ValueError(
                 f"effector {self.name!r}: {kind.noun} {self.actuator!r} has no "
-                "displacement; use ActuatorForce."
+                "displacement; use ActuatorForce (in a project file type = "
+                '"actuator-force").'
             )
         unit = kind.displacement_unit
         row = EffectorRow(self.name, "scalar", unit, about=(a, -1))

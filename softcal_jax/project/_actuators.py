@@ -4,6 +4,7 @@ To add an actuator, write one table with the keys of its class and list it in
 `AnyActuator`.
 """
 
+import contextlib
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -26,12 +27,14 @@ from softcal_jax.configurations import (
     Mechanism,
     actuation_arrays,
 )
-from softcal_jax.project._problems import known_name, shown, under
-from softcal_jax.project._quantities import dimension_of, parse_either
-from softcal_jax.project._table import Direction, Maker, Position
+from softcal_jax.project._problems import known_name, under
+from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
+from softcal_jax.project._table import Direction, Maker, Position, Surface
 
-_SURFACE = Field(description='name of a surface group: "z_max"')
-_DIRECTION = Field(description='direction of a positive force: "-z", or [0, 0, -1]')
+Positive = Annotated[
+    Direction,
+    Field(description='direction of a positive force: "-z", or [0, 0, -1]'),
+]
 
 
 class ActuatorTable(Maker):
@@ -46,11 +49,7 @@ class ActuatorTable(Maker):
     asked: ClassVar[str] = 'its force, like "2 N", or its displacement, like "5 mm"'
 
     def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
-        """Parse an imposed force or displacement; the unit tells which it is.
-
-        Raises:
-            ValueError: If it is neither.
-        """
+        """Parse an imposed force or displacement; the unit tells which it is."""
         releasing = False
         if isinstance(value, dict):  # a cable with friction: which way it last moved
             unknown = set(value) - {"value", "releasing"}
@@ -61,13 +60,17 @@ class ActuatorTable(Maker):
                 )
             releasing, value = value.get("releasing", False), value.get("value")
         kind = self.makes.kind
-        units = [unit for unit in (kind.force_unit, kind.displacement_unit) if unit]
-        dimensions = list(map(dimension_of, units))
-        what = f"of a {kind.noun}, {self.asked}"
-        number, dimension = parse_either(value, dimensions, what)
-        if dimension is dimensions[0]:
-            return ImposedForce(number, releasing)
-        return ImposedDisplacement(number, releasing)
+        forms = {
+            ImposedForce: kind.force_unit,
+            ImposedDisplacement: kind.displacement_unit,
+        }
+        for impose, unit in forms.items():
+            with contextlib.suppress(ValueError):  # of the other dimension, or neither
+                if unit is not None:
+                    return impose(parse_scalar(value, dimension_of(unit)), releasing)
+        raise ValueError(
+            f"got {shown(value)}; expected of a {kind.noun}, {self.asked}."
+        )
 
 
 class GuideTable(Maker):
@@ -100,12 +103,6 @@ class CableTable(ActuatorTable):
             return value
         return [g if isinstance(g, dict) else {"point": g} for g in value]
 
-    def build(self, *first: Any) -> Cable:
-        """Build the cable."""
-        guides = [guide.build() for guide in self.guides]
-        options = {"friction": self.friction, "pulled_from": self.pulled_from}
-        return Cable(*first, guides=guides, **options)
-
 
 class ChamberTable(ActuatorTable):
     """A chamber, which inflates a cavity."""
@@ -124,7 +121,7 @@ class SurfacePressureTable(ActuatorTable):
     asked = 'its pressure, like "10 kPa"'
 
     type: Literal["surface-pressure"]
-    surface: str = _SURFACE
+    surface: Surface
 
 
 class MotorTable(ActuatorTable):
@@ -154,7 +151,7 @@ class ForceActuatorTable(ActuatorTable):
 
     type: Literal["point-force"]
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
-    direction: Direction = _DIRECTION
+    direction: Positive
 
 
 class SurfaceForceActuatorTable(ActuatorTable):
@@ -163,8 +160,8 @@ class SurfaceForceActuatorTable(ActuatorTable):
     makes = SurfaceForceActuator
 
     type: Literal["surface-force"]
-    surface: str = _SURFACE
-    direction: Direction = _DIRECTION
+    surface: Surface
+    direction: Positive
 
 
 AnyActuator = Annotated[
@@ -177,27 +174,19 @@ AnyActuator = Annotated[
     Field(discriminator="type"),
 ]
 
-Actuation = dict[str, ImposedForce | ImposedDisplacement]
-
 
 def build_actuation(
     asked: Mapping[str, Any],
     tables: Mapping[str, ActuatorTable],
     mechanism: Mechanism,
     name: str,
-) -> Actuation:
-    """Parse imposed forces and displacements; the unit of a value tells which it is.
-
-    Args:
-        asked: Imposed values as the file has them, by the names of actuators.
-        tables: The actuators, by name.
-        mechanism: The same actuators attached to the mesh.
-        name: Name of the configuration, for messages.
+) -> dict[str, ImposedForce | ImposedDisplacement]:
+    """Parse the forces and displacements that a configuration imposes, by actuator.
 
     Raises:
         WrongKeyError: If an actuator is unknown, or cannot have such a value imposed.
     """
-    imposed: Actuation = {}
+    imposed: dict[str, ImposedForce | ImposedDisplacement] = {}
     for actuator, value in asked.items():
         with under(actuator):
             known_name("actuator", actuator, tables, "actuators")

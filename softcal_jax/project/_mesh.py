@@ -74,14 +74,8 @@ class BeamMeshTable(_MeshTable):
     def build(self, folder: Path) -> TetMesh:
         """Build the mesh."""
         del folder
-        made = self.beam
-        return beam(
-            *made.size,
-            made.cells,
-            origin=made.origin,
-            order=self.order,
-            pattern=made.pattern,
-        )
+        options = self.beam.model_dump(exclude={"size"})
+        return beam(*self.beam.size, order=self.order, **options)
 
 
 MeshTable = Annotated[MeshFileTable | BeamMeshTable, ByKeys()]
@@ -121,11 +115,7 @@ class _GroupTable(Table):
     tolerance: Length | None = None
 
     def add(self, mesh: TetMesh, name: str) -> TetMesh:
-        """Add the group to the mesh.
-
-        Raises:
-            ValueError: If nothing is there, or the mesh has a group of this name.
-        """
+        """Add the group to the mesh; raise if nothing is there or the name is taken."""
         (where,) = (own for _, own in self if isinstance(own, Maker))
         # A millionth of the mesh: far below a cell, far above the rounding of a file.
         rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance

@@ -1,15 +1,9 @@
 """Tables of a project file that make parameters and control points."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import (
-    Discriminator,
-    Field,
-    Tag,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, field_validator, model_validator
 
 from softcal_jax._units import readable
 from softcal_jax.fields import (
@@ -21,15 +15,15 @@ from softcal_jax.fields import (
     check_names,
 )
 from softcal_jax.project._laws import Constant
-from softcal_jax.project._problems import one_of, shown, suggestion, under
-from softcal_jax.project._quantities import parse_in_si
+from softcal_jax.project._problems import one_of, suggestion, under
+from softcal_jax.project._quantities import is_number, parse_in_si, shown
 from softcal_jax.project._table import (
     Integer,
     Length,
     Number,
     Position,
     Table,
-    table_or_vector,
+    TableOr,
 )
 
 if TYPE_CHECKING:
@@ -42,11 +36,7 @@ PerPoint = float | dict[str, float]
 class ControlPointsTable(Table):
     """Control points, where fields of the law have values of their own."""
 
-    positions: Annotated[
-        Annotated[dict[str, Position], Tag("(table)")]
-        | Annotated[tuple[Position, ...], Tag("(vector)")],
-        Discriminator(table_or_vector),
-    ] = Field(
+    positions: TableOr[dict[str, Position], tuple[Position, ...]] = Field(
         description='names and positions, { "CP 1" = "(0, 7.5, 7.5) mm" }, or a list '
         "of positions"
     )
@@ -66,11 +56,7 @@ class ControlPointsTable(Table):
         return self
 
     def build(self) -> ControlPoints:
-        """Build the control points.
-
-        Raises:
-            ValueError: If two coincide, or an option is out of its range.
-        """
+        """Build the control points."""
         positions = self.positions
         if not isinstance(positions, dict):
             positions = np.array(positions, float).reshape(-1, 3)
@@ -130,9 +116,15 @@ class ParameterTable(Table):
             )
         if constant is None:
             return {} if info.field_name == "fixed" else 0.0
-        if isinstance(value, dict) and info.field_name != "S":
-            return {name: _at_point(name, v, constant) for name, v in value.items()}
-        return parse_in_si(value, constant.unit)
+        if not isinstance(value, dict) or info.field_name == "S":
+            return parse_in_si(value, constant.unit)
+        found = {}
+        for name, own in value.items():
+            try:
+                found[name] = parse_in_si(own, constant.unit)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from error
+        return found
 
     @field_validator("prior_std", mode="before")
     @classmethod
@@ -142,7 +134,7 @@ class ParameterTable(Table):
             return None
         if (info.data.get("scale") or constant.scale) == "linear":
             return parse_in_si(value, constant.unit)
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not is_number(value):
             raise ValueError(
                 f"got {shown(value)}; on a log scale it is relative: expected a "
                 "number, like 0.3 for 30 %."
@@ -183,12 +175,7 @@ class ParameterTable(Table):
         return self
 
     def build(self, project: "ProjectTable") -> list[Entry]:
-        """Build the parameter, or those at control points.
-
-        Raises:
-            ValueError: If bounds, start or scale do not fit, or the set of control
-                points is unknown.
-        """
+        """Build the parameter, or those at control points."""
         constant = type(project.material).constants[self.field]
         common = {
             "scale": self.scale or constant.scale,
@@ -242,10 +229,7 @@ class ParameterSpaceTable(Table):
 
 
 def build_space(table: "ProjectTable") -> ParameterSpace | None:
-    """Build the parameter space; a missing start is the constant of the material.
-
-    Returns:
-        The space; None if nothing is to be calibrated.
+    """Build the parameter space; None if nothing is to be calibrated.
 
     Raises:
         WrongKeyError: If bounds, start or scale do not fit, something is unknown, or
@@ -275,18 +259,11 @@ def _constant(info: Any) -> Constant | None:
     return info.context.constants.get(info.data.get("field"))
 
 
-def _at_point(name: str, value: Any, constant: Constant) -> float:
-    try:
-        return parse_in_si(value, constant.unit)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
-
-
 def _set_of(name: str, sets: dict[str, ControlPointsTable]) -> ControlPoints:
     if name in sets:
         return sets[name].build()
-    known = f"Known: {', '.join(sets)}." if sets else "Add a table"
-    known += "" if sets else f" [control_points.{name}]."
+    known = f"Known: {', '.join(sets)}." if sets else ""
+    known = known or f"Add a table [control_points.{name}]."
     raise ValueError(
         f"there are no control points {name!r}.{suggestion(name, sets)} {known}"
     )

@@ -12,6 +12,7 @@ from pydantic import BaseModel, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
 from softcal_jax import _names
+from softcal_jax.project._quantities import shown
 from softcal_jax.project._table import own_keys
 
 _UNIONS = (typing.Union, UnionType)
@@ -88,15 +89,9 @@ def at(path: Path, key: str) -> Iterator[None]:
 def describe(
     error: ValidationError, schema: type[BaseModel], raw: dict[str, Any]
 ) -> list[str]:
-    """Write one message for each problem that pydantic found.
+    """Write one message, with the path of its key, for each problem pydantic found.
 
-    Args:
-        error: The error of pydantic.
-        schema: Model of the whole file.
-        raw: The file as it was read, before [shared] is merged.
-
-    Returns:
-        Messages that start with the path of a key.
+    `raw` is the file as it was read, before [shared] is merged.
     """
     return [_message(details, schema, raw) for details in error.errors()]
 
@@ -122,11 +117,11 @@ def _message(
         return f"{where}: missing.{what}"
     if kind == "union_tag_not_found":
         return (
-            f"{where}.type: missing. Expected {one_of('', map(_type_of, place.kinds))}"
+            f"{where}.type: missing. Expected {one_of('', map(type_of, place.kinds))}"
         )
     if kind == "union_tag_invalid":
         tag = details.get("ctx", {})["tag"]
-        known = map(_type_of, place.kinds)
+        known = map(type_of, place.kinds)
         return f'{where}.type: got "{tag}"; expected {one_of(tag, known)}'
     return f"{where or 'file'}: {_wrong_value(details)}"
 
@@ -151,7 +146,8 @@ def _belonging(key: str, place: "_Place") -> str | None:
     return foreign(key)
 
 
-def _type_of(kind: type[BaseModel]) -> str:
+def type_of(kind: type[BaseModel]) -> str:
+    """Return the `type` by which a file chooses a table."""
     (name,) = get_args(kind.model_fields["type"].annotation)
     return name
 
@@ -159,14 +155,14 @@ def _type_of(kind: type[BaseModel]) -> str:
 def _choice(kind: type[BaseModel], kinds: tuple[type[BaseModel], ...]) -> str:
     """Describe how a file chooses one of several kinds of tables."""
     if "type" in kind.model_fields:
-        return f'type = "{_type_of(kind)}"'
+        return f'type = "{type_of(kind)}"'
     return " and ".join(own_keys(kinds)[kinds.index(kind)])
 
 
 def _wrong_value(details: ErrorDetails) -> str:
     kind, value, context = details["type"], details["input"], details.get("ctx", {})
-    if kind in ("quantity", "value_error"):
-        return str(context.get("problem") or context.get("error"))
+    if kind == "value_error":
+        return str(context["error"])
     got = f"got {shown(value)}; expected "
     if kind == "literal_error":
         # pydantic writes them as 'a', 'b' or 'c'.
@@ -179,28 +175,13 @@ def _wrong_value(details: ErrorDetails) -> str:
     return f"{got}{details['msg'].removeprefix('Input should be ')}."
 
 
-def shown(value: Any) -> str:
-    """Format a value as a project file writes it."""
-    return f'"{value}"' if isinstance(value, str) else str(value)
-
-
 def suggestion(name: str, known: Iterable[str]) -> str:
     """Suggest the closest known name, in the quotes of project files."""
     return _names.suggestion(name, known, quote='"')
 
 
 def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
-    """Check that a name is among the known ones.
-
-    Args:
-        kind: What it is, for messages.
-        name: The name.
-        known: The known names.
-        section: Table of the file that defines them.
-
-    Raises:
-        ValueError: If it is not among them.
-    """
+    """Raise ValueError unless a name is known; `section` of the file defines them."""
     known = list(known)
     if name in known:
         return
@@ -312,7 +293,7 @@ def _tag(arm: Any) -> str:
         if isinstance(option, Tag):
             return option.tag
     if _is_table(arm) and "type" in arm.model_fields:
-        return _type_of(arm)
+        return type_of(arm)
     return getattr(arm, "__name__", str(arm))
 
 

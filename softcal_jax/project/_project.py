@@ -95,9 +95,7 @@ class Project(eqx.Module):
             ProjectError: If parameters, fitted configurations or measurements are
                 missing.
         """
-        problems = []
-        if self.space is None:
-            problems.append("parameters: nothing to calibrate; add [[parameters]].")
+        problems = self._no_parameters()
         if not self.calibration:
             problems.append(
                 'configurations: none has role = "calibration", so there is nothing '
@@ -110,6 +108,10 @@ class Project(eqx.Module):
         ]
         if problems:
             raise one_by_one(self.path, problems)
+
+    def _no_parameters(self) -> list[str]:
+        missing = "parameters: nothing to calibrate; add [[parameters]]."
+        return [missing] if self.space is None else []
 
     def calibrate(
         self,
@@ -155,19 +157,13 @@ class Project(eqx.Module):
         )
         if not self.registrations:
             return result
-        listed = ", ".join(
-            f"{name} {1e3 * registration.rms:.2f} mm"
-            for name, registration in self.registrations.items()
-        )
+        fitted = self.registrations.items()
+        listed = ", ".join(f"{name} {1e3 * own.rms:.2f} mm" for name, own in fitted)
         note = f"Camera frames registered to the mesh with an rms of: {listed}."
         return dataclasses.replace(result, notes=(*result.notes, note))
 
     def with_intervals(self, result: CalibrationResult) -> CalibrationResult:
-        """Add the intervals that the file asks for, or a note on why there are none.
-
-        Args:
-            result: Result of `calibrate`.
-        """
+        """Add the intervals that the file asks for, or a note on why there are none."""
         if self.intervals is None or not result.converged:
             return result
         try:
@@ -183,9 +179,7 @@ class Project(eqx.Module):
         Raises:
             ProjectError: If parameters, configurations or effectors are missing.
         """
-        problems = []
-        if self.space is None:
-            problems.append("parameters: nothing to calibrate; add [[parameters]].")
+        problems = self._no_parameters()
         posed = (*self.calibration, *self.candidates)
         if not posed:
             problems.append(
@@ -202,9 +196,7 @@ class Project(eqx.Module):
     def identify(self) -> Identifiability:
         """Judge what the calibration configurations would tell, measured or not.
 
-        Returns:
-            The verdict at the start values, with the stated noise of markers and other
-            effectors.
+        The verdict is at the start values, with the stated noise of all effectors.
 
         Raises:
             ProjectError: If there are no parameters, configurations or markers.
@@ -215,10 +207,7 @@ class Project(eqx.Module):
         return identify(self.model, self.space, self.calibration, newton=self.newton)
 
     def rank_candidates(self) -> Ranking:
-        """Rank the candidates by what they add to the calibration configurations.
-
-        Returns:
-            The candidates, the best first.
+        """Rank the candidates, best first, by what they add to the configurations.
 
         Raises:
             ProjectError: If there are no parameters, candidates or markers.
@@ -230,13 +219,8 @@ class Project(eqx.Module):
             raise ProjectError(
                 f"{self.path}: candidates: there are none; add [[candidates]]."
             )
-        return rank_configurations(
-            self.model,
-            self.space,
-            self.calibration,
-            self.candidates,
-            newton=self.newton,
-        )
+        posed = self.calibration, self.candidates
+        return rank_configurations(self.model, self.space, *posed, newton=self.newton)
 
     def simulate(self) -> EquilibriumSolution:
         """Solve the equilibria of all configurations at the start values.
@@ -253,9 +237,8 @@ class Project(eqx.Module):
                 f"{self.path}: configurations: there is none to simulate; add "
                 "[[configurations]]."
             )
-        lanes = configuration_arrays(
-            self.model.mesh, self.configurations, self.model.mechanism
-        )
+        mesh, mechanism = self.model.mesh, self.model.mechanism
+        lanes = configuration_arrays(mesh, self.configurations, mechanism)
         return _simulate(self.model, lanes, self.newton)
 
 

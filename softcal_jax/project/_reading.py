@@ -2,12 +2,12 @@
 
 import tomllib
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from softcal_jax.project._changes import with_changes
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
 from softcal_jax.project._laws import material_table
 from softcal_jax.project._problems import (
@@ -30,15 +30,13 @@ _OF_CONFIGURATIONS = tuple(
 def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:
     """Read a project file into tables, with [shared] merged into each configuration.
 
-    Args:
-        path: The file.
-        changes: Values that replace those of the file, see `with_changes`.
+    `changes` replace values of the file, see `load_project`.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ProjectError: If it is not TOML, or keys or values in it are wrong.
     """
-    raw = with_changes(path, read_toml(path, "project file"), changes or {})
+    raw = _with_changes(path, read_toml(path, "project file"), changes)
     shared = raw.get("shared", {})
     problems = _shared_problems(shared)
     if problems:
@@ -99,10 +97,48 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     if not path.is_file():
         raise ProjectError(f"{what} {path} is a directory; name the file in it.")
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error
+
+
+def _with_changes(
+    path: Path, raw: dict[str, Any], changes: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Replace some values of a file, see `load_project`, creating missing tables."""
+    for key, value in (changes or {}).items():
+        *way, last = key.split(".")
+        here: Any = raw
+        for i, part in enumerate(way):
+            where = ".".join(way[: i + 1])
+            here = _entry_of(path, here, part, where=where, key=key)
+        if not isinstance(here, dict):
+            raise _no_table(path, ".".join(way), key)
+        if value is None:
+            here.pop(last, None)
+        else:
+            here[last] = deepcopy(value)
     return raw
+
+
+def _entry_of(path: Path, here: Any, part: str, *, where: str, key: str) -> Any:
+    """Return the part of a table, or the entry of a list by its name."""
+    if isinstance(here, list):
+        entries = [e for e in here if isinstance(e, dict)]
+        named = {str(e.get("name", e.get("field"))): e for e in entries}
+        if part not in named:
+            raise ProjectError(
+                f"{path}: {key}: there is no {where}.{suggestion(part, named)} Known: "
+                f"{', '.join(named)}."
+            )
+        return named[part]
+    if not isinstance(here, dict):
+        raise _no_table(path, where, key)
+    return here.setdefault(part, {})
+
+
+def _no_table(path: Path, where: str, key: str) -> ProjectError:
+    return ProjectError(f"{path}: {key}: {where} is no table of the project file.")
 
 
 def _with_shared(raw: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from softcal_jax.project._parameters import (
     ParameterSpaceTable,
     ParameterTable,
 )
-from softcal_jax.project._problems import shown
+from softcal_jax.project._quantities import shown
 from softcal_jax.project._setup import AnySetup
 from softcal_jax.project._table import Flag, Integer, Number, Table
 
@@ -110,11 +110,9 @@ class ProjectTable(Table, Generic[M]):
                     f"write [control_points.ends] and below positions = {{ {own} }}, "
                     'and control_points = "ends" in [[parameters]].'
                 )
-        if "positions" in sets:
-            if all(key in known for key in sets):
-                raise ValueError(
-                    "a set of control points needs a name: write "
-                    '[control_points.ends], and control_points = "ends" in '
-                    "[[parameters]]."
-                )
+        if "positions" in sets and set(sets) <= set(known):
+            raise ValueError(
+                "a set of control points needs a name: write [control_points.ends], "
+                'and control_points = "ends" in [[parameters]].'
+            )
         return sets
