@@ -9,8 +9,6 @@ from softcal_jax.configurations._arrays import (
     ActuationArrays,
     ConfigurationArrays,
     EffectorArrays,
-    RecordingBase,
-    Springs,
 )
 from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY,
@@ -47,8 +45,12 @@ from softcal_jax.configurations._loads import (
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._measurements import MarkerTable, read_markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
-from softcal_jax.configurations._pose_averages import AveragedPose, average_poses
-from softcal_jax.configurations._pose_table import PoseTable, in_frame
+from softcal_jax.configurations._pose_table import (
+    AveragedPose,
+    PoseTable,
+    average_poses,
+    in_frame,
+)
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
 from softcal_jax.configurations._tracker import (
@@ -84,9 +86,7 @@ __all__ = [
     "NodalForces",
     "PointForce",
     "PoseTable",
-    "RecordingBase",
     "Registration",
-    "Springs",
     "Support",
     "SupportReaction",
     "SurfaceForce",

@@ -17,8 +17,7 @@ class ImposedForce(eqx.Module):
     Attributes:
         value: Tension of a cable [N], pressure of a chamber [Pa], torque of a motor
             [N m], force of a force actuator [N].
-        releasing: Whether the actuator was last released rather than pulled, which sets
-            the sign of its friction.
+        releasing: Whether it was last released, not pulled: the sign of its friction.
     """
 
     value: float
@@ -32,8 +31,7 @@ class ImposedDisplacement(eqx.Module):
         value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
             motor as its encoder shows it [rad], displacement of a force actuator's
             point [m].
-        releasing: Whether the actuator was last released rather than pulled, which sets
-            the sign of its friction.
+        releasing: Whether it was last released, not pulled: the sign of its friction.
     """
 
     value: float
@@ -47,14 +45,9 @@ BodyStates = Mapping[str, BodyState | Pose | str]
 def actuation_arrays(
     mechanism: Mechanism, actuation: Actuation, configuration: str
 ) -> ActuationArrays:
-    """Stack what is imposed on each actuator.
+    """Stack what is imposed on each actuator in the configuration of a name.
 
     A cable or chamber that is not named has no force, a motor stays at its zero.
-
-    Args:
-        mechanism: The actuators of the model.
-        actuation: Imposed forces and displacements, by name of the actuator.
-        configuration: Name of the configuration, for messages.
 
     Raises:
         ValueError: If a name is unknown, a value is not finite, a cable would push, a

@@ -22,7 +22,6 @@ from softcal_jax.configurations._arrays import (
     EffectorArrays,
     Springs,
 )
-from softcal_jax.configurations._carriers import marker_rows
 from softcal_jax.configurations._effector import AbstractEffector, EffectorRow
 from softcal_jax.configurations._effector_arrays import (
     EffectorRecord,
@@ -31,7 +30,7 @@ from softcal_jax.configurations._effector_arrays import (
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
 from softcal_jax.configurations._loads import AbstractLoad
-from softcal_jax.configurations._markers import Markers
+from softcal_jax.configurations._markers import Markers, marker_rows
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._supports import Support
 from softcal_jax.configurations._values import optional_floats, three_numbers
@@ -148,11 +147,7 @@ def configuration_lanes(
         mesh: The mesh that all of them share.
         configurations: At least one; they may differ in everything but the mesh.
         mechanism: Rigid bodies and actuators of the model; none by default.
-        springs: Groups of elastic supports, see `spring_names`; those of these
-            configurations by default.
-
-    Returns:
-        The batch that is solved at once, and the records of its effectors.
+        springs: `spring_names` of all configurations that share a program.
 
     Raises:
         ValueError: If there is none, names repeat, nothing is held, a group, body or
@@ -270,11 +265,7 @@ def _check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:
 def _effector_rows(
     mesh: TetMesh, c: Configuration, mechanism: Mechanism
 ) -> list[EffectorRow]:
-    """List rows of effector coordinates of a configuration: markers, then the others.
-
-    Raises:
-        ValueError: If a name is used twice, or an effector does not fit the model.
-    """
+    """List rows of effector coordinates: those of markers, then the others."""
     rows = []
     if c.markers is not None:
         try:
@@ -303,14 +294,7 @@ def measured_as(
     mesh: TetMesh,
     mechanism: Mechanism,
 ) -> Configuration:
-    """Replace the measured values of a configuration.
-
-    Args:
-        c: The configuration.
-        values: Values of its effectors in their order; turns from rest.
-        mesh: The mesh.
-        mechanism: Rigid bodies and actuators of the model.
-    """
+    """Replace the measured values of its effectors, in their order, turns from rest."""
     n_markers = 0 if c.markers is None else len(c.markers.names)
     used, effectors = n_markers, []
     for effector in c.effectors:
@@ -373,17 +357,17 @@ def _check_held(
     rank = np.linalg.matrix_rank(held @ held.T) if held.size else 0
     if rank < 6:
         nodes = int(fixed.any(axis=1).sum())
-        by_torque = ""
+        problem = (
+            f"configuration {c.name!r} is not held: its supports ({nodes} nodes) leave "
+            f"{6 - rank} of the 6 rigid motions free. Clamp a surface, add supports, "
+            "or hold a rigid body."
+        )
         if motors:
-            by_torque = (
+            problem += (
                 f" Motor {motors[0]!r} is driven by its torque and only a hinge: "
                 "nothing that could balance it is given."
             )
-        raise ValueError(
-            f"configuration {c.name!r} is not held: its supports ({nodes} nodes) leave "
-            f"{6 - rank} of the 6 rigid motions free. Clamp a surface, add supports, "
-            f"or hold a rigid body.{by_torque}"
-        )
+        raise ValueError(problem)
 
 
 def _motors(mechanism: Mechanism) -> list[tuple[str, int]]:

@@ -31,11 +31,7 @@ class CsvTable(NamedTuple):
         return tuple(row[self.key] for row in self.rows)
 
     def numbers(self, columns: Sequence[str]) -> Float[HostArray, "n_rows n_columns"]:
-        """Read the numbers in some columns, nan where a cell is blank.
-
-        Raises:
-            ValueError: If a cell holds something else.
-        """
+        """Read the numbers in some columns, nan where a cell is blank."""
         values = np.full((len(self.rows), len(columns)), np.nan)
         for i, row in enumerate(self.rows):
             for k, column in enumerate(columns):
@@ -65,18 +61,7 @@ class CsvTable(NamedTuple):
 def read_table(
     path: str | os.PathLike[str], key: str, select: Mapping[str, str] | None
 ) -> CsvTable:
-    """Read a file and select rows, without comments (`#`) and blank lines.
-
-    Args:
-        path: The file.
-        key: Column that names what a row is about.
-        select: Column and value pairs; only the rows that have them all are taken.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, its rows do not match its header, the column
-            `key` is missing, or nothing is selected.
-    """
+    """Read a file and select rows, without comments (`#`) and blank lines."""
     path = Path(path)
     # Parsed line by line, so that messages can name the line: no cell spans two.
     lines = [
@@ -127,12 +112,7 @@ def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
 
 
 def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
-    """Read lines that are neither blank nor comments (`#`), with numbers from 1.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not a text file.
-    """
+    """Read lines that are neither blank nor comments (`#`), with numbers from 1."""
     if not path.exists():
         raise FileNotFoundError(f"{key} file {path} does not exist.")
     if not path.is_file():
@@ -158,12 +138,7 @@ def check_length_unit(unit: str) -> None:
 
 
 def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], float]:
-    """Find the columns x, y, z or x_mm, y_mm, z_mm, and their unit in metres.
-
-    Raises:
-        ValueError: If a column is missing, or the unit is unknown, unstated or
-            contradicts the columns.
-    """
+    """Find the columns x, y, z or x_mm, y_mm, z_mm, and their unit in metres."""
     path, header = table.path, table.header
     if length_unit is not None:
         check_length_unit(length_unit)

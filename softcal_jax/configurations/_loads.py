@@ -21,7 +21,12 @@ class AbstractLoad(eqx.Module):
 
     @abstractmethod
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Compute forces on all nodes [N]."""
+        """Compute forces on all nodes [N].
+
+        Raises:
+            ValueError: If a group or node is unknown, a point lies outside the mesh, or
+                a force is not three finite numbers.
+        """
 
 
 class PointForce(AbstractLoad):
@@ -36,11 +41,7 @@ class PointForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Compute forces on the nodes of the tet that holds the point [N].
-
-        Raises:
-            ValueError: If the point lies outside the mesh.
-        """
+        """Compute forces on the nodes of the tet that holds the point [N]."""
         point = three_numbers("point", "m", self.point)
         force = three_numbers("force", "N", self.force)
         at = locate(mesh, point[None], max_distance=1e-3 * mesh.size)
@@ -59,12 +60,7 @@ class NodalForces(AbstractLoad):
     forces: Float[HostArray, "n 3"]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Place the forces on all nodes; they add up where a node is named twice [N].
-
-        Raises:
-            ValueError: If a node is not in the mesh, or the forces are not three
-                finite numbers for each.
-        """
+        """Place the forces, added up where a node is named twice, on all nodes [N]."""
         nodes = node_indices(mesh, self.nodes, "a nodal force")
         forces = np.asarray(self.forces, float)
         if forces.shape != (len(nodes), 3):
@@ -94,12 +90,7 @@ class EdgeForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N].
-
-        Raises:
-            ValueError: If the group or a node is unknown, or they hold no edge of the
-                boundary.
-        """
+        """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
         force = three_numbers("force", "N", self.force)
         nodes = node_indices(mesh, self.where, "an edge force")
         edges = _boundary_edges(mesh)

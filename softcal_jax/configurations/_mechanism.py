@@ -41,12 +41,9 @@ class Mechanism(eqx.Module):
         return len(self.actuators.names)
 
     def displacements(self, x: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
-        """Compute displacements delta_a of the actuators, as imposed and measured.
+        """Compute displacements delta_a at positions x [m], as imposed and measured.
 
         For a motor it is the reading of its encoder: the angle minus the zero error.
-
-        Args:
-            x: Positions of all nodes [m].
         """
         return actuator_displacements(self.actuators, x) - self.motor_zero
 
@@ -56,12 +53,7 @@ def build_mechanism(
     bodies: Sequence[RigidBody] = (),
     actuators: Sequence[AbstractActuator] = (),
 ) -> Mechanism:
-    """Stack the rigid bodies and actuators of a mesh.
-
-    Args:
-        mesh: The mesh at rest.
-        bodies: Rigid bodies.
-        actuators: Cables, chambers, motors, forces.
+    """Stack the rigid bodies and actuators of a mesh at rest.
 
     Raises:
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
@@ -72,8 +64,7 @@ def build_mechanism(
     index_of = {name: k for k, name in enumerate(stacked.names)}
     arrays = actuator_arrays(mesh, points, actuators, index_of)
     _check_motors(stacked, arrays)
-    zero = jnp.zeros(len(arrays.names))
-    return Mechanism(points, stacked, arrays, zero)
+    return Mechanism(points, stacked, arrays, jnp.zeros(len(arrays.names)))
 
 
 def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:

@@ -38,12 +38,7 @@ Positive = Annotated[
 
 
 class ActuatorTable(Maker):
-    """An actuator.
-
-    Attributes:
-        makes: The class that it makes.
-        asked: What may be imposed on it, with an example of each.
-    """
+    """An actuator; `asked` says what may be imposed on it, with an example of each."""
 
     makes: ClassVar[type[AbstractActuator]]
     asked: ClassVar[str] = 'its force, like "2 N", or its displacement, like "5 mm"'
@@ -77,7 +72,6 @@ class GuideTable(Maker):
     """A point that a cable runs through."""
 
     makes = Guide
-
     point: Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
     on: str = "mesh"
 
@@ -87,7 +81,6 @@ class CableTable(ActuatorTable):
 
     makes = Cable
     asked = 'its tension, like "2 N", or its shortening, like "5 mm"'
-
     type: Literal["cable"]
     guides: tuple[GuideTable, ...] = Field(
         description="the points that it runs through, both ends included: "
@@ -109,7 +102,6 @@ class ChamberTable(ActuatorTable):
 
     makes = Chamber
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
-
     type: Literal["chamber"]
     surface: str = Field(description='the surface group of its whole wall: "cavity"')
 
@@ -119,7 +111,6 @@ class SurfacePressureTable(ActuatorTable):
 
     makes = SurfacePressure
     asked = 'its pressure, like "10 kPa"'
-
     type: Literal["surface-pressure"]
     surface: Surface
 
@@ -129,7 +120,6 @@ class MotorTable(ActuatorTable):
 
     makes = Motor
     asked = 'its torque, like "50 N*mm", or its angle, like "30 deg"'
-
     type: Literal["motor"]
     body: str = Field(description='the rigid body that it turns, with a hinge: "arm"')
 
@@ -148,7 +138,6 @@ class ForceActuatorTable(ActuatorTable):
     """An actuator that pushes at a point."""
 
     makes = ForceActuator
-
     type: Literal["point-force"]
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
     direction: Positive
@@ -158,7 +147,6 @@ class SurfaceForceActuatorTable(ActuatorTable):
     """An actuator that pushes on a surface."""
 
     makes = SurfaceForceActuator
-
     type: Literal["surface-force"]
     surface: Surface
     direction: Positive
@@ -181,11 +169,7 @@ def build_actuation(
     mechanism: Mechanism,
     name: str,
 ) -> dict[str, ImposedForce | ImposedDisplacement]:
-    """Parse the forces and displacements that a configuration imposes, by actuator.
-
-    Raises:
-        WrongKeyError: If an actuator is unknown, or cannot have such a value imposed.
-    """
+    """Parse the forces and displacements that a configuration imposes, by actuator."""
     imposed: dict[str, ImposedForce | ImposedDisplacement] = {}
     for actuator, value in asked.items():
         with under(actuator):

@@ -48,7 +48,6 @@ class SupportTable(Maker):
     """Nodes that are held, or moved by a given displacement."""
 
     makes = Support
-
     group: str = Field(description="name of a group of the mesh")
     axes: str = "xyz"
     displacement: Position = (0.0, 0.0, 0.0)
@@ -62,7 +61,6 @@ class PointForceTable(Maker):
     """A dead load at a point."""
 
     makes = PointForce
-
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
     force: TotalForce
 
@@ -71,7 +69,6 @@ class EdgeForceTable(Maker):
     """A dead load along an edge."""
 
     makes = EdgeForce
-
     edge: str = Field(description="name of the node group of an edge")
     force: TotalForce
 
@@ -80,7 +77,6 @@ class SurfaceForceTable(Maker):
     """A dead load spread over a surface."""
 
     makes = SurfaceForce
-
     surface: Surface
     force: TotalForce
 
@@ -89,7 +85,6 @@ class SurfaceTractionTable(Maker):
     """A dead load per area of a surface."""
 
     makes = SurfaceTraction
-
     surface: Surface
     traction: Traction = Field(description='force per area: "(0, 0, -1) kPa"')
 
@@ -132,6 +127,16 @@ class CandidateTable(Table):
             f"got {shown(value)}; expected a list of tables, like [{names}]."
         )
 
+    @classmethod
+    def foreign(cls, key: str) -> str | None:
+        """Say where measured values belong."""
+        if key != "measured":
+            return None
+        return (
+            "a candidate is what might be measured; once it is, make it one of "
+            "[[configurations]]."
+        )
+
     @property
     def acceleration(self) -> Triple:
         """Gravity [m/s2]."""
@@ -156,7 +161,7 @@ def build_configuration(
     model: Model,
     effectors: Effectors,
 ) -> tuple[Configuration, Registration | None]:
-    """Build a configuration, with its measurement if it has one.
+    """Build a configuration, and the registration of its camera frame, if any.
 
     Args:
         folder: Folder that relative paths start from.
@@ -164,12 +169,6 @@ def build_configuration(
         project: The whole file.
         model: The model.
         effectors: The effectors of the project, without measured values.
-
-    Returns:
-        The configuration, and how its camera frame was registered, if it was.
-
-    Raises:
-        WrongKeyError: If a group, a marker, a file or a value in it is wrong.
     """
     mesh, mechanism = model.mesh, model.mechanism
     supports, loads = [], []

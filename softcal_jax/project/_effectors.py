@@ -77,14 +77,7 @@ class EffectorTable(Table):
         return effector
 
     def value(self, value: Any, unit: str, folder: Path, mechanism: Mechanism) -> Any:
-        """Parse a measured value, in SI units and as the effector takes it.
-
-        Args:
-            value: The value in the file.
-            unit: SI unit of what is measured.
-            folder: Folder that relative paths start from.
-            mechanism: Rigid bodies and actuators.
-        """
+        """Parse a measured value into the SI `unit`, as the effector takes it."""
         del folder, mechanism
         dimension = dimension_of(unit)
         if isinstance(value, MeasuredPoseTable):
@@ -101,7 +94,6 @@ class BodyFrameTable(EffectorTable):
     """Position and orientation of a rigid body."""
 
     makes = BodyFrame
-
     type: Literal["frame"]
     body: Body
     point: Position | None = None
@@ -128,7 +120,6 @@ class CentroidTable(EffectorTable):
     """Mean position of a group of nodes."""
 
     makes = Centroid
-
     type: Literal["centroid"]
     group: Group
 
@@ -137,7 +128,6 @@ class SupportReactionTable(EffectorTable):
     """Force with which the ground holds a group of nodes."""
 
     makes = SupportReaction
-
     type: Literal["reaction"]
     group: Group
 
@@ -146,7 +136,6 @@ class BodyAngleTable(EffectorTable):
     """Angle between two rigid bodies."""
 
     makes = BodyAngle
-
     type: Literal["angle"]
     body: Body
     other: str = Field(description="the rigid body it is measured from")
@@ -166,7 +155,6 @@ class ActuatorDisplacementTable(_OfActuator):
     """Displacement of an actuator."""
 
     makes = ActuatorDisplacement
-
     type: Literal["actuator-displacement"]
 
 
@@ -174,7 +162,6 @@ class ActuatorForceTable(_OfActuator):
     """Force of an actuator."""
 
     makes = ActuatorForce
-
     type: Literal["actuator-force"]
 
 
@@ -192,20 +179,14 @@ AnyEffector = Annotated[
 def build_effectors(
     tables: Mapping[str, EffectorTable], mesh: TetMesh, mechanism: Mechanism
 ) -> Effectors:
-    """Build all effectors of a project by name, without measured values.
-
-    Raises:
-        WrongKeyError: If one does not fit the mesh, the bodies or the actuators.
-    """
-    bodies, actuators = mechanism.bodies.names, mechanism.actuators.names
+    """Build all effectors of a project by name, without measured values."""
+    body = "rigid body", mechanism.bodies.names, "bodies"
+    actuator = "actuator", mechanism.actuators.names, "actuators"
+    named = {"body": body, "other": body, "actuator": actuator}
     found: Effectors = {}
     for name, table in tables.items():
         with under(name):
-            for key, kind, known, section in (
-                ("body", "rigid body", bodies, "bodies"),
-                ("other", "rigid body", bodies, "bodies"),
-                ("actuator", "actuator", actuators, "actuators"),
-            ):
+            for key, (kind, known, section) in named.items():
                 if key in type(table).model_fields:
                     known_name(kind, getattr(table, key), known, section)
             found[name] = table.build(name, mesh, mechanism)
@@ -219,11 +200,7 @@ def with_measured(
     folder: Path,
     model: Model,
 ) -> tuple[AbstractEffector, ...]:
-    """Add the measured values of a configuration, by effector, to its effectors.
-
-    Raises:
-        WrongKeyError: If a name is unknown, or a value or file is wrong.
-    """
+    """Add the measured values of a configuration, by effector, to its effectors."""
     found = dict(effectors)
     for name, value in measured.items():
         with under(name):

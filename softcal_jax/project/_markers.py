@@ -10,7 +10,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Markers, Registration, read_markers, register
 from softcal_jax.project._effectors import Measured
 from softcal_jax.project._mesh import LengthUnit
-from softcal_jax.project._problems import suggestion
+from softcal_jax.project._problems import known_here
 from softcal_jax.project._sensors import Selection
 from softcal_jax.project._table import Length, Position, Table, TableOr
 
@@ -54,10 +54,8 @@ class MarkersTable(Table):
 
     def _entry(self, name: str) -> MarkerEntry:
         if name not in self.positions:
-            raise ValueError(
-                f"unknown marker {name!r}.{suggestion(name, self.positions)} "
-                f"Known: {', '.join(self.positions)}."
-            )
+            known = known_here(name, self.positions)
+            raise ValueError(f"unknown marker {name!r}.{known}")
         entry = self.positions[name]
         if isinstance(entry, MarkerEntry):
             return entry

@@ -85,7 +85,6 @@ class BoxTable(Maker):
     """The box between two corners."""
 
     makes = Box
-
     lower: Position = Field(description='a corner: "(0, 0, 0) mm"')
     upper: Position = Field(description='a corner: "(0, 30, 30) mm"')
 
@@ -94,7 +93,6 @@ class PlaneTable(Maker):
     """A plane."""
 
     makes = Plane
-
     point: Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
     normal: tuple[Number, Number, Number] = Field(description="[0, 0, 1]")
 
@@ -103,7 +101,6 @@ class SphereTable(Maker):
     """A ball."""
 
     makes = Sphere
-
     centre: Position = Field(description='its centre: "(0, 0, 0) mm"')
     radius: Length = Field(description='its radius: "5 mm"')
 

@@ -15,7 +15,7 @@ from softcal_jax.fields import (
     check_names,
 )
 from softcal_jax.project._laws import Constant
-from softcal_jax.project._problems import one_of, suggestion, under
+from softcal_jax.project._problems import known_here, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown
 from softcal_jax.project._table import (
     Integer,
@@ -66,8 +66,7 @@ class ControlPointsTable(Table):
 class ParameterTable(Table):
     """One unknown constant of the material, or one per control point.
 
-    The material of the file, passed as the validation context, says which constants
-    there are and in which units.
+    The validation context is the schema of the material, which has its constants.
     """
 
     field: str = Field(description='a constant of the material, like "E" or "density"')
@@ -98,9 +97,8 @@ class ParameterTable(Table):
     def _check_field(cls, value: str, info: Any) -> str:
         material = info.context
         if value not in material.constants:
-            unknown = (
-                f"got {shown(value)}; expected {one_of(value, material.constants)}"
-            )
+            known = one_of(value, material.constants)
+            unknown = f"got {shown(value)}; expected {known}"
             raise ValueError(material.foreign(value) or unknown)
         return value
 
@@ -174,7 +172,7 @@ class ParameterTable(Table):
             )
         return self
 
-    def build(self, project: "ProjectTable") -> list[Entry]:
+    def build(self, project: "ProjectTable") -> Entry:
         """Build the parameter, or those at control points."""
         constant = type(project.material).constants[self.field]
         common = {
@@ -218,7 +216,7 @@ class ParameterTable(Table):
             )
         for parameter in entry.parameters:
             _check_within(parameter, constant.within)
-        return [entry]
+        return entry
 
 
 class ParameterSpaceTable(Table):
@@ -229,21 +227,16 @@ class ParameterSpaceTable(Table):
 
 
 def build_space(table: "ProjectTable") -> ParameterSpace | None:
-    """Build the parameter space; None if nothing is to be calibrated.
-
-    Raises:
-        WrongKeyError: If bounds, start or scale do not fit, something is unknown, or
-            constraints between parameters cannot hold.
-    """
+    """Build the parameter space; None if nothing is to be calibrated."""
     for name, points in table.control_points.items():
         with under(f"control_points.{name}"):
             points.build()
     entries: list[Entry] = []
-    keyed = [(f"parameters.{own.label}", own) for own in table.parameters]
-    setups = enumerate(table.setup, start=1)
-    keyed += [(f"setup[{i}].{own.label}", own) for i, own in setups]
-    for key, own in keyed:
-        with under(key):
+    for own in table.parameters:
+        with under(f"parameters.{own.label}"):
+            entries.append(own.build(table))
+    for i, own in enumerate(table.setup, start=1):
+        with under(f"setup[{i}].{own.label}"):
             entries += own.build(table)
     if not entries:
         return None
@@ -262,29 +255,21 @@ def _constant(info: Any) -> Constant | None:
 def _set_of(name: str, sets: dict[str, ControlPointsTable]) -> ControlPoints:
     if name in sets:
         return sets[name].build()
-    known = f"Known: {', '.join(sets)}." if sets else ""
-    known = known or f"Add a table [control_points.{name}]."
-    raise ValueError(
-        f"there are no control points {name!r}.{suggestion(name, sets)} {known}"
-    )
+    add = f" Add a table [control_points.{name}]."
+    known = known_here(name, sets) if sets else add
+    raise ValueError(f"there are no control points {name!r}.{known}")
 
 
 def _each(
-    key: str,
-    value: PerPoint,
-    names: tuple[str, ...],
-    free: list[str],
-    nominal: float,
+    key: str, value: PerPoint, names: tuple[str, ...], free: list[str], nominal: float
 ) -> list[float]:
     """Return one value per control point; fixed and tied ones get a placeholder."""
     if not isinstance(value, dict):
         return [value] * len(names)
     for name in value:
         if name not in names:
-            raise ValueError(
-                f"{key} names {name!r}, which is no control point."
-                f"{suggestion(name, names)} Known: {', '.join(names)}."
-            )
+            known = known_here(name, names)
+            raise ValueError(f"{key} names {name!r}, which is no control point.{known}")
     missing = [name for name in free if name not in value]
     if missing and key != "start":
         raise ValueError(f"{key} has no value for {', '.join(missing)}.")

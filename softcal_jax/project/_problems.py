@@ -1,6 +1,7 @@
 """Errors of a project file in words: the key, what it needs, the closest match."""
 
 import contextlib
+import functools
 import re
 import typing
 from collections.abc import Iterable, Iterator
@@ -105,24 +106,20 @@ def _message(
         known = list(place.table.model_fields)
         if len(place.keys) == 1 and "configurations" in known:
             known.append("shared")
-        return f"{where}: " + (
-            _belonging(key, place)
-            or f"unknown key.{suggestion(key, known)} Known here: {', '.join(known)}."
-        )
+        unknown = f"unknown key.{known_here(key, known, 'Known here')}"
+        return f"{where}: {_belonging(key, place) or unknown}"
     if kind == "missing" and isinstance(place.keys[-1], int):
         return f"{where}: missing; the list is too short."
     if kind == "missing":
         field = place.table.model_fields.get(key)
         what = f" Expected {field.description}." if field and field.description else ""
         return f"{where}: missing.{what}"
+    types = map(type_of, place.kinds)
     if kind == "union_tag_not_found":
-        return (
-            f"{where}.type: missing. Expected {one_of('', map(type_of, place.kinds))}"
-        )
+        return f"{where}.type: missing. Expected {one_of('', types)}"
     if kind == "union_tag_invalid":
         tag = details.get("ctx", {})["tag"]
-        known = map(type_of, place.kinds)
-        return f'{where}.type: got "{tag}"; expected {one_of(tag, known)}'
+        return f'{where}.type: got "{tag}"; expected {one_of(tag, types)}'
     return f"{where or 'file'}: {_wrong_value(details)}"
 
 
@@ -136,14 +133,11 @@ def one_of(value: str, known: Iterable[str]) -> str:
 def _belonging(key: str, place: "_Place") -> str | None:
     """Say which other kinds of table have a key; None if there are none."""
     owners = [_choice(k, place.kinds) for k in place.kinds if key in k.model_fields]
-    if owners:
-        has = ", ".join(k for k in place.table.model_fields if k != "type")
-        this = _choice(place.table, place.kinds)
-        return (
-            f"{key} belongs to {' or '.join(owners)}. This is {this}, which has {has}."
-        )
-    foreign = getattr(place.table, "foreign", lambda key: None)
-    return foreign(key)
+    if not owners:
+        return getattr(place.table, "foreign", lambda key: None)(key)
+    has = ", ".join(k for k in place.table.model_fields if k != "type")
+    this = _choice(place.table, place.kinds)
+    return f"{key} belongs to {' or '.join(owners)}. This is {this}, which has {has}."
 
 
 def type_of(kind: type[BaseModel]) -> str:
@@ -180,6 +174,11 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     return _names.suggestion(name, known, quote='"')
 
 
+def known_here(name: str, known: Iterable[str], words: str = "Known") -> str:
+    """Suggest the closest known name, and list all, in sentences after a space."""
+    return f"{suggestion(name, known)} {words}: {', '.join(known)}."
+
+
 def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
     """Raise ValueError unless a name is known; `section` of the file defines them."""
     known = list(known)
@@ -190,18 +189,15 @@ def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None
             f'there is no {kind} "{name}"; the project has none: add a table '
             f"[{section}.{name}]."
         )
-    raise ValueError(
-        f'there is no {kind} "{name}".{suggestion(name, known)} '
-        f"Known: {', '.join(known)}."
-    )
+    raise ValueError(f'there is no {kind} "{name}".{known_here(name, known)}')
 
 
 def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
     """Join keys to a path; an entry of a list goes by its name, or counts from 1."""
     posed = keys[:1] in (("configurations",), ("candidates",))
-    if posed and len(keys) > 2 and not _has(raw, keys):
-        if _has(raw, ("shared", *keys[2:])):
-            keys = ("shared", *keys[2:])
+    if posed and len(keys) > 2 and functools.reduce(_step, keys, raw) is None:
+        shared = ("shared", *keys[2:])
+        keys = keys if functools.reduce(_step, shared, raw) is None else shared
     out, here = "", raw
     for key in keys:
         here = _step(here, key)
@@ -215,17 +211,12 @@ def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
 
 
 def _step(here: Any, key: str | int) -> Any:
+    """Return what a table or a list has at a key; None if nothing."""
     if isinstance(here, dict):
         return here.get(key)
     if isinstance(here, list) and isinstance(key, int) and key < len(here):
         return here[key]
     return None
-
-
-def _has(raw: Any, keys: tuple[str | int, ...]) -> bool:
-    for key in keys:
-        raw = _step(raw, key)
-    return raw is not None
 
 
 class _Place(NamedTuple):

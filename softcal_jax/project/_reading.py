@@ -14,16 +14,12 @@ from softcal_jax.project._problems import (
     ProjectError,
     at,
     describe,
+    known_here,
     one_by_one,
-    suggestion,
 )
 from softcal_jax.project._schema import ProjectTable
 
-_OF_CONFIGURATIONS = tuple(
-    key
-    for key in ConfigurationTable.model_fields
-    if key not in CandidateTable.model_fields
-)
+_OF_CONFIGURATIONS = {*ConfigurationTable.model_fields} - {*CandidateTable.model_fields}
 """Keys of [shared] that do not apply to candidates."""
 
 
@@ -31,10 +27,6 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     """Read a project file into tables, with [shared] merged into each configuration.
 
     `changes` replace values of the file, see `load_project`.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ProjectError: If it is not TOML, or keys or values in it are wrong.
     """
     raw = _with_changes(path, read_toml(path, "project file"), changes)
     shared = raw.get("shared", {})
@@ -49,7 +41,6 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
         table = schema.model_validate(merged, context=material)
     except ValidationError as error:
         problems = describe(error, schema, raw)
-    problems += _measured_candidates(raw)
     if not (raw.get("configurations") or raw.get("candidates")):
         problems.append(
             "configurations: missing. Expected at least one table [[configurations]]."
@@ -63,12 +54,7 @@ T = TypeVar("T", bound=BaseModel)
 
 
 def read_schema(path: Path, schema: type[T], what: str) -> T:
-    """Read another kind of file that is written like a project file.
-
-    Args:
-        path: A TOML file.
-        schema: Its keys.
-        what: What it is, for messages, like "sweep file".
+    """Read another kind of TOML file; `what` says which, like "sweep file".
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -82,11 +68,7 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file, unchecked.
-
-    Args:
-        path: The file.
-        what: What it is, for messages.
+    """Read a TOML file, unchecked; `what` it is stands in messages.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -127,10 +109,8 @@ def _entry_of(path: Path, here: Any, part: str, *, where: str, key: str) -> Any:
         entries = [e for e in here if isinstance(e, dict)]
         named = {str(e.get("name", e.get("field"))): e for e in entries}
         if part not in named:
-            raise ProjectError(
-                f"{path}: {key}: there is no {where}.{suggestion(part, named)} Known: "
-                f"{', '.join(named)}."
-            )
+            known = known_here(part, named)
+            raise ProjectError(f"{path}: {key}: there is no {where}.{known}")
         return named[part]
     if not isinstance(here, dict):
         raise _no_table(path, where, key)
@@ -150,8 +130,6 @@ def _with_shared(raw: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:
             merged[key] = [
                 _merged(base, own) if isinstance(own, dict) else own for own in raw[key]
             ]
-    for own in _tables(merged, "candidates"):
-        own.pop("measured", None)  # `_measured_candidates` has a better message
     return merged
 
 
@@ -161,26 +139,9 @@ def _shared_problems(shared: Any) -> list[str]:
         return [f"shared: got {shared!r}; expected a table [shared]."]
     known = [key for key in ConfigurationTable.model_fields if key != "name"]
     return [
-        f"shared.{key}: unknown key.{suggestion(key, known)} Known here: "
-        f"{', '.join(known)}."
+        f"shared.{key}: unknown key.{known_here(key, known, 'Known here')}"
         for key in shared
         if key not in known
-    ]
-
-
-def _tables(raw: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    entries = raw.get(key)
-    return (
-        [e for e in entries if isinstance(e, dict)] if isinstance(entries, list) else []
-    )
-
-
-def _measured_candidates(raw: dict[str, Any]) -> list[str]:
-    return [
-        f"candidates.{own.get('name', i)}.measured: a candidate is what might be "
-        "measured; once it is, make it one of [[configurations]]."
-        for i, own in enumerate(_tables(raw, "candidates"), start=1)
-        if "measured" in own
     ]
 
 

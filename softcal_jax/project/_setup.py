@@ -106,7 +106,6 @@ class MotorZeroTable(SetupTable):
     makes = motor_zero
     measures = ANGLE
     noun = "motor"
-
     motor_zero: Names
 
     def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
@@ -122,7 +121,6 @@ class MountingTable(SetupTable):
     measures = LENGTH
     noun = "rigid body"
     section = "bodies"
-
     mounting: Names
 
     def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
@@ -136,7 +134,6 @@ class FrictionTable(SetupTable):
 
     makes = friction
     noun = "cable with friction"
-
     friction: Names
 
     def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
@@ -172,7 +169,6 @@ class GravityTiltTable(ScopedTable):
 
     makes = gravity_tilt
     measures = ANGLE
-
     gravity_tilt: Literal[True]
 
 
@@ -184,7 +180,6 @@ class RecordingOffsetTable(ScopedTable):
 
     makes = recording_offset
     measures = LENGTH
-
     recording_offset: Literal[True]
     turn_limit: Angle | None = None
     turn_prior_std: Angle | None = None
@@ -205,7 +200,6 @@ class LoadFactorTable(FactorTable):
     """A factor on the dead loads."""
 
     makes = load_factor
-
     load_factor: Literal[True]
 
 
@@ -214,7 +208,6 @@ class ActuatorFactorTable(FactorTable):
 
     makes = actuator_factor
     noun = "actuator"
-
     actuator_factor: Names
 
     def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
