@@ -20,11 +20,8 @@ from softcal_jax.configurations._configuration import (
     measured_at_rest,
     spring_names,
 )
-from softcal_jax.configurations._effector import (
-    AbstractEffector,
-    AbstractScalar,
-    AbstractVector,
-)
+from softcal_jax.configurations._csv_table import MarkerTable, read_markers
+from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
 from softcal_jax.configurations._effector_arrays import EffectorRecord
 from softcal_jax.configurations._effectors import (
     ActuatorDisplacement,
@@ -43,7 +40,6 @@ from softcal_jax.configurations._loads import (
     SurfaceTraction,
 )
 from softcal_jax.configurations._markers import Markers
-from softcal_jax.configurations._measurements import MarkerTable, read_markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._pose_table import (
     AveragedPose,
@@ -64,7 +60,6 @@ __all__ = [
     "AbstractEffector",
     "AbstractLoad",
     "AbstractScalar",
-    "AbstractVector",
     "ActuationArrays",
     "ActuatorDisplacement",
     "ActuatorForce",

@@ -65,33 +65,32 @@ def actuation_arrays(
             raise unknown_name(f"actuator of {what}", name, actuators.names)
         a = actuators.names.index(name)
         kind = actuators.kinds[a]
+        own = f"{what}: {kind.noun} {name!r}"
         imposed = isinstance(asked, ImposedDisplacement)
         unit = kind.displacement_unit if imposed else kind.force_unit
         if unit is None:
             raise ValueError(
-                f"{what}: {kind.noun} {name!r} has no displacement that could be "
-                f"imposed; give ImposedForce(...) [{kind.force_unit}]."
+                f"{own} has no displacement that could be imposed; give "
+                f"ImposedForce(...) [{kind.force_unit}]."
             )
         if not np.isfinite(asked.value):
             raise ValueError(
-                f"{what}: {kind.noun} {name!r} needs a finite number [{unit}], got "
-                f"{asked.value}."
+                f"{own} needs a finite number [{unit}], got {asked.value}."
             )
         if kind.unilateral and not imposed and asked.value < 0.0:
             raise ValueError(
-                f"{what}: {kind.noun} {name!r} has the force {asked.value:g} {unit}: "
-                "it only pulls, so the force must not be negative."
+                f"{own} has the force {asked.value:g} {unit}: it only pulls, so the "
+                "force must not be negative."
             )
         if motor[a] and imposed and abs(asked.value) > np.pi:
             raise ValueError(
-                f"{what}: motor {name!r} turns by {asked.value:g} rad, expected -pi to "
-                "pi: angles are in radians (np.deg2rad turns degrees into them)."
+                f"{own} turns by {asked.value:g} rad, expected -pi to pi: angles are "
+                "in radians (np.deg2rad turns degrees into them)."
             )
         if asked.releasing and not actuators.has_friction[a]:
             raise ValueError(
-                f"{what}: {kind.noun} {name!r} is said to be releasing, but has no "
-                "friction, so nothing depends on it: leave it out, or give the "
-                f"{kind.noun} friction."
+                f"{own} is said to be releasing, but has no friction, so nothing "
+                f"depends on it: leave it out, or give the {kind.noun} friction."
             )
         by_displacement[a], value[a] = imposed, asked.value
         releasing[a] = asked.releasing

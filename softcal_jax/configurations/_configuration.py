@@ -99,13 +99,13 @@ class Configuration(eqx.Module):
 
     def __check_init__(self):
         three_numbers(f"gravity of configuration {self.name!r}", "m/s2", self.gravity)
-        if self.measured is not None:
-            if self.markers is None:
-                raise ValueError(
-                    f"configuration {self.name!r} has measured positions but no "
-                    "markers."
-                )
-            self.markers.check_measured(self.measured, self.name)
+        if self.measured is None:
+            return
+        if self.markers is None:
+            raise ValueError(
+                f"configuration {self.name!r} has measured positions but no markers."
+            )
+        self.markers.check_measured(self.measured, self.name)
 
 
 class ConfigurationLanes(NamedTuple):

@@ -1,4 +1,4 @@
-"""Rows of a CSV file with a header, and their coordinates with a unit."""
+"""Rows of a CSV file with a header, their coordinates with a unit, and markers."""
 
 import csv
 import os
@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from softcal_jax._names import METRES, suggestion
@@ -162,3 +163,84 @@ def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], fl
     columns = [axis if unit is None else f"{axis}_{unit}" for axis in "xyz"]
     table.check_columns(columns)
     return columns, METRES[unit or str(length_unit)]
+
+
+class MarkerTable(eqx.Module):
+    """Marker positions as they were read, in the frame and order of the file.
+
+    Attributes:
+        names: Names of the markers, each once.
+        positions: Their positions; nan where the file says so or is blank [m].
+        lines: Line of the file that each stands on, from 1.
+        source: What was read, for messages.
+    """
+
+    names: tuple[str, ...]
+    positions: Float[HostArray, "n_markers 3"]
+    lines: tuple[int, ...]
+    source: str
+
+    def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3"]:
+        """Return positions of some markers, in the order of their names [m].
+
+        Raises:
+            ValueError: If a marker is not there, or its position is not finite.
+        """
+        for name in names:
+            if name not in self.names:
+                raise ValueError(
+                    f"{self.source} has no marker {name!r}."
+                    f"{suggestion(name, self.names)} It has {', '.join(self.names)}."
+                )
+            row = self.names.index(name)
+            if not np.all(np.isfinite(self.positions[row])):
+                raise ValueError(
+                    f"{self.source}, line {self.lines[row]}: the position of marker "
+                    f"{name!r} is missing or not finite. Leave a marker that was lost "
+                    "out of this configuration."
+                )
+        return self.positions[[self.names.index(name) for name in names]]
+
+
+def read_markers(
+    path: str | os.PathLike[str],
+    *,
+    length_unit: str | None = None,
+    select: Mapping[str, str] | None = None,
+) -> MarkerTable:
+    """Read marker positions from a CSV file with a header line.
+
+    Columns: `marker`, and either `x`, `y`, `z` or columns that carry their unit, like
+    `x_mm`, `y_mm`, `z_mm`. Any other column can be selected on. Lines that start with
+    `#` and blank lines are skipped. A blank or `nan` coordinate is a marker that was
+    lost: it is kept, and raises only when it is asked for.
+
+    Args:
+        path: The file.
+        length_unit: Unit of the coordinates: "m", "cm", "mm", "um" or "inch"; not
+            needed where the columns carry it.
+        select: Column and value pairs; only the rows that have them all are taken.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be read, a column is missing, the unit is unknown,
+            unstated or contradicts the columns, nothing is selected, a marker is
+            selected twice, or a coordinate is not a number.
+
+    Example:
+        The rows of one recording::
+
+            read_markers("markers.csv", select={"run": "gravity", "phase": "held"})
+    """
+    table = read_table(path, "marker", select)
+    columns, metres = coordinates(table, length_unit)
+    for name, line in zip(table.names, table.lines, strict=True):
+        first = table.lines[table.names.index(name)]
+        if first != line:
+            raise ValueError(
+                f"{table.path}: marker {name!r} is there twice, in lines {first} and "
+                f"{line}; select the rows of one recording "
+                f"(columns: {', '.join(table.header)})."
+            )
+    positions = metres * table.numbers(columns)
+    return MarkerTable(table.names, positions, table.lines, table.source)

@@ -87,34 +87,23 @@ class AbstractEffector(eqx.Module):
             ValueError: If it does not fit them, or its value is not finite.
         """
 
-    @abstractmethod
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractEffector":
-        """Return the effector with other measured values.
-
-        Args:
-            values: One row for each of `rows`, turns counted from rest.
-            mechanism: Rigid bodies and actuators of the model.
-        """
+        """Return it with other measured values: a row for each of `rows`, from rest."""
+        del mechanism
+        return replace(self, measured=values[0])  # pyright: ignore
 
 
 class AbstractScalar(AbstractEffector):
     """An effector of one coordinate: a length, a volume, an angle, a force."""
 
-    def measured_as(self, values: Float[HostArray, "k 3"], mechanism: Mechanism):
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "AbstractScalar":
         """Replace the measured value, in its unit."""
         del mechanism
-        return replace(self, measured=float(values[0, 0]))
-
-
-class AbstractVector(AbstractEffector):
-    """An effector of three coordinates: a position, a force."""
-
-    def measured_as(self, values: Float[HostArray, "k 3"], mechanism: Mechanism):
-        """Replace the measured position [m] or force [N]."""
-        del mechanism
-        return replace(self, measured=values[0])
+        return replace(self, measured=float(values[0, 0]))  # pyright: ignore
 
 
 def inverse_std(name: str, what: str, std: float, unit: str) -> float:

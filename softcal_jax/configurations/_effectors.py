@@ -13,7 +13,6 @@ from softcal_jax.bodies import BodyArrays, Pose
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     AbstractScalar,
-    AbstractVector,
     EffectorRow,
     inverse_std,
 )
@@ -82,7 +81,7 @@ class BodyFrame(AbstractEffector):
         return replace(self, measured=Pose(values[0] - point, values[1]))
 
 
-class Centroid(AbstractVector):
+class Centroid(AbstractEffector):
     """Mean position of a group of nodes.
 
     Attributes:
@@ -109,7 +108,7 @@ class Centroid(AbstractVector):
         return row.with_value(self.measured, self.std)
 
 
-class SupportReaction(AbstractVector):
+class SupportReaction(AbstractEffector):
     """Force with which the ground holds a group of nodes: a load cell under a clamp.
 
     A rigid body among them is held as a whole: the reaction includes its own mass, what

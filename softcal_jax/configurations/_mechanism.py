@@ -68,24 +68,22 @@ def build_mechanism(
 
 
 def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
+    """Raise unless each motor turns a free body of its own, mounted without a turn."""
     turned: dict[int, str] = {}
     for name, body in zip(actuators.names, actuators.motor_body, strict=True):
         if body < 0:
             continue
-        if bodies.owner[body] != body:
-            root = bodies.names[bodies.owner[body]]
+        own, root = bodies.names[body], bodies.names[bodies.owner[body]]
+        if own != root:
             raise ValueError(
-                f"motor {name!r} turns {bodies.names[body]!r}, which is tied to "
-                f"{root!r}: let it turn {root!r}."
+                f"motor {name!r} turns {own!r}, which is tied to {root!r}: let it turn "
+                f"{root!r}."
             )
         if body in turned:
-            raise ValueError(
-                f"motors {turned[body]!r} and {name!r} both turn "
-                f"{bodies.names[body]!r}."
-            )
+            raise ValueError(f"motors {turned[body]!r} and {name!r} both turn {own!r}.")
         if np.any(np.asarray(bodies.mounting_rotation[body]) != 0.0):
             raise ValueError(
-                f"motor {name!r} turns {bodies.names[body]!r}, whose mounting turns it "
-                "already: give that rotation to the axes of the body, or to the angle."
+                f"motor {name!r} turns {own!r}, whose mounting turns it already: give "
+                "that rotation to the axes of the body, or to the angle."
             )
         turned[body] = name

@@ -136,9 +136,8 @@ def average_poses(table: PoseTable) -> dict[str, AveragedPose]:
         ValueError: If a reading turns by more than 30 degrees from the mean of its
             sensor, so that they are not all of one pose.
     """
-    return {
-        name: _average(table.readings_of(name)) for name in dict.fromkeys(table.names)
-    }
+    names = dict.fromkeys(table.names)
+    return {name: _average(table.readings_of(name)) for name in names}
 
 
 def _average(readings: PoseTable) -> AveragedPose:

@@ -31,9 +31,19 @@ class Support(eqx.Module):
 
     def __check_init__(self):
         parse_axes(self.axes)
-        if self.stiffness is not None:
-            self._check_stiffness(self.stiffness)
         three_numbers("displacement", "m", self.displacement)
+        if self.stiffness is None:
+            return
+        if not (np.isfinite(self.stiffness) and self.stiffness > 0.0):
+            raise ValueError(
+                f"stiffness of the support {self.name!r} must be positive and finite "
+                f"[N/m3], got {self.stiffness!r}; leave it out for a rigid support."
+            )
+        if not isinstance(self.where, str):
+            raise ValueError(
+                "a support with a stiffness needs the name of a surface group, whose "
+                "area it acts on; got node indices."
+            )
 
     def apply(
         self,
@@ -54,24 +64,8 @@ class Support(eqx.Module):
             fixed[nodes, axis] = True
             imposed[nodes, axis] = self.displacement[axis]
 
-    def _check_stiffness(self, stiffness: float) -> None:
-        if not (np.isfinite(stiffness) and stiffness > 0.0):
-            raise ValueError(
-                f"stiffness of the support {self.name!r} must be positive and finite "
-                f"[N/m3], got {stiffness!r}; leave it out for a rigid support."
-            )
-        if not isinstance(self.where, str):
-            raise ValueError(
-                "a support with a stiffness needs the name of a surface group, whose "
-                "area it acts on; got node indices."
-            )
-
     def areas(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Compute the area of each node of an elastic support, along its axes [m2].
-
-        Raises:
-            ValueError: If the group is not a surface.
-        """
+        """Compute the area of each node of an elastic support, along its axes [m2]."""
         areas = np.zeros((mesh.n_nodes, 3))
         shares = surface_shares(mesh, mesh.faces(str(self.where)))
         areas[:, parse_axes(self.axes)] = shares[:, None]

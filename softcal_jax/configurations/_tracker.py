@@ -37,7 +37,7 @@ def read_poses(
     length_unit: str | None = None,
     select: Mapping[str, str] | None = None,
 ) -> PoseTable:
-    """Read poses of sensors from a CSV file with a header line.
+    """Read poses of sensors, in their order, from a CSV file with a header line.
 
     Columns: `sensor`; `x`, `y`, `z` or columns that carry their unit, like `x_mm`; and
     either the angles `azimuth_deg`, `elevation_deg`, `roll_deg` (or `..._rad`) or a
@@ -52,9 +52,6 @@ def read_poses(
         length_unit: Unit of the positions: "m", "cm", "mm", "um" or "inch"; not needed
             where the columns carry it.
         select: Column and value pairs; only the rows that have them all are taken.
-
-    Returns:
-        The selected readings, in the order of the file.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -115,9 +112,6 @@ def read_polhemus(
         angle_unit: "deg" or "rad".
         stations: Names by station; only these are read. By default all are, with names
             like "station 1".
-
-    Returns:
-        The readings, in the order of the file.
 
     Raises:
         FileNotFoundError: If there is no such file.

@@ -28,9 +28,7 @@ def three_numbers(name: str, unit: str, value) -> Float[HostArray, "3"]:
     return vector
 
 
-def as_floats(
-    value: Float[ArrayLike, "..."] | Sequence,
-) -> Float[HostArray, "..."]:
+def as_floats(value: Float[ArrayLike, "..."] | Sequence) -> Float[HostArray, "..."]:
     """Convert numbers to an array, as a converter of fields."""
     return np.asarray(value, float)
 

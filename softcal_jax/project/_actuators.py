@@ -32,8 +32,7 @@ from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
 from softcal_jax.project._table import Direction, Maker, Position, Surface
 
 Positive = Annotated[
-    Direction,
-    Field(description='direction of a positive force: "-z", or [0, 0, -1]'),
+    Direction, Field(description='direction of a positive force: "-z", or [0, 0, -1]')
 ]
 
 
@@ -69,16 +68,12 @@ class ActuatorTable(Maker):
 
 
 class GuideTable(Maker):
-    """A point that a cable runs through."""
-
     makes = Guide
     point: Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
     on: str = "mesh"
 
 
 class CableTable(ActuatorTable):
-    """A cable, which pulls along its guides."""
-
     makes = Cable
     asked = 'its tension, like "2 N", or its shortening, like "5 mm"'
     type: Literal["cable"]
@@ -98,8 +93,6 @@ class CableTable(ActuatorTable):
 
 
 class ChamberTable(ActuatorTable):
-    """A chamber, which inflates a cavity."""
-
     makes = Chamber
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
     type: Literal["chamber"]
@@ -107,8 +100,6 @@ class ChamberTable(ActuatorTable):
 
 
 class SurfacePressureTable(ActuatorTable):
-    """A pressure on a surface."""
-
     makes = SurfacePressure
     asked = 'its pressure, like "10 kPa"'
     type: Literal["surface-pressure"]
@@ -116,8 +107,6 @@ class SurfacePressureTable(ActuatorTable):
 
 
 class MotorTable(ActuatorTable):
-    """A motor, which turns a rigid body."""
-
     makes = Motor
     asked = 'its torque, like "50 N*mm", or its angle, like "30 deg"'
     type: Literal["motor"]
@@ -135,8 +124,6 @@ class MotorTable(ActuatorTable):
 
 
 class ForceActuatorTable(ActuatorTable):
-    """An actuator that pushes at a point."""
-
     makes = ForceActuator
     type: Literal["point-force"]
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
@@ -144,8 +131,6 @@ class ForceActuatorTable(ActuatorTable):
 
 
 class SurfaceForceActuatorTable(ActuatorTable):
-    """An actuator that pushes on a surface."""
-
     makes = SurfaceForceActuator
     type: Literal["surface-force"]
     surface: Surface

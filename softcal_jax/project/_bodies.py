@@ -62,9 +62,7 @@ class BodyTable(Table):
             origin=self.origin,
             axes=axes if self.hinge is None else hinge_axes(self.hinge),
             mounting=self.mounting.pose,
-            tied_to=self.tied_to,
-            mass=self.mass,
-            centre_of_mass=self.centre_of_mass,
+            **self.model_dump(include={"tied_to", "mass", "centre_of_mass"}),
         )
 
 

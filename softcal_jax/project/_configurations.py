@@ -41,12 +41,10 @@ from softcal_jax.project._table import (
 )
 
 if TYPE_CHECKING:
-    from softcal_jax.project._schema import ProjectTable
+    from softcal_jax.project._reading import ProjectTable
 
 
 class SupportTable(Maker):
-    """Nodes that are held, or moved by a given displacement."""
-
     makes = Support
     group: str = Field(description="name of a group of the mesh")
     axes: str = "xyz"
@@ -58,32 +56,24 @@ TotalForce = Annotated[Force, Field(description='the total force: "(0, 0, -1) N"
 
 
 class PointForceTable(Maker):
-    """A dead load at a point."""
-
     makes = PointForce
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
     force: TotalForce
 
 
 class EdgeForceTable(Maker):
-    """A dead load along an edge."""
-
     makes = EdgeForce
     edge: str = Field(description="name of the node group of an edge")
     force: TotalForce
 
 
 class SurfaceForceTable(Maker):
-    """A dead load spread over a surface."""
-
     makes = SurfaceForce
     surface: Surface
     force: TotalForce
 
 
 class SurfaceTractionTable(Maker):
-    """A dead load per area of a surface."""
-
     makes = SurfaceTraction
     surface: Surface
     traction: Traction = Field(description='force per area: "(0, 0, -1) kPa"')

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from softcal_jax.configurations import (
     AbstractEffector,
-    AbstractVector,
+    AbstractScalar,
     ActuatorDisplacement,
     ActuatorForce,
     BodyAngle,
@@ -31,11 +31,7 @@ from softcal_jax.project._quantities import (
     parse_vector,
     shown,
 )
-from softcal_jax.project._sensors import (
-    FrameTable,
-    MeasuredPoseTable,
-    OrientationTable,
-)
+from softcal_jax.project._sensors import FrameTable, MeasuredPoseTable, OrientationTable
 from softcal_jax.project._table import Angle, Direction, Position, Table, TableOr
 
 Effectors = dict[str, AbstractEffector]
@@ -85,14 +81,12 @@ class EffectorTable(Table):
                 f"got a table; expected {dimension.name}, since type = "
                 f'"{type_of(type(self))}".'
             )
-        if issubclass(self.makes, AbstractVector):
-            return np.array(parse_vector(value, dimension))
-        return parse_scalar(value, dimension)
+        if issubclass(self.makes, AbstractScalar):
+            return parse_scalar(value, dimension)
+        return np.array(parse_vector(value, dimension))
 
 
 class BodyFrameTable(EffectorTable):
-    """Position and orientation of a rigid body."""
-
     makes = BodyFrame
     type: Literal["frame"]
     body: Body
@@ -117,24 +111,18 @@ class BodyFrameTable(EffectorTable):
 
 
 class CentroidTable(EffectorTable):
-    """Mean position of a group of nodes."""
-
     makes = Centroid
     type: Literal["centroid"]
     group: Group
 
 
 class SupportReactionTable(EffectorTable):
-    """Force with which the ground holds a group of nodes."""
-
     makes = SupportReaction
     type: Literal["reaction"]
     group: Group
 
 
 class BodyAngleTable(EffectorTable):
-    """Angle between two rigid bodies."""
-
     makes = BodyAngle
     type: Literal["angle"]
     body: Body
@@ -152,15 +140,11 @@ class _OfActuator(EffectorTable):
 
 
 class ActuatorDisplacementTable(_OfActuator):
-    """Displacement of an actuator."""
-
     makes = ActuatorDisplacement
     type: Literal["actuator-displacement"]
 
 
 class ActuatorForceTable(_OfActuator):
-    """Force of an actuator."""
-
     makes = ActuatorForce
     type: Literal["actuator-force"]
 

@@ -67,12 +67,9 @@ DENSITY = Constant(**constant("kg/m3", 'mass density: "1070 kg/m^3"'))
 
 
 class _OfLaw(Table):
-    """A table of constants.
+    """A table of the constants of a law, including the density.
 
-    Attributes:
-        choice: How a file chooses the law, for messages.
-        constants: Its constants, including the density.
-        listed: Keys of the law, for messages.
+    Messages say how a file makes the `choice` of the law, and its keys `listed`.
     """
 
     choice: ClassVar[str]
@@ -95,8 +92,7 @@ class _OfLaw(Table):
 class Material(_OfLaw):
     """The law and its constants before calibration; `material_table` adds their keys.
 
-    Attributes:
-        makes: Makes the law from a function that returns the value of a key.
+    `makes` makes the law from a function that returns the value of a key.
     """
 
     makes: ClassVar[Callable[[Callable[[str], Any]], AbstractLaw]]
@@ -194,11 +190,9 @@ def _table(name: str, law: type[AbstractLaw], elasticity: str) -> type[Material]
 
 
 class _Recipe(NamedTuple):
-    """How to make an object from keys of a file.
+    """How to make an object from a function that returns the value of a key.
 
-    Attributes:
-        keys: Field of the class (or of a part's class) and type, by key.
-        make: Makes the object from a function that returns the value of a key.
+    `keys` have the field of the class, or of a part's class, and its type.
     """
 
     keys: dict[str, tuple[dataclasses.Field, Any]]

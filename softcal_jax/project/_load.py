@@ -24,8 +24,7 @@ from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
 from softcal_jax.project._problems import WrongKeyError, in_file, under
 from softcal_jax.project._project import Project
-from softcal_jax.project._reading import read_tables
-from softcal_jax.project._schema import ProjectTable
+from softcal_jax.project._reading import ProjectTable, read_tables
 
 
 def load_project(
@@ -41,9 +40,6 @@ def load_project(
         changes: Values that replace those of the file, written as there, by key:
             {"material.E": "200 kPa"}. An entry of a list goes by its name,
             "parameters.E.lower"; None removes a key.
-
-    Returns:
-        The project, ready for `calibrate` or `simulate`.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -170,11 +166,7 @@ def _configurations(
 
 def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
     """List the file and those that it names."""
-    names = [getattr(table.mesh, "file", None)]
-    for configuration in table.configurations:
-        measured = configuration.measured
-        if measured is not None:
-            readings = measured.effectors.values()
-            names += [measured.file, *(getattr(r, "file", None) for r in readings)]
-    named = dict.fromkeys(name for name in names if name is not None)
-    return (path, *(path.parent / name for name in named))
+    measured = [c.measured for c in table.configurations if c.measured is not None]
+    readings = [own for m in measured for own in (m, *m.effectors.values())]
+    files = dict.fromkeys(getattr(own, "file", None) for own in (table.mesh, *readings))
+    return (path, *(path.parent / name for name in files if name is not None))

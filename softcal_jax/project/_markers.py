@@ -42,9 +42,7 @@ class MarkersTable(Table):
             names=names,
             positions=self.positions_of(names),
             std=np.array([self._entry(name).std or self.std for name in names]),
-            axes=self.axes,
-            max_distance=self.max_distance,
-            base_radius=self.base_radius,
+            **self.model_dump(include={"axes", "max_distance", "base_radius"}),
         )
 
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_markers 3"]:
@@ -56,10 +54,9 @@ class MarkersTable(Table):
         if name not in self.positions:
             known = known_here(name, self.positions)
             raise ValueError(f"unknown marker {name!r}.{known}")
-        entry = self.positions[name]
-        if isinstance(entry, MarkerEntry):
-            return entry
-        return MarkerEntry.model_construct(position=entry)
+        own = self.positions[name]
+        full = isinstance(own, MarkerEntry)
+        return own if full else MarkerEntry.model_construct(position=own)
 
 
 class RegistrationTable(Table):

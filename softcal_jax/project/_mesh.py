@@ -82,24 +82,18 @@ MeshTable = Annotated[MeshFileTable | BeamMeshTable, ByKeys()]
 
 
 class BoxTable(Maker):
-    """The box between two corners."""
-
     makes = Box
     lower: Position = Field(description='a corner: "(0, 0, 0) mm"')
     upper: Position = Field(description='a corner: "(0, 30, 30) mm"')
 
 
 class PlaneTable(Maker):
-    """A plane."""
-
     makes = Plane
     point: Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
     normal: tuple[Number, Number, Number] = Field(description="[0, 0, 1]")
 
 
 class SphereTable(Maker):
-    """A ball."""
-
     makes = Sphere
     centre: Position = Field(description='its centre: "(0, 0, 0) mm"')
     radius: Length = Field(description='its radius: "5 mm"')
@@ -129,20 +123,14 @@ class _GroupTable(Table):
 
 
 class BoxGroupTable(_GroupTable):
-    """A group in a box."""
-
     box: BoxTable
 
 
 class PlaneGroupTable(_GroupTable):
-    """A group on a plane."""
-
     plane: PlaneTable
 
 
 class SphereGroupTable(_GroupTable):
-    """A group in a ball."""
-
     sphere: SphereTable
 
 

@@ -17,17 +17,10 @@ from softcal_jax.fields import (
 from softcal_jax.project._laws import Constant
 from softcal_jax.project._problems import known_here, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown
-from softcal_jax.project._table import (
-    Integer,
-    Length,
-    Number,
-    Position,
-    Table,
-    TableOr,
-)
+from softcal_jax.project._table import Integer, Length, Number, Position, Table, TableOr
 
 if TYPE_CHECKING:
-    from softcal_jax.project._schema import ProjectTable
+    from softcal_jax.project._reading import ProjectTable
 
 PerPoint = float | dict[str, float]
 """One value for all control points, or one for each by name."""
@@ -175,14 +168,8 @@ class ParameterTable(Table):
     def build(self, project: "ProjectTable") -> Entry:
         """Build the parameter, or those at control points."""
         constant = type(project.material).constants[self.field]
-        common = {
-            "scale": self.scale or constant.scale,
-            "S": self.S,
-            "region": self.region,
-            "unit": constant.unit,
-            "max_step": self.max_step,
-            "prior_std": self.prior_std,
-        }
+        common = self.model_dump(include={"S", "region", "max_step", "prior_std"})
+        common |= {"scale": self.scale or constant.scale, "unit": constant.unit}
         nominal = project.material.constant(self.field, self.region)
         span: dict[str, Any] = {
             "start": nominal if self.start is None else self.start,
@@ -210,9 +197,7 @@ class ParameterTable(Table):
                 interpolation=self.interpolation
                 or ("director" if constant.is_angle else "linear"),
                 sampling=self.sampling or "centroids",
-                fixed=self.fixed,
-                tied=self.tied,
-                core=self.core,
+                **self.model_dump(include={"fixed", "tied", "core"}),
             )
         for parameter in entry.parameters:
             _check_within(parameter, constant.within)

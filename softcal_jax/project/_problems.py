@@ -24,6 +24,7 @@ _EXPECTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "bool_type": "true or false",
+    "greater_than_equal": "at least {ge}",
     "tuple_type": "a list in [ ]",
     "dict_type": "a table",
     "model_type": "a table",
@@ -45,12 +46,7 @@ def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
 
 
 class WrongKeyError(ValueError):
-    """Something is wrong at a key of a file.
-
-    Attributes:
-        key: The key, relative to the table being read.
-        problem: What is wrong.
-    """
+    """Something is wrong at a key, relative to the table being read."""
 
     def __init__(self, key: str, problem: object):
         """Join key and problem in the message."""
@@ -165,7 +161,7 @@ def _wrong_value(details: ErrorDetails) -> str:
     if kind == "too_long":
         return f"expected {context['max_length']} values, got {len(value)}."
     if kind in _EXPECTED:
-        return f"{got}{_EXPECTED[kind]}."
+        return f"{got}{_EXPECTED[kind].format(**context)}."
     return f"{got}{details['msg'].removeprefix('Input should be ')}."
 
 
@@ -222,10 +218,8 @@ def _step(here: Any, key: str | int) -> Any:
 class _Place(NamedTuple):
     """Where in a file something is wrong.
 
-    Attributes:
-        keys: Keys that lead there, without the tags of pydantic's unions.
-        table: The table that has, or should have, the last key.
-        kinds: All kinds that this table could be; empty if it is not one of a union.
+    `keys` lead there, without the tags of pydantic's unions, from a table that has, or
+    should have, the last of them. `kinds` are all that this table could be in a union.
     """
 
     keys: tuple[str | int, ...]

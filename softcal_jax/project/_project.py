@@ -19,11 +19,7 @@ from softcal_jax.calibration import (
     calibrate,
     profile_intervals,
 )
-from softcal_jax.configurations import (
-    Configuration,
-    Registration,
-    configuration_arrays,
-)
+from softcal_jax.configurations import Configuration, Registration, configuration_arrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
@@ -58,8 +54,7 @@ class Project(eqx.Module):
         intervals: Level of the intervals by profile likelihood; None for none [-].
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
-        registrations: Registrations of the camera frames by configuration, with the
-            `rms` that each leaves.
+        registrations: Registrations of the camera frames by configuration.
     """
 
     name: str
@@ -123,15 +118,14 @@ class Project(eqx.Module):
     ) -> CalibrationResult:
         """Find the parameters, then predict the validation configurations.
 
+        `converged` of the result says whether lambda_p vanished, and its notes how well
+        the camera frames were registered.
+
         Args:
             start: Scaled parameters to start from, instead of those of the file [-].
             checkpoint: File in which the state is kept, and from which it is resumed.
             progress: Called after the first evaluation and after each step.
             search_progress: Called after each run of a search from many starts.
-
-        Returns:
-            The result; `result.converged` says whether lambda_p vanished. Its notes
-            say how well the camera frames were registered.
 
         Raises:
             ProjectError: If there is nothing to calibrate.
@@ -223,11 +217,9 @@ class Project(eqx.Module):
         return rank_configurations(self.model, self.space, *posed, newton=self.newton)
 
     def simulate(self) -> EquilibriumSolution:
-        """Solve the equilibria of all configurations at the start values.
+        """Solve the equilibria of all `configurations`, a lane each, at the start.
 
-        Returns:
-            One lane per configuration, in the order of `configurations`;
-            `check_converged` raises where one has no equilibrium.
+        `check_converged` raises where one has no equilibrium.
 
         Raises:
             ProjectError: If there are no configurations.

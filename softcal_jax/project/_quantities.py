@@ -136,11 +136,7 @@ def parse_number(value: Any, example: str = "0.45") -> float:
 
 
 def parse_in_si(value: Any, unit: str) -> float:
-    """Parse a value of a project file into SI.
-
-    Args:
-        value: "200 kPa", or a plain number where there is no unit.
-        unit: SI unit; empty for a plain number.
+    """Parse "200 kPa", or a plain number where `unit` is empty, into the SI unit.
 
     Raises:
         ValueError: If it is not such a value; the text shows an example.

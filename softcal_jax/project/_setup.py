@@ -32,7 +32,7 @@ from softcal_jax.project._quantities import (
 from softcal_jax.project._table import Angle, ByKeys, Names, Table
 
 if TYPE_CHECKING:
-    from softcal_jax.project._schema import ProjectTable
+    from softcal_jax.project._reading import ProjectTable
 
 
 class SetupTable(Table):
@@ -71,24 +71,16 @@ class SetupTable(Table):
         return type(self).makes.__name__
 
     def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
-        """List what such an error can belong to, with arguments for its nominal value.
-
-        Raises:
-            ValueError: If the nominal value is not unique.
-        """
+        """List what such an error can belong to, with its nominal value, if any."""
         raise NotImplementedError
 
     def known(self, project: "ProjectTable") -> dict[str, Any]:
         """Return limit, prior and scope, as arguments of `makes`."""
         del project
-        return {"limit": self.limit, "prior_std": self.prior_std}
+        return self.model_dump(exclude={self.label, "each"})
 
     def build(self, project: "ProjectTable") -> list[Entry]:
-        """Build the parameters.
-
-        Raises:
-            ValueError: If something that they refer to is unknown.
-        """
+        """Build the parameters."""
         known, of = self.known(project), [()]
         if self.noun is not None:
             subjects, names = self.subjects(project), getattr(self, self.label)
@@ -183,11 +175,6 @@ class RecordingOffsetTable(ScopedTable):
     recording_offset: Literal[True]
     turn_limit: Angle | None = None
     turn_prior_std: Angle | None = None
-
-    def known(self, project: "ProjectTable") -> dict[str, Any]:
-        """Add what is known of the turn."""
-        turn = {"turn_limit": self.turn_limit, "turn_prior_std": self.turn_prior_std}
-        return super().known(project) | turn
 
 
 class FactorTable(ScopedTable):

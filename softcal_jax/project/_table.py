@@ -79,8 +79,7 @@ class Table(BaseModel):
 class Maker(Table):
     """A table that makes an object; its keys except `type` are the arguments in order.
 
-    Attributes:
-        makes: The class of the object.
+    What the table is for stands in the class that it `makes`.
     """
 
     makes: ClassVar[type[Any]]
