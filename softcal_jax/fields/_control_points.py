@@ -126,21 +126,19 @@ class ControlPoints(eqx.Module):
             )
         if names is None:
             names = tuple(f"CP {i + 1}" for i in range(len(x)))
-        self.names = tuple(names)
-        self.positions = jnp.asarray(x)
+        self.names, self.positions = tuple(names), jnp.asarray(x)
         self.power, self.nearest = float(power), nearest
         self.axes, self.max_distance = axes, max_distance
-        self._check(x)
 
-    def _check(self, x: HostArray) -> None:
+    def __check_init__(self):
+        x = np.asarray(self.positions)
         if len(self.names) != len(x) or len(set(self.names)) != len(x):
             raise ValueError(
                 f"{len(x)} control points need as many different names, got "
                 f"{', '.join(self.names)}."
             )
-        if not self.axes or any(
-            self.axes.count(a) > 1 or a not in AXES for a in self.axes
-        ):
+        known = set(self.axes) <= set(AXES)
+        if not self.axes or not known or len(set(self.axes)) < len(self.axes):
             raise ValueError(
                 f'axes must be some of "xyz", each once, like "xz"; got {self.axes!r}.'
             )
@@ -156,9 +154,7 @@ class ControlPoints(eqx.Module):
                 f"control point {self.names[bad[0]]!r} lies at {x[bad[0]]}: expected "
                 "three finite numbers [m]."
             )
-        self._check_apart(x[:, self.columns])
-
-    def _check_apart(self, x: HostArray) -> None:
+        x = x[:, self.columns]
         size = max(float(np.abs(x).max()), np.finfo(float).tiny)
         for j in range(1, len(x)):
             gaps = np.linalg.norm(x[:j] - x[j], axis=1)
@@ -180,11 +176,6 @@ class ControlPoints(eqx.Module):
         self, points: Float[ArrayLike, "n_points 3"]
     ) -> Float[Array, "n_points n_cp"]:
         """Compute the weights of the control points at some points [-]."""
-        x = jnp.asarray(points, float)
         columns = jnp.asarray(self.columns)
-        return idw_weights(
-            x[:, columns],
-            self.positions[:, columns],
-            power=self.power,
-            nearest=self.nearest,
-        )
+        x, c = (jnp.asarray(at, float)[:, columns] for at in (points, self.positions))
+        return idw_weights(x, c, power=self.power, nearest=self.nearest)

@@ -7,8 +7,7 @@ import numpy as np
 
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
-from softcal_jax.fields._entry import AbstractEntry
-from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entries = tuple[AbstractEntry, ...]
@@ -25,17 +24,12 @@ class Term(NamedTuple):
 
 
 def order_terms(
-    entries: Entries, order: tuple[tuple[str, str], ...]
+    entries: Entries, order: tuple[tuple[str, ...], ...]
 ) -> list[tuple[Term, Term]]:
     """Collect both sides of every inequality smaller <= larger.
 
-    Args:
-        entries: Entries of a parameter space.
-        order: Pairs of parameter names, or of fields with control points.
-
-    Returns:
-        One pair per control point of two fields, or per pair of parameters, except for
-        pairs of known values.
+    One pair per control point of two fields, or per pair of parameters, except for
+    pairs of known values.
 
     Raises:
         ValueError: If a name is unknown, two fields share no control point, a control
@@ -52,91 +46,72 @@ def order_terms(
                 f"common ({', '.join(left)} and {', '.join(right)})."
             )
         for key in shared:
-            pair = (left[key], right[key])
-            if pair[0].scale != pair[1].scale:
+            small, large = left[key], right[key]
+            if small.scale != large.scale:
                 raise ValueError(
                     f"order ({smaller!r}, {larger!r}): give both the same scale; got "
-                    f"{pair[0].scale!r} and {pair[1].scale!r}."
+                    f"{small.scale!r} and {large.scale!r}."
                 )
-            if pair[0].column is not None or pair[1].column is not None:
-                pairs.append(pair)
-            else:
-                _check_known(*pair)
+            if small.column is not None or large.column is not None:
+                pairs.append((small, large))
+            elif is_traced(small.constant) or is_traced(large.constant):
+                continue
+            elif float(small.constant) > float(large.constant):
+                raise ValueError(
+                    f"order: {small.name} <= {large.name}, but both are fixed, the "
+                    "first above the second."
+                )
     return pairs
-
-
-def _check_known(small: Term, large: Term) -> None:
-    """Raise ValueError if two known values contradict the order."""
-    if is_traced(small.constant) or is_traced(large.constant):
-        return
-    if float(small.constant) > float(large.constant):
-        raise ValueError(
-            f"order: {small.name} <= {large.name}, but both are fixed, the first "
-            "above the second."
-        )
 
 
 def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
     """Return the terms of a parameter, or of a field by control point.
 
-    Args:
-        entries: Entries of a parameter space.
-        name: The parameter or the field.
-        key: Option that names it, "order" or "axes", for errors.
+    `key` is the option that names it, "order" or "axes", for errors.
     """
     parameters = [q for entry in entries for q in entry.parameters]
     columns = {q.name: i for i, q in enumerate(parameters)}
+
+    def unknown(column: int) -> Term:
+        q = parameters[column]
+        return Term(q.name, q.scale, column, q.unit_step, jnp.zeros(()))
+
     if name in columns:
-        return {"": _unknown(parameters, columns[name])}
-    sides = {}
-    for entry in entries:
-        if isinstance(entry, ControlPointParameters) and entry.field == name:
-            for point in entry.control_points.names:
-                if point in entry.fixed:
-                    side = _known(entry, point)
-                else:
-                    column = columns[entry.parameter_name(point)]
-                    side = _unknown(parameters, column)
-                if point in sides:
-                    raise ValueError(
-                        f"{name} has two values at control point {point!r}, in "
-                        "different regions: give their control points different names."
-                    )
-                sides[point] = side
+        return {"": unknown(columns[name])}
+    fields = [entry for entry in entries if isinstance(entry, ControlPointParameters)]
+    sides: dict[str, Term] = {}
+    for entry in fields:
+        if entry.field != name:
+            continue
+        for point in entry.control_points.names:
+            if point in sides:
+                raise ValueError(
+                    f"{name} has two values at control point {point!r}, in "
+                    "different regions: give their control points different names."
+                )
+            if point in entry.fixed:
+                value = entry.fixed[point]
+                known = jnp.log(value) if entry.scale == "log" else value
+                own = f"{name} of {point}"
+                sides[point] = Term(own, entry.scale, None, jnp.ones(()), known)
+            else:
+                sides[point] = unknown(columns[entry.parameter_name(point)])
     if not sides:
-        fields = [e.field for e in entries if isinstance(e, ControlPointParameters)]
+        known = [*(entry.field for entry in fields), *columns]
         raise ValueError(
             f"{key} names {name!r}, which is neither a parameter nor a field with "
-            f"control points.{suggestion(name, [*fields, *columns])} Parameters are "
+            f"control points.{suggestion(name, known)} Parameters are "
             f"{', '.join(columns)}."
         )
     return sides
 
 
-def _unknown(parameters: list[Parameter], column: int) -> Term:
-    q = parameters[column]
-    unit = jnp.ones(()) if q.scale == "log" else q.unit_step
-    return Term(q.name, q.scale, column, unit, jnp.zeros(()))
-
-
-def _known(entry: ControlPointParameters, point: str) -> Term:
-    value = entry.fixed[point]
-    constant = jnp.log(value) if entry.scale == "log" else value
-    name = f"{entry.field} of {point}"
-    return Term(name, entry.scale, None, jnp.ones(()), constant)
-
-
 def axis_columns(
-    entries: Entries, axes: tuple[tuple[str, str, str], ...]
+    entries: Entries, axes: tuple[tuple[str, ...], ...]
 ) -> Int[HostArray, "n_axes 3"]:
     """Find the columns of (smaller modulus, larger modulus, angle) of every axis.
 
-    Args:
-        entries: Entries of a parameter space.
-        axes: Triples of fields with the same control points.
-
-    Returns:
-        One row per control point at which all three are unknown.
+    One row per control point at which all three are unknown.
 
     Raises:
         ValueError: If a name is unknown, no control point has all three unknown, a
@@ -171,9 +146,9 @@ def axis_columns(
     return np.array(rows, dtype=int).reshape(-1, 3)
 
 
-def _check_axis(axis: tuple[str, str, str], members: list[Parameter]) -> None:
-    small, large, angle = members
-    for modulus in (small, large):
+def _check_axis(axis: tuple[str, ...], members: list[Parameter]) -> None:
+    *moduli, angle = members
+    for modulus in moduli:
         if modulus.scale != "log":
             raise ValueError(
                 f'axes {axis}: {modulus.name!r} must have scale="log", got '

@@ -1,5 +1,6 @@
-"""One unknown constant: bounds, scaling S and place in the model."""
+"""Entries of a parameter space, and the simplest one: an unknown constant."""
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
@@ -10,13 +11,76 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
-from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.materials import is_point_values
 
 
+class AbstractEntry(eqx.Module):
+    """One or several unknowns, and what they set in a model and its configurations.
+
+    Sensitivities follow from `apply` by autodiff. A new kind of parameter is a line in
+    `fields._setup.QUANTITIES` if it sets an array that the model or the configurations
+    already have, otherwise a subclass.
+    """
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple["Parameter", ...]:
+        """The unknowns that it adds."""
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Fields of the law, or the density, if it sets these and nothing else.
+
+        One pass over the tets then gives the forces of all unknowns of a field. Empty
+        for an entry that sets anything else; `check_parameters` verifies this.
+        """
+        return ()
+
+    @property
+    def tet_group(self) -> str | None:
+        """Tet group in which it sets fields; None for the whole body."""
+        return None
+
+    @property
+    def label(self) -> str:
+        """Its name in messages."""
+        return ", ".join(parameter.name for parameter in self.parameters)
+
+    @abstractmethod
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Set the values of its unknowns; traceable and differentiable.
+
+        Args:
+            model: Anything with `law`, `density`, `mesh` and `mechanism`.
+            configuration: Arrays of one configuration; None where only the model is
+                wanted.
+            values: Values of all parameters by name, in SI units.
+
+        Returns:
+            Model and configuration, changed where the entry sets something.
+        """
+
+    @abstractmethod
+    def check(self, model: Any) -> None:
+        """Raise ValueError unless the model has what the entry sets."""
+
+    @abstractmethod
+    def renamed(
+        self, points: Mapping[str, str], names: Mapping[str, str]
+    ) -> "AbstractEntry":
+        """Return the same entry with other names of control points and parameters."""
+
+
 def _number(value) -> Float[Array, ""]:
     return jnp.asarray(value, float)
+
+
+def number_or_none(value) -> Float[Array, ""] | None:
+    """Convert a number, which may be missing, to an array."""
+    return None if value is None else jnp.asarray(value, float)
 
 
 class Parameter(AbstractEntry):
@@ -47,17 +111,15 @@ class Parameter(AbstractEntry):
     lower: Float[Array, ""] = eqx.field(converter=_number)
     upper: Float[Array, ""] = eqx.field(converter=_number)
     scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
-    S: Float[Array, ""] | None = eqx.field(
-        default=None, converter=lambda v: None if v is None else _number(v)
-    )
+    S: Float[Array, ""] | None = eqx.field(default=None, converter=number_or_none)
     region: str | None = eqx.field(static=True, default=None)
     unit: str = eqx.field(static=True, default="")
     max_step: Float[Array, ""] | None = eqx.field(
-        default=None, converter=lambda v: None if v is None else _number(v)
+        default=None, converter=number_or_none
     )
     periodic: bool = eqx.field(static=True, default=False)
     prior_std: Float[Array, ""] | None = eqx.field(
-        default=None, converter=lambda v: None if v is None else _number(v)
+        default=None, converter=number_or_none
     )
 
     def __check_init__(self):
@@ -90,43 +152,21 @@ class Parameter(AbstractEntry):
                 f"{what}: a log scale needs positive bounds, got lower {lower:g}; use "
                 'scale="linear".'
             )
-        if self.S is not None and not float(self.S) > 0.0:
-            raise ValueError(f"{what}: S must be positive, got {float(self.S):g}.")
-        if self.max_step is not None and not float(self.max_step) > 0.0:
-            raise ValueError(
-                f"{what}: max_step must be positive, got {float(self.max_step):g}."
-            )
-
-        if self.prior_std is not None and not float(self.prior_std) > 0.0:
-            raise ValueError(
-                f"{what}: prior_std must be positive, got {float(self.prior_std):g}; "
-                "leave it out where nothing is known before."
-            )
+        for name, remedy in (
+            ("S", ""),
+            ("max_step", ""),
+            ("prior_std", "; leave it out where nothing is known before"),
+        ):
+            value = getattr(self, name)
+            if value is not None and not float(value) > 0.0:
+                raise ValueError(
+                    f"{what}: {name} must be positive, got {float(value):g}{remedy}."
+                )
 
     @property
     def parameters(self) -> tuple["Parameter", ...]:
-        """The unknowns that it adds: itself."""
+        """Itself."""
         return (self,)
-
-    @property
-    def unit_step(self) -> Float[Array, ""]:
-        """S of a linear scale."""
-        return self.upper - self.lower if self.S is None else self.S
-
-    def prior_weight(self) -> Float[Array, ""]:
-        """Return 1 / standard deviation of the scaled prior; 0 without one [-]."""
-        if self.prior_std is None:
-            return jnp.zeros(())
-        unit = jnp.ones(()) if self.scale == "log" else self.unit_step
-        return unit / self.prior_std
-
-    def to_scaled(self, p: Float[Array, ""]) -> Float[Array, ""]:
-        """Compute the scaled coordinate z: ln p, or p / S [-]."""
-        return jnp.log(p) if self.scale == "log" else p / self.unit_step
-
-    def from_scaled(self, z: Float[Array, ""]) -> Float[Array, ""]:
-        """Compute the value of a scaled coordinate: p = exp z, or p = S z."""
-        return jnp.exp(z) if self.scale == "log" else z * self.unit_step
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -139,9 +179,25 @@ class Parameter(AbstractEntry):
         return self.region
 
     @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
+    def unit_step(self) -> Float[Array, ""]:
+        """S of a linear scale; 1 on a log scale."""
+        if self.scale == "log":
+            return jnp.ones(())
+        return self.upper - self.lower if self.S is None else self.S
+
+    def prior_weight(self) -> Float[Array, ""]:
+        """Return 1 / standard deviation of the scaled prior; 0 without one [-]."""
+        if self.prior_std is None:
+            return jnp.zeros(())
+        return self.unit_step / self.prior_std
+
+    def to_scaled(self, p: Float[Array, ""]) -> Float[Array, ""]:
+        """Compute the scaled coordinate z: ln p, or p / S [-]."""
+        return jnp.log(p) if self.scale == "log" else p / self.unit_step
+
+    def from_scaled(self, z: Float[Array, ""]) -> Float[Array, ""]:
+        """Compute the value of a scaled coordinate: p = exp z, or p = S z."""
+        return jnp.exp(z) if self.scale == "log" else z * self.unit_step
 
     def apply(
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]

@@ -1,84 +1,53 @@
 """Constructors of parameters of setup, loads and recordings."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import XYZ, Scope, SetupParameter
+from softcal_jax.fields._setup import QUANTITIES, Scope, SetupParameter
 
 
-class Knowledge(NamedTuple):
-    """Prior knowledge of a quantity.
-
-    Attributes:
-        nominal: Nominal value, in SI units.
-        limit: Largest error considered, in SI units; on a log scale a factor.
-        prior_std: Standard deviation of the error, in SI units or, on a log scale,
-            relative; None if it is not known.
-        least: Smallest value that it can have at all, in SI units.
-    """
-
-    nominal: float
-    limit: float
-    prior_std: float | None
-    least: float = -np.inf
-
-
-def setup_parameters(
+def _unknowns(
     kind: str,
     of: str = "",
     *,
-    name: str,
-    knowledge: Knowledge,
-    unit: str = "",
-    scale: Literal["linear", "log"] = "linear",
-    axis: str = "",
+    limit: float,
+    prior_std: float | None,
+    nominal: Float[ArrayLike, "..."] | Sequence[float] | None = None,
     each: Sequence[str] = (),
     by: Scope = "recording",
-) -> SetupParameter:
-    """Make the entry for one array entry of the setup.
+) -> tuple[SetupParameter, ...]:
+    """Make the entries of a quantity, one per component.
 
-    Args:
-        kind: One of `QUANTITIES`.
-        of: What it belongs to, like the motor.
-        name: Name of the unknown; with `each`, " in ..." is added.
-        knowledge: Nominal value, limit and prior.
-        unit: SI unit, for tables.
-        scale: "linear", or "log" for a factor or a stiffness.
-        axis: Component of a quantity that has several.
-        each: Configurations or recordings with an unknown each; one for all by default.
-        by: What `each` names.
-
-    Raises:
-        ValueError: If the arguments are inconsistent.
+    `limit` is the largest error, in SI units, or factor on a log scale. `nominal` is 0,
+    or 1 for a factor.
     """
-    nominal, limit, prior_std, least = knowledge
+    quantity = QUANTITIES[kind]
+    axes, scale = quantity.components or ("",), quantity.scales[0]
     log = scale == "log"
-    lower, upper = (
-        (nominal / limit, nominal * limit)
-        if log
-        else (nominal - limit, nominal + limit)
-    )
-    names = [f"{name} in {member}" for member in each] or [name]
-    own = [
-        Parameter(
-            own_name,
-            field="",
-            start=nominal,
-            lower=max(least, lower),
-            upper=upper,
-            scale=scale,
-            S=None if log else limit,
-            unit=unit,
-            prior_std=prior_std,
-        )
-        for own_name in names
-    ]
-    return SetupParameter(kind, of, own, axis, each, by)
+    middles = np.broadcast_to(float(log) if nominal is None else nominal, len(axes))
+    entries = []
+    for axis, middle in zip(axes, middles, strict=True):
+        name = quantity.title.format(of=of, axis=axis)
+        unknowns = [
+            Parameter(
+                own_name,
+                field="",
+                start=middle,
+                lower=max(quantity.least, middle / limit if log else middle - limit),
+                upper=middle * limit if log else middle + limit,
+                scale=scale,
+                S=None if log else limit,
+                unit=quantity.unit,
+                prior_std=prior_std,
+            )
+            for own_name in [f"{name} in {member}" for member in each] or [name]
+        ]
+        entries.append(SetupParameter(kind, of, unknowns, axis, each, by))
+    return tuple(entries)
 
 
 def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupParameter:
@@ -89,13 +58,7 @@ def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupPar
         limit: Largest error considered [rad].
         prior_std: Prior standard deviation [rad]; None if not known.
     """
-    return setup_parameters(
-        "motor_zero",
-        motor,
-        name=f"zero of {motor}",
-        knowledge=Knowledge(0.0, limit, prior_std),
-        unit="rad",
-    )
+    return _unknowns("motor_zero", motor, limit=limit, prior_std=prior_std)[0]
 
 
 def mounting(
@@ -113,16 +76,8 @@ def mounting(
         limit: Largest error considered, per axis [m].
         prior_std: Prior standard deviation [m]; None if not known.
     """
-    return tuple(
-        setup_parameters(
-            "mounting",
-            body,
-            name=f"mounting {axis} of {body}",
-            knowledge=Knowledge(float(value), limit, prior_std),
-            unit="m",
-            axis=axis,
-        )
-        for axis, value in zip(XYZ, np.asarray(nominal), strict=True)
+    return _unknowns(
+        "mounting", body, limit=limit, prior_std=prior_std, nominal=nominal
     )
 
 
@@ -137,12 +92,9 @@ def friction(
         limit: Largest error considered; it stays above zero [-].
         prior_std: Prior standard deviation; None if not known [-].
     """
-    return setup_parameters(
-        "friction",
-        actuator,
-        name=f"friction of {actuator}",
-        knowledge=Knowledge(nominal, limit, prior_std, least=0.0),
-    )
+    return _unknowns(
+        "friction", actuator, limit=limit, prior_std=prior_std, nominal=nominal
+    )[0]
 
 
 def gravity_tilt(
@@ -162,18 +114,7 @@ def gravity_tilt(
         each: Configurations or recordings with a tilt each; one for all by default.
         by: What `each` names.
     """
-    return tuple(
-        setup_parameters(
-            "gravity_tilt",
-            name=f"{axis} tilt of gravity",
-            knowledge=Knowledge(0.0, limit, prior_std),
-            unit="rad",
-            axis=axis,
-            each=each,
-            by=by,
-        )
-        for axis in ("first", "second")
-    )
+    return _unknowns("gravity_tilt", limit=limit, prior_std=prior_std, each=each, by=by)
 
 
 def load_factor(
@@ -187,19 +128,13 @@ def load_factor(
 
     Args:
         limit: Largest factor considered, and 1 over the smallest [-].
-        prior_std: Relative standard deviation of the forces, like 0.05; None if not
-            known [-].
+        prior_std: Relative standard deviation, like 0.05; None if not known [-].
         each: Configurations or recordings with a factor each; one for all by default.
         by: What `each` names.
     """
-    return setup_parameters(
-        "load_factor",
-        name="factor of loads",
-        knowledge=Knowledge(1.0, limit, prior_std),
-        scale="log",
-        each=each,
-        by=by,
-    )
+    return _unknowns("load_factor", limit=limit, prior_std=prior_std, each=each, by=by)[
+        0
+    ]
 
 
 def actuator_factor(
@@ -215,20 +150,13 @@ def actuator_factor(
     Args:
         actuator: Name of the actuator.
         limit: Largest factor considered, and 1 over the smallest [-].
-        prior_std: Relative standard deviation of the force, like 0.05; None if not
-            known [-].
+        prior_std: Relative standard deviation, like 0.05; None if not known [-].
         each: Configurations or recordings with a factor each; one for all by default.
         by: What `each` names.
     """
-    return setup_parameters(
-        "actuator_factor",
-        actuator,
-        name=f"factor of {actuator}",
-        knowledge=Knowledge(1.0, limit, prior_std),
-        scale="log",
-        each=each,
-        by=by,
-    )
+    return _unknowns(
+        "actuator_factor", actuator, limit=limit, prior_std=prior_std, each=each, by=by
+    )[0]
 
 
 def recording_offset(
@@ -253,22 +181,13 @@ def recording_offset(
         each: Configurations or recordings with a frame each; one for all by default.
         by: What `each` names.
     """
-    kinds = [("recording_offset", "offset", "m", Knowledge(0.0, limit, prior_std))]
-    if turn_limit is not None:
-        turned = Knowledge(0.0, turn_limit, turn_prior_std)
-        kinds.append(("recording_turn", "turn", "rad", turned))
-    return tuple(
-        setup_parameters(
-            kind,
-            name=f"{noun} {axis}",
-            knowledge=knowledge,
-            unit=unit,
-            axis=axis,
-            each=each,
-            by=by,
-        )
-        for kind, noun, unit, knowledge in kinds
-        for axis in XYZ
+    offset = _unknowns(
+        "recording_offset", limit=limit, prior_std=prior_std, each=each, by=by
+    )
+    if turn_limit is None:
+        return offset
+    return offset + _unknowns(
+        "recording_turn", limit=turn_limit, prior_std=turn_prior_std, each=each, by=by
     )
 
 
@@ -288,17 +207,16 @@ def clamp_stiffness(
         nominal: Nominal stiffness [N/m3].
         limit: Largest ratio to it considered, and 1 over the smallest [-].
         prior_std: Relative prior standard deviation; None if not known [-].
-        each: Configurations or recordings with a stiffness each; by default one
-            for all.
+        each: Configurations or recordings with a stiffness each; one for all by
+            default.
         by: What `each` names.
     """
-    return setup_parameters(
+    return _unknowns(
         "clamp_stiffness",
         group,
-        name=f"stiffness of {group}",
-        knowledge=Knowledge(nominal, limit, prior_std),
-        unit="N/m^3",
-        scale="log",
+        limit=limit,
+        prior_std=prior_std,
+        nominal=nominal,
         each=each,
         by=by,
-    )
+    )[0]

@@ -157,7 +157,7 @@ def _along(
     others = _others(space)
 
     def derivative(direction: Float[Array, " n_other"], function: Callable):
-        at = lambda w: function(*space.apply_partly(model, configuration, z, others, w))
+        at = lambda w: function(*space.apply(model, configuration, z, others, w))
         return jax.jvp(at, (z[others],), (direction,))[1]
 
     return derivative
