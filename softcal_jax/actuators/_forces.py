@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
     AbstractActuator,
     Kind,
@@ -15,8 +15,11 @@ from softcal_jax.actuators._actuator import (
     check_direction,
     check_vector,
 )
-from softcal_jax.actuators._cliques import AbstractPotentialCliques
-from softcal_jax.actuators._geometry import ActuatorGeometry, unit
+from softcal_jax.actuators._cliques import (
+    AbstractPotentialCliques,
+    ActuatorGeometry,
+    unit,
+)
 from softcal_jax.mesh import surface_shares
 
 
@@ -42,11 +45,7 @@ class ForceActuator(AbstractActuator):
         check_direction(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
-        """Return the nodes that carry the point.
-
-        Raises:
-            ValueError: If the point lies outside the mesh.
-        """
+        """Return the nodes that carry the point."""
         nodes, weights = rest.on_mesh(self.point, self.label)
         return _weighted_nodes(nodes, weights, self.direction, owner)
 
@@ -72,11 +71,7 @@ class SurfaceForceActuator(AbstractActuator):
         check_direction(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
-        """Return the nodes of the surface.
-
-        Raises:
-            ValueError: If the surface is unknown.
-        """
+        """Return the nodes of the surface."""
         faces = rest.mesh.faces(self.surface)
         nodes = np.unique(faces)
         shares = surface_shares(rest.mesh, faces)[nodes]
@@ -96,13 +91,9 @@ class WeightedNodes(AbstractPotentialCliques):
     """Single nodes; each adds its weighted position to delta_a.
 
     Attributes:
-        nodes: One node per clique.
-        owner: Index of the actuator.
         weights: Weights of its coordinates [-].
     """
 
-    nodes: Int[Array, "*cliques 1"]
-    owner: Int[Array, "*cliques"]
     weights: Float[Array, "*cliques 1 3"]
     curved: ClassVar[bool] = False
 

@@ -5,10 +5,13 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cliques import AbstractPotentialCliques
-from softcal_jax.actuators._geometry import ActuatorGeometry, unit
+from softcal_jax.actuators._cliques import (
+    AbstractPotentialCliques,
+    ActuatorGeometry,
+    unit,
+)
 
 
 class Motor(AbstractActuator):
@@ -28,33 +31,23 @@ class Motor(AbstractActuator):
     kind: ClassVar[Kind] = Kind("motor", "N m", "rad")
 
     def cliques(self, rest: RestState, owner: int) -> "MotorFrames":
-        """Return the frame of the body.
-
-        Raises:
-            ValueError: If no rigid body has the name.
-        """
+        """Return the frame of the body."""
         nodes = rest.frame_nodes(self.body, self.label)
         origin, first, second, _ = rest.points[nodes]
+        plane = jnp.asarray([[first - origin, second - origin]])
         return MotorFrames(
-            jnp.asarray(nodes[None]),
-            jnp.full(1, owner, nodes.dtype),
-            jnp.asarray([[first - origin, second - origin]]),
+            jnp.asarray(nodes[None]), jnp.full(1, owner, nodes.dtype), plane
         )
 
 
 class MotorFrames(AbstractPotentialCliques):
-    """Frames of driven bodies; each adds its angle to delta_a.
+    """Frames of driven bodies, four nodes each; each adds its angle to delta_a.
 
     Attributes:
-        nodes: The four nodes of each frame.
-        owner: Index of the motor.
         plane: First and second axis at rest, of equal length [m].
     """
 
-    nodes: Int[Array, "*cliques 4"]
-    owner: Int[Array, "*cliques"]
     plane: Float[Array, "*cliques 2 3"]
-    curved: ClassVar[bool] = True
 
     def contribution(self, x: Float[Array, "4 3"]) -> Float[Array, ""]:
         """Compute the angle of the first axis of one frame [rad]."""
@@ -62,11 +55,8 @@ class MotorFrames(AbstractPotentialCliques):
         return jnp.arctan2(across, along)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Origin and axis of the frames."""
-        nodes = np.asarray(self.nodes)
+        """Draw origin and axis of the frames."""
+        nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
         origin, axis_end = x[nodes[:, 0]], x[nodes[:, 3]]
-        return ActuatorGeometry(
-            points=origin,
-            arrows=unit(axis_end - origin),
-            point_owner=np.asarray(self.owner),
-        )
+        arrows = unit(axis_end - origin)
+        return ActuatorGeometry(points=origin, arrows=arrows, point_owner=owner)

@@ -14,11 +14,7 @@ def outward_faces(
     """Return the faces of a surface group, once each, with outward normals.
 
     The order of nodes in a group is arbitrary, so the tet behind each face decides.
-
-    Args:
-        mesh: The mesh.
-        surface: Name of the surface group.
-        owner: What acts on it, for messages.
+    `owner` is what acts on it, for messages.
 
     Raises:
         ValueError: If the group is unknown, or a face is not on the boundary.
@@ -43,18 +39,9 @@ def outward_faces(
 def check_closed(
     mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"], surface: str, owner: str
 ):
-    """Check that a surface is closed.
+    """Raise ValueError unless a surface is closed, given its faces, oriented outward.
 
     It is if its faces traverse every edge equally often in both directions.
-
-    Args:
-        mesh: The mesh.
-        faces: Its faces, with outward normals.
-        surface: Name of the surface group, for messages.
-        owner: What acts on it, for messages.
-
-    Raises:
-        ValueError: If it is open.
     """
     ways = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edges, inverse = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
@@ -72,16 +59,10 @@ def check_closed(
 def vector_areas(
     x: Float[Array, "n_fn 3"],
 ) -> tuple[Float[Array, "n_q 3"], Float[Array, "n_q n_fn"]]:
-    """Compute n dA and shape functions at the quadrature points of one face.
+    """Compute n dA [m2] and shape functions at the quadrature points of one face.
 
     n dA = 1/2 w_q dx/dxi x dx/deta. The rule is exact for the integral of N n dA: of
     degree 1 on linear faces, 4 on quadratic ones.
-
-    Args:
-        x: Positions of the 3 or 6 nodes [m].
-
-    Returns:
-        The vector areas n dA [m2] and the shape functions [-].
     """
     n_fn = x.shape[0]
     rule = triangle_rule(1 if n_fn == 3 else 4)
