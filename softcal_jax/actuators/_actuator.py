@@ -1,20 +1,17 @@
 """Base of all actuators: a name, units, and the cliques of nodes they act on."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import ArrayLike
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.actuators._cliques import AbstractCliques
+from softcal_jax.bodies import check_vector
 from softcal_jax.mesh import TetMesh, locate
-
-Vector = Sequence[float] | Float[ArrayLike, "3"]
-"""Three numbers, as a user types them."""
 
 _OUTSIDE = 1e-3
 """Distance by which a point may lie outside the mesh, relative to its size [-]."""
@@ -132,17 +129,6 @@ class AbstractActuator(eqx.Module):
         Raises:
             ValueError: If it does not fit the mesh or the rigid bodies.
         """
-
-
-def as_vector(value: Vector) -> HostArray:
-    """Convert a user's three numbers to an array."""
-    return np.asarray(value, float)
-
-
-def check_vector(what: str, unit: str, value: HostArray):
-    """Raise ValueError unless a vector has three finite numbers."""
-    if value.shape != (3,) or not np.all(np.isfinite(value)):
-        raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
 
 
 def check_direction(what: str, value: HostArray):

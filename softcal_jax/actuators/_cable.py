@@ -11,19 +11,13 @@ import numpy as np
 
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.actuators._actuator import (
-    AbstractActuator,
-    Kind,
-    RestState,
-    Vector,
-    as_vector,
-    check_vector,
-)
+from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import (
     AbstractFrictionalCliques,
     AbstractPotentialCliques,
     ActuatorGeometry,
 )
+from softcal_jax.bodies import Vector, as_vector, check_vector
 
 _COINCIDENT = 1e-9
 """Distance at which guides coincide, relative to the extent of the cable [-]."""

@@ -11,15 +11,14 @@ from softcal_jax.actuators._actuator import (
     AbstractActuator,
     Kind,
     RestState,
-    as_vector,
     check_direction,
-    check_vector,
 )
 from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
     ActuatorGeometry,
     unit,
 )
+from softcal_jax.bodies import as_vector, check_vector
 from softcal_jax.mesh import surface_shares
 
 

@@ -11,7 +11,7 @@ from softcal_jax.bodies._kinematics import (
     mounted,
     place,
 )
-from softcal_jax.bodies._pose import Pose
+from softcal_jax.bodies._pose import Pose, Vector, as_vector, check_vector
 from softcal_jax.bodies._rotations import (
     cross_matrix,
     rotation_matrix,
@@ -27,8 +27,11 @@ __all__ = [
     "Mounted",
     "Pose",
     "RigidBody",
+    "Vector",
+    "as_vector",
     "blocked",
     "body_arrays",
+    "check_vector",
     "cross_matrix",
     "frame_nodes",
     "frames_at",

@@ -7,19 +7,16 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.bodies._pose import Pose
+from softcal_jax.bodies._pose import Pose, Vector, check_vector
 
 
 def _as_groups(where) -> tuple:
-    if isinstance(where, str):
+    if isinstance(where, str | np.ndarray):
         return (where,)
-    array = np.asarray(where) if not isinstance(where, Iterable) else where
-    if isinstance(array, np.ndarray):
-        return (array,)
-    return tuple(array)
+    return tuple(where) if isinstance(where, Iterable) else (np.asarray(where),)
 
 
-def _as_point(
+def _as_array(
     value: Float[ArrayLike, "..."] | Sequence | None,
 ) -> Float[HostArray, "..."] | None:
     return None if value is None else np.asarray(value, float)
@@ -50,25 +47,19 @@ class RigidBody(eqx.Module):
 
     name: str
     where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
-    origin: Float[HostArray, "3"] | None = eqx.field(converter=_as_point, default=None)
-    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_as_point, default=None)
+    origin: Float[HostArray, "3"] | None = eqx.field(converter=_as_array, default=None)
+    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_as_array, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
     mass: float = 0.0
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
-        converter=_as_point, default=None
+        converter=_as_array, default=None
     )
 
     def __check_init__(self):
         for name in ("origin", "centre_of_mass"):
-            value = getattr(self, name)
-            if value is not None and (
-                value.shape != (3,) or not np.all(np.isfinite(value))
-            ):
-                raise ValueError(
-                    f"{name} of rigid body {self.name!r} must be three finite numbers "
-                    f"[m], got {value}."
-                )
+            if (value := getattr(self, name)) is not None:
+                check_vector(f"{name} of rigid body {self.name!r}", "m", value)
         if not 0.0 <= self.mass < np.inf:
             raise ValueError(
                 f"mass of rigid body {self.name!r} must be finite and not negative "
@@ -88,9 +79,7 @@ class RigidBody(eqx.Module):
             raise ValueError(f"rigid body {self.name!r} is tied to itself.")
 
 
-def hinge_axes(
-    axis: Float[ArrayLike, "3"] | Sequence[float],
-) -> Float[HostArray, "3 3"]:
+def hinge_axes(axis: Vector) -> Float[HostArray, "3 3"]:
     """Return the axes of a frame, by rows, whose third is a hinge's axis [-].
 
     Args:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
 from softcal_jax.bodies._body import KINDS
 from softcal_jax.bodies._rotations import rotation_matrix
@@ -27,16 +27,18 @@ class Frames(NamedTuple):
     origin: Float[Array, "n_b 3"]
     rotation: Float[Array, "n_b 3 3"]
 
+    def where(self, mask: Bool[Array, " n_b"], others: "Frames") -> "Frames":
+        """Take those of some bodies, and other frames elsewhere."""
+        return Frames(
+            jnp.where(mask[:, None], self.origin, others.origin),
+            jnp.where(mask[:, None, None], self.rotation, others.rotation),
+        )
+
 
 def frames_at(bodies: BodyArrays, ends: Float[Array, "n_frame_nodes 3"]) -> Frames:
-    """Compute frames from the positions of the frame nodes.
+    """Compute frames from the positions of the frame nodes, four per body [m].
 
-    Args:
-        bodies: The bodies.
-        ends: Positions of origin and axis ends, four per body [m].
-
-    Returns:
-        The frames, with axes orthogonalised in case a linear prediction distorted them.
+    Axes are orthogonalised in case a linear prediction distorted them.
     """
     ends = ends.reshape(bodies.n_bodies, 4, 3)
     now = (ends[:, 1:] - ends[:, :1]) / bodies.length
@@ -100,8 +102,8 @@ def place(
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
     rest = jnp.asarray(bodies.origin)
     home = rest + load * (bodies.mounting_translation + state.translation)
-    angle = _hinge_angle(_product(frames.rotation, _transposed(mounting)), axes)
-    angle = angle + twist[:, 5] / bodies.length
+    turned = _product(frames.rotation, jnp.swapaxes(mounting, 1, 2))
+    angle = _hinge_angle(turned, axes) + twist[:, 5] / bodies.length
     turns = [
         along(twist[:, 3:]) / bodies.length,
         angle[:, None] * axes[:, 2],
@@ -114,33 +116,17 @@ def place(
     )
     hinged = Frames(home, _product(by_angle, mounting))
     held = Frames(home, _product(by_pose, mounting))
-    kind = state.kind[:, None]
-    pick = lambda a, b, c: jnp.where(
-        kind == KINDS.index("free"), a, jnp.where(kind == KINDS.index("hinged"), b, c)
-    )
-    origin = pick(free.origin, hinged.origin, held.origin)
-    kind = kind[:, :, None]
-    rotation = pick(free.rotation, hinged.rotation, held.rotation)
+    own = hinged.where(state.kind == KINDS.index("hinged"), held)
+    own = free.where(state.kind == KINDS.index("free"), own)
     # A tied body follows its owner, after its own mounting.
-    owner = bodies.owner
-    tied = (owner != jnp.arange(bodies.n_bodies, dtype=jnp.int32))[:, None]
-    arm = rest + load * bodies.mounting_translation - rest[owner]
-    on_owner = Frames(
-        origin[owner] + _apply(rotation[owner], arm),
-        _product(rotation[owner], mounting),
-    )
-    return Frames(
-        jnp.where(tied, on_owner.origin, origin),
-        jnp.where(tied[:, :, None], on_owner.rotation, rotation),
-    )
+    arm = rest + load * bodies.mounting_translation - rest[bodies.owner]
+    origin, rotation = own.origin[bodies.owner], own.rotation[bodies.owner]
+    tied = Frames(origin + _apply(rotation, arm), _product(rotation, mounting))
+    return tied.where(bodies.tied, own)
 
 
 def _product(A: Float[Array, "n_b 3 3"], B: Float[Array, "n_b 3 3"]):
     return jnp.sum(A[:, :, :, None] * B[:, None], axis=2)
-
-
-def _transposed(A: Float[Array, "n_b 3 3"]):
-    return jnp.swapaxes(A, 1, 2)
 
 
 def _hinge_angle(R: Float[Array, "n_b 3 3"], axes: Float[Array, "n_b 3 3"]):
@@ -156,5 +142,4 @@ def blocked(state: BodyStateArrays, bodies: BodyArrays):
     kind = state.kind[:, None]
     hinge = jnp.arange(6)[None] == 5
     free = (kind == KINDS.index("free")) | ((kind == KINDS.index("hinged")) & hinge)
-    tied = (bodies.owner != jnp.arange(bodies.n_bodies, dtype=jnp.int32))[:, None]
-    return ~free | tied
+    return ~free | bodies.tied[:, None]

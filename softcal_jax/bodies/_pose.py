@@ -9,11 +9,19 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray
 
+Vector = Sequence[float] | Float[ArrayLike, "3"]
+"""Three numbers, as a user types them."""
 
-def _three_numbers(
-    value: Float[ArrayLike, "3"] | Sequence[float],
-) -> Float[HostArray, "3"]:
+
+def as_vector(value: Vector) -> Float[HostArray, "3"]:
+    """Convert a user's three numbers to an array."""
     return np.array(value, float)  # a copy: SciPy's rotations need it writable
+
+
+def check_vector(what: str, unit: str, value: HostArray) -> None:
+    """Raise ValueError unless a vector has three finite numbers."""
+    if value.shape != (3,) or not np.all(np.isfinite(value)):
+        raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
 
 
 class Pose(eqx.Module):
@@ -27,17 +35,15 @@ class Pose(eqx.Module):
     """
 
     translation: Float[HostArray, "3"] = eqx.field(
-        converter=_three_numbers, default_factory=lambda: np.zeros(3)
+        converter=as_vector, default_factory=lambda: np.zeros(3)
     )
     rotation_vector: Float[HostArray, "3"] = eqx.field(
-        converter=_three_numbers, default_factory=lambda: np.zeros(3)
+        converter=as_vector, default_factory=lambda: np.zeros(3)
     )
 
     def __check_init__(self):
-        for name in ("translation", "rotation_vector"):
-            value = getattr(self, name)
-            if value.shape != (3,) or not np.all(np.isfinite(value)):
-                raise ValueError(f"{name} must be three finite numbers, got {value}.")
+        check_vector("translation", "m", self.translation)
+        check_vector("rotation_vector", "rad", self.rotation_vector)
         angle = float(np.linalg.norm(self.rotation_vector))
         if angle > 2.0 * np.pi:
             raise ValueError(

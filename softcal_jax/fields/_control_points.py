@@ -39,9 +39,8 @@ def idw_weights(
     Raises:
         ValueError: If the power is not positive, or `nearest` is out of range.
     """
-    check_power(power)
     x, c = jnp.asarray(points, float), jnp.asarray(control_points, float)
-    check_nearest(nearest, c.shape[0])
+    _check_weighting(power, nearest, c.shape[0])
     squares = jnp.sum((x[:, None] - c[None]) ** 2, axis=2)
     # On a control point: the limit, with a derivative of zero instead of 0 / 0.
     squares = jnp.maximum(squares, jnp.finfo(squares.dtype).tiny)
@@ -53,17 +52,13 @@ def idw_weights(
     return jax.nn.softmax(nearness, axis=1)
 
 
-def check_power(power: float) -> None:
-    """Raise ValueError unless the exponent is positive and finite."""
+def _check_weighting(power: float, nearest: int | None, n_cp: int) -> None:
     if not (np.isfinite(power) and power > 0.0):
         raise ValueError(
             f"power must be positive and finite, got {power:g}: with 0 every control "
             "point would count the same everywhere; the paper takes 2."
         )
 
-
-def check_nearest(nearest: int | None, n_cp: int) -> None:
-    """Raise ValueError unless `nearest` lies between 1 and n_cp."""
     if nearest is not None and not 1 <= nearest <= n_cp:
         raise ValueError(
             f"nearest must lie between 1 and the number of control points, {n_cp}, "
@@ -142,8 +137,7 @@ class ControlPoints(eqx.Module):
             raise ValueError(
                 f'axes must be some of "xyz", each once, like "xz"; got {self.axes!r}.'
             )
-        check_power(self.power)
-        check_nearest(self.nearest, len(x))
+        _check_weighting(self.power, self.nearest, len(x))
         if self.max_distance is not None and not self.max_distance >= 0.0:
             raise ValueError(
                 f"max_distance must not be negative [m], got {self.max_distance:g}."

@@ -78,13 +78,48 @@ def _number(value) -> Float[Array, ""]:
     return jnp.asarray(value, float)
 
 
-def number_or_none(value) -> Float[Array, ""] | None:
-    """Convert a number, which may be missing, to an array."""
+def _number_or_none(value) -> Float[Array, ""] | None:
     return None if value is None else jnp.asarray(value, float)
 
 
-class Parameter(AbstractEntry):
-    """One unknown constant of the model.
+class AbstractFieldEntry(AbstractEntry):
+    """Unknowns that set one field of the law, or the density.
+
+    Attributes:
+        scale: "log" for moduli (a step is a ratio), "linear" otherwise.
+        S: For a linear scale, the size of a unit step of lambda_p; upper - lower by
+            default. A log scale needs none.
+        region: Tet group that it is set in; the whole body by default.
+        unit: SI unit, for tables.
+        max_step: Largest entry of lambda_p in one step, like the step limits of the
+            paper; on a log scale 0.01 is 1 %. None leaves it to the trust region [-].
+        prior_std: Standard deviation of the prior about `start`: relative on a log
+            scale (0.3 is 30 %), in SI units on a linear one. None without a prior.
+    """
+
+    scale: Literal["log", "linear"] = eqx.field(
+        static=True, default="log", kw_only=True
+    )
+    S: Float[Array, ""] | None = eqx.field(
+        default=None, converter=_number_or_none, kw_only=True
+    )
+    region: str | None = eqx.field(static=True, default=None, kw_only=True)
+    unit: str = eqx.field(static=True, default="", kw_only=True)
+    max_step: Float[Array, ""] | None = eqx.field(
+        default=None, converter=_number_or_none, kw_only=True
+    )
+    prior_std: Float[Array, ""] | None = eqx.field(
+        default=None, converter=_number_or_none, kw_only=True
+    )
+
+    @property
+    def tet_group(self) -> str | None:
+        """The region that it sets the field in."""
+        return self.region
+
+
+class Parameter(AbstractFieldEntry):
+    """One unknown constant of the model; further options are of `AbstractFieldEntry`.
 
     Attributes:
         name: Name in tables and results.
@@ -92,17 +127,8 @@ class Parameter(AbstractEntry):
         start: Value before calibration, in SI units.
         lower: Smallest value allowed.
         upper: Largest value allowed.
-        scale: "log" for moduli (a step is a ratio), "linear" otherwise.
-        S: For a linear scale, the size of a unit step of lambda_p; upper - lower by
-            default. A log scale needs none.
-        region: Tet group that it applies to; the whole body by default.
-        unit: SI unit, for tables.
-        max_step: Largest entry of lambda_p in one step, like the step limits of the
-            paper; on a log scale 0.01 is 1 %. None leaves it to the trust region [-].
         periodic: Whether both bounds are equivalent, as for the angle of an axis, -90
             to 90 degrees: a step past one bound re-enters at the other.
-        prior_std: Standard deviation of the prior about `start`: relative on a log
-            scale (0.3 is 30 %), in SI units on a linear one. None without a prior.
     """
 
     name: str = eqx.field(static=True)
@@ -110,17 +136,7 @@ class Parameter(AbstractEntry):
     start: Float[Array, ""] = eqx.field(converter=_number)
     lower: Float[Array, ""] = eqx.field(converter=_number)
     upper: Float[Array, ""] = eqx.field(converter=_number)
-    scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
-    S: Float[Array, ""] | None = eqx.field(default=None, converter=number_or_none)
-    region: str | None = eqx.field(static=True, default=None)
-    unit: str = eqx.field(static=True, default="")
-    max_step: Float[Array, ""] | None = eqx.field(
-        default=None, converter=number_or_none
-    )
-    periodic: bool = eqx.field(static=True, default=False)
-    prior_std: Float[Array, ""] | None = eqx.field(
-        default=None, converter=number_or_none
-    )
+    periodic: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
         if any(is_traced(v) for v in (self.start, self.lower)):
@@ -172,11 +188,6 @@ class Parameter(AbstractEntry):
     def fields(self) -> tuple[str, ...]:
         """The field that it sets."""
         return (self.field,)
-
-    @property
-    def tet_group(self) -> str | None:
-        """The region that it sets the field in."""
-        return self.region
 
     @property
     def unit_step(self) -> Float[Array, ""]:

@@ -32,7 +32,6 @@ class Quantity(NamedTuple):
         title: Name of an unknown, with {of} and {axis} filled in.
         put: Changes an entry: of (model or configuration, index, function of the old
             value).
-        of_configuration: Whether configurations hold it, or the model.
         noun: What its first axis enumerates, like "motor"; empty if nothing.
         names: Names along the first axis, from the model or the configuration.
         components: Names along the last axis; empty for one number.
@@ -43,7 +42,6 @@ class Quantity(NamedTuple):
 
     title: str
     put: Put
-    of_configuration: bool
     noun: str = ""
     names: Callable[[Any], Sequence[str]] = lambda _: ()
     components: tuple[str, ...] = ()
@@ -80,11 +78,12 @@ def _actuators(which: Callable[[Any], list[bool]]) -> Callable[[Any], list[str]]
     return names
 
 
-QUANTITIES = {
+_FACTOR = ("log", "linear")
+
+_OF_MODEL = {
     "motor_zero": Quantity(
         "zero of {of}",
         _entry_of("mechanism.motor_zero"),
-        of_configuration=False,
         noun="motor",
         names=_actuators(lambda a: [body >= 0 for body in a.motor_body]),
         unit="rad",
@@ -92,7 +91,6 @@ QUANTITIES = {
     "mounting": Quantity(
         "mounting {axis} of {of}",
         _entry_of("mechanism.bodies.mounting_translation"),
-        of_configuration=False,
         noun="rigid body",
         names=attrgetter("mechanism.bodies.names"),
         components=_XYZ,
@@ -101,56 +99,50 @@ QUANTITIES = {
     "friction": Quantity(
         "friction of {of}",
         _put_friction,
-        of_configuration=False,
         noun="actuator with friction",
         names=_actuators(attrgetter("has_friction")),
         least=0.0,
     ),
+}
+_OF_CONFIGURATION = {
     "gravity_tilt": Quantity(
         "{axis} tilt of gravity",
         _entry_of("tilt"),
-        of_configuration=True,
         components=("first", "second"),
         unit="rad",
     ),
     "load_factor": Quantity(
-        "factor of loads",
-        _entry_of("load_factor"),
-        of_configuration=True,
-        scales=("log", "linear"),
+        "factor of loads", _entry_of("load_factor"), scales=_FACTOR
     ),
     "actuator_factor": Quantity(
         "factor of {of}",
         _entry_of("actuation.force_factor"),
-        of_configuration=True,
         noun="actuator",
         names=attrgetter("actuation.names"),
-        scales=("log", "linear"),
+        scales=_FACTOR,
     ),
     "recording_offset": Quantity(
         "offset {axis}",
         _entry_of("effectors.base.translation"),
-        of_configuration=True,
         components=_XYZ,
         unit="m",
     ),
     "recording_turn": Quantity(
         "turn {axis}",
         _entry_of("effectors.base.rotation"),
-        of_configuration=True,
         components=_XYZ,
         unit="rad",
     ),
     "clamp_stiffness": Quantity(
         "stiffness of {of}",
         _entry_of("springs.stiffness"),
-        of_configuration=True,
         noun="support with a stiffness",
         names=attrgetter("springs.names"),
-        scales=("log", "linear"),
+        scales=_FACTOR,
         unit="N/m^3",
     ),
 }
+QUANTITIES = _OF_MODEL | _OF_CONFIGURATION
 """Kinds of parameters that set one entry of an array: one line for a new kind."""
 
 
@@ -203,7 +195,7 @@ class SetupParameter(AbstractEntry):
             )
         if self.by not in _SCOPES:
             raise ValueError(f"{what}: by must be {quoted(_SCOPES)}, got {self.by!r}.")
-        if self.each and not quantity.of_configuration:
+        if self.each and not self._of_configuration:
             raise ValueError(
                 f"{what}: {self.kind} belongs to the robot, which all configurations "
                 "share; leave `each` out."
@@ -222,6 +214,10 @@ class SetupParameter(AbstractEntry):
     def quantity(self) -> Quantity:
         """What it sets."""
         return QUANTITIES[self.kind]
+
+    @property
+    def _of_configuration(self) -> bool:
+        return self.kind in _OF_CONFIGURATION
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -245,7 +241,7 @@ class SetupParameter(AbstractEntry):
 
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
-        if not self.quantity.of_configuration:
+        if not self._of_configuration:
             self._index(model)
 
     def _index(self, owner: Any) -> tuple[int, ...]:
@@ -266,8 +262,7 @@ class SetupParameter(AbstractEntry):
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
     ) -> tuple[Any, Any]:
         """Set its entry; configurations that it does not belong to keep theirs."""
-        of_configuration = self.quantity.of_configuration
-        owner = configuration if of_configuration else model
+        owner = configuration if self._of_configuration else model
         if owner is None:
             return model, configuration
 
@@ -280,7 +275,7 @@ class SetupParameter(AbstractEntry):
             return old
 
         owner = self.quantity.put(owner, self._index(owner), change)
-        return (model, owner) if of_configuration else (owner, configuration)
+        return (model, owner) if self._of_configuration else (owner, configuration)
 
     def renamed(
         self, points: Mapping[str, str], names: Mapping[str, str]

@@ -13,7 +13,7 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
 from softcal_jax.fields._model_fields import region_tets, set_field
-from softcal_jax.fields._parameters import AbstractEntry, Parameter, number_or_none
+from softcal_jax.fields._parameters import AbstractFieldEntry, Parameter
 from softcal_jax.materials import PointValues
 from softcal_jax.mesh import TetMesh
 
@@ -37,10 +37,11 @@ def _pairs(
     return tuple(dict(tied or ()).items())
 
 
-class ControlPointParameters(AbstractEntry):
+class ControlPointParameters(AbstractFieldEntry):
     """One unknown per control point, spread over the body as a field of the law.
 
     p(X) = sum_j w_j(X) p_j with the inverse-distance weights w_j, paper Sec. IV.A.
+    Options of each unknown, like `scale`, are those of `AbstractFieldEntry`.
 
     `interpolation` is how values are mixed: "linear" as in the paper; "log" mixes
     logarithms, for moduli that differ by orders of magnitude. "director" is for the
@@ -66,19 +67,11 @@ class ControlPointParameters(AbstractEntry):
             in SI units.
         lower: Smallest values allowed, likewise.
         upper: Largest values allowed, likewise.
-        scale: "log" for moduli, "linear" for angles.
-        S: For a linear scale, the size of a unit step of lambda_p; upper - lower by
-            default.
-        region: Tet group that the field is set in; the whole body by default.
-        unit: SI unit, for tables.
         interpolation: How values are mixed; see above.
         sampling: Whether at the centroid of each tet or at its quadrature points.
         fixed: Known values, by control point.
         tied: Names of other parameters whose value is used, by control point, like
             {"upper 1": "E_t of lower 1"}.
-        max_step: Largest entry of lambda_p in one step [-].
-        prior_std: Standard deviation of what is known of each value before any data,
-            about its start; relative on a log scale, in SI units on a linear one.
         core: For the angle of an axis: rho below which the contrast of its moduli
             fades, like 0.1; with 0 it never fades [-].
         periodic: Whether each value is an angle that may leave its bounds.
@@ -89,10 +82,6 @@ class ControlPointParameters(AbstractEntry):
     start: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
     lower: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
     upper: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
-    scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
-    S: Float[Array, ""] | None = eqx.field(default=None, converter=number_or_none)
-    region: str | None = eqx.field(static=True, default=None)
-    unit: str = eqx.field(static=True, default="")
     interpolation: Literal["linear", "log", "director"] = eqx.field(
         static=True, default="linear"
     )
@@ -102,12 +91,6 @@ class ControlPointParameters(AbstractEntry):
     fixed: dict[str, Float[Array, ""]] = eqx.field(default=None, converter=_known)
     tied: tuple[tuple[str, str], ...] = eqx.field(
         static=True, default=None, converter=_pairs
-    )
-    max_step: Float[Array, ""] | None = eqx.field(
-        default=None, converter=number_or_none
-    )
-    prior_std: Float[Array, ""] | None = eqx.field(
-        default=None, converter=number_or_none
     )
     core: float = eqx.field(static=True, default=0.0, converter=float)
     periodic: tuple[bool, ...] = eqx.field(static=True, init=False)
@@ -202,11 +185,6 @@ class ControlPointParameters(AbstractEntry):
     def fields(self) -> tuple[str, ...]:
         """The field that it sets."""
         return (self.field,)
-
-    @property
-    def tet_group(self) -> str | None:
-        """The region that it sets the field in."""
-        return self.region
 
     @property
     def label(self) -> str:

@@ -41,8 +41,7 @@ def check_parameters(
     for side, z in (("lower", space.lower()), ("upper", space.upper())):
         applied = space.model_at(model, z)
         try:
-            for law in _laws(applied.law):
-                _check_constants(law)
+            _check_constants(applied.law)
             if not bool(jnp.all(applied.density >= 0.0)):
                 raise ValueError("density must not be negative [kg/m3].")
         except ValueError as error:
@@ -166,20 +165,6 @@ def _check_order(space: ParameterSpace) -> None:
                 f"the start has {small} above {large}, but {rule.format(small, large)} "
                 "start with equal or ordered values."
             )
-
-
-def _laws(law: Any) -> list[Any]:
-    """Return the law, or one per quadrature point if it differs between them."""
-    leaves = jax.tree.leaves(law, is_leaf=is_point_values)
-    n_qp = max([v.values.shape[1] for v in leaves if is_point_values(v)], default=1)
-    return [
-        jax.tree.map(
-            lambda v, q=q: v.values[:, q] if is_point_values(v) else v,
-            law,
-            is_leaf=is_point_values,
-        )
-        for q in range(n_qp)
-    ]
 
 
 def _check_constants(module: eqx.Module) -> None:

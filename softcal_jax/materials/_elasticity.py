@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._checks import (
+from softcal_jax.materials._constants import (
     MODULUS,
     RATIO,
+    PointValues,
     as_field,
-    check_modulus,
-    check_poisson_ratio,
+    check_constants,
+    is_point_values,
 )
-from softcal_jax.materials._point_values import PointValues, is_point_values
 
 _UNIT = np.eye(9).reshape(3, 3, 3, 3)
 _SYMMETRIC_UNIT = 0.5 * (_UNIT + _UNIT.transpose(1, 0, 2, 3))
@@ -104,17 +104,10 @@ def lame(
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Convert Young's modulus and Poisson's ratio to Lame constants (lambda, mu) [Pa].
 
-    Args:
-        E: Young's modulus [Pa].
-        nu: Poisson's ratio [-].
-
-    Returns:
-        lambda = E nu / ((1 + nu)(1 - 2 nu)) and mu = E / (2 (1 + nu)).
+    lambda = E nu / ((1 + nu)(1 - 2 nu)) and mu = E / (2 (1 + nu)).
     """
-    return (
-        jnp.asarray(E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))),
-        jnp.asarray(E / (2.0 * (1.0 + nu))),
-    )
+    lam = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    return jnp.asarray(lam), jnp.asarray(E / (2.0 * (1.0 + nu)))
 
 
 class Isotropic(AbstractElasticity):
@@ -129,8 +122,7 @@ class Isotropic(AbstractElasticity):
     nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
 
     def __check_init__(self):
-        check_modulus("E", self.E)
-        check_poisson_ratio("nu", self.nu)
+        check_constants(self)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress lambda tr(strain) I + 2 mu strain [Pa]."""

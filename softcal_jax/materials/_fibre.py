@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._checks import as_field, check_finite, constant
+from softcal_jax.materials._constants import as_field, check_constants, constant
 
 Plane = Literal["xy", "xz", "yz"]
 
@@ -42,8 +42,7 @@ class Fibre(eqx.Module):
                 f'plane must be "xy", "xz" or "yz", got {self.plane!r}; '
                 "theta counts from its first axis towards its second."
             )
-        check_finite("theta", self.theta, "rad")
-        check_finite("phi", self.phi, "rad")
+        check_constants(self)
 
     def direction(self) -> Float[Array, "3"]:
         """Unit vector u along the fibre [-]."""

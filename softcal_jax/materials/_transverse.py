@@ -6,16 +6,15 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._checks import (
+from softcal_jax.materials._constants import (
     ACROSS,
     ALONG,
+    PLANE_RATIO,
     RATIO,
     SHEAR,
     as_field,
+    check_constants,
     check_fibre_ratio,
-    check_modulus,
-    check_plane_ratio,
-    check_poisson_ratio,
     constant,
 )
 from softcal_jax.materials._elasticity import AbstractElasticity, Tabulated
@@ -44,16 +43,9 @@ def plane_stiffness(
     nu_t: Float[Array, ""],
     nu_tl: Float[Array, ""],
 ) -> PlaneStiffness:
-    """Invert the compliance S11 = 1/E_t, S12 = -nu_t/E_t, S13 = -nu_tl/E_t, S33.
+    """Invert the compliance of moduli [Pa] and ratios [-] of `TransverseIsotropic`.
 
-    Args:
-        E_t: Young's modulus across the fibre [Pa].
-        E_l: Young's modulus along the fibre [Pa].
-        nu_t: Poisson's ratio in the transverse plane [-].
-        nu_tl: Contraction along the fibre for stress across it [-].
-
-    Returns:
-        The stiffnesses, with S33 = 1/E_l.
+    S11 = 1/E_t, S12 = -nu_t/E_t, S13 = -nu_tl/E_t, S33 = 1/E_l.
     """
     coupling = nu_tl * nu_tl * E_l / E_t
     m = 1.0 - nu_t - 2.0 * coupling
@@ -115,10 +107,7 @@ class TransverseIsotropic(AbstractElasticity):
 
     E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
     E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu_t: Float[Array, "..."] = eqx.field(
-        converter=as_field,
-        metadata=constant("", "Poisson's ratio in the plane across the fibre: 0.3"),
-    )
+    nu_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=PLANE_RATIO)
     nu_tl: Float[Array, "..."] = eqx.field(
         converter=as_field,
         metadata=constant("", "contraction along the fibre for stress across it: 0.3"),
@@ -127,10 +116,7 @@ class TransverseIsotropic(AbstractElasticity):
     fibre: Fibre
 
     def __check_init__(self):
-        check_modulus("E_t", self.E_t)
-        check_modulus("E_l", self.E_l)
-        check_modulus("mu_l", self.mu_l)
-        check_plane_ratio("nu_t", self.nu_t)
+        check_constants(self)
         check_fibre_ratio(self.E_t, self.E_l, self.nu_t, self.nu_tl)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -177,9 +163,7 @@ class ReducedTransverseIsotropic(AbstractElasticity):
     fibre: Fibre
 
     def __check_init__(self):
-        check_modulus("E_t", self.E_t)
-        check_modulus("E_l", self.E_l)
-        check_poisson_ratio("nu", self.nu)
+        check_constants(self)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress (B strain B + nu/(1-2 nu) (B : strain) B) / (1 + nu) [Pa]."""
