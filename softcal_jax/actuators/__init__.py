@@ -19,8 +19,7 @@ from softcal_jax.actuators._arrays import (
 )
 from softcal_jax.actuators._cable import Cable, Guide
 from softcal_jax.actuators._cliques import ActuatorGeometry
-from softcal_jax.actuators._forces import ForceActuator, SurfaceForceActuator
-from softcal_jax.actuators._motor import Motor
+from softcal_jax.actuators._forces import ForceActuator, Motor, SurfaceForceActuator
 from softcal_jax.actuators._pressure import Chamber, SurfacePressure
 
 __all__ = [

@@ -17,7 +17,7 @@ from softcal_jax.actuators._cliques import (
     ActuatorGeometry,
     each_clique,
 )
-from softcal_jax.actuators._motor import Motor
+from softcal_jax.actuators._forces import Motor
 from softcal_jax.mesh import TetMesh
 
 

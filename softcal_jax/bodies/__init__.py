@@ -1,7 +1,16 @@
 """Rigid bodies: groups of nodes that move as one frame."""
 
 from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays, body_arrays
-from softcal_jax.bodies._body import KINDS, BodyState, RigidBody, hinge_axes
+from softcal_jax.bodies._body import (
+    KINDS,
+    BodyState,
+    Pose,
+    RigidBody,
+    Vector,
+    as_vector,
+    check_vector,
+    hinge_axes,
+)
 from softcal_jax.bodies._kinematics import (
     Frames,
     Mounted,
@@ -11,7 +20,6 @@ from softcal_jax.bodies._kinematics import (
     mounted,
     place,
 )
-from softcal_jax.bodies._pose import Pose, Vector, as_vector, check_vector
 from softcal_jax.bodies._rotations import (
     cross_matrix,
     rotation_matrix,

@@ -113,20 +113,14 @@ def fading_axes(
                 f'say which in axes, like ("E_l", "E_t", "{angle.field}"), or leave '
                 "core out."
             )
-        small, large = (_beside(angle, name, fields) for name in its[0][:2])
-        found.append(FadingAxis(small, large, angle))
+        where = (angle.region, angle.sampling)
+        beside = {e.field: e for e in fields if (e.region, e.sampling) == where}
+        for field in its[0]:
+            if field not in beside:
+                raise ValueError(
+                    f"{angle.field} has a core, and {field} is not sampled where it "
+                    f"is: give both region={angle.region!r} and "
+                    f"sampling={angle.sampling!r}, or leave core out."
+                )
+        found.append(FadingAxis(*(beside[field] for field in its[0])))
     return found
-
-
-def _beside(
-    angle: ControlPointParameters, field: str, fields: list[ControlPointParameters]
-) -> ControlPointParameters:
-    """Return the entry of a field with the region and sampling of the angle."""
-    where = (angle.region, angle.sampling)
-    for entry in fields:
-        if entry.field == field and (entry.region, entry.sampling) == where:
-            return entry
-    raise ValueError(
-        f"{angle.field} has a core, and {field} is not sampled where it is: give both "
-        f"region={angle.region!r} and sampling={angle.sampling!r}, or leave core out."
-    )

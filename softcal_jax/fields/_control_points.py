@@ -1,6 +1,7 @@
 """Control points and inverse-distance weighting (paper Sec. IV.A)."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -66,12 +67,25 @@ def _check_weighting(power: float, nearest: int | None, n_cp: int) -> None:
         )
 
 
+Places = (
+    Float[ArrayLike, "n_cp 3"]
+    | Sequence[Sequence[float] | HostArray]
+    | Mapping[str, Sequence[float] | HostArray]
+)
+
+
+def _as_array(positions: Places) -> Float[Array, "n_cp 3"]:
+    # Checked and stacked before, in `__post_init__`.
+    return jnp.asarray(positions)
+
+
 class ControlPoints(eqx.Module):
     """Places where the fields of a law have values of their own.
 
     Attributes:
+        positions: Positions in the frame of the mesh at rest [m], or a mapping of
+            names to them.
         names: One name per control point; "CP 1", "CP 2", ... by default.
-        positions: Positions in the frame of the mesh at rest [m].
         power: Exponent of the inverse-distance weighting [-].
         nearest: How many of the nearest control points act on a tet; all by default.
         axes: Coordinate axes that count for the distance. With "xz" the field does not
@@ -80,50 +94,31 @@ class ControlPoints(eqx.Module):
             a tenth of the diagonal of its region.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
-    positions: Float[Array, "n_cp 3"]
-    power: float = eqx.field(static=True)
-    nearest: int | None = eqx.field(static=True)
-    axes: str = eqx.field(static=True)
-    max_distance: float | None = eqx.field(static=True)
+    positions: Float[Array, "n_cp 3"] = eqx.field(converter=_as_array)
+    names: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
+    power: float = eqx.field(static=True, default=2.0, converter=float)
+    nearest: int | None = eqx.field(static=True, default=None)
+    axes: str = eqx.field(static=True, default=AXES)
+    max_distance: float | None = eqx.field(static=True, default=None)
 
-    def __init__(
-        self,
-        positions: Float[ArrayLike, "n_cp 3"]
-        | Sequence[Sequence[float] | HostArray]
-        | Mapping[str, Sequence[float] | HostArray],
-        *,
-        names: Sequence[str] | None = None,
-        power: float = 2.0,
-        nearest: int | None = None,
-        axes: str = AXES,
-        max_distance: float | None = None,
-    ):
-        """Make control points from positions, or from a mapping of names to them.
-
-        Raises:
-            ValueError: If a position is not three finite numbers, two coincide, names
-                repeat, or an option is out of its range.
-        """
-        if isinstance(positions, Mapping):
-            names = tuple(positions) if names is None else names
-            for name, x in positions.items():
+    def __post_init__(self):
+        given: Any = self.positions
+        if isinstance(given, Mapping):
+            self.names = self.names or tuple(given)
+            for name, x in given.items():
                 if np.shape(x) != (3,):
                     raise ValueError(
                         f"control point {name!r} needs three numbers [m], got {x}."
                     )
-            positions = np.array([np.asarray(x, float) for x in positions.values()])
-        x = np.asarray(positions, float)
+            given = [np.asarray(x, float) for x in given.values()]
+        x = np.asarray(given, float)
         if x.ndim != 2 or x.shape[1] != 3 or not len(x):
             raise ValueError(
                 "control points need positions of shape (number, 3) [m], at least one; "
                 f"got shape {x.shape}."
             )
-        if names is None:
-            names = tuple(f"CP {i + 1}" for i in range(len(x)))
-        self.names, self.positions = tuple(names), jnp.asarray(x)
-        self.power, self.nearest = float(power), nearest
-        self.axes, self.max_distance = axes, max_distance
+        self.names = self.names or tuple(f"CP {i + 1}" for i in range(len(x)))
+        self.positions = jnp.asarray(x)
 
     def __check_init__(self):
         x = np.asarray(self.positions)

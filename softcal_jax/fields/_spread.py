@@ -162,6 +162,8 @@ class ControlPointParameters(AbstractFieldEntry):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknowns at control points neither fixed nor tied, in their order."""
+        keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
+        options: dict[str, Any] = {key: getattr(self, key) for key in keys}
         return tuple(
             Parameter(
                 self.parameter_name(name),
@@ -169,13 +171,8 @@ class ControlPointParameters(AbstractFieldEntry):
                 self.start[i],
                 self.lower[i],
                 self.upper[i],
-                scale=self.scale,
-                S=self.S,
-                region=self.region,
-                unit=self.unit,
-                max_step=self.max_step,
                 periodic=self.periodic[i],
-                prior_std=self.prior_std,
+                **options,
             )
             for i, name in enumerate(self.control_points.names)
             if name not in self.fixed and name not in dict(self.tied)

@@ -7,13 +7,17 @@ from softcal_jax.materials._constants import (
     law_at_points,
 )
 from softcal_jax.materials._corotational import ClassicalCorotational, Corotational
-from softcal_jax.materials._elasticity import AbstractElasticity, Isotropic, lame
-from softcal_jax.materials._fibre import Fibre
+from softcal_jax.materials._elasticity import (
+    AbstractElasticity,
+    Isotropic,
+    StVenantKirchhoff,
+    lame,
+)
 from softcal_jax.materials._fibre_reinforced import FibreReinforced
 from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._linear import StVenantKirchhoff
 from softcal_jax.materials._neo_hookean import NeoHookean
 from softcal_jax.materials._transverse import (
+    Fibre,
     ReducedTransverseIsotropic,
     TransverseIsotropic,
 )

@@ -17,8 +17,7 @@ from softcal_jax.elements import (
     sum_of,
     symmetric,
 )
-from softcal_jax.materials._elasticity import AbstractElasticity
-from softcal_jax.materials._linear import AbstractLinearLaw
+from softcal_jax.materials._elasticity import AbstractElasticity, AbstractLinearLaw
 from softcal_jax.materials._products import outer, turned
 
 # hat(e_1), hat(e_2), hat(e_3): minus the permutation symbol.

@@ -17,10 +17,9 @@ from softcal_jax.materials._constants import (
     check_shared_ratio,
     constant,
 )
-from softcal_jax.materials._fibre import Fibre
 from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._products import crossed, outer, paired
-from softcal_jax.materials._transverse import PlaneStiffness, plane_stiffness
+from softcal_jax.materials._transverse import Fibre, PlaneStiffness, plane_stiffness
 
 
 def _outer(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, "3 3"]:
