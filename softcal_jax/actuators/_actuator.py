@@ -101,9 +101,12 @@ class AbstractActuator(eqx.Module):
     H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if
     the actuator has a potential, as the type of its cliques states. Some actuators have
     no displacement.
+
+    Attributes:
+        name: Its name in results and messages.
     """
 
-    name: eqx.AbstractVar[str]
+    name: str
     kind: ClassVar[Kind]
 
     def __check_init__(self):

@@ -65,11 +65,7 @@ class ActuatorArrays(eqx.Module):
     def with_friction(
         self, index: int, mu: Float[Array, ""] | float
     ) -> "ActuatorArrays":
-        """Change the coefficient of friction of one actuator, differentiably.
-
-        Args:
-            index: Which actuator.
-            mu: Its coefficient of friction [-], not negative.
+        """Change the coefficient of friction [-] of one actuator, differentiably.
 
         Raises:
             ValueError: If it was made without friction.
@@ -103,12 +99,7 @@ def _with_rough(
 def actuators_moving(
     arrays: ActuatorArrays, releasing: Bool[Array | HostArray, " n_a"]
 ) -> ActuatorArrays:
-    """Return the actuators with friction opposing their motion.
-
-    Args:
-        arrays: The actuators.
-        releasing: Which actuators are released; the others pull.
-    """
+    """Return the actuators with friction opposing their motion, released or pulled."""
     if not any(arrays.has_friction):
         return arrays
 
@@ -127,11 +118,8 @@ def actuator_arrays(
 ) -> ActuatorArrays:
     """Attach actuators to the nodes of a mesh and of rigid bodies.
 
-    Args:
-        mesh: The mesh.
-        points: Rest positions of all nodes, see `RestState` [m].
-        actuators: The actuators, with different names; there may be none.
-        bodies: Index of each rigid body, by name.
+    `points` are rest positions of all nodes [m], see `RestState`; `bodies` the index of
+    each rigid body by name.
 
     Raises:
         ValueError: If a name is used twice, or an actuator does not fit the mesh or
@@ -181,14 +169,10 @@ def _contributions(
 def actuator_displacements(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, " n_a"]:
-    """Compute the displacements delta_a(x) of the actuators, zero at rest.
+    """Compute the displacements delta_a(x), zero at rest, in the units of their kinds.
 
-    Args:
-        arrays: The actuators.
-        x: Positions of the mesh's nodes and the frame nodes [m].
-
-    Returns:
-        Displacements in the units of their kinds; 0 for an actuator without one.
+    `x` are positions of the mesh's nodes and the frame nodes [m]. 0 for an actuator
+    without a displacement.
     """
     return _contributions(arrays.groups, x, arrays.n_actuators) - arrays.rest
 
@@ -231,11 +215,8 @@ def curvature_entries(
 
     Their sum is d(F_a^T lambda_a)/dx, which enters the tangent with a minus sign. With
     a potential it is lambda_a times the Hessian of delta_a, hence symmetric; otherwise
-    rows belong to forces, columns to positions.
-
-    Returns:
-        For each group of `clique_nodes`, square matrices over the coordinates of its
-        cliques, node by node [N/m].
+    rows belong to forces, columns to positions. For each group of `clique_nodes`,
+    square matrices over the coordinates of its cliques, node by node [N/m].
     """
     return tuple(
         lambda_a[group.owner][:, None, None]

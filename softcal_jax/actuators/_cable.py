@@ -62,7 +62,6 @@ class Cable(AbstractActuator):
     touches. At theta = 0 the loss has a kink; the tangent there is that without loss.
 
     Attributes:
-        name: Its name.
         guides: The points that it runs through, both ends included; three bare numbers
             make a guide on the mesh.
         friction: Coefficient of friction mu at the guides [-]. With None (default) or 0
@@ -71,7 +70,6 @@ class Cable(AbstractActuator):
             used with friction.
     """
 
-    name: str
     guides: tuple[Guide, ...] = eqx.field(converter=_as_guides)
     friction: float | None = None
     pulled_from: Literal["first", "last"] | None = None

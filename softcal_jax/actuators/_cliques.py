@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
@@ -110,6 +111,11 @@ def each_clique(
 ) -> Float[Array, "n_cliques ..."]:
     """Call a method of every clique with the positions of its own nodes."""
     return jax.vmap(method)(cliques, x[cliques.nodes])
+
+
+def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
+    """Return nodes and owner of the cliques of one actuator."""
+    return jnp.asarray(nodes), jnp.full(len(nodes), owner, nodes.dtype)
 
 
 def draw_faces(cliques: AbstractCliques) -> ActuatorGeometry:

@@ -16,6 +16,7 @@ from softcal_jax.actuators._actuator import (
 from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
     ActuatorGeometry,
+    owned,
     unit,
 )
 from softcal_jax.bodies import as_vector, check_vector
@@ -29,12 +30,10 @@ class ForceActuator(AbstractActuator):
     force [N].
 
     Attributes:
-        name: Its name.
         point: Its point of action at rest, on or in the mesh [m].
         direction: Direction of a positive force, of any length.
     """
 
-    name: str
     point: Float[HostArray, "3"] = eqx.field(converter=as_vector)
     direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
     kind: ClassVar[Kind] = Kind("force actuator", "N", "m")
@@ -56,12 +55,10 @@ class SurfaceForceActuator(AbstractActuator):
     the mean weighted by area at rest; lambda_a is the total force [N].
 
     Attributes:
-        name: Its name.
         surface: Name of a surface group.
         direction: Direction of a positive force, of any length.
     """
 
-    name: str
     surface: str
     direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
     kind: ClassVar[Kind] = Kind("surface force actuator", "N", "m")
@@ -79,11 +76,8 @@ class SurfaceForceActuator(AbstractActuator):
 
 def _weighted_nodes(nodes, weights, direction, owner: int) -> "WeightedNodes":
     unit = direction / np.linalg.norm(direction)
-    return WeightedNodes(
-        jnp.asarray(nodes[:, None]),
-        jnp.full(len(nodes), owner, nodes.dtype),
-        jnp.asarray((weights[:, None] * unit)[:, None]),
-    )
+    parts = jnp.asarray((weights[:, None] * unit)[:, None])
+    return WeightedNodes(*owned(nodes[:, None], owner), parts)
 
 
 class WeightedNodes(AbstractPotentialCliques):
@@ -120,11 +114,9 @@ class Motor(AbstractActuator):
     a body that is free to tilt turns its first axis normal to that plane.
 
     Attributes:
-        name: Its name.
         body: Name of the rigid body.
     """
 
-    name: str
     body: str
     kind: ClassVar[Kind] = Kind("motor", "N m", "rad")
 
@@ -133,9 +125,7 @@ class Motor(AbstractActuator):
         nodes = rest.frame_nodes(self.body, self.label)
         origin, first, second, _ = rest.points[nodes]
         plane = jnp.asarray([[first - origin, second - origin]])
-        return MotorFrames(
-            jnp.asarray(nodes[None]), jnp.full(1, owner, nodes.dtype), plane
-        )
+        return MotorFrames(*owned(nodes[None], owner), plane)
 
 
 class MotorFrames(AbstractPotentialCliques):

@@ -13,6 +13,7 @@ from softcal_jax.actuators._cliques import (
     ActuatorGeometry,
     draw_faces,
     each_clique,
+    owned,
 )
 from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
 from softcal_jax.mesh import TetMesh, boundary_faces
@@ -26,12 +27,10 @@ class Chamber(AbstractActuator):
     vacuum.
 
     Attributes:
-        name: Its name.
         surface: Name of the surface group that is the whole wall of the cavity; the
             order of a face's nodes does not matter.
     """
 
-    name: str
     surface: str
     kind: ClassVar[Kind] = Kind("chamber", "Pa", "m3")
 
@@ -46,11 +45,8 @@ class Chamber(AbstractActuator):
         _check_closed(rest.mesh, faces, self.surface, self.label)
         points = jnp.asarray(rest.points)
         centre = jnp.mean(points[np.unique(faces)], axis=0)
-        wall = ChamberFaces(
-            jnp.asarray(faces),
-            jnp.full(len(faces), owner, faces.dtype),
-            jnp.tile(centre, (len(faces), 1)),
-        )
+        centres = jnp.tile(centre, (len(faces), 1))
+        wall = ChamberFaces(*owned(faces, owner), centres)
         volume = float(jnp.sum(each_clique(ChamberFaces.contribution, wall, points)))
         if not volume > 0.0:
             raise ValueError(
@@ -93,21 +89,17 @@ class SurfacePressure(AbstractActuator):
     the tangent is not symmetric.
 
     Attributes:
-        name: Its name.
         surface: Name of a surface group on the boundary of the body; the order of a
             face's nodes does not matter.
     """
 
-    name: str
     surface: str
     kind: ClassVar[Kind] = Kind("surface pressure", "Pa", None)
 
     def cliques(self, rest: RestState, owner: int) -> "PressureFaces":
         """Return the faces of the surface."""
         faces = _outward_faces(rest.mesh, self.surface, self.label)
-        return PressureFaces(
-            jnp.asarray(faces), jnp.full(len(faces), owner, faces.dtype)
-        )
+        return PressureFaces(*owned(faces, owner))
 
 
 class PressureFaces(AbstractCliques):

@@ -15,13 +15,11 @@ from softcal_jax.bodies._kinematics import (
     Frames,
     Mounted,
     blocked,
+    cross_matrix,
     frame_nodes,
     frames_at,
     mounted,
     place,
-)
-from softcal_jax.bodies._rotations import (
-    cross_matrix,
     rotation_matrix,
     rotation_vector,
 )

@@ -74,11 +74,7 @@ def _affine(origin, axes, length, points):
 
 
 def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
-    """Stack the rigid bodies of a mesh.
-
-    Args:
-        mesh: The mesh at rest.
-        bodies: Its bodies; there may be none.
+    """Stack the rigid bodies of a mesh at rest; there may be none.
 
     Raises:
         ValueError: If a name is used twice, a group is unknown, a node belongs to two

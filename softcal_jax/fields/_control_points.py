@@ -145,16 +145,14 @@ class ControlPoints(eqx.Module):
             )
         x = x[:, self.columns]
         size = max(float(np.abs(x).max()), np.finfo(float).tiny)
-        for j in range(1, len(x)):
-            gaps = np.linalg.norm(x[:j] - x[j], axis=1)
-            i = int(np.argmin(gaps))
-            if gaps[i] <= 1e-9 * size:
-                where = "" if self.axes == AXES else f" along {self.axes}"
-                raise ValueError(
-                    f"control points {self.names[i]!r} and {self.names[j]!r} coincide"
-                    f"{where}: the data could never tell their values apart. Remove "
-                    "one, or move it."
-                )
+        gaps = np.linalg.norm(x[:, None] - x[None], axis=2)
+        for i, j in np.argwhere(np.triu(gaps <= 1e-9 * size, k=1)):
+            where = "" if self.axes == AXES else f" along {self.axes}"
+            raise ValueError(
+                f"control points {self.names[i]!r} and {self.names[j]!r} coincide"
+                f"{where}: the data could never tell their values apart. Remove one, "
+                "or move it."
+            )
 
     @property
     def columns(self) -> list[int]:

@@ -66,14 +66,11 @@ def region_tets(mesh: Any, region: str | None) -> HostArray:
 
 
 def find_field(model: Any, field: str):
-    """Find a field of a model's law, or its density, by name.
+    """Return the function from a model to a field of its law, or to its density.
 
     Args:
         model: Anything with `law` and `density`.
         field: Name of the field, like "E"; a dotted path if the name is not unique.
-
-    Returns:
-        A function from a model to that array, as `eqx.tree_at` expects it.
 
     Raises:
         ValueError: If no field has that name, or more than one.

@@ -8,8 +8,12 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float, HostArray, Int
-from softcal_jax.fields._axes import AxisChart, fading_axes
-from softcal_jax.fields._order import axis_columns, order_terms
+from softcal_jax.fields._order import (
+    AxisChart,
+    axis_columns,
+    fading_axes,
+    order_terms,
+)
 from softcal_jax.fields._parameters import AbstractEntry, Parameter
 from softcal_jax.fields._spread import ControlPointParameters
 

@@ -46,19 +46,16 @@ class ControlPointParameters(AbstractFieldEntry):
     `interpolation` is how values are mixed: "linear" as in the paper; "log" mixes
     logarithms, for moduli that differ by orders of magnitude. "director" is for the
     angle of an axis: the mixed direction is that of sum_j w_j (cos 2 theta_j,
-    sin 2 theta_j), so +90 and -90 degrees are the same axis, as in the material. With
-    "linear", the axis between control points at 85 and -85 degrees would turn through
-    0, although the two are 10 degrees apart, and a calibration can end half a turn from
-    the truth. Use "director" unless to reproduce the paper. Bounds that span 180
-    degrees then do not bind: the angle leaves by one and re-enters by the other.
+    sin 2 theta_j), so +90 and -90 degrees are the same axis, as in the material; with
+    "linear", the axis between 85 and -85 degrees would turn through 0. Use "director"
+    unless to reproduce the paper. Bounds that span 180 degrees then do not bind: the
+    angle leaves by one and re-enters by the other.
 
-    Between control points whose axes differ much the mixed directions nearly cancel:
-    rho = |sum_j w_j (cos 2 theta_j, sin 2 theta_j)| is small, and the direction turns
-    by a right angle from one tet to the next, over the full contrast of the moduli.
-    Such a defect moves through the mesh with the parameters, and each tet it passes
-    puts a kink into the cost of a calibration. With a `core` the contrast fades there,
-    like the order of a liquid crystal in the core of a defect: see `contrast`, and
-    `ParameterSpace.axes` for the moduli concerned.
+    Where mixed directions nearly cancel, rho = |sum_j w_j (cos 2 theta_j,
+    sin 2 theta_j)| is small, and the direction turns by a right angle from one tet to
+    the next. Such a defect moves with the parameters, and each tet it passes puts a
+    kink into the cost. With a `core` the contrast of the moduli fades there, like the
+    order of a liquid crystal: see `contrast`, and `ParameterSpace.axes`.
 
     Attributes:
         field: Field of the law, like "E_t", "E_l" or "theta"; or "density".

@@ -45,9 +45,8 @@ def check_parameters(
             if not bool(jnp.all(applied.density >= 0.0)):
                 raise ValueError("density must not be negative [kg/m3].")
         except ValueError as error:
-            raise ValueError(
-                f"with all parameters at their {side} bound: {error}"
-            ) from (error)
+            what = f"with all parameters at their {side} bound"
+            raise ValueError(f"{what}: {error}") from error
 
 
 def _check_overlaps(model: Any, space: ParameterSpace) -> None:
@@ -84,15 +83,7 @@ def _check_twice(space: ParameterSpace) -> None:
 
 
 def check_scopes(space: ParameterSpace, configurations: Sequence[Any]) -> None:
-    """Raise unless every unknown of a configuration or recording belongs to one.
-
-    Args:
-        space: The parameters.
-        configurations: The fitted ones, each with `name` and `recording`.
-
-    Raises:
-        ValueError: If a name in `each` is that of none of them.
-    """
+    """Raise ValueError unless each name in `each` is of a fitted configuration."""
     for entry in space.entries:
         if isinstance(entry, SetupParameter):
             known = {entry.member(c) for c in configurations}

@@ -34,13 +34,9 @@ def is_point_values(leaf: Any) -> bool:
 
 
 def law_at_points(law: Any) -> tuple[Any, Any]:
-    """Replace `PointValues` by arrays, and return the axes for `vmap` over the points.
+    """Replace `PointValues` of a tet's law by arrays; return also the axes for `vmap`.
 
-    Args:
-        law: The law of one tet.
-
-    Returns:
-        The law, and a tree of its structure: 0 for values per point, else None.
+    These are a tree of the same structure: 0 for values per point, else None.
     """
     plain = jax.tree.map(
         lambda leaf: leaf.values if is_point_values(leaf) else leaf,
