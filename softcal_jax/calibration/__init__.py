@@ -26,7 +26,7 @@ from softcal_jax.calibration._problem import (
     without_names,
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
-from softcal_jax.calibration._qp import bounded_step
+from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
@@ -68,6 +68,7 @@ __all__ = [
     "Optimum",
     "ParameterEstimate",
     "ParameterInterval",
+    "QPStep",
     "Run",
     "SearchProgress",
     "SimulationResult",

@@ -128,8 +128,8 @@ def _by_others(
 
     def one(direction: Float[Array, " n_other"]):
         def along(function: Callable):
-            at = lambda w: space.apply_partly(model, configuration, z, others, w)
-            return jax.jvp(lambda w: function(*at(w)), (z[others],), (direction,))[1]
+            at = lambda w: function(*space.apply(model, configuration, z, others, w))
+            return jax.jvp(at, (z[others],), (direction,))[1]
 
         return rows(along)
 
