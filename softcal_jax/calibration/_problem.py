@@ -17,6 +17,7 @@ from softcal_jax.equilibrium import (
     Job,
     Model,
     NewtonSettings,
+    Workers,
     effector_values,
     program_key,
     solve_equilibrium,
@@ -127,7 +128,11 @@ def evaluate_lane(
     before: Float[Array, "n_points 3"],
     precise: bool | Bool[Array, ""] = False,
 ) -> Response:
-    """Compute equilibrium, effectors and compliances of one configuration."""
+    """Compute equilibrium, effectors and compliances of one configuration.
+
+    Unless `precise`, which takes one more Newton step, the compliances belong to the
+    state before the last step.
+    """
     return equilibrium_response(
         problem.model,
         configuration,
@@ -159,30 +164,6 @@ def stacked(
         tangents=lanes.displacement,
         ok=ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W)),
     )
-
-
-def evaluate(
-    problem: CalibrationProblem,
-    z: Float[Array, " n_p"],
-    guess: Float[Array, "n_c n_points 3"],
-    before: Float[Array, "n_c n_points 3"] | None = None,
-    precise: bool | Bool[Array, ""] = False,
-) -> Evaluation:
-    """Compute equilibria, stacked errors and compliances W_ep (paper Eqs. 9, 10).
-
-    Args:
-        problem: The calibration.
-        z: Scaled parameters [-].
-        guess: Displacements to start from [m].
-        before: Displacements of the equilibria that the guess extrapolates to first
-            order, if it does [m].
-        precise: Whether to linearise at the converged state, for one more Newton step;
-            otherwise the compliances belong to the state before the last step.
-    """
-    before = guess if before is None else before
-    lane = lambda c, u, u0: evaluate_lane(problem, z, c, u, u0, precise)
-    lanes = jax.vmap(lane)(problem.configurations, guess, before)
-    return stacked(problem, z, lanes)
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
@@ -262,7 +243,15 @@ class Evaluator:
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
     ) -> Job[Evaluation]:
-        """Compute equilibria, errors and compliances; arguments as of `evaluate`."""
+        """Compute equilibria, stacked errors and compliances W_ep (paper Eqs. 9, 10).
+
+        Args:
+            z: Scaled parameters [-].
+            guess: Displacements to start from [m].
+            before: Displacements of the equilibria that the guess extrapolates to first
+                order, if it does [m].
+            precise: Whether the compliances are exact, see `evaluate_lane`.
+        """
         before = guess if before is None else before
         lanes = zip(self._configurations, guess, before, strict=True)
         jobs = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
@@ -287,6 +276,24 @@ class Evaluator:
     def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
         problem = _with_solver(self.numbered, solver)
         return jax.block_until_ready(_first_guess(problem, z))
+
+
+def evaluate(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    guess: Float[Array, "n_c n_points 3"] | None = None,
+) -> Evaluation:
+    """Evaluate a calibration, with its configurations on all cores.
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+        guess: Displacements to start from; by default as at the start of a fit [m].
+    """
+    evaluator = Evaluator(problem)
+    job = evaluator.from_rest(z) if guess is None else evaluator(z, guess)
+    with Workers(problem.model, problem.configurations.gravity.shape[0]) as workers:
+        return workers.end_of(job)
 
 
 @eqx.filter_jit

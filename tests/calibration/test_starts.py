@@ -14,7 +14,6 @@ from softcal_jax.calibration import (
     Evaluator,
     MultiStartResult,
     Optimum,
-    at_rest,
     build_problem,
     calibrate,
     evaluate,
@@ -35,8 +34,6 @@ from softcal_jax.calibration._search import FROM_ANYWHERE, _optima
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ControlPoints, Parameter, ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
-
-evaluated = eqx.filter_jit(evaluate)
 
 # Columns: E_t, E_l and theta, at both control points each.
 E_T, E_L, THETA = slice(0, 2), slice(2, 4), slice(4, 6)
@@ -100,7 +97,7 @@ def test_a_run_is_that_of_calibrate(measured, plain):
 def test_errors_go_from_the_start_to_the_end(measured, plain):
     assert plain.errors.shape == (3, FROM_ANYWHERE.max_steps + 1)
     for i, start in enumerate(measured.starts):
-        first = evaluated(measured.problem, start, at_rest(measured.problem))
+        first = evaluate(measured.problem, start)
         steps = plain.steps[i]
         np.testing.assert_allclose(
             plain.errors[i, 0], np.sqrt(2.0 * first.cost), rtol=1e-6
