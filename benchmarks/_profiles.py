@@ -13,14 +13,12 @@ from softcal_jax.calibration import (
     CalibrationProblem,
     CalibrationSettings,
     LowerCostFound,
-    at_rest,
     evaluate,
     profile_ends,
 )
 
 SETTINGS = CalibrationSettings(max_steps=40)
 
-_evaluate = eqx.filter_jit(evaluate)
 
 MOST_AGAIN = 5
 """Calibrations of a draw that are begun again where its profile found a lower cost."""
@@ -104,7 +102,7 @@ def _fit(problem: CalibrationProblem, z: Float[Array, " n_p"]):
     """A calibration from z, with the compliances and the cost at its end."""
     run = one_run(problem, SETTINGS, z)
     z = jnp.asarray(run.z)
-    end = _evaluate(problem, z, at_rest(problem))
+    end = evaluate(problem, z)
     return z, run.converged, end.W_ep, end.cost
 
 

@@ -139,9 +139,9 @@ def _ours(problem: CalibrationProblem, start: Float[Array, " n_p"]):
 
 
 @eqx.filter_jit
-def _simulate(problem, z, guess):
+def _simulate(problem: CalibrationProblem, z, guess):
     """Errors in units of the noise, and equilibria."""
-    solution, positions = simulate(problem, z, guess)
+    solution, positions = simulate(*problem.at(z), guess, problem.newton)
     effectors = problem.configurations.effectors
     error = effectors.inverse_std * (positions - effectors.measured)
     return jnp.ravel(error), solution.displacement

@@ -38,7 +38,6 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
     CalibrationSettings,
-    at_rest,
     build_problem,
     evaluate,
     synthetic_measurements,
@@ -218,10 +217,9 @@ def noisy(
     return problem, exact + std * noise
 
 
-@eqx.filter_jit
 def evaluate_at(problem: CalibrationProblem, z: Float[Array, " n_p"]):
     """W_ep and the errors at z, both in units of the noise."""
-    found = evaluate(problem, z, at_rest(problem))
+    found = evaluate(problem, z)
     return found.W_ep, found.error
 
 

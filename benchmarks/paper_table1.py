@@ -151,7 +151,7 @@ def all_markers(
 
 @eqx.filter_jit
 def _compliances(problem: CalibrationProblem, z):
-    solution, _ = simulate(problem, z, at_rest(problem))
+    solution, _ = simulate(*problem.at(z), at_rest(problem), problem.newton)
     model = problem.model
     lane = lambda c, u: energy_compliance(model, c, u, problem.space, z)
     return jax.vmap(lane)(problem.configurations, solution.displacement)

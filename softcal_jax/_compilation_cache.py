@@ -40,7 +40,8 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
     chosen = str(folder or jax.config.values["jax_compilation_cache_dir"] or "")
     if "://" in chosen:
         return None  # JAX handles addresses itself
-    folder = (Path(chosen) if chosen else _default_folder()).absolute()
+    usual = platformdirs.user_cache_path("softcal_jax", appauthor=False) / "jax"
+    folder = (Path(chosen) if chosen else usual).absolute()
     problem = _problem_of(folder)
     if problem is not None:
         # Otherwise JAX would try, and warn, for every single program.
@@ -65,13 +66,8 @@ def throw_away_damaged(message: str) -> str | None:
     """Remove the entry that JAX has just failed to read, so that it writes a new one.
 
     A process killed while writing can leave half an entry. JAX then warns and compiles
-    the program, but keeps the entry, so it would fail in every run.
-
-    Args:
-        message: A warning.
-
-    Returns:
-        What to tell the user; None if the warning is about something else.
+    the program, but keeps the entry, so it would fail in every run. Returns what to
+    tell the user; None if the message is about something else.
     """
     found = re.match(_UNREADABLE, message)
     folder = jax.config.values["jax_compilation_cache_dir"]
@@ -87,10 +83,6 @@ def throw_away_damaged(message: str) -> str | None:
 
 _UNREADABLE = r"Error reading persistent compilation cache entry for '(.+?)':"
 """Pattern of the beginning of JAX's warning, with the name of the program."""
-
-
-def _default_folder() -> Path:
-    return platformdirs.user_cache_path("softcal_jax", appauthor=False) / "jax"
 
 
 def _problem_of(folder: Path) -> str | None:

@@ -1,7 +1,7 @@
 """Readable units: kPa instead of 2.638e+05 Pa, degrees instead of rad."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 
@@ -26,19 +26,11 @@ _PREFIXED = {
 def readable_unit(values: Iterable[float], unit: str) -> Readable:
     """Choose the unit in which values of one SI unit read best.
 
-    Args:
-        values: Values in SI; the largest decides.
-        unit: Their SI unit; unlisted ones stay as they are.
-
-    Returns:
-        The factor on SI values, and the name of the unit.
+    The largest value decides; a unit that is not listed stays as it is.
     """
     steps = _PREFIXED.get(unit, ((1.0, unit),))
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-    size, name = steps[0]
-    for step, step_name in steps[1:]:
-        if largest >= step:
-            size, name = step, step_name
+    size, name = max((step for step in steps if largest >= step[0]), default=steps[0])
     return Readable(1.0 / size, name)
 
 
@@ -46,3 +38,41 @@ def readable(value: float, unit: str) -> str:
     """Format an SI value in a readable unit, like "263.8 kPa"."""
     factor, shown = readable_unit([value], unit)
     return f"{factor * value:.6g} {shown}".rstrip()
+
+
+def readable_estimate(value: float, standard_error: float, unit: str) -> str:
+    """Format an SI value with its standard error, like "263.8 ± 5.9 kPa".
+
+    The error has two significant digits and the value as many decimals. Without a
+    standard error, nan, the value has four digits.
+    """
+    factor, shown = readable_unit([value], unit)
+    value, error = value * factor, standard_error * factor
+    if not math.isfinite(error):
+        text = f"{value:.4g}"
+    elif error == 0.0:
+        text = f"{value:.4g} ± 0"
+    else:
+        error = float(f"{error:.1e}")  # round first: 0.996 becomes 1.0
+        decimals = 1 - math.floor(math.log10(error))
+        if decimals > 9:  # too many to read
+            text = f"{value:.4g} ± {error:.1e}"
+        else:
+            shape = f".{max(decimals, 0)}f"
+            text = (
+                f"{round(value, decimals):{shape}} ± {round(error, decimals):{shape}}"
+            )
+    return f"{text} {shown}".rstrip()
+
+
+def readable_values(values: Sequence[float], unit: str, *, digits: int = 4) -> str:
+    """Format one SI value or several in a readable unit, with so many digits."""
+    factor, shown = readable_unit(values, unit)
+    largest = max(abs(factor * value) for value in values)
+    if largest == 0.0:
+        factor, shown = 1.0, unit  # all zero: no prefix reads better
+    # Values far below the largest are rounding errors, like 1e-13 N beside 2 N.
+    kept = [v if abs(factor * v) > 1e-6 * largest else 0.0 for v in values]
+    texts = [f"{factor * value:.{digits}g}" for value in kept]
+    listed = texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
+    return f"{listed} {shown}"

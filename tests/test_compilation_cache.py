@@ -22,7 +22,7 @@ from softcal_jax._compilation_cache import (
     use_compilation_cache,
 )
 from softcal_jax.cli import main
-from softcal_jax.cli._display import Display, warnings_as_lines
+from softcal_jax.cli._shared import Display, warnings_as_lines
 
 KEYS = (
     "jax_enable_compilation_cache",

@@ -18,11 +18,9 @@ from softcal_jax.actuators._arrays import (
     displacement_rows,
 )
 from softcal_jax.actuators._cable import Cable, Guide
-from softcal_jax.actuators._chamber import Chamber
-from softcal_jax.actuators._forces import ForceActuator, SurfaceForceActuator
-from softcal_jax.actuators._geometry import ActuatorGeometry
-from softcal_jax.actuators._motor import Motor
-from softcal_jax.actuators._pressure import SurfacePressure
+from softcal_jax.actuators._cliques import ActuatorGeometry
+from softcal_jax.actuators._forces import ForceActuator, Motor, SurfaceForceActuator
+from softcal_jax.actuators._pressure import Chamber, SurfacePressure
 
 __all__ = [
     "AbstractActuator",

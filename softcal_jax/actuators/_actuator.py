@@ -1,20 +1,17 @@
 """Base of all actuators: a name, units, and the cliques of nodes they act on."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import ArrayLike
 
-from softcal_jax._names import suggestion
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.actuators._cliques import AbstractCliques
+from softcal_jax.bodies import check_vector
 from softcal_jax.mesh import TetMesh, locate
-
-Vector = Sequence[float] | Float[ArrayLike, "3"]
-"""Three numbers, as a user types them."""
 
 _OUTSIDE = 1e-3
 """Distance by which a point may lie outside the mesh, relative to its size [-]."""
@@ -67,21 +64,14 @@ class RestState(eqx.Module):
             ValueError: If no rigid body has the name.
         """
         if body not in self.bodies:
-            known = ", ".join(map(repr, self.bodies)) or "none"
-            raise ValueError(
-                f"{owner}: unknown rigid body {body!r}."
-                f"{suggestion(body, self.bodies)} Known: {known}."
-            )
+            error = unknown_name("rigid body", body, self.bodies)
+            raise ValueError(f"{owner}: {error}")
         return self.mesh.n_nodes + 4 * self.bodies[body] + np.arange(4, dtype=np.int32)
 
     def on_mesh(
         self, point: Float[HostArray, "3"], owner: str
     ) -> tuple[Int[HostArray, " n_en"], Float[HostArray, " n_en"]]:
-        """Return the nodes and weights [-] that carry a material point of the mesh.
-
-        Raises:
-            ValueError: If the point lies outside the mesh.
-        """
+        """Return the nodes and weights [-] that carry a material point of the mesh."""
         at = locate(self.mesh, point[None], max_distance=np.inf)
         if at.distance[0] > _OUTSIDE * self.mesh.size:
             raise ValueError(
@@ -97,9 +87,6 @@ class RestState(eqx.Module):
         """Return the frame nodes and weights [-] that carry a point of a rigid body.
 
         Affine weights: x = x_0 + sum_i w_i (x_i - x_0), exact under rigid motion.
-
-        Raises:
-            ValueError: If no rigid body has the name.
         """
         nodes = self.frame_nodes(body, owner)
         origin, *ends = self.points[nodes]
@@ -114,9 +101,12 @@ class AbstractActuator(eqx.Module):
     H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if
     the actuator has a potential, as the type of its cliques states. Some actuators have
     no displacement.
+
+    Attributes:
+        name: Its name in results and messages.
     """
 
-    name: eqx.AbstractVar[str]
+    name: str
     kind: ClassVar[Kind]
 
     def __check_init__(self):
@@ -144,27 +134,8 @@ class AbstractActuator(eqx.Module):
         """
 
 
-def as_vector(value: Vector) -> HostArray:
-    """Convert a user's three numbers to an array."""
-    return np.asarray(value, float)
-
-
-def check_vector(what: str, unit: str, value: HostArray):
-    """Check that a vector has three finite numbers.
-
-    Raises:
-        ValueError: If it has not.
-    """
-    if value.shape != (3,) or not np.all(np.isfinite(value)):
-        raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
-
-
 def check_direction(what: str, value: HostArray):
-    """Check that a vector has a direction.
-
-    Raises:
-        ValueError: If the vector is not finite, or zero.
-    """
+    """Raise ValueError unless a vector has a direction."""
     check_vector(what, "-", value)
     if not np.linalg.norm(value) > 0.0:
         raise ValueError(

@@ -1,6 +1,6 @@
 """Actuators as arrays: displacements delta_a, forces F_a and their derivatives."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -14,10 +14,10 @@ from softcal_jax.actuators._cliques import (
     AbstractDisplacedCliques,
     AbstractFrictionalCliques,
     AbstractPotentialCliques,
+    ActuatorGeometry,
     each_clique,
 )
-from softcal_jax.actuators._geometry import ActuatorGeometry, joined
-from softcal_jax.actuators._motor import Motor
+from softcal_jax.actuators._forces import Motor
 from softcal_jax.mesh import TetMesh
 
 
@@ -65,13 +65,7 @@ class ActuatorArrays(eqx.Module):
     def with_friction(
         self, index: int, mu: Float[Array, ""] | float
     ) -> "ActuatorArrays":
-        """Change the coefficient of friction of one actuator.
-
-        Traceable and differentiable in the coefficient, to calibrate it.
-
-        Args:
-            index: Which actuator.
-            mu: Its coefficient of friction [-], not negative.
+        """Change the coefficient of friction [-] of one actuator, differentiably.
 
         Raises:
             ValueError: If it was made without friction.
@@ -83,13 +77,37 @@ class ActuatorArrays(eqx.Module):
                 "Cable(..., friction=0.1, pulled_from='first')."
             )
 
-        def changed(group: AbstractCliques) -> AbstractCliques:
-            if not isinstance(group, AbstractFrictionalCliques):
-                return group
+        def changed(group: AbstractFrictionalCliques) -> AbstractCliques:
             friction = jnp.where(group.owner == index, mu, group.friction)
             return eqx.tree_at(lambda g: g.friction, group, friction)
 
-        return eqx.tree_at(lambda a: a.groups, self, tuple(map(changed, self.groups)))
+        return _with_rough(self, changed)
+
+
+def _with_rough(
+    arrays: ActuatorArrays,
+    change: Callable[[AbstractFrictionalCliques], AbstractCliques],
+) -> ActuatorArrays:
+    """Change all cliques with friction."""
+    groups = tuple(
+        change(g) if isinstance(g, AbstractFrictionalCliques) else g
+        for g in arrays.groups
+    )
+    return eqx.tree_at(lambda a: a.groups, arrays, groups)
+
+
+def actuators_moving(
+    arrays: ActuatorArrays, releasing: Bool[Array | HostArray, " n_a"]
+) -> ActuatorArrays:
+    """Return the actuators with friction opposing their motion, released or pulled."""
+    if not any(arrays.has_friction):
+        return arrays
+
+    def changed(group: AbstractFrictionalCliques) -> AbstractCliques:
+        sense = jnp.where(jnp.asarray(releasing)[group.owner], -1.0, 1.0)
+        return eqx.tree_at(lambda g: g.sense, group, sense)
+
+    return _with_rough(arrays, changed)
 
 
 def actuator_arrays(
@@ -100,14 +118,8 @@ def actuator_arrays(
 ) -> ActuatorArrays:
     """Attach actuators to the nodes of a mesh and of rigid bodies.
 
-    Args:
-        mesh: The mesh.
-        points: Rest positions of all nodes, see `RestState` [m].
-        actuators: The actuators, with different names; there may be none.
-        bodies: Index of each rigid body, by name.
-
-    Returns:
-        The arrays, in the order of `actuators`.
+    `points` are rest positions of all nodes [m], see `RestState`; `bodies` the index of
+    each rigid body by name.
 
     Raises:
         ValueError: If a name is used twice, or an actuator does not fit the mesh or
@@ -142,17 +154,25 @@ def actuator_arrays(
     )
 
 
+def _contributions(
+    groups: tuple[AbstractCliques, ...], x: Float[Array, "n_all 3"], n_actuators: int
+) -> Float[Array, " n_a"]:
+    """Sum the contributions of each actuator's cliques."""
+    total = jnp.zeros(n_actuators, x.dtype)
+    for group in groups:
+        if isinstance(group, AbstractDisplacedCliques):
+            parts = each_clique(type(group).contribution, group, x)
+            total = total.at[group.owner].add(parts)
+    return total
+
+
 def actuator_displacements(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, " n_a"]:
-    """Compute the displacements delta_a(x) of the actuators, zero at rest.
+    """Compute the displacements delta_a(x), zero at rest, in the units of their kinds.
 
-    Args:
-        arrays: The actuators.
-        x: Positions of the mesh's nodes and the frame nodes [m].
-
-    Returns:
-        Displacements in the units of their kinds; 0 for an actuator without one.
+    `x` are positions of the mesh's nodes and the frame nodes [m]. 0 for an actuator
+    without a displacement.
     """
     return _contributions(arrays.groups, x, arrays.n_actuators) - arrays.rest
 
@@ -160,65 +180,32 @@ def actuator_displacements(
 def actuator_rows(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, "n_a n_all 3"]:
-    """Compute F_a by rows: the forces on all nodes for lambda_a = 1.
+    """Compute F_a by rows: forces on the nodes at `x` for lambda_a = 1 [N per unit].
 
     They equal H_a = d delta_a / dx where an actuator has a potential.
-
-    Args:
-        arrays: The actuators.
-        x: Positions of the mesh's nodes and the frame nodes [m].
-
-    Returns:
-        The rows, [N] per unit of lambda_a.
     """
-    rows = jnp.zeros((arrays.n_actuators, *x.shape), x.dtype)
-    for group in arrays.groups:
-        rows = _add_rows(rows, group, each_clique(type(group).row, group, x))
-    return rows
+    forces = [each_clique(type(g).row, g, x) for g in arrays.groups]
+    return _rows(arrays, arrays.groups, forces, x)
 
 
 def displacement_rows(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, "n_a n_all 3"]:
-    """Compute H_a = d delta_a / dx by rows; 0 for an actuator without displacement.
+    """Compute H_a = d delta_a / dx by rows, in the unit of delta_a per metre.
 
-    Args:
-        arrays: The actuators.
-        x: Positions of the mesh's nodes and the frame nodes [m].
-
-    Returns:
-        The rows, in the unit of delta_a per metre.
+    They are 0 for an actuator without displacement.
     """
+    groups = [g for g in arrays.groups if isinstance(g, AbstractDisplacedCliques)]
+    changes = [each_clique(type(g).displacement_row, g, x) for g in groups]
+    return _rows(arrays, groups, changes, x)
+
+
+def _rows(arrays: ActuatorArrays, groups, parts, x):
+    """Add the rows of cliques to those of their actuators."""
     rows = jnp.zeros((arrays.n_actuators, *x.shape), x.dtype)
-    for group in arrays.groups:
-        if isinstance(group, AbstractDisplacedCliques):
-            changes = each_clique(type(group).displacement_row, group, x)
-            rows = _add_rows(rows, group, changes)
+    for group, part in zip(groups, parts, strict=True):
+        rows = rows.at[group.owner[:, None], group.nodes].add(part)
     return rows
-
-
-def _add_rows(rows, group: AbstractCliques, parts: Float[Array, "n_cliques m 3"]):
-    return rows.at[group.owner[:, None], group.nodes].add(parts)
-
-
-def actuators_moving(
-    arrays: ActuatorArrays, releasing: Bool[Array | HostArray, " n_a"]
-) -> ActuatorArrays:
-    """Return the actuators with friction opposing their motion.
-
-    Args:
-        arrays: The actuators.
-        releasing: Which actuators are released; the others pull.
-    """
-    if not any(arrays.has_friction):
-        return arrays
-    groups = tuple(
-        group.moving(releasing)
-        if isinstance(group, AbstractFrictionalCliques)
-        else group
-        for group in arrays.groups
-    )
-    return eqx.tree_at(lambda a: a.groups, arrays, groups)
 
 
 def curvature_entries(
@@ -228,16 +215,8 @@ def curvature_entries(
 
     Their sum is d(F_a^T lambda_a)/dx, which enters the tangent with a minus sign. With
     a potential it is lambda_a times the Hessian of delta_a, hence symmetric; otherwise
-    rows belong to forces, columns to positions.
-
-    Args:
-        arrays: The actuators.
-        x: Positions of the mesh's nodes and the frame nodes [m].
-        lambda_a: Their forces, in the units of their kinds.
-
-    Returns:
-        For each group of `clique_nodes`, square matrices over the coordinates of its
-        cliques, node by node [N/m].
+    rows belong to forces, columns to positions. For each group of `clique_nodes`,
+    square matrices over the coordinates of its cliques, node by node [N/m].
     """
     return tuple(
         lambda_a[group.owner][:, None, None]
@@ -252,32 +231,19 @@ def clique_nodes(arrays: ActuatorArrays) -> tuple[Int[HostArray, "_ _"], ...]:
 
     Runs on the host, before `jit`. A node that occurs twice in a clique is padding
     whose entries are zero.
-
-    Args:
-        arrays: The actuators.
     """
     return tuple(np.asarray(group.nodes) for group in arrays.groups if group.curved)
-
-
-def _contributions(
-    groups: tuple[AbstractCliques, ...], x: Float[Array, "n_all 3"], n_actuators: int
-) -> Float[Array, " n_a"]:
-    """Sum the contributions of each actuator's cliques."""
-    total = jnp.zeros(n_actuators, x.dtype)
-    for group in groups:
-        if isinstance(group, AbstractDisplacedCliques):
-            parts = each_clique(type(group).contribution, group, x)
-            total = total.at[group.owner].add(parts)
-    return total
 
 
 def actuator_geometry(
     arrays: ActuatorArrays, x: Float[HostArray, "n_all 3"]
 ) -> ActuatorGeometry:
-    """Collect what to draw of the actuators.
+    """Collect what to draw of the actuators at positions of all nodes [m]."""
 
-    Args:
-        arrays: The actuators.
-        x: Positions of the mesh's nodes and the frame nodes [m].
-    """
-    return joined([group.picture(x) for group in arrays.groups])
+    def joined(none: HostArray, *parts: HostArray) -> HostArray:
+        # Without empty parts: faces of a quadratic mesh have more nodes than `none`.
+        some = [part for part in parts if len(part)]
+        return np.concatenate(some).astype(none.dtype) if some else none
+
+    pictures = [group.picture(x) for group in arrays.groups]
+    return ActuatorGeometry(*map(joined, ActuatorGeometry(), *pictures))

@@ -10,20 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._names import suggestion
-from softcal_jax._typing import Array, Float, HostArray, Int
-from softcal_jax.actuators._actuator import (
-    AbstractActuator,
-    Kind,
-    RestState,
-    Vector,
-    as_vector,
-    check_vector,
-)
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import (
     AbstractFrictionalCliques,
     AbstractPotentialCliques,
+    ActuatorGeometry,
 )
-from softcal_jax.actuators._geometry import ActuatorGeometry
+from softcal_jax.bodies import Vector, as_vector, check_vector
 
 _COINCIDENT = 1e-9
 """Distance at which guides coincide, relative to the extent of the cable [-]."""
@@ -68,7 +62,6 @@ class Cable(AbstractActuator):
     touches. At theta = 0 the loss has a kink; the tangent there is that without loss.
 
     Attributes:
-        name: Its name.
         guides: The points that it runs through, both ends included; three bare numbers
             make a guide on the mesh.
         friction: Coefficient of friction mu at the guides [-]. With None (default) or 0
@@ -77,7 +70,6 @@ class Cable(AbstractActuator):
             used with friction.
     """
 
-    name: str
     guides: tuple[Guide, ...] = eqx.field(converter=_as_guides)
     friction: float | None = None
     pulled_from: Literal["first", "last"] | None = None
@@ -135,40 +127,24 @@ class Cable(AbstractActuator):
     def cliques(
         self, rest: RestState, owner: int
     ) -> "CableSegments | FrictionalCables":
-        """Return the segments that can change length; with friction the whole cable.
-
-        Raises:
-            ValueError: If a guide lies outside the mesh, or its body is unknown.
-        """
+        """Return the segments that can change length; with friction the whole cable."""
         carriers = [self._carriers(i, rest) for i in range(len(self.guides))]
         if self.friction:
             # Tension is passed on from the pulled end, which is put last here.
             order = carriers[::-1] if self.pulled_from == "first" else carriers
-            own = np.unique(np.concatenate([nodes for nodes, *_ in order]))
-            whole = _along(order, own, own.size)
-            nodes, weights, fixed = (jnp.asarray(part)[None] for part in whole)
+            nodes, of, weights, fixed = _stacked([_along(order)], owner)
             return FrictionalCables(
                 nodes=nodes,
-                owner=jnp.full(1, owner, nodes.dtype),
+                owner=of,
                 weights=weights,
                 fixed=fixed,
                 friction=jnp.full(1, self.friction, float),
                 sense=jnp.ones(1),
             )
         m = 2 * max(4, rest.mesh.tets.shape[1])
-        segments = [
-            _segment(pair, m)
-            for pair, ends in zip(
-                pairwise(carriers), pairwise(self.guides), strict=True
-            )
-            if not _fixed_length(*ends)
-        ]
-        nodes, weights, fixed = (
-            jnp.asarray(np.stack(part)) for part in zip(*segments, strict=True)
-        )
-        return CableSegments(
-            nodes, jnp.full(len(segments), owner, nodes.dtype), weights, fixed
-        )
+        both = zip(pairwise(carriers), pairwise(self.guides), strict=True)
+        segments = [_along(ends, m) for ends, on in both if not _fixed_length(*on)]
+        return CableSegments(*_stacked(segments, owner))
 
     def _carriers(self, i: int, rest: RestState):
         """Return nodes and weights of a guide, and the fixed part of its position."""
@@ -177,8 +153,8 @@ class Cable(AbstractActuator):
             return np.zeros(0, np.int32), np.zeros(0), guide.point
         if guide.on == "mesh":
             return *rest.on_mesh(guide.point, owner), np.zeros(3)
-        if guide.on not in rest.bodies:
-            known = ["mesh", "ground", *rest.bodies]
+        known = ["mesh", "ground", *rest.bodies]
+        if guide.on not in known:
             raise ValueError(
                 f"{owner} is on {guide.on!r}, expected 'mesh', 'ground' or the name "
                 f"of a rigid body.{suggestion(guide.on, known)} Rigid bodies: "
@@ -192,13 +168,10 @@ def _fixed_length(a: Guide, b: Guide) -> bool:
     return a.on == b.on and a.on != "mesh"
 
 
-def _segment(ends, m: int):
-    """Return the nodes of both ends, their weights in each, and the fixed parts."""
-    return _along(ends, np.unique(np.concatenate([nodes for nodes, *_ in ends])), m)
-
-
-def _along(guides, own: Int[HostArray, " n"], m: int):
+def _along(guides, n_nodes: int | None = None):
     """Return the nodes of guides, their weights in each, and the fixed parts."""
+    own = np.unique(np.concatenate([nodes for nodes, *_ in guides]))
+    m = n_nodes or own.size
     # Pad with one of these nodes, so that no other node enters the tangent.
     nodes = np.full(m, own[0], np.int32)
     nodes[: own.size] = own
@@ -206,6 +179,14 @@ def _along(guides, own: Int[HostArray, " n"], m: int):
     for row, (carriers, w, _) in zip(weights, guides, strict=True):
         row[np.searchsorted(own, carriers)] = w
     return nodes, weights, np.stack([fixed for *_, fixed in guides])
+
+
+def _stacked(pieces, owner: int) -> tuple[Array, Array, Array, Array]:
+    """Stack what `_along` returns of several pieces, with their owner."""
+    nodes, weights, fixed = (
+        jnp.asarray(np.stack(part)) for part in zip(*pieces, strict=True)
+    )
+    return nodes, jnp.full(len(pieces), owner, nodes.dtype), weights, fixed
 
 
 def _length(v: Float[Array, "3"]) -> Float[Array, ""]:
@@ -230,17 +211,12 @@ class CableSegments(AbstractPotentialCliques):
     """Straight pieces of cables; each adds minus its length to delta_a.
 
     Attributes:
-        nodes: Nodes that carry the two ends, once each.
-        owner: Index of the cable.
         weights: Weights of the nodes in the positions of the two ends [-].
         fixed: Constant part of these positions, of guides on the ground [m].
     """
 
-    nodes: Int[Array, "*cliques m"]
-    owner: Int[Array, "*cliques"]
     weights: Float[Array, "*cliques 2 m"]
     fixed: Float[Array, "*cliques 2 3"]
-    curved: ClassVar[bool] = True
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         """Return minus the length of one segment [m]."""
@@ -248,32 +224,21 @@ class CableSegments(AbstractPotentialCliques):
         return -_length(end - start)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """The segments."""
-        return ActuatorGeometry(
-            segments=_guide_points(self, x), segment_owner=np.asarray(self.owner)
-        )
+        """Draw the segments."""
+        return _draw(self, x)
 
 
 class FrictionalCables(AbstractFrictionalCliques):
     """Whole cables with friction; each adds minus its length to delta_a.
 
     Attributes:
-        nodes: Nodes that carry the guides, once each.
-        owner: Index of the cable.
         weights: Weights of the nodes in the positions of the guides, of which the last
             is pulled [-].
         fixed: Constant part of these positions, of guides on the ground [m].
-        friction: Coefficient of friction mu [-].
-        sense: 1 if the cable is pulled, -1 if it is released.
     """
 
-    nodes: Int[Array, "*cliques m"]
-    owner: Int[Array, "*cliques"]
     weights: Float[Array, "*cliques n_guides m"]
     fixed: Float[Array, "*cliques n_guides 3"]
-    friction: Float[Array, "*cliques"]
-    sense: Float[Array, "*cliques"]
-    curved: ClassVar[bool] = True
 
     def _segments(self, x: Float[Array, "m 3"]) -> Float[Array, "n_segments 3"]:
         return jnp.diff(self.weights @ x + self.fixed, axis=0)
@@ -300,18 +265,16 @@ class FrictionalCables(AbstractFrictionalCliques):
         return jax.grad(pulled)(x)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """The segments."""
-        guides = _guide_points(self, x)
-        segments = np.stack([guides[:, :-1], guides[:, 1:]], axis=2)
-        return ActuatorGeometry(
-            segments=segments.reshape(-1, 2, 3),
-            segment_owner=np.repeat(np.asarray(self.owner), segments.shape[1]),
-        )
+        """Draw the segments."""
+        return _draw(self, x)
 
 
-def _guide_points(
-    cables: CableSegments | FrictionalCables, x: Float[HostArray, "n_all 3"]
-) -> Float[HostArray, "n_cliques n_guides 3"]:
-    """Compute the positions of the guides of all cliques, on the host [m]."""
+def _draw(cables: CableSegments | FrictionalCables, x) -> ActuatorGeometry:
+    """Draw the segments between the guides of all cliques."""
     nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
-    return np.einsum("cem,cmi->cei", weights, x[nodes]) + np.asarray(cables.fixed)
+    guides = np.einsum("cem,cmi->cei", weights, x[nodes]) + np.asarray(cables.fixed)
+    segments = np.stack([guides[:, :-1], guides[:, 1:]], axis=2)
+    return ActuatorGeometry(
+        segments=segments.reshape(-1, 2, 3),
+        segment_owner=np.repeat(np.asarray(cables.owner), segments.shape[1]),
+    )

@@ -9,14 +9,37 @@ displacement (`AbstractPotentialCliques`).
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.actuators._geometry import ActuatorGeometry
+from softcal_jax._typing import Array, Float, HostArray, Int
+
+
+class ActuatorGeometry(NamedTuple):
+    """What to draw of actuators: lines, faces and points, each with its actuator.
+
+    Attributes:
+        segments: Ends of the segments of cables [m].
+        segment_owner: Index of their cables.
+        faces: Nodes of the faces of chambers and surface pressures.
+        face_owner: Index of their actuators.
+        points: Mean point of action of a force, or origin of the frame that a motor
+            turns [m].
+        arrows: Direction of a force, or the axis of a motor [-].
+        point_owner: Index of their actuators.
+    """
+
+    segments: Float[HostArray, "n_segments 2 3"] = np.zeros((0, 2, 3))
+    segment_owner: Int[HostArray, " n_segments"] = np.zeros(0, np.int32)
+    faces: Int[HostArray, "n_faces n_fn"] = np.zeros((0, 3), np.int32)
+    face_owner: Int[HostArray, " n_faces"] = np.zeros(0, np.int32)
+    points: Float[HostArray, "n_markers 3"] = np.zeros((0, 3))
+    arrows: Float[HostArray, "n_markers 3"] = np.zeros((0, 3))
+    point_owner: Int[HostArray, " n_markers"] = np.zeros(0, np.int32)
 
 
 class AbstractCliques(eqx.Module):
@@ -32,9 +55,9 @@ class AbstractCliques(eqx.Module):
         curved: Whether the force depends on the positions of the nodes.
     """
 
-    nodes: eqx.AbstractVar[Int[Array, "*cliques m"]]
-    owner: eqx.AbstractVar[Int[Array, "*cliques"]]
-    curved: ClassVar[bool]
+    nodes: Int[Array, "*cliques m"]
+    owner: Int[Array, "*cliques"]
+    curved: ClassVar[bool] = True
 
     @abstractmethod
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
@@ -42,11 +65,7 @@ class AbstractCliques(eqx.Module):
 
     @abstractmethod
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Collect what to draw of all cliques, on the host.
-
-        Args:
-            x: Positions of the mesh's nodes and the frame nodes [m].
-        """
+        """Collect what to draw of all cliques at the positions of all nodes [m]."""
 
     def curvature(self, x: Float[Array, "m 3"]) -> Float[Array, "3*m 3*m"]:
         """Differentiate the force by the positions, node by node, for lambda_a = 1."""
@@ -81,15 +100,8 @@ class AbstractFrictionalCliques(AbstractDisplacedCliques):
         sense: 1 if the actuator pulls, -1 if it is released.
     """
 
-    friction: eqx.AbstractVar[Float[Array, "*cliques"]]
-    sense: eqx.AbstractVar[Float[Array, "*cliques"]]
-
-    def moving(
-        self, releasing: Bool[Array | HostArray, " n_a"]
-    ) -> "AbstractFrictionalCliques":
-        """Return the cliques with their sense of motion set."""
-        sense = jnp.where(jnp.asarray(releasing)[self.owner], -1.0, 1.0)
-        return eqx.tree_at(lambda cliques: cliques.sense, self, sense)
+    friction: Float[Array, "*cliques"]
+    sense: Float[Array, "*cliques"]
 
 
 def each_clique(
@@ -99,3 +111,19 @@ def each_clique(
 ) -> Float[Array, "n_cliques ..."]:
     """Call a method of every clique with the positions of its own nodes."""
     return jax.vmap(method)(cliques, x[cliques.nodes])
+
+
+def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
+    """Return nodes and owner of the cliques of one actuator."""
+    return jnp.asarray(nodes), jnp.full(len(nodes), owner, nodes.dtype)
+
+
+def draw_faces(cliques: AbstractCliques) -> ActuatorGeometry:
+    """Draw cliques that are faces."""
+    nodes, owner = np.asarray(cliques.nodes), np.asarray(cliques.owner)
+    return ActuatorGeometry(faces=nodes, face_owner=owner)
+
+
+def unit(v: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
+    """Normalise vectors [-]."""
+    return v / np.linalg.norm(v, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Forces of fixed direction, at a point or spread over a surface."""
+"""Forces of fixed direction, at a point or over a surface; torques of motors."""
 
 from typing import ClassVar
 
@@ -6,17 +6,20 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
     AbstractActuator,
     Kind,
     RestState,
-    as_vector,
     check_direction,
-    check_vector,
 )
-from softcal_jax.actuators._cliques import AbstractPotentialCliques
-from softcal_jax.actuators._geometry import ActuatorGeometry, unit
+from softcal_jax.actuators._cliques import (
+    AbstractPotentialCliques,
+    ActuatorGeometry,
+    owned,
+    unit,
+)
+from softcal_jax.bodies import as_vector, check_vector
 from softcal_jax.mesh import surface_shares
 
 
@@ -27,12 +30,10 @@ class ForceActuator(AbstractActuator):
     force [N].
 
     Attributes:
-        name: Its name.
         point: Its point of action at rest, on or in the mesh [m].
         direction: Direction of a positive force, of any length.
     """
 
-    name: str
     point: Float[HostArray, "3"] = eqx.field(converter=as_vector)
     direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
     kind: ClassVar[Kind] = Kind("force actuator", "N", "m")
@@ -42,11 +43,7 @@ class ForceActuator(AbstractActuator):
         check_direction(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
-        """Return the nodes that carry the point.
-
-        Raises:
-            ValueError: If the point lies outside the mesh.
-        """
+        """Return the nodes that carry the point."""
         nodes, weights = rest.on_mesh(self.point, self.label)
         return _weighted_nodes(nodes, weights, self.direction, owner)
 
@@ -58,12 +55,10 @@ class SurfaceForceActuator(AbstractActuator):
     the mean weighted by area at rest; lambda_a is the total force [N].
 
     Attributes:
-        name: Its name.
         surface: Name of a surface group.
         direction: Direction of a positive force, of any length.
     """
 
-    name: str
     surface: str
     direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
     kind: ClassVar[Kind] = Kind("surface force actuator", "N", "m")
@@ -72,11 +67,7 @@ class SurfaceForceActuator(AbstractActuator):
         check_direction(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
-        """Return the nodes of the surface.
-
-        Raises:
-            ValueError: If the surface is unknown.
-        """
+        """Return the nodes of the surface."""
         faces = rest.mesh.faces(self.surface)
         nodes = np.unique(faces)
         shares = surface_shares(rest.mesh, faces)[nodes]
@@ -85,24 +76,17 @@ class SurfaceForceActuator(AbstractActuator):
 
 def _weighted_nodes(nodes, weights, direction, owner: int) -> "WeightedNodes":
     unit = direction / np.linalg.norm(direction)
-    return WeightedNodes(
-        jnp.asarray(nodes[:, None]),
-        jnp.full(len(nodes), owner, nodes.dtype),
-        jnp.asarray((weights[:, None] * unit)[:, None]),
-    )
+    parts = jnp.asarray((weights[:, None] * unit)[:, None])
+    return WeightedNodes(*owned(nodes[:, None], owner), parts)
 
 
 class WeightedNodes(AbstractPotentialCliques):
     """Single nodes; each adds its weighted position to delta_a.
 
     Attributes:
-        nodes: One node per clique.
-        owner: Index of the actuator.
         weights: Weights of its coordinates [-].
     """
 
-    nodes: Int[Array, "*cliques 1"]
-    owner: Int[Array, "*cliques"]
     weights: Float[Array, "*cliques 1 3"]
     curved: ClassVar[bool] = False
 
@@ -120,3 +104,47 @@ class WeightedNodes(AbstractPotentialCliques):
         points = np.zeros_like(total)
         np.add.at(points, of, np.sum(weights * arrows[of], axis=1)[:, None] * x[nodes])
         return ActuatorGeometry(points=points, arrows=arrows, point_owner=actuators)
+
+
+class Motor(AbstractActuator):
+    """A torque that turns a rigid body about the third axis of its frame at rest.
+
+    delta_a is the angle of its first axis, projected on the plane of the first two axes
+    at rest [rad], in (-pi, pi]; lambda_a is the torque [N m]. The angle is undefined if
+    a body that is free to tilt turns its first axis normal to that plane.
+
+    Attributes:
+        body: Name of the rigid body.
+    """
+
+    body: str
+    kind: ClassVar[Kind] = Kind("motor", "N m", "rad")
+
+    def cliques(self, rest: RestState, owner: int) -> "MotorFrames":
+        """Return the frame of the body."""
+        nodes = rest.frame_nodes(self.body, self.label)
+        origin, first, second, _ = rest.points[nodes]
+        plane = jnp.asarray([[first - origin, second - origin]])
+        return MotorFrames(*owned(nodes[None], owner), plane)
+
+
+class MotorFrames(AbstractPotentialCliques):
+    """Frames of driven bodies, four nodes each; each adds its angle to delta_a.
+
+    Attributes:
+        plane: First and second axis at rest, of equal length [m].
+    """
+
+    plane: Float[Array, "*cliques 2 3"]
+
+    def contribution(self, x: Float[Array, "4 3"]) -> Float[Array, ""]:
+        """Compute the angle of the first axis of one frame [rad]."""
+        along, across = self.plane @ (x[1] - x[0])
+        return jnp.arctan2(across, along)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """Draw origin and axis of the frames."""
+        nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
+        origin, axis_end = x[nodes[:, 0]], x[nodes[:, 3]]
+        arrows = unit(axis_end - origin)
+        return ActuatorGeometry(points=origin, arrows=arrows, point_owner=owner)

@@ -1,4 +1,4 @@
-"""Pressure that follows an open surface: a force without a potential."""
+"""Pressures: in a closed chamber, or following an open surface."""
 
 from typing import ClassVar
 
@@ -7,9 +7,78 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cliques import AbstractCliques
-from softcal_jax.actuators._geometry import ActuatorGeometry
-from softcal_jax.actuators._surfaces import outward_faces, vector_areas
+from softcal_jax.actuators._cliques import (
+    AbstractCliques,
+    AbstractPotentialCliques,
+    ActuatorGeometry,
+    draw_faces,
+    each_clique,
+    owned,
+)
+from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
+from softcal_jax.mesh import TetMesh, boundary_faces
+
+
+class Chamber(AbstractActuator):
+    """A cavity in the body, under pressure.
+
+    delta_a = V(x) - V(X) is the growth of the enclosed volume since rest [m3].
+    lambda_a is the gauge pressure in the cavity [Pa]: positive inflates, negative is
+    vacuum.
+
+    Attributes:
+        surface: Name of the surface group that is the whole wall of the cavity; the
+            order of a face's nodes does not matter.
+    """
+
+    surface: str
+    kind: ClassVar[Kind] = Kind("chamber", "Pa", "m3")
+
+    def cliques(self, rest: RestState, owner: int) -> "ChamberFaces":
+        """Return the faces of the wall.
+
+        Raises:
+            ValueError: If the surface is unknown, open, not on the boundary, or
+                encloses the body instead of a cavity.
+        """
+        faces = _outward_faces(rest.mesh, self.surface, self.label)
+        _check_closed(rest.mesh, faces, self.surface, self.label)
+        points = jnp.asarray(rest.points)
+        centre = jnp.mean(points[np.unique(faces)], axis=0)
+        centres = jnp.tile(centre, (len(faces), 1))
+        wall = ChamberFaces(*owned(faces, owner), centres)
+        volume = float(jnp.sum(each_clique(ChamberFaces.contribution, wall, points)))
+        if not volume > 0.0:
+            raise ValueError(
+                f"{self.label}: surface {self.surface!r} has the body on its inner "
+                f"side (enclosed volume {volume:.3g} m3), expected the wall of a "
+                "cavity. A pressure on the body from outside is a SurfacePressure."
+            )
+        return wall
+
+
+class ChamberFaces(AbstractPotentialCliques):
+    """Faces of the walls of chambers; each adds a cone's volume to delta_a.
+
+    V = -1/3 integral of (x - c) . n dA by the divergence theorem. The normal n points
+    out of the body, hence into the cavity, which explains the minus sign.
+
+    Attributes:
+        centre: The point c. Any point gives a closed surface the same volume; one near
+            the cavity avoids cancellation [m].
+    """
+
+    centre: Float[Array, "*cliques 3"]
+
+    def contribution(self, x: Float[Array, "n_fn 3"]) -> Float[Array, ""]:
+        """Compute the volume of the cone from the centre to one face [m3]."""
+        arm = x - self.centre[None]
+        n_dA, N = _vector_areas(arm)
+        return -jnp.sum(n_dA * (N @ arm)) / 3.0
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """Draw the faces."""
+        return draw_faces(self)
 
 
 class SurfacePressure(AbstractActuator):
@@ -20,47 +89,92 @@ class SurfacePressure(AbstractActuator):
     the tangent is not symmetric.
 
     Attributes:
-        name: Its name.
         surface: Name of a surface group on the boundary of the body; the order of a
             face's nodes does not matter.
     """
 
-    name: str
     surface: str
     kind: ClassVar[Kind] = Kind("surface pressure", "Pa", None)
 
     def cliques(self, rest: RestState, owner: int) -> "PressureFaces":
-        """Return the faces of the surface.
-
-        Raises:
-            ValueError: If the surface is unknown or not on the boundary.
-        """
-        faces = outward_faces(rest.mesh, self.surface, self.label)
-        return PressureFaces(
-            jnp.asarray(faces), jnp.full(len(faces), owner, faces.dtype)
-        )
+        """Return the faces of the surface."""
+        faces = _outward_faces(rest.mesh, self.surface, self.label)
+        return PressureFaces(*owned(faces, owner))
 
 
 class PressureFaces(AbstractCliques):
-    """Faces under a following pressure.
-
-    Attributes:
-        nodes: 3 or 6 nodes of each face, its normal out of the body.
-        owner: Index of the surface pressure.
-    """
-
-    nodes: Int[Array, "*cliques n_fn"]
-    owner: Int[Array, "*cliques"]
-    curved: ClassVar[bool] = True
+    """Faces under a following pressure, their normals out of the body."""
 
     def row(self, x: Float[Array, "n_fn 3"]) -> Float[Array, "n_fn 3"]:
         """Compute consistent forces per pressure, -integral of N n dA [m2]."""
-        n_dA, N = vector_areas(x)
+        n_dA, N = _vector_areas(x)
         return -N.T @ n_dA
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """The faces."""
-        del x
-        return ActuatorGeometry(
-            faces=np.asarray(self.nodes), face_owner=np.asarray(self.owner)
+        """Draw the faces."""
+        return draw_faces(self)
+
+
+def _outward_faces(
+    mesh: TetMesh, surface: str, owner: str
+) -> Int[HostArray, "n_faces n_fn"]:
+    """Return the faces of a surface group, once each, with outward normals.
+
+    The order of nodes in a group is arbitrary, so the tet behind each face decides.
+    `owner` is what acts on it, for messages.
+
+    Raises:
+        ValueError: If the group is unknown, or a face is not on the boundary.
+    """
+    faces, boundary = mesh.faces(surface), boundary_faces(mesh)
+    corners = np.sort(np.concatenate([boundary, faces])[:, :3], axis=1)
+    _, first, inverse = np.unique(
+        corners, axis=0, return_index=True, return_inverse=True
+    )
+    at = first[inverse.ravel()[len(boundary) :]]
+    inner = np.flatnonzero(at >= len(boundary))
+    if inner.size:
+        where = mesh.points[faces[inner[0]][:3]].mean(axis=0)
+        raise ValueError(
+            f"{owner}: {inner.size} of {len(faces)} faces of surface {surface!r} are "
+            f"not on the boundary of the body, one at {where.tolist()} m. A pressure "
+            "needs faces with the body on one side only; `select_faces` gives such."
         )
+    return boundary[np.unique(at)]
+
+
+def _check_closed(
+    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"], surface: str, owner: str
+):
+    """Raise ValueError unless a surface is closed, given its faces, oriented outward.
+
+    It is if its faces traverse every edge equally often in both directions.
+    """
+    ways = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges, inverse = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
+    sense = np.where(ways[:, 0] < ways[:, 1], 1.0, -1.0)
+    open_edges = edges[np.bincount(inverse.ravel(), sense) != 0.0]
+    if len(open_edges):
+        where = mesh.points[open_edges[0]].mean(axis=0)
+        raise ValueError(
+            f"{owner}: surface {surface!r} is not closed, it has {len(open_edges)} "
+            f"open edges, one at {where.tolist()} m. Expected the whole wall of the "
+            "cavity; a pressure on an open surface is a SurfacePressure."
+        )
+
+
+def _vector_areas(
+    x: Float[Array, "n_fn 3"],
+) -> tuple[Float[Array, "n_q 3"], Float[Array, "n_q n_fn"]]:
+    """Compute n dA [m2] and shape functions at the quadrature points of one face.
+
+    n dA = 1/2 w_q dx/dxi x dx/deta. The rule is exact for the integral of N n dA: of
+    degree 1 on linear faces, 4 on quadratic ones.
+    """
+    n_fn = x.shape[0]
+    rule = triangle_rule(1 if n_fn == 3 else 4)
+    N = jnp.asarray(shape_functions(rule.barycentric, n_fn), x.dtype)
+    dN = jnp.asarray(shape_gradients(rule.barycentric, n_fn), x.dtype)
+    weights = jnp.asarray(0.5 * rule.weights, x.dtype)
+    tangents = jnp.einsum("qaj,ai->jqi", dN, x)
+    return weights[:, None] * jnp.cross(tangents[0], tangents[1]), N

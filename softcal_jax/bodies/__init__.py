@@ -1,19 +1,25 @@
 """Rigid bodies: groups of nodes that move as one frame."""
 
 from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays, body_arrays
-from softcal_jax.bodies._body import KINDS, BodyState, RigidBody, hinge_axes
+from softcal_jax.bodies._body import (
+    KINDS,
+    BodyState,
+    Pose,
+    RigidBody,
+    Vector,
+    as_vector,
+    check_vector,
+    hinge_axes,
+)
 from softcal_jax.bodies._kinematics import (
     Frames,
     Mounted,
     blocked,
+    cross_matrix,
     frame_nodes,
     frames_at,
     mounted,
     place,
-)
-from softcal_jax.bodies._pose import Pose
-from softcal_jax.bodies._rotations import (
-    cross_matrix,
     rotation_matrix,
     rotation_vector,
 )
@@ -27,8 +33,11 @@ __all__ = [
     "Mounted",
     "Pose",
     "RigidBody",
+    "Vector",
+    "as_vector",
     "blocked",
     "body_arrays",
+    "check_vector",
     "cross_matrix",
     "frame_nodes",
     "frames_at",

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._names import suggestion
-from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies._body import RigidBody
-from softcal_jax.mesh import TetMesh, named_nodes
+from softcal_jax.mesh import TetMesh, node_indices
 
 
 class BodyArrays(eqx.Module):
@@ -53,18 +53,18 @@ class BodyArrays(eqx.Module):
         return len(self.names)
 
     @property
+    def tied(self) -> Bool[Array, " n_b"]:
+        """Which bodies are fixed to another."""
+        return self.owner != jnp.arange(self.n_bodies, dtype=jnp.int32)
+
+    @property
     def frame_points(self) -> Float[HostArray, "n_frame_nodes 3"]:
         """The frame nodes at rest: origin and ends of the axes of each body [m]."""
         ends = self.origin[:, None] + self.length * self.axes
         return np.concatenate([self.origin[:, None], ends], axis=1).reshape(-1, 3)
 
     def at(self, body: int, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 4"]:
-        """Return the weights on the frame nodes for points fixed on a body [-].
-
-        Args:
-            body: Index of the body.
-            points: Positions at rest [m].
-        """
+        """Return the weights on the frame nodes [-] for points fixed on a body [m]."""
         return _affine(self.origin[body], self.axes[body], self.length, points)
 
 
@@ -74,11 +74,7 @@ def _affine(origin, axes, length, points):
 
 
 def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
-    """Stack the rigid bodies of a mesh.
-
-    Args:
-        mesh: The mesh at rest.
-        bodies: Its bodies; there may be none.
+    """Stack the rigid bodies of a mesh at rest; there may be none.
 
     Raises:
         ValueError: If a name is used twice, a group is unknown, a node belongs to two
@@ -91,26 +87,20 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
             raise ValueError(f"rigid body {name!r} is named more than once.")
     nodes = [_nodes(mesh, body) for body in bodies]
     _check_disjoint(mesh, names, nodes)
-    origins = [
-        mesh.points[n].mean(axis=0) if b.origin is None else b.origin
-        for b, n in zip(bodies, nodes, strict=True)
-    ]
-    axes = [np.eye(3) if b.axes is None else b.axes for b in bodies]
     # As an array, since a Python float would force a new compilation for each mesh.
     length = np.asarray(mesh.size, float)
+    weights, centres, origins, axes = [], [], [], []
+    for b, n in zip(bodies, nodes, strict=True):
+        points = mesh.points[n]
+        origins.append(points.mean(axis=0) if b.origin is None else b.origin)
+        axes.append(np.eye(3) if b.axes is None else b.axes)
+        centre = origins[-1] if b.centre_of_mass is None else b.centre_of_mass
+        weights.append(_affine(origins[-1], axes[-1], length, points))
+        centres.append(_affine(origins[-1], axes[-1], length, centre[None]))
     stacked = lambda rows, *shape: np.array(rows, float).reshape(len(bodies), *shape)
-    weights = [
-        _affine(o, a, length, mesh.points[n])
-        for o, a, n in zip(origins, axes, nodes, strict=True)
-    ]
-    centres = [
-        _affine(
-            o, a, length, (o if b.centre_of_mass is None else b.centre_of_mass)[None]
-        )
-        for b, o, a in zip(bodies, origins, axes, strict=True)
-    ]
+    translations = stacked([b.mounting.translation for b in bodies], 3)
+    rotations = stacked([b.mounting.rotation_vector for b in bodies], 3)
     counts = [len(n) for n in nodes]
-    mountings = [b.mounting for b in bodies]
     return BodyArrays(
         attached=np.concatenate([np.zeros(0, int), *nodes]).astype(np.int32),
         body=np.repeat(np.arange(len(bodies)), counts).astype(np.int32),
@@ -118,12 +108,8 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
         origin=stacked(origins, 3),
         axes=stacked(axes, 3, 3),
         owner=_owners(bodies, names),
-        mounting_translation=jnp.asarray(
-            stacked([m.translation for m in mountings], 3)
-        ),
-        mounting_rotation=jnp.asarray(
-            stacked([m.rotation_vector for m in mountings], 3)
-        ),
+        mounting_translation=jnp.asarray(translations),
+        mounting_rotation=jnp.asarray(rotations),
         mass=jnp.asarray(stacked([b.mass for b in bodies])),
         mass_weights=stacked(centres, 4),
         length=length,
@@ -134,7 +120,7 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
 def _nodes(mesh: TetMesh, body: RigidBody) -> HostArray:
     what = f"rigid body {body.name!r}"
     found = np.unique(
-        np.concatenate([named_nodes(mesh, where, what) for where in body.where])
+        np.concatenate([node_indices(mesh, where, what) for where in body.where])
     )
     x = mesh.points[found] - mesh.points[found].mean(axis=0)
     spread = np.linalg.svd(x, compute_uv=False) if len(found) > 2 else np.zeros(3)

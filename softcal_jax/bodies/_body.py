@@ -1,25 +1,85 @@
-"""Descriptions of rigid bodies: their nodes, frame, mounting and state."""
+"""Poses, and descriptions of rigid bodies: nodes, frame, mounting and state."""
 
 from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.bodies._pose import Pose
+
+Vector = Sequence[float] | Float[ArrayLike, "3"]
+"""Three numbers, as a user types them."""
+
+
+def as_vector(value: Vector) -> Float[HostArray, "3"]:
+    """Convert a user's three numbers to an array."""
+    return np.array(value, float)  # a copy: SciPy's rotations need it writable
+
+
+def check_vector(what: str, unit: str, value: HostArray) -> None:
+    """Raise ValueError unless a vector has three finite numbers."""
+    if value.shape != (3,) or not np.all(np.isfinite(value)):
+        raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
+
+
+class Pose(eqx.Module):
+    """Rigid motion X -> rotation @ (X - origin) + origin + translation.
+
+    The origin is that of the moving frame; for a body `RigidBody.origin`.
+
+    Attributes:
+        translation: Displacement of the origin [m].
+        rotation_vector: Axis of the rotation times its angle [rad].
+    """
+
+    translation: Float[HostArray, "3"] = eqx.field(
+        converter=as_vector, default_factory=lambda: np.zeros(3)
+    )
+    rotation_vector: Float[HostArray, "3"] = eqx.field(
+        converter=as_vector, default_factory=lambda: np.zeros(3)
+    )
+
+    def __check_init__(self):
+        check_vector("translation", "m", self.translation)
+        check_vector("rotation_vector", "rad", self.rotation_vector)
+        angle = float(np.linalg.norm(self.rotation_vector))
+        if angle > 2.0 * np.pi:
+            raise ValueError(
+                f"rotation_vector turns by {angle:.4g} rad, more than a full turn: "
+                "give radians, not degrees (np.deg2rad)."
+            )
+
+    @classmethod
+    def from_matrix(
+        cls, rotation: Float[ArrayLike, "3 3"], translation: Float[ArrayLike, "3"]
+    ) -> "Pose":
+        """Make a pose from a rotation matrix [-] and a translation [m].
+
+        Raises:
+            ValueError: If the matrix is not a rotation.
+        """
+        R = np.array(rotation, float)
+        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+            raise ValueError(f"rotation must be an orthogonal 3 x 3 matrix, got {R}.")
+        if np.linalg.det(R) < 0.0:
+            raise ValueError("rotation mirrors space (its determinant is -1).")
+        return cls(np.asarray(translation, float), Rotation.from_matrix(R).as_rotvec())
+
+    @property
+    def matrix(self) -> Float[HostArray, "3 3"]:
+        """The rotation as a matrix [-]."""
+        return Rotation.from_rotvec(self.rotation_vector).as_matrix()
 
 
 def _as_groups(where) -> tuple:
-    if isinstance(where, str):
+    if isinstance(where, str | np.ndarray):
         return (where,)
-    array = np.asarray(where) if not isinstance(where, Iterable) else where
-    if isinstance(array, np.ndarray):
-        return (array,)
-    return tuple(array)
+    return tuple(where) if isinstance(where, Iterable) else (np.asarray(where),)
 
 
-def _as_point(
+def _as_array(
     value: Float[ArrayLike, "..."] | Sequence | None,
 ) -> Float[HostArray, "..."] | None:
     return None if value is None else np.asarray(value, float)
@@ -50,25 +110,19 @@ class RigidBody(eqx.Module):
 
     name: str
     where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
-    origin: Float[HostArray, "3"] | None = eqx.field(converter=_as_point, default=None)
-    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_as_point, default=None)
+    origin: Float[HostArray, "3"] | None = eqx.field(converter=_as_array, default=None)
+    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_as_array, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
     mass: float = 0.0
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
-        converter=_as_point, default=None
+        converter=_as_array, default=None
     )
 
     def __check_init__(self):
         for name in ("origin", "centre_of_mass"):
-            value = getattr(self, name)
-            if value is not None and (
-                value.shape != (3,) or not np.all(np.isfinite(value))
-            ):
-                raise ValueError(
-                    f"{name} of rigid body {self.name!r} must be three finite numbers "
-                    f"[m], got {value}."
-                )
+            if (value := getattr(self, name)) is not None:
+                check_vector(f"{name} of rigid body {self.name!r}", "m", value)
         if not 0.0 <= self.mass < np.inf:
             raise ValueError(
                 f"mass of rigid body {self.name!r} must be finite and not negative "
@@ -88,9 +142,7 @@ class RigidBody(eqx.Module):
             raise ValueError(f"rigid body {self.name!r} is tied to itself.")
 
 
-def hinge_axes(
-    axis: Float[ArrayLike, "3"] | Sequence[float],
-) -> Float[HostArray, "3 3"]:
+def hinge_axes(axis: Vector) -> Float[HostArray, "3 3"]:
     """Return the axes of a frame, by rows, whose third is a hinge's axis [-].
 
     Args:

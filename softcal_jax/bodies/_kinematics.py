@@ -1,4 +1,4 @@
-"""Kinematics of rigid bodies: frames, mounting and twists.
+"""Kinematics of rigid bodies: rotations, frames, mounting and twists.
 
 A step of a body is a twist: three displacements of the origin of its frame and three
 angles, along its mounted axes. Angles count in metres at the ends of the frame's axes
@@ -9,11 +9,80 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
 from softcal_jax.bodies._body import KINDS
-from softcal_jax.bodies._rotations import rotation_matrix
+
+# Squared angle below which the series are exact to rounding [rad2].
+_SMALL = 1e-4
+
+
+# Signs of the permutations: hat(w)_ij = sum_k _SIGNS_ijk w_k.
+_SIGNS = np.zeros((3, 3, 3))
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _SIGNS[_i, _j, _k], _SIGNS[_j, _i, _k] = -1.0, 1.0
+
+
+def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Return the matrix hat(w) that maps a vector v to w x v."""
+    # Compiles to two operations, where stacking the entries would take twenty.
+    return jnp.sum(jnp.asarray(_SIGNS, w.dtype) * w[None, None], axis=2)
+
+
+def rotation_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Compute the rotation matrix exp(hat(w)) by Rodrigues' formula.
+
+    Args:
+        w: Rotation vector [rad].
+    """
+    square = jnp.sum(w * w)
+    small = square < _SMALL
+    # Under autodiff, the unselected branch must not divide by zero either.
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    sine = jnp.where(
+        small,
+        1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)),
+        jnp.sin(angle) / angle,
+    )
+    versine = jnp.where(
+        small,
+        0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
+        (1.0 - jnp.cos(angle)) / angle**2,
+    )
+    W = cross_matrix(w)
+    return jnp.eye(3) + sine * W + versine * (W @ W)
+
+
+def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """Compute the rotation vector of a rotation matrix, of length 0 to pi [rad].
+
+    Goes through the unit quaternion, largest component first (Shepperd, J. Guidance
+    Control 1, 1978), which is accurate at all angles, half a turn included.
+    """
+    trace = jnp.trace(R)
+    four = 1.0 + jnp.concatenate([trace[None], 2.0 * jnp.diag(R) - trace])
+    off = jnp.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    both = R + R.T
+    rows = jnp.stack(
+        [
+            jnp.stack([four[0], off[0], off[1], off[2]]),
+            jnp.stack([off[0], four[1], both[0, 1], both[0, 2]]),
+            jnp.stack([off[1], both[0, 1], four[2], both[1, 2]]),
+            jnp.stack([off[2], both[0, 2], both[1, 2], four[3]]),
+        ]
+    )
+    largest = jnp.argmax(four)
+    q = rows[largest] / (2.0 * jnp.sqrt(four[largest]))
+    q = jnp.where(q[0] < 0.0, -q, q)
+    square = jnp.sum(q[1:] ** 2)
+    small = square < _SMALL
+    sine = jnp.sqrt(jnp.where(small, 1.0, square))
+    # 2 arcsin(s) / s, with s the sine of half the angle.
+    series = 2.0 + square / 3.0 * (1.0 + square * 9.0 / 20.0 * (1.0 + square * 25 / 42))
+    factor = jnp.where(small, series, 2.0 * jnp.arctan2(sine, q[0]) / sine)
+    return factor * q[1:]
 
 
 class Frames(NamedTuple):
@@ -27,16 +96,18 @@ class Frames(NamedTuple):
     origin: Float[Array, "n_b 3"]
     rotation: Float[Array, "n_b 3 3"]
 
+    def where(self, mask: Bool[Array, " n_b"], others: "Frames") -> "Frames":
+        """Take those of some bodies, and other frames elsewhere."""
+        return Frames(
+            jnp.where(mask[:, None], self.origin, others.origin),
+            jnp.where(mask[:, None, None], self.rotation, others.rotation),
+        )
+
 
 def frames_at(bodies: BodyArrays, ends: Float[Array, "n_frame_nodes 3"]) -> Frames:
-    """Compute frames from the positions of the frame nodes.
+    """Compute frames from the positions of the frame nodes, four per body [m].
 
-    Args:
-        bodies: The bodies.
-        ends: Positions of origin and axis ends, four per body [m].
-
-    Returns:
-        The frames, with axes orthogonalised in case a linear prediction distorted them.
+    Axes are orthogonalised in case a linear prediction distorted them.
     """
     ends = ends.reshape(bodies.n_bodies, 4, 3)
     now = (ends[:, 1:] - ends[:, :1]) / bodies.length
@@ -89,19 +160,14 @@ def place(
 ) -> Frames:
     """Apply a twist to the free bodies, and put all others in their places.
 
-    Args:
-        bodies: The bodies.
-        state: Their states in the configuration.
-        mounted: Share of mountings and imposed poses that is applied.
-        frames: Frames before the twist.
-        twist: Twist of each body along its mounted axes, angles in metres [m].
+    The twist of each body is along its mounted axes, angles in metres [m].
     """
     load, mounting, axes = mounted
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
     rest = jnp.asarray(bodies.origin)
     home = rest + load * (bodies.mounting_translation + state.translation)
-    angle = _hinge_angle(_product(frames.rotation, _transposed(mounting)), axes)
-    angle = angle + twist[:, 5] / bodies.length
+    turned = _product(frames.rotation, jnp.swapaxes(mounting, 1, 2))
+    angle = _hinge_angle(turned, axes) + twist[:, 5] / bodies.length
     turns = [
         along(twist[:, 3:]) / bodies.length,
         angle[:, None] * axes[:, 2],
@@ -114,33 +180,17 @@ def place(
     )
     hinged = Frames(home, _product(by_angle, mounting))
     held = Frames(home, _product(by_pose, mounting))
-    kind = state.kind[:, None]
-    pick = lambda a, b, c: jnp.where(
-        kind == KINDS.index("free"), a, jnp.where(kind == KINDS.index("hinged"), b, c)
-    )
-    origin = pick(free.origin, hinged.origin, held.origin)
-    kind = kind[:, :, None]
-    rotation = pick(free.rotation, hinged.rotation, held.rotation)
+    own = hinged.where(state.kind == KINDS.index("hinged"), held)
+    own = free.where(state.kind == KINDS.index("free"), own)
     # A tied body follows its owner, after its own mounting.
-    owner = bodies.owner
-    tied = (owner != jnp.arange(bodies.n_bodies, dtype=jnp.int32))[:, None]
-    arm = rest + load * bodies.mounting_translation - rest[owner]
-    on_owner = Frames(
-        origin[owner] + _apply(rotation[owner], arm),
-        _product(rotation[owner], mounting),
-    )
-    return Frames(
-        jnp.where(tied, on_owner.origin, origin),
-        jnp.where(tied[:, :, None], on_owner.rotation, rotation),
-    )
+    arm = rest + load * bodies.mounting_translation - rest[bodies.owner]
+    origin, rotation = own.origin[bodies.owner], own.rotation[bodies.owner]
+    tied = Frames(origin + _apply(rotation, arm), _product(rotation, mounting))
+    return tied.where(bodies.tied, own)
 
 
 def _product(A: Float[Array, "n_b 3 3"], B: Float[Array, "n_b 3 3"]):
     return jnp.sum(A[:, :, :, None] * B[:, None], axis=2)
-
-
-def _transposed(A: Float[Array, "n_b 3 3"]):
-    return jnp.swapaxes(A, 1, 2)
 
 
 def _hinge_angle(R: Float[Array, "n_b 3 3"], axes: Float[Array, "n_b 3 3"]):
@@ -156,5 +206,4 @@ def blocked(state: BodyStateArrays, bodies: BodyArrays):
     kind = state.kind[:, None]
     hinge = jnp.arange(6)[None] == 5
     free = (kind == KINDS.index("free")) | ((kind == KINDS.index("hinged")) & hinge)
-    tied = (bodies.owner != jnp.arange(bodies.n_bodies, dtype=jnp.int32))[:, None]
-    return ~free | tied
+    return ~free | bodies.tied[:, None]

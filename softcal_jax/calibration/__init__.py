@@ -6,24 +6,25 @@ from softcal_jax.calibration._budget import (
     ErrorBudget,
     considered_errors,
 )
-from softcal_jax.calibration._calibrate import (
-    build_problem,
-    calibrate,
+from softcal_jax.calibration._calibrate import as_sequence, build_problem, calibrate
+from softcal_jax.calibration._checkpoint import Clock
+from softcal_jax.calibration._checks import (
+    levenberg_marquardt,
+    simulated_measurements,
+    synthetic_measurements,
+    with_measured,
 )
-from softcal_jax.calibration._clock import Clock
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     SimulationResult,
+    simulation_result,
 )
-from softcal_jax.calibration._descent import Run, descend
-from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._fits import simulation_result
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._levenberg_marquardt import levenberg_marquardt
-from softcal_jax.calibration._notes import CalibrationWarning, fit_notes
+from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
+    Evaluator,
     at_rest,
     evaluate,
     first_guess,
@@ -31,23 +32,20 @@ from softcal_jax.calibration._problem import (
     without_names,
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
-from softcal_jax.calibration._proposal import KKT_TOLERANCE, propose
 from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
+    MultiStartResult,
+    Optimum,
     ParameterEstimate,
     ParameterInterval,
 )
-from softcal_jax.calibration._runs import best_of, images_of, run_start
+from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
     multi_start,
-)
-from softcal_jax.calibration._starts import (
-    MultiStartResult,
-    Optimum,
     random_starts,
 )
 from softcal_jax.calibration._state import (
@@ -55,12 +53,7 @@ from softcal_jax.calibration._state import (
     CalibrationState,
     initial_state,
 )
-from softcal_jax.calibration._step import decide
-from softcal_jax.calibration._synthetic import (
-    simulated_measurements,
-    synthetic_measurements,
-    with_measured,
-)
+from softcal_jax.calibration._step import KKT_TOLERANCE, propose
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 
 __all__ = [
@@ -89,17 +82,16 @@ __all__ = [
     "SearchProgress",
     "SimulationResult",
     "Uncertainty",
+    "as_sequence",
     "at_rest",
     "best_of",
     "bounded_step",
     "build_problem",
     "calibrate",
     "considered_errors",
-    "decide",
     "descend",
     "evaluate",
     "first_guess",
-    "fit_notes",
     "images_of",
     "initial_state",
     "levenberg_marquardt",

@@ -21,8 +21,12 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._considered import Considered, considered
-from softcal_jax.calibration._evaluator import Evaluator, lane_of, with_solver
-from softcal_jax.calibration._problem import Evaluation
+from softcal_jax.calibration._problem import (
+    Evaluation,
+    Evaluator,
+    lane_of,
+    with_solver,
+)
 from softcal_jax.calibration._refined import locking_errors
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration

@@ -10,34 +10,36 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._budget import error_budget
-from softcal_jax.calibration._checkpoint import Journal
-from softcal_jax.calibration._clock import Clock
-from softcal_jax.calibration._descent import descend
-from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._fits import configuration_results, parameter_estimates
+from softcal_jax.calibration._checkpoint import Clock, Journal
+from softcal_jax.calibration._configuration_result import (
+    ConfigurationResult,
+    configuration_results,
+)
 from softcal_jax.calibration._notes import (
     fit_notes,
-    mesh_notes,
-    misfit_notes,
-    order_notes,
-    uncertainty_notes,
+    result_notes,
     unscoped_notes,
     warn_if_locking,
     warn_if_too_few_data,
 )
-from softcal_jax.calibration._problem import CalibrationProblem, configurations_at
-from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    Evaluation,
+    Evaluator,
+)
+from softcal_jax.calibration._result import (
+    CalibrationResult,
+    HistoryEntry,
+    parameter_estimates,
+)
+from softcal_jax.calibration._runs import descend
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
+    random_starts,
     search,
 )
-from softcal_jax.calibration._starts import random_starts
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
-    CalibrationState,
-    initial_state,
-)
+from softcal_jax.calibration._state import CalibrationSettings, initial_state
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 from softcal_jax.configurations import (
     Configuration,
@@ -62,7 +64,7 @@ def build_problem(
     configurations: Configuration | Sequence[Configuration],
     newton: NewtonSettings | None = None,
 ) -> CalibrationProblem:
-    """Stack a calibration into arrays.
+    """Stack a calibration into arrays, for `evaluate` and `multi_start`.
 
     Args:
         model: The body.
@@ -70,23 +72,18 @@ def build_problem(
         configurations: Posed robots; each with markers and measured positions.
         newton: Settings of the equilibrium.
 
-    Returns:
-        The problem, for `evaluate` and `multi_start`.
-
     Raises:
         ValueError: If a configuration has no measurement, or a parameter no field.
     """
-    configurations = as_sequence(configurations)
-    springs = spring_names(configurations)
-    return _build(model, parameters, configurations, springs, newton)[0]
+    return _build(model, parameters, as_sequence(configurations), newton)[0]
 
 
 def _build(
     model: Model,
     parameters: ParameterSpace | Entry | Sequence[Entry],
     configurations: Sequence[Configuration],
-    springs: tuple[str, ...],
     newton: NewtonSettings | None,
+    springs: tuple[str, ...] | None = None,
 ) -> tuple[CalibrationProblem, ConfigurationLanes]:
     """Stack a calibration into arrays, and return its lanes with effector records."""
     for configuration in configurations:
@@ -166,92 +163,87 @@ def calibrate(
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
     springs = spring_names((*configurations, *validation))
-    problem, lanes = _build(model, parameters, configurations, springs, newton)
+    problem, lanes = _build(model, parameters, configurations, newton, springs)
     check_scopes(problem.space, configurations)
     # Built now, so that a wrong held-out configuration is found before the fit.
     held_out = None
     if validation:
-        held_out = _build(model, parameters, validation, springs, newton)
-    _check_names(configurations, validation)
+        held_out = _build(model, parameters, validation, newton, springs)
+    names = tuple(c.name for c in configurations)
+    for c in validation:
+        if c.name in names:
+            raise ValueError(f"configuration {c.name!r} is named more than once.")
     warn_if_too_few_data(problem)
 
-    given = start
-    mark = (starts, seed) if given is None else (starts, seed, *given.tolist())
+    mark = (starts, seed) if start is None else (starts, seed, *start.tolist())
     journal = Journal(problem, settings, checkpoint, progress, search=mark)
-    journal.load()
-    evaluate, names = Evaluator(problem), tuple(c.name for c in configurations)
+    evaluate = Evaluator(problem)
     most = starts * max(len(configurations), 2 * len(validation))
     with Clock() as clock, Workers(model, most) as workers:
-        first = _admissible(problem.space, given)
-        before = workers.end_of(evaluate.from_rest(first))
+        first = begin = _admissible(problem.space, start)
+        before = there = workers.end_of(evaluate.from_rest(first))
         check_converged(before.equilibrium, names)
-        begin, found = first, None
+        found = None
         if starts > 1:
+            others = random_starts(problem.space, starts - 1, seed=seed)
             found = search(
                 workers,
                 evaluate,
                 FROM_ANYWHERE,
-                _all_starts(first, problem, starts, seed),
+                jnp.concatenate([first[None], others]),
                 mirror=True,
                 journal=journal,
                 progress=search_progress,
             )
             begin = jnp.asarray(found.z[found.best])
-        there = before if found is None else workers.end_of(evaluate.from_rest(begin))
+            there = workers.end_of(evaluate.from_rest(begin))
         state = journal.begin(initial_state(settings, begin, there))
         state = workers.end_of(descend(evaluate, settings, state, journal.note))
-        after = state.evaluation
+        evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
         fits = configuration_results(
-            problem.space.model_at(model, state.z),
+            fitted,
             configurations,
-            lanes._replace(arrays=configurations_at(problem, state.z)),
+            lanes._replace(arrays=arrays),
             role="calibration",
             before=before.effectors,
-            after=after.effectors,
-            solution=after.equilibrium,
+            after=evaluation.effectors,
+            solution=evaluation.equilibrium,
         )
-        spread = _spread(problem, state, noise)
+        spread = _uncertainty(problem, state.z, evaluation, noise)
         budget = workers.end_of(
             error_budget(
                 evaluate,
                 configurations,
                 uncertain or Uncertain(),
                 z=state.z,
-                at=after,
+                at=evaluation,
                 spread=spread,
             )
         )
-        missing: tuple[str, ...] = ()
+        missing = []
         if held_out is not None:
             predicted, missing = _predict(
-                workers,
-                Evaluator(held_out[0]),
-                validation,
-                held_out[1],
-                first,
-                state.z,
+                workers, validation, *held_out, start=first, z=state.z
             )
             fits += predicted
-    notes = (*fit_notes(problem, state, settings), *missing, *misfit_notes(fits))
     return CalibrationResult(
         converged=bool(state.converged),
-        parameters=parameter_estimates(problem.space, state.z, spread, budget, given),
+        parameters=parameter_estimates(problem.space, state.z, spread, budget, start),
         uncertainty=spread,
         budget=budget,
         configurations=fits,
         history=tuple(journal.history),
         space=problem.space,
-        model=problem.space.model_at(problem.model, state.z),
+        model=fitted,
         z=state.z,
-        W_ep=np.asarray(after.W_ep),
+        W_ep=np.asarray(evaluation.W_ep),
         settings=settings,
         newton=problem.newton,
         timing_s=clock.seconds,
         notes=(
-            *notes,
-            *order_notes(problem.space, state.z),
-            *uncertainty_notes(problem, spread),
-            *mesh_notes(problem),
+            *fit_notes(state, settings),
+            *missing,
+            *result_notes(problem, fits, state.z, spread),
         ),
         starts=found,
     )
@@ -271,76 +263,59 @@ def _admissible(
     return space.admissible(start)
 
 
-def _all_starts(start, problem: CalibrationProblem, n: int, seed: int):
-    """Return the user's start and n - 1 random ones."""
-    others = random_starts(problem.space, n - 1, seed=seed)
-    return jnp.concatenate([start[None], others])
-
-
 def _predict(
     workers: Workers,
-    evaluate: Evaluator,
-    validation,
+    validation: Sequence[Configuration],
+    problem: CalibrationProblem,
     lanes: ConfigurationLanes,
+    *,
     start: Float[Array, " n_p"],
     z: Float[Array, " n_p"],
-):
+) -> tuple[tuple[ConfigurationResult, ...], list[str]]:
     """Predict held-out configurations with the start and the calibrated parameters.
 
     Uses the program of the fit, which is compiled already; its compliances are ignored.
     A configuration without equilibrium is left out with a note: it must neither count
     as a prediction nor cost the user the fit.
     """
-    problem = evaluate.problem
+    evaluate = Evaluator(problem)
     first, last = workers.ends(evaluate.from_rest(p) for p in (start, z))
     # A pose that only the start parameters cannot hold has no "before".
     held = first.equilibrium.converged[:, None, None]
-    before = jnp.where(held, first.effectors, jnp.nan)
-    ok = np.asarray(last.equilibrium.converged)
-    notes = [
-        f"{c.name} is not predicted: with the calibrated parameters it has no "
-        "equilibrium. `softcal simulate` or `solve_equilibrium` tells why."
-        for lane, c in enumerate(validation)
-        if not ok[lane]
-    ]
-    notes += unscoped_notes(problem.space, validation)
-    model = problem.space.model_at(problem.model, z)
+    model, arrays = problem.at(z)
     fits = configuration_results(
         model,
         validation,
-        lanes._replace(arrays=configurations_at(problem, z)),
+        lanes._replace(arrays=arrays),
         role="validation",
-        before=before,
+        before=jnp.where(held, first.effectors, jnp.nan),
         after=last.effectors,
         solution=last.equilibrium,
     )
-    return fits, tuple(notes)
+    notes = [
+        f"{c.name} is not predicted: with the calibrated parameters it has no "
+        "equilibrium. `softcal simulate` or `solve_equilibrium` tells why."
+        for c, ok in zip(validation, last.equilibrium.converged, strict=True)
+        if not ok
+    ]
+    return fits, notes + unscoped_notes(problem.space, validation)
 
 
-def _spread(problem: CalibrationProblem, state: CalibrationState, noise) -> Uncertainty:
-    """Return the uncertainty by the noise at the end of the fit."""
-    down, up = map(np.asarray, problem.space.room(state.z))
+def _uncertainty(problem: CalibrationProblem, z, at: Evaluation, noise) -> Uncertainty:
+    down, up = map(np.asarray, problem.space.room(z))
     return uncertainty(
-        np.asarray(state.evaluation.W_ep),
-        np.asarray(state.evaluation.error),
-        int(np.sum(problem.configurations.effectors.inverse_std > 0)),
-        (down >= -1e-9) | (up <= 1e-9),
-        noise,
-        np.asarray(problem.space.prior_weights()),
+        np.asarray(at.W_ep),
+        np.asarray(at.error),
+        n_measured=int(np.sum(problem.configurations.effectors.inverse_std > 0)),
+        at_bound=(down >= -1e-9) | (up <= 1e-9),
+        noise=noise,
+        prior_weights=np.asarray(problem.space.prior_weights()),
     )
-
-
-def _check_names(configurations, validation) -> None:
-    names = [c.name for c in (*configurations, *validation)]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"configuration {name!r} is named more than once.")
 
 
 def as_sequence(
     configurations: Configuration | Sequence[Configuration],
 ) -> tuple[Configuration, ...]:
     """Return configurations as a tuple; a single one may be given by itself."""
-    if isinstance(configurations, Configuration):
-        return (configurations,)
-    return tuple(configurations)
+    one = isinstance(configurations, Configuration)
+    return (configurations,) if one else tuple(configurations)

@@ -1,11 +1,12 @@
-"""The progress of a calibration, saved so that it can be stopped and resumed."""
+"""Time and progress of a calibration, saved so that it can be stopped and resumed."""
 
 import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import equinox as eqx
@@ -16,8 +17,43 @@ import numpy as np
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import HistoryEntry
-from softcal_jax.calibration._runs import Begun
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
+
+T = TypeVar("T")
+
+
+class Clock:
+    """Context that splits its wall time into compiling by JAX and everything else.
+
+    JAX reports the duration of each trace, lowering and compilation when it ends;
+    nested ones are counted once.
+
+    Attributes:
+        seconds: "compile" and "solve", after the context has ended [s].
+    """
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+        self._compiling: list[tuple[float, float]] = []
+
+    def __enter__(self) -> "Clock":
+        self._begin = time.perf_counter()
+        jax.monitoring.register_event_duration_secs_listener(self._listen)
+        return self
+
+    def __exit__(self, *_) -> None:
+        jax.monitoring.unregister_event_duration_listener(self._listen)
+        compiling, reached = 0.0, self._begin
+        for begin, end in sorted(self._compiling):
+            compiling += max(0.0, end - max(begin, reached))
+            reached = max(reached, end)
+        elapsed = time.perf_counter() - self._begin
+        self.seconds = {"compile": compiling, "solve": elapsed - compiling}
+
+    def _listen(self, event: str, duration_secs: float, **_) -> None:
+        if event.startswith("/jax/core/compile/"):
+            now = time.perf_counter()
+            self._compiling.append((now - duration_secs, now))
 
 
 class Journal:
@@ -35,73 +71,57 @@ class Journal:
         checkpoint: str | os.PathLike[str] | None,
         progress: Callable[[HistoryEntry], None] | None = None,
         *,
-        search: tuple = (1, 0),
+        search: tuple,
     ):
-        """Begin an empty journal.
+        """Begin the journal with what the file holds, if there is one.
 
-        Args:
-            problem: The calibration.
-            settings: Settings of the outer loop.
-            checkpoint: The file, if any.
-            progress: Called after each step.
-            search: What else the calibration depends on.
+        `search` is what else the calibration depends on.
+
+        Raises:
+            ValueError: If the file is no checkpoint, or one of another calibration.
         """
         self.history: list[HistoryEntry] = []
         self._problem, self._progress = problem, progress
         self._path = None if checkpoint is None else Path(checkpoint)
-        self._mark = fingerprint(problem, settings, search) if self._path else ""
         self._begin = time.perf_counter()
         self._arrays: dict[str, HostArray] = {}
-
-    def load(self) -> None:
-        """Read the file, if there is one.
-
-        Raises:
-            ValueError: If it is no checkpoint, or one of another calibration.
-        """
-        if self._path is not None and self._path.exists():
-            self._arrays, self.history = load_checkpoint(self._path, self._mark)
+        if self._path is None:
+            return
+        self._mark = _fingerprint(problem, settings, search)
+        if self._path.exists():
+            self._load(self._path)
+        if self.history:
+            self._begin -= self.history[-1].seconds
 
     def note(self, state: CalibrationState) -> None:
         """Record a step."""
         seconds = time.perf_counter() - self._begin
-        self.history.append(history_entry(state, self._problem, seconds))
-        self._keep("state", state)
+        self.history.append(_history_entry(state, self._problem, seconds))
+        self.keep("state", state)
         if self._progress:
             self._progress(self.history[-1])
 
     def begin(self, state: CalibrationState) -> CalibrationState:
-        """Return the saved state; without one, record this state and return it.
-
-        Args:
-            state: State before the first step.
-        """
-        kept = self._kept("state", state)
+        """Return the saved state; without one, record and return this first one."""
+        kept = self.kept("state", state)
         if kept is None:
             self.note(state)
         return kept or state
 
-    def note_run(self, index: int, begun: Begun) -> None:
-        """Record the progress of a run from one of many starts."""
-        self._keep(f"run{index}", begun)
-
-    def begun(self, index: int, like: Begun) -> Begun:
-        """Return the progress of a run from one of many starts.
-
-        Args:
-            index: Index of the start.
-            like: The run before its first step.
-        """
-        return self._kept(f"run{index}", like) or like
-
-    def _keep(self, name: str, tree) -> None:
+    def keep(self, name: str, tree: Any) -> None:
+        """Save a state or run: the file is replaced whole or not at all."""
         if self._path is None:
             return
         leaves = enumerate(jax.tree.leaves(tree))
         self._arrays |= {f"{name}_{i}": np.asarray(leaf) for i, leaf in leaves}
-        save_checkpoint(self._path, self._mark, self._arrays, self.history)
+        texts = {"mark": self._mark, "history": json.dumps([*map(vars, self.history)])}
+        partial = self._path.with_name(self._path.name + ".partial")
+        with partial.open("wb") as file:
+            np.savez(file, **texts, **self._arrays)  # type: ignore[arg-type]
+        os.replace(partial, self._path)
 
-    def _kept(self, name: str, like):
+    def kept(self, name: str, like: T) -> T | None:
+        """Return what was saved, with the types of one like it; None if nothing was."""
         found = {n for n in self._arrays if n.rpartition("_")[0] == name}
         if not found:
             return None
@@ -115,6 +135,36 @@ class Journal:
         kept = [self._arrays[key] for key in shapes]
         return jax.tree.unflatten(tree, map(_alike, leaves, kept))
 
+    def _load(self, path: Path) -> None:
+        try:
+            # Opened here, since np.load does not close a file that it cannot read.
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+                self._arrays = {name: file[name] for name in file.files}
+            mark = str(self._arrays.pop("mark"))
+            history = json.loads(str(self._arrays.pop("history")))
+        except (
+            OSError,
+            EOFError,
+            BadZipFile,
+            ValueError,
+            KeyError,
+            TypeError,
+        ) as error:
+            raise ValueError(
+                f"{path} is not a checkpoint of a calibration ({error}); give another "
+                "path, or remove it."
+            ) from error
+        if mark != self._mark:
+            raise ValueError(
+                f"{path} is a checkpoint of another calibration: mesh, material, "
+                "parameters, configurations, measurements and settings must be the "
+                "same. Remove it to start anew, or give another path."
+            )
+        for entry in history:
+            for name in ("lambda_p", "newton_steps"):
+                entry[name] = tuple(entry[name])
+            self.history.append(HistoryEntry(**entry))
+
 
 def _alike(leaf, array: HostArray):
     """Convert a saved array to the type of the leaf that it replaces."""
@@ -123,7 +173,7 @@ def _alike(leaf, array: HostArray):
     return jnp.asarray(array) if isinstance(leaf, jax.Array) else type(leaf)(array)
 
 
-def history_entry(
+def _history_entry(
     state: CalibrationState, problem: CalibrationProblem, seconds: float
 ) -> HistoryEntry:
     """Summarise a step for the history."""
@@ -149,65 +199,15 @@ def history_entry(
     )
 
 
-def fingerprint(
+def _fingerprint(
     problem: CalibrationProblem, settings: CalibrationSettings, search: tuple
 ) -> str:
     """Digest everything that a calibration depends on."""
-    digest = hashlib.sha256(repr((settings, problem.newton, search)).encode())
-    for part in (
-        problem.model.mesh,
-        problem.model.law,
-        problem.model.density,
-        problem.space,
-        problem.configurations,
-    ):
-        arrays, static = eqx.partition(part, eqx.is_array_like)
-        digest.update(repr(jax.tree.structure(static)).encode())
-        for leaf in jax.tree.leaves(arrays):
-            digest.update(np.ascontiguousarray(leaf).tobytes())
+    # A sparse solver holds a handle that differs from one process to the next.
+    problem = eqx.tree_at(lambda p: p.model.solver, problem, None)
+    arrays, static = eqx.partition(problem, eqx.is_array_like)
+    text = repr((settings, search, jax.tree.flatten(static)))
+    digest = hashlib.sha256(text.encode())
+    for leaf in map(np.asarray, jax.tree.leaves(arrays)):
+        digest.update(f"{leaf.dtype}{leaf.shape}".encode() + leaf.tobytes())
     return digest.hexdigest()
-
-
-def save_checkpoint(
-    path: Path,
-    mark: str,
-    arrays: Mapping[str, HostArray],
-    history: list[HistoryEntry],
-) -> None:
-    """Write a checkpoint atomically: the file is replaced whole or not at all."""
-    entries = json.dumps([vars(entry) for entry in history])
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        np.savez(file, mark=mark, history=entries, **arrays)  # type: ignore[arg-type]
-    os.replace(partial, path)
-
-
-def load_checkpoint(
-    path: Path, mark: str
-) -> tuple[dict[str, HostArray], list[HistoryEntry]]:
-    """Read a checkpoint: its arrays and its history.
-
-    Raises:
-        ValueError: If the file is no checkpoint, or one of another calibration.
-    """
-    try:
-        # Opened here, since np.load does not close a file that it cannot read.
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            content = {name: file[name] for name in file.files}
-        written = str(content.pop("mark"))
-        history = json.loads(str(content.pop("history")))
-    except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} is not a checkpoint of a calibration ({error}); give another "
-            "path, or remove it."
-        ) from error
-    if written != mark:
-        raise ValueError(
-            f"{path} is a checkpoint of another calibration: mesh, material, "
-            "parameters, configurations, measurements and settings must be the same. "
-            "Remove it to start anew, or give another path."
-        )
-    for entry in history:
-        for name in ("lambda_p", "newton_steps"):
-            entry[name] = tuple(entry[name])
-    return content, [HistoryEntry(**entry) for entry in history]

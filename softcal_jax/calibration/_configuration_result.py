@@ -1,14 +1,32 @@
 """One configuration at equilibrium: its effectors, measured and simulated."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import EffectorRecord
-from softcal_jax.equilibrium import Model, RobotState
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    ConfigurationLanes,
+    EffectorRecord,
+    configuration_lanes,
+)
+from softcal_jax.equilibrium import (
+    RESULTS,
+    EquilibriumSolution,
+    Model,
+    RobotState,
+    effector_values,
+    robot_states,
+)
+
+Role = Literal["calibration", "validation", "simulation"]
 
 
 class ConfigurationResult(eqx.Module):
@@ -31,7 +49,7 @@ class ConfigurationResult(eqx.Module):
     """
 
     name: str
-    role: Literal["calibration", "validation", "simulation"]
+    role: Role
     converged: bool
     outcome: str
     effectors: tuple[EffectorRecord, ...]
@@ -126,3 +144,117 @@ class SimulationResult(eqx.Module):
     def converged(self) -> bool:
         """Whether every configuration has an equilibrium."""
         return all(result.converged for result in self.configurations)
+
+
+def configuration_results(
+    model: Model,
+    configurations: Sequence[Configuration],
+    lanes: ConfigurationLanes,
+    *,
+    role: Role,
+    before: Float[Array, "n_c n_rows 3"],
+    after: Float[Array, "n_c n_rows 3"],
+    solution: EquilibriumSolution,
+) -> tuple[ConfigurationResult, ...]:
+    """Describe the fitted or predicted configurations that have an equilibrium.
+
+    Effectors `before` are those with the start parameters; `model`, effectors `after`
+    and `solution` those with the calibrated ones.
+    """
+    effectors = [
+        tuple(
+            replace(e, simulated_before=e.among(first), simulated=e.among(last))
+            for e in own
+        )
+        for own, first, last in zip(
+            lanes.effectors, np.asarray(before), np.asarray(after), strict=True
+        )
+    ]
+    found = _results(
+        model, configurations, lanes.arrays, solution, role=role, effectors=effectors
+    )
+    return tuple(result for result in found if result.converged)
+
+
+def simulation_result(
+    model: Model, configurations: Sequence[Configuration], solution: EquilibriumSolution
+) -> SimulationResult:
+    """Describe a forward simulation.
+
+    Args:
+        model: The model.
+        configurations: What was simulated; measured values are ignored, and turns are
+            counted from rest.
+        solution: Their equilibria, one lane per configuration; without one, the
+            result says why.
+    """
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    reference = lambda arrays: arrays.effectors.turn_reference
+    from_rest = jnp.broadcast_to(jnp.eye(3), reference(lanes.arrays).shape)
+    arrays = eqx.tree_at(reference, lanes.arrays, from_rest)
+
+    effectors = [
+        _simulated(own, model, _lane(arrays, i), _lane(solution, i))
+        for i, own in enumerate(lanes.effectors)
+    ]
+    found = _results(
+        model, configurations, arrays, solution, role="simulation", effectors=effectors
+    )
+    return SimulationResult(model, found)
+
+
+_effector_values = eqx.filter_jit(effector_values)
+
+
+def _simulated(
+    records: Sequence[EffectorRecord],
+    model: Model,
+    lane: ConfigurationArrays,
+    solution: EquilibriumSolution,
+) -> tuple[EffectorRecord, ...]:
+    """Fill in the values at one equilibrium, as if nothing had been measured."""
+    records = tuple(
+        replace(
+            record,
+            measured=np.full_like(record.measured, np.nan),
+            std=np.full_like(record.std, np.inf),
+            reference=np.eye(3),
+        )
+        for record in records
+    )
+    if not (records and solution.converged):
+        return records
+    # Positions are cheap enough to compute without compiling.
+    compute = _effector_values if lane.effectors.has_forces else effector_values
+    values = np.asarray(
+        compute(model, lane, solution.displacement, solution.multipliers)
+    )
+    return tuple(replace(e, simulated=e.among(values)) for e in records)
+
+
+def _results(
+    model, configurations, arrays, solution, *, role: Role, effectors
+) -> tuple[ConfigurationResult, ...]:
+    """Describe every configuration of a batch."""
+    states = robot_states(model, configurations, solution, arrays)
+    return tuple(
+        ConfigurationResult(
+            name=configuration.name,
+            role=role,
+            converged=bool(solution.converged[i]),
+            outcome=RESULTS[_lane(solution.result, i)],
+            effectors=effectors[i],
+            displacement=np.asarray(solution.displacement[i])[: model.mesh.n_nodes],
+            newton_steps=int(solution.steps[i]),
+            load_steps=int(solution.load_steps[i]),
+            residual=float(solution.residual[i]),
+            min_det_F=float(solution.min_det_F[i]),
+            robot=states[i],
+        )
+        for i, configuration in enumerate(configurations)
+    )
+
+
+def _lane(batch, i: int):
+    """Pick one configuration of a batch."""
+    return jax.tree.map(lambda leaf: leaf[i], batch)

@@ -27,12 +27,7 @@ FLATTEST = 1e-8
 
 
 class Curvature(eqx.Module):
-    """Estimate of the second term of the Hessian.
-
-    Attributes:
-        matrix: The matrix, in step coordinates [-].
-        used: Whether the next step uses it.
-    """
+    """Second term of the Hessian in step coordinates, and whether a step uses it."""
 
     matrix: Float[Array, "n_p n_p"]
     used: Bool[Array, ""]
@@ -53,14 +48,9 @@ def learned(
 ) -> Curvature:
     """Update the estimate after a step, accepted or refused.
 
-    Args:
-        curvature: Estimate before the step.
-        step: The step.
-        change: Change of W along it, transposed, times the errors.
-        before: Cost before the step.
-        after: Cost after it; infinite if there is no equilibrium.
-        predicted: Costs after it by the linear model of the errors, without and with
-            the curvature.
+    `change` is that of W along the step, transposed, times the errors. The cost `after`
+    is infinite if there is no equilibrium; `predicted` are those by the linear model of
+    the errors, without and with the curvature.
     """
     left = change - curvature.matrix @ step
     along = jnp.sum(left * step)
@@ -83,11 +73,6 @@ def convex_model(
 
     The Hessian is taken apart into eigenvalues, with the columns of W scaled to unit
     length. Negative ones are replaced by their size, so that a step goes downhill.
-
-    Args:
-        W: Stacked compliances [-].
-        error: Stacked errors [-].
-        matrix: Second term of the Hessian [-].
     """
     size = jnp.linalg.norm(W, axis=0)
     size = jnp.where(size > 0.0, size, 1.0)

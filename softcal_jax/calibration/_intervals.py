@@ -7,12 +7,9 @@ from scipy.stats import norm, t
 
 from softcal_jax._names import unknown_name
 from softcal_jax.calibration._calibrate import as_sequence, build_problem
-from softcal_jax.calibration._evaluator import Evaluator
+from softcal_jax.calibration._problem import Evaluator
 from softcal_jax.calibration._profile import ProfileEnd, profile_ends, room_beside
-from softcal_jax.calibration._result import (
-    CalibrationResult,
-    ParameterInterval,
-)
+from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers, check_converged
 
@@ -44,11 +41,8 @@ def profile_intervals(
     Args:
         result: A calibration that converged.
         configurations: The configurations that were fitted.
-        parameters: Names of parameters; all by default.
+        parameters: Names of the parameters that get an interval; all by default.
         level: Confidence [-].
-
-    Returns:
-        One interval for each parameter.
 
     Raises:
         ValueError: If the calibration did not converge, the configurations are not
@@ -100,10 +94,23 @@ def profile_intervals(
         rise=rise,
         which=[space.names.index(name) for name in names],
     )
-    return tuple(
-        _interval(result, name, level, *_widened(result, name, level, *pair))
-        for name, pair in zip(names, ends, strict=True)
-    )
+    intervals = []
+    for name, pair in zip(names, ends, strict=True):
+        column = space.names.index(name)
+        low, high = _widened(result, column, level, *pair)
+        own, z = space.parameters[column], result.z[column]
+        intervals.append(
+            ParameterInterval(
+                name=name,
+                level=level,
+                lower=float(own.from_scaled(z - low.distance)),
+                upper=float(own.from_scaled(z + high.distance)),
+                lower_end=low.why,
+                upper_end=high.why,
+                unit=own.unit,
+            )
+        )
+    return tuple(intervals)
 
 
 def _rise(result: CalibrationResult, level: float) -> float:
@@ -125,10 +132,9 @@ def _rise(result: CalibrationResult, level: float) -> float:
 
 
 def _widened(
-    result: CalibrationResult, name: str, level: float, *ends: ProfileEnd
+    result: CalibrationResult, column: int, level: float, *ends: ProfileEnd
 ) -> list[ProfileEnd]:
     """Move both ends out by what is held fixed and may be wrong, up to the bounds."""
-    column = result.space.names.index(name)
     variance = sum(cause.variance[column] for cause in result.budget.causes)
     reach = norm.ppf(0.5 * (1.0 + level)) * np.sqrt(np.nan_to_num(variance))
     wider = []
@@ -140,23 +146,3 @@ def _widened(
         else:
             wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
     return wider
-
-
-def _interval(
-    result: CalibrationResult,
-    name: str,
-    level: float,
-    low: ProfileEnd,
-    high: ProfileEnd,
-) -> ParameterInterval:
-    column = result.space.names.index(name)
-    own, z = result.space.parameters[column], result.z[column]
-    return ParameterInterval(
-        name,
-        level,
-        float(own.from_scaled(z - low.distance)),
-        float(own.from_scaled(z + high.distance)),
-        low.why,
-        high.why,
-        own.unit,
-    )

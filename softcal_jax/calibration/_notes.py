@@ -29,29 +29,44 @@ class CalibrationWarning(UserWarning):
     """Something about a calibration that its user should know."""
 
 
-def fit_notes(
-    problem: CalibrationProblem, state: CalibrationState, settings: CalibrationSettings
+def result_notes(
+    problem: CalibrationProblem,
+    fits: Sequence[ConfigurationResult],
+    z: Float[Array, " n_p"],
+    spread: Uncertainty,
 ) -> list[str]:
-    """Say why a fit did not converge, if it did not."""
-    notes = []
-    size = float(jnp.max(jnp.abs(state.lambda_p)))
-    if bool(state.stalled):
+    """Collect the notes on fits, parameters, their standard errors and the mesh."""
+    notes = _misfit_notes(fits) + order_notes(problem.space, z)
+    notes += uncertainty_notes(problem, spread)
+    if problem.model.mesh.order == 1:
         notes.append(
-            "Not converged: steps were refused until they were shorter than "
-            f"{size:.0e}. Beyond here a configuration has no equilibrium, or the "
-            "equilibria are too coarse (newton rtol) to see the fit improve. Do not "
-            "use these values."
-        )
-    elif not bool(state.converged):
-        notes.append(
-            f"Not converged: after {int(state.step)} steps lambda_p is still "
-            f"{size:.1e} (tol {settings.tol:g}). Do not use these values; raise "
-            "max_steps or look at the history."
+            "Linear tets lock in bending: the calibrated moduli are effective numbers "
+            "of this mesh, not properties of the material. Use quadratic tets "
+            "(to_quadratic) to compare with data sheets."
         )
     return notes
 
 
-def misfit_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
+def fit_notes(state: CalibrationState, settings: CalibrationSettings) -> list[str]:
+    """Say why a fit did not converge, if it did not."""
+    size = float(jnp.max(jnp.abs(state.lambda_p)))
+    if state.stalled:
+        return [
+            "Not converged: steps were refused until they were shorter than "
+            f"{size:.0e}. Beyond here a configuration has no equilibrium, or the "
+            "equilibria are too coarse (newton rtol) to see the fit improve. Do not "
+            "use these values."
+        ]
+    if state.converged:
+        return []
+    return [
+        f"Not converged: after {int(state.step)} steps lambda_p is still {size:.1e} "
+        f"(tol {settings.tol:g}). Do not use these values; raise max_steps or look at "
+        "the history."
+    ]
+
+
+def _misfit_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
     """Name configurations that the calibrated model does not explain."""
     notes = []
     for fit in fits:
@@ -70,17 +85,6 @@ def misfit_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
                 "Check units, loads, gravity and marker names."
             )
     return notes
-
-
-def mesh_notes(problem: CalibrationProblem) -> list[str]:
-    """Say what linear tets do to the moduli."""
-    if problem.model.mesh.order == 2:
-        return []
-    return [
-        "Linear tets lock in bending: the calibrated moduli are effective numbers of "
-        "this mesh, not properties of the material. Use quadratic tets (to_quadratic) "
-        "to compare with data sheets."
-    ]
 
 
 def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
@@ -104,18 +108,16 @@ def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
 
 def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[str]:
     """Say which standard errors are missing or rough, and what they rest on."""
-    names, dof = problem.space.names, spread.degrees_of_freedom
+    space, dof = problem.space, spread.degrees_of_freedom
+    names, std = np.array(space.names), np.sqrt(np.diag(spread.covariance))
     notes = [
         f"{name} ended on a bound: widen it, or the model cannot match the data. It "
         "has no standard error."
-        for name, flag in zip(names, spread.at_bound, strict=True)
-        if flag
+        for name in names[spread.at_bound]
     ]
-    undetermined = np.isnan(np.diag(spread.covariance)) & ~spread.at_bound
+    undetermined = np.isnan(std) & ~spread.at_bound
     if np.any(undetermined):
-        blind = ", ".join(
-            n for n, flag in zip(names, undetermined, strict=True) if flag
-        )
+        blind = ", ".join(names[undetermined])
         why, remedy = "the data cannot tell them apart", "Add measurements."
         if dof <= 0:
             why = (
@@ -141,23 +143,17 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
             "match the data that well, or the noise is larger than stated; standard "
             "errors are too small."
         )
-    return notes + _rough(problem.space, spread)
-
-
-def _rough(space: ParameterSpace, spread: Uncertainty) -> list[str]:
-    """Name parameters too poorly determined for linearised standard errors."""
-    std = np.sqrt(np.diag(spread.covariance))
+    # Too poorly determined for linearised standard errors.
     ranges = np.asarray(space.upper() - space.lower())
     log = np.array([q.scale == "log" for q in space.parameters])
     rough = std > np.where(log, ROUGH, ROUGH_SHARE * ranges)
-    if not np.any(rough):
-        return []
-    named = ", ".join(n for n, flag in zip(space.names, rough, strict=True) if flag)
-    return [
-        f"The data determine {named} so badly that value +- 1.96 standard errors is "
-        "only rough; `profile_intervals` (intervals = 0.95 under [settings]) asks the "
-        "likelihood itself."
-    ]
+    if np.any(rough):
+        notes.append(
+            f"The data determine {', '.join(names[rough])} so badly that value +- 1.96 "
+            "standard errors is only rough; `profile_intervals` (intervals = 0.95 "
+            "under [settings]) asks the likelihood itself."
+        )
+    return notes
 
 
 def warn_if_locking(model: Model, space: ParameterSpace) -> None:
@@ -196,12 +192,7 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
 def unscoped_notes(
     space: ParameterSpace, held_out: Sequence[Configuration]
 ) -> list[str]:
-    """Say which held-out configurations have no unknown of their own.
-
-    Args:
-        space: The parameters.
-        held_out: Configurations that are only predicted.
-    """
+    """Say which held-out configurations have no unknown of their own."""
     return [
         f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
         "fitted have of their own: it counts as stated."

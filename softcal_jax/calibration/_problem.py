@@ -1,22 +1,31 @@
 """A calibration as arrays, and its evaluation at one value of the parameters."""
 
-from typing import NamedTuple
+from copy import copy
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
+    Batch,
     EquilibriumSolution,
+    Job,
     Model,
     NewtonSettings,
+    Workers,
     effector_values,
+    program_key,
     solve_equilibrium,
 )
 from softcal_jax.fields import ParameterSpace, unnamed
 from softcal_jax.sensitivity import Response, equilibrium_response
+
+T = TypeVar("T")
 
 
 class CalibrationProblem(eqx.Module):
@@ -34,13 +43,17 @@ class CalibrationProblem(eqx.Module):
     configurations: ConfigurationArrays
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
 
+    def at(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
+        """Return model and configurations with scaled parameters set [-]."""
+        model, configurations = self.space.model_at(self.model, z), self.configurations
+        if not all(self.space.sets_fields):
+            apply = lambda c: self.space.apply(self.model, c, z)[1]
+            configurations = jax.vmap(apply)(configurations)
+        return model, configurations
+
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
-    """Return the calibration without names, which would compile other programs.
-
-    Args:
-        problem: The calibration.
-    """
+    """Return the calibration without names, which would compile other programs."""
     return eqx.tree_at(lambda p: p.space, problem, unnamed(problem.space))
 
 
@@ -79,65 +92,26 @@ class Evaluation(eqx.Module):
 
 
 def simulate(
-    problem: CalibrationProblem,
-    z: Float[Array, " n_p"],
-    guess: Float[Array, "n_c n_points 3"],
-) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-    """Compute equilibria and effector coordinates of all configurations.
-
-    Args:
-        problem: The calibration.
-        z: Scaled parameters [-].
-        guess: Displacements to start from [m].
-
-    Returns:
-        Solutions and effectors, one lane per configuration.
-    """
-    model = problem.space.model_at(problem.model, z)
-    return simulate_model(model, configurations_at(problem, z), guess, problem.newton)
-
-
-def configurations_at(
-    problem: CalibrationProblem, z: Float[Array, " n_p"]
-) -> ConfigurationArrays:
-    """Set the parameters that belong to configurations, lane by lane.
-
-    Args:
-        problem: The calibration.
-        z: Scaled parameters [-].
-    """
-    if all(problem.space.sets_fields):
-        return problem.configurations
-    apply = lambda c: problem.space.apply(problem.model, c, z)[1]
-    return jax.vmap(apply)(problem.configurations)
-
-
-def simulate_model(
     model: Model,
     configurations: ConfigurationArrays,
     guess: Float[Array, "n_c n_points 3"],
     newton: NewtonSettings,
 ) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-    """Compute equilibria and effector coordinates of a model with given parameters.
+    """Compute equilibria and effector coordinates of all configurations.
 
     Args:
-        model: The body.
+        model: The body, with its parameters set.
         configurations: One lane per configuration.
         guess: Displacements to start from [m].
         newton: Settings of the equilibrium.
     """
 
     def lane(configuration, u0):
-        solution = solve_equilibrium(model, configuration, guess=u0, settings=newton)
-        return solution, _effectors(model, configuration, solution)
+        found = solve_equilibrium(model, configuration, guess=u0, settings=newton)
+        state = found.displacement, found.multipliers
+        return found, effector_values(model, configuration, *state)
 
     return jax.vmap(lane)(configurations, guess)
-
-
-def _effectors(model: Model, configuration: ConfigurationArrays, solution):
-    return effector_values(
-        model, configuration, solution.displacement, solution.multipliers
-    )
 
 
 def effector_errors(
@@ -145,15 +119,7 @@ def effector_errors(
 ) -> Float[Array, "n_c n_rows 3"]:
     """Return Delta_e, simulated minus measured values; 0 where nothing is measured."""
     effectors = problem.configurations.effectors
-    seen = effectors.inverse_std > 0.0
-    return jnp.where(seen, e - effectors.measured, 0.0)
-
-
-class Lane(NamedTuple):
-    """Evaluation of one configuration; of a batch, with a leading axis."""
-
-    response: Response
-    effectors: Float[Array, "*n_c n_rows 3"]
+    return jnp.where(effectors.inverse_std > 0.0, e - effectors.measured, 0.0)
 
 
 def evaluate_lane(
@@ -163,19 +129,13 @@ def evaluate_lane(
     guess: Float[Array, "n_points 3"],
     before: Float[Array, "n_points 3"],
     precise: bool | Bool[Array, ""] = False,
-) -> Lane:
+) -> Response:
     """Compute equilibrium, effectors and compliances of one configuration.
 
-    Args:
-        problem: The calibration.
-        z: Scaled parameters [-].
-        configuration: One of its configurations.
-        guess: Displacements to start from [m].
-        before: Displacements of the equilibrium that the guess extrapolates [m].
-        precise: Whether to linearise at the converged state, for one more Newton step;
-            otherwise the compliances belong to the state before the last step.
+    Unless `precise`, which takes one more Newton step, the compliances belong to the
+    state before the last step.
     """
-    response = equilibrium_response(
+    return equilibrium_response(
         problem.model,
         configuration,
         guess,
@@ -185,56 +145,27 @@ def evaluate_lane(
         before=before,
         precise=precise,
     )
-    return Lane(response, response.effectors)
 
 
 def stacked(
-    problem: CalibrationProblem, z: Float[Array, " n_p"], lanes: Lane
+    problem: CalibrationProblem, z: Float[Array, " n_p"], lanes: Response
 ) -> Evaluation:
-    """Stack the errors and compliances of all lanes.
-
-    Args:
-        problem: The calibration.
-        z: Scaled parameters [-].
-        lanes: Evaluations of all configurations.
-    """
-    response, effectors = lanes
-    delta_e = effector_errors(problem, effectors)
+    """Stack the errors and compliances of all lanes."""
+    delta_e = effector_errors(problem, lanes.effectors)
     weight = jnp.asarray(problem.configurations.effectors.inverse_std)
     error = jnp.ravel(weight * delta_e)
-    W = response.W_ep.reshape(-1, z.shape[0]) * weight.reshape(-1, 1)
-    solution = response.equilibrium
-    ok = jnp.all(solution.converged) & jnp.all(response.ok)
-    ok = ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W))
-    tangents = response.displacement
-    prior = problem.space.from_prior(z)
-    return Evaluation(solution, effectors, delta_e, error, W, prior, tangents, ok)
-
-
-def evaluate(
-    problem: CalibrationProblem,
-    z: Float[Array, " n_p"],
-    guess: Float[Array, "n_c n_points 3"],
-    before: Float[Array, "n_c n_points 3"] | None = None,
-    precise: bool | Bool[Array, ""] = False,
-) -> Evaluation:
-    """Compute equilibria, stacked errors and compliances W_ep (paper Eqs. 9, 10).
-
-    Args:
-        problem: The calibration.
-        z: Scaled parameters [-].
-        guess: Displacements to start from [m].
-        before: Displacements of the equilibria that the guess extrapolates to first
-            order, if it does [m].
-        precise: Whether the compliances are exact, see `evaluate_lane`.
-
-    Returns:
-        Everything that one step of the outer loop needs.
-    """
-    before = guess if before is None else before
-    lane = lambda c, u, u0: evaluate_lane(problem, z, c, u, u0, precise)
-    lanes = jax.vmap(lane)(problem.configurations, guess, before)
-    return stacked(problem, z, lanes)
+    W = lanes.W_ep.reshape(-1, z.shape[0]) * weight.reshape(-1, 1)
+    ok = jnp.all(lanes.equilibrium.converged) & jnp.all(lanes.ok)
+    return Evaluation(
+        equilibrium=lanes.equilibrium,
+        effectors=lanes.effectors,
+        delta_e=delta_e,
+        error=error,
+        W_ep=W,
+        prior=problem.space.from_prior(z),
+        tangents=lanes.displacement,
+        ok=ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W)),
+    )
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
@@ -244,7 +175,7 @@ def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
 
 
 def first_guess(
-    problem: CalibrationProblem, z: Float[Array, " n_p"]
+    model: Model, configurations: ConfigurationArrays, newton: NewtonSettings
 ) -> Float[Array, "n_c n_points 3"]:
     """Return displacements to start from without an earlier equilibrium [m].
 
@@ -252,25 +183,11 @@ def first_guess(
     lie near each other, and far from the unmounted parts.
 
     Args:
-        problem: The calibration.
-        z: Scaled parameters [-].
-    """
-    model = problem.space.model_at(problem.model, z)
-    return chained_guess(model, configurations_at(problem, z), problem.newton)
-
-
-def chained_guess(
-    model: Model, configurations: ConfigurationArrays, newton: NewtonSettings
-) -> Float[Array, "n_c n_points 3"]:
-    """Return the guess of `first_guess` for a model with given parameters.
-
-    Args:
-        model: The body.
+        model: The body, with its parameters set.
         configurations: One lane per configuration.
         newton: Settings of the equilibrium.
     """
-    n_c = configurations.gravity.shape[0]
-    rest = jnp.zeros((n_c, model.n_points, 3))
+    rest = jnp.zeros((configurations.gravity.shape[0], model.n_points, 3))
     if model.mechanism.bodies.n_bodies == 0:
         return rest
 
@@ -280,3 +197,118 @@ def chained_guess(
         return found, found
 
     return jax.lax.scan(follow, rest[0], configurations)[1]
+
+
+_evaluate_lane = eqx.filter_jit(evaluate_lane)
+
+
+@eqx.filter_jit
+def _first_guess(problem: CalibrationProblem, z):
+    return first_guess(*problem.at(z), problem.newton)
+
+
+class Evaluator:
+    """Evaluates a calibration, its configurations as lanes of one program.
+
+    The program does not depend on the number of configurations, on the data, or on how
+    the parameters are stepped, so it is compiled once for all of these.
+
+    Attributes:
+        problem: The calibration.
+        numbered: The same without names, for compiled programs.
+    """
+
+    def __init__(self, problem: CalibrationProblem):
+        """Split the calibration into what all lanes share, and the lanes."""
+        self.problem, self.numbered = problem, without_names(problem)
+        # The number of lanes and what concerns steps alone would each give another
+        # program, so both are left out.
+        space = replace(self.numbered.space, order=(), tensor_steps=True, pin=None)
+        where = lambda p: (p.configurations, p.space)
+        self._shared = eqx.tree_at(where, self.numbered, (None, space))
+        n_c = problem.configurations.gravity.shape[0]
+        self._configurations = [lane_of(problem.configurations, c) for c in range(n_c)]
+        one = self._configurations[0]
+        self._program = program_key("evaluate_lane", self._shared, one)
+        self._on: dict[int, tuple[Any, CalibrationProblem]] = {}
+
+    def with_space(self, space: ParameterSpace) -> "Evaluator":
+        """Return an evaluator of the same lanes with another order, chart or pin."""
+        other = copy(self)
+        other.numbered = eqx.tree_at(lambda p: p.space, self.numbered, space)
+        return other
+
+    def __call__(
+        self,
+        z: Float[Array, " n_p"],
+        guess: Float[Array, "n_c n_points 3"],
+        before: Float[Array, "n_c n_points 3"] | None = None,
+        precise: bool | Bool[Array, ""] = False,
+    ) -> Job[Evaluation]:
+        """Compute equilibria, stacked errors and compliances W_ep (paper Eqs. 9, 10).
+
+        Args:
+            z: Scaled parameters [-].
+            guess: Displacements to start from [m].
+            before: Displacements of the equilibria that the guess extrapolates to first
+                order, if it does [m].
+            precise: Whether the compliances are exact, see `evaluate_lane`.
+        """
+        before = guess if before is None else before
+        lanes = zip(self._configurations, guess, before, strict=True)
+        jobs = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
+        found = yield Batch(self._evaluate, jobs, self._program)
+        return _stacked(self.numbered, z, found)
+
+    def from_rest(self, z: Float[Array, " n_p"]) -> Job[Evaluation]:
+        """Evaluate without a guess from another evaluation, see `first_guess`."""
+        guess = at_rest(self.problem)
+        if self.problem.model.mechanism.bodies.n_bodies > 0:
+            key = program_key("first_guess", self.numbered)
+            (guess,) = yield Batch(self._guess, [z], key)
+        return (yield from self(z, guess))
+
+    def _evaluate(self, solver, lane) -> Response:
+        # The solver is kept beside, so that its id is not given to another one.
+        if id(solver) not in self._on:
+            self._on[id(solver)] = solver, with_solver(self._shared, solver)
+        shared = self._on[id(solver)][1]
+        return jax.block_until_ready(_evaluate_lane(shared, *lane))
+
+    def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
+        problem = with_solver(self.numbered, solver)
+        return jax.block_until_ready(_first_guess(problem, z))
+
+
+def evaluate(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    guess: Float[Array, "n_c n_points 3"] | None = None,
+) -> Evaluation:
+    """Evaluate a calibration, with its configurations on all cores.
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+        guess: Displacements to start from; by default as at the start of a fit [m].
+    """
+    evaluator = Evaluator(problem)
+    job = evaluator.from_rest(z) if guess is None else evaluator(z, guess)
+    with Workers(problem.model, problem.configurations.gravity.shape[0]) as workers:
+        return workers.end_of(job)
+
+
+@eqx.filter_jit
+def _stacked(problem, z, lanes: list[Response]) -> Evaluation:
+    return stacked(problem, z, jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes))
+
+
+def with_solver(problem: CalibrationProblem, solver) -> CalibrationProblem:
+    """Return the calibration with another sparse solver of its pattern."""
+    return eqx.tree_at(lambda p: p.model.solver, problem, solver)
+
+
+def lane_of(batch: T, index: int) -> T:
+    """Return one lane of a batch."""
+    # Sliced on the host: on the device, each shape compiles two more programs.
+    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))

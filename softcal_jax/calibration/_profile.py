@@ -9,10 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._descent import Run, minimise
-from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
 from softcal_jax.calibration._result import IntervalEnd
+from softcal_jax.calibration._runs import Run, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Job, Workers
 from softcal_jax.fields import ParameterSpace, Pin
@@ -39,13 +38,9 @@ It is more than rounding, or a loop that stopped a little early, can explain.
 
 
 class ProfileEnd(NamedTuple):
-    """One end of an interval.
+    """One end of an interval: its scaled distance from the fit, nan if not found [-].
 
-    Attributes:
-        distance: Scaled distance from the fit; nan if it was not found [-].
-        why: What ends the interval: the likelihood; the bound of the parameter, or half
-            a turn of an angle, if the data do not exclude it; or "not found", if fits
-            along the profile did not converge, or jumped.
+    `why` says what ends it, as in `ParameterInterval`.
     """
 
     distance: float
@@ -111,13 +106,17 @@ def profile_ends(
     Raises:
         LowerCostFound: If the calibration is not in the best optimum.
     """
+    space = problem.space
+    # The covariance to first order; the bounds count, to keep it finite.
+    size = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
+    known = 1.0 / size**2 + np.asarray(space.prior_weights()) ** 2
     at = _Fit(
         evaluate=Evaluator(problem),
         settings=settings,
         z=np.asarray(z),
         cost=cost,
         rise=rise,
-        covariance=_spread(problem, W_ep),
+        covariance=np.linalg.inv(W_ep.T @ W_ep + np.diag(known)),
     )
     jobs = [_end(_Profile(at, column, sign)) for column in which for sign in (-1, 1)]
     lanes = len(jobs) * len(problem.configurations.gravity)
@@ -137,33 +136,23 @@ class _Fit(NamedTuple):
     covariance: Float[HostArray, "n_p n_p"]
 
 
-def _spread(problem: CalibrationProblem, W) -> Float[HostArray, "n_p n_p"]:
-    """Return the covariance to first order; the bounds count, to keep it finite."""
-    space = problem.space
-    size = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
-    known = 1.0 / size**2 + np.asarray(space.prior_weights()) ** 2
-    return np.linalg.inv(W.T @ W + np.diag(known))
-
-
 def _end(profile: "_Profile") -> Job[ProfileEnd]:
     """Find one end of the interval of one parameter."""
+    excess, rise = profile.excess, profile.at.rise
     try:
-        bracket = yield from _bracket(
-            profile.excess, profile.at.rise, profile.reach, profile.limit
-        )
+        bracket = yield from _bracket(excess, rise, profile.reach, profile.limit)
         if bracket is None:
             return ProfileEnd(max(profile.limit, 0.0), "bound")
-        found = yield from _root(profile.excess, *bracket)
+        found = yield from _root(excess, *bracket)
     except _NotFound:
         return ProfileEnd(float("nan"), "not found")
     return ProfileEnd(profile.seen[found].distance, "likelihood")
 
 
 class _Rest(NamedTuple):
-    """End of a fit with a held parameter.
+    """End of a fit with a parameter held at a distance from the calibration.
 
-    `distance` is that of the parameter from the calibration, `excess` the root of the
-    rise of twice the cost, minus its value at the end of the interval.
+    `excess` is the root of the rise of twice the cost, minus that at the end sought.
     """
 
     distance: float
@@ -222,11 +211,7 @@ class _Profile:
         return minimise(evaluate, self.at.settings, jnp.asarray(start))
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
-        """Return how far the parameter is from its pin, and the rise of twice the cost.
-
-        Raises:
-            LowerCostFound: If the cost is below that of the calibration.
-        """
+        """Return how far the parameter is from its pin, and the rise of twice cost."""
         far, cost = _without_pin(self.space, pin, run.z, run.cost)
         higher = 2.0 * (float(cost) - self.at.cost)
         if higher < -LOWER * self.at.rise**2:
@@ -242,10 +227,7 @@ def _root(excess: Excess, inside: float, outside: float) -> Job[float]:
 
     Uses inverse quadratic interpolation, and bisection where that is not safe
     (Chandrupatla, Adv. Eng. Softw. 28, 1997). Where the cost is a parabola the excess
-    is linear, and the first guess is the root.
-
-    Raises:
-        _NotFound: If the excess jumps over zero.
+    is linear, and the first guess is the root. Where it jumps over zero there is none.
     """
     a, b = outside, inside  # the newest point, and one where the sign differs
     f_a, f_b = (yield from excess(a)), (yield from excess(b))
@@ -308,9 +290,6 @@ def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
 
     Where both moduli of an axis are equal, a step of tensors has a kink, since the axis
     switches there. With their order as a constraint such an optimum is regular.
-
-    Args:
-        space: The parameters.
     """
     if space.chart is None:
         return space

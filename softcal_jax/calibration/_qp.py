@@ -32,12 +32,10 @@ SOLVED = 1e-12
 
 
 class QPStep(NamedTuple):
-    """Solution of the QP and its check.
+    """Solution of the QP, in scaled units, and its check [-].
 
-    Attributes:
-        lambda_p: The step, in scaled units [-].
-        kkt_residual: Largest violation of the optimality conditions, for columns of W,
-            rows of A and an error of unit length [-].
+    `kkt_residual` is the largest violation of the optimality conditions, for columns of
+    W, rows of A and an error of unit length.
     """
 
     lambda_p: Float[Array, " n_p"]
@@ -66,8 +64,7 @@ class _Point(NamedTuple):
 class _Descent(NamedTuple):
     """State of the active-set method.
 
-    `active` holds the bounds, then the rows: -1 at the lower limit, 1 at the upper one,
-    0 for an inactive constraint.
+    `active` holds bounds, then rows: -1 at the lower limit, 1 at the upper, 0 inactive.
     """
 
     active: Int[Array, " n_p+n_rows"]

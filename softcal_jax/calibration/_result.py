@@ -5,11 +5,12 @@ from typing import Literal
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._names import unknown_name
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._budget import ErrorBudget
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._starts import MultiStartResult
+from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model, NewtonSettings
@@ -39,6 +40,36 @@ class ParameterEstimate(eqx.Module):
     upper: float
     unit: str
     at_bound: bool
+
+
+def parameter_estimates(
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    spread: Uncertainty,
+    budget: ErrorBudget,
+    start: Float[Array, " n_p"] | None = None,
+) -> tuple[ParameterEstimate, ...]:
+    """Return values and standard errors of the parameters, in SI units."""
+    values = np.asarray(space.from_scaled(z))
+    before = [parameter.start for parameter in space.parameters]
+    if start is not None:
+        before = np.asarray(space.from_scaled(start))
+    errors = budget.standard_errors
+    return tuple(
+        ParameterEstimate(
+            name=parameter.name,
+            value=float(value),
+            standard_error=float(errors[i]),
+            start=float(before[i]),
+            lower=float(parameter.lower),
+            upper=float(parameter.upper),
+            unit=parameter.unit,
+            at_bound=bool(spread.at_bound[i]),
+        )
+        for i, (parameter, value) in enumerate(
+            zip(space.parameters, values, strict=True)
+        )
+    )
 
 
 IntervalEnd = Literal["likelihood", "bound", "not found"]
@@ -76,12 +107,10 @@ class ParameterInterval(eqx.Module):
             return "any angle"
         if self.lower_end == self.upper_end == "not found":
             return "not found"
+        both = (self.lower, self.lower_end), (self.upper, self.upper_end)
         ends = [
             f"{factor * value:.4g}{words[end]}" if end in words else "not found"
-            for value, end in (
-                (self.lower, self.lower_end),
-                (self.upper, self.upper_end),
-            )
+            for value, end in both
         ]
         return f"{ends[0]} to {ends[1]} {unit}".rstrip()
 
@@ -99,7 +128,7 @@ class HistoryEntry(eqx.Module):
         kkt_residual: Optimality residual of the QP [-].
         newton_steps: Newton iterations of each configuration.
         values: Parameters after the step, in SI units.
-        seconds: Wall time since the start [s].
+        seconds: Wall time spent so far, without pauses before a resume [s].
     """
 
     step: int
@@ -118,6 +147,79 @@ class HistoryEntry(eqx.Module):
         values = ", ".join(f"{name} {value:.5g}" for name, value in self.values.items())
         refused = "" if self.accepted else " (step refused)"
         return f"step {self.step}: rms {1e3 * self.rms:.3f} mm, {values}{refused}"
+
+
+class Optimum(eqx.Module):
+    """A point at which converged runs end.
+
+    Attributes:
+        cost: Half the sum of squared errors in noise units [-].
+        values: Parameters, in SI units.
+        starts: Indices of the starts that end here.
+    """
+
+    cost: float
+    values: dict[str, float]
+    starts: tuple[int, ...]
+
+
+class MultiStartResult(eqx.Module):
+    """Result of a search from many starts.
+
+    Attributes:
+        names: Names of the parameters.
+        starts: Where the runs began, in SI units.
+        values: Where they ended, in SI units.
+        z: The same, scaled [-].
+        cost: Half the sum of squared errors in noise units; infinite where the start
+            has no equilibrium [-].
+        steps: QP steps of each run.
+        converged: Whether lambda_p vanished.
+        errors: Size of the stacked error after each step, in noise units [-].
+        optima: Distinct ends of the converged runs, the lowest cost first.
+    """
+
+    names: tuple[str, ...]
+    starts: Float[HostArray, "n_starts n_p"]
+    values: Float[HostArray, "n_starts n_p"]
+    z: Float[HostArray, "n_starts n_p"]
+    cost: Float[HostArray, " n_starts"]
+    steps: Int[HostArray, " n_starts"]
+    converged: Bool[HostArray, " n_starts"]
+    errors: Float[HostArray, "n_starts n_steps"]
+    optima: tuple[Optimum, ...]
+
+    @property
+    def best(self) -> int:
+        """Index of the lowest cost, among the converged runs if any is."""
+        return best_of(self.cost, self.converged)
+
+    def __str__(self) -> str:
+        """Write one line per optimum, and the runs that found none."""
+        n = len(self.cost)
+        lines = [
+            f"{n} starts, {int(self.converged.sum())} converged, "
+            f"{len(self.optima)} distinct optima."
+        ]
+        for best in self.optima:
+            values = ", ".join(f"{k} {v:.4g}" for k, v in best.values.items())
+            lines.append(
+                f"  cost {best.cost:.3g} from {len(best.starts)} starts: {values}"
+            )
+        unfinished = np.flatnonzero(~self.converged & np.isfinite(self.cost))
+        if unfinished.size:
+            lines.append(
+                f"  {unfinished.size} not converged (starts "
+                f"{', '.join(map(str, unfinished))}), lowest cost "
+                f"{self.cost[unfinished].min():.3g}."
+            )
+        lost = np.flatnonzero(np.isinf(self.cost))
+        if lost.size:
+            lines.append(
+                f"  {lost.size} without equilibrium at the start (starts "
+                f"{', '.join(map(str, lost))})."
+            )
+        return "\n".join(lines)
 
 
 class CalibrationResult(eqx.Module):
@@ -185,10 +287,7 @@ class CalibrationResult(eqx.Module):
         Raises:
             ValueError: If no parameter has that name.
         """
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter.value
-        raise ValueError(
-            f"unknown parameter {name!r}; this calibration has "
-            f"{', '.join(p.name for p in self.parameters)}."
-        )
+        values = {p.name: p.value for p in self.parameters}
+        if name not in values:
+            raise unknown_name("parameter", name, values)
+        return values[name]

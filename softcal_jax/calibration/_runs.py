@@ -1,21 +1,103 @@
-"""Runs from many starts, each with its mirror images."""
+"""The outer loop: from one start to its end, and from its mirror images."""
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.calibration._descent import Run, minimise
-from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._state import CalibrationSettings
+from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
+from softcal_jax.calibration._state import (
+    CalibrationSettings,
+    CalibrationState,
+    initial_state,
+)
+from softcal_jax.calibration._step import decide, propose
 from softcal_jax.equilibrium import Job
 from softcal_jax.fields import ParameterSpace
 
 NOTHING_LEFT = 1e-6
 """Mean squared error, in noise units, below which no other optimum is searched for."""
+
+# Several programs instead of one per step: the evaluation, which takes seconds to
+# compile, serves the start and every step.
+_propose = eqx.filter_jit(propose)
+_decide = eqx.filter_jit(decide)
+_admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
+
+
+class Run(eqx.Module):
+    """End of the outer loop.
+
+    Attributes:
+        z: Scaled parameters [-].
+        cost: Half the sum of squared errors in noise units; infinite if the start has
+            no equilibrium [-].
+        steps: QP steps, those of mirrored runs included.
+        converged: Whether lambda_p vanished.
+        errors: Root of twice the cost after each step of the first run; nan after its
+            end [-].
+    """
+
+    z: Float[HostArray, " n_p"]
+    cost: float
+    steps: int
+    converged: bool
+    errors: Float[HostArray, " n_steps"]
+
+
+def descend(
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    note: Callable[[CalibrationState], None],
+) -> Job[CalibrationState]:
+    """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
+
+    Args:
+        evaluate: Evaluator of the calibration.
+        settings: Settings of the outer loop.
+        state: State to begin with, its evaluation included.
+        note: Called with the state after each step.
+    """
+    problem = evaluate.numbered
+    while not (state.converged or state.stalled or not state.evaluation.ok) and (
+        state.step < settings.max_steps
+    ):
+        proposal = _propose(problem, settings, state)
+        tried = state.evaluation
+        if not proposal.vanishes:
+            before = tried.equilibrium.displacement
+            tried = yield from evaluate(
+                proposal.z, proposal.guess, before, proposal.precise
+            )
+        state = _decide(problem, settings, state, proposal, tried)
+        note(state)
+    return state
+
+
+def minimise(
+    evaluate: Evaluator, settings: CalibrationSettings, start: Float[Array, " n_p"]
+) -> Job[Run]:
+    """Run the outer loop from one start, in scaled parameters, to its end."""
+    z = _admissible(evaluate.numbered.space, start)
+    state = initial_state(settings, z, (yield from evaluate.from_rest(z)))
+    costs = [float(state.evaluation.cost)]
+    note = lambda state: costs.append(float(state.evaluation.cost))
+    state = yield from descend(evaluate, settings, state, note)
+    errors = np.full(settings.max_steps + 1, np.nan)
+    errors[: len(costs)] = np.sqrt(2.0 * np.array(costs))
+    return Run(
+        z=np.asarray(state.z),
+        cost=costs[-1],
+        steps=max(int(state.step), 1),
+        converged=bool(state.converged),
+        errors=errors,
+    )
 
 
 class Image(NamedTuple):
@@ -84,29 +166,25 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
 
 
 def better(best: Run, new: Run) -> Run:
-    """Return the lower of two ends, with the steps of both, the errors of the first."""
-    # A run that is continued may converge where it was, within rounding.
-    same = new.converged and not best.converged
-    same = same and new.cost <= 1.000001 * best.cost + 1e-9
-    lower = new if new.cost < best.cost or same else best
-    return Run(
-        z=lower.z,
-        cost=lower.cost,
-        steps=best.steps + new.steps,
-        converged=lower.converged,
-        errors=best.errors if best.steps else new.errors,
-    )
+    """Return the lower of two ends, with the steps of both, the errors of the first.
+
+    Of two ends at the same place, within rounding, a converged one counts. Elsewhere an
+    end that is lower counts even if it has not converged: it shows that the other is
+    not the best optimum, and the last images go on from it.
+    """
+    same = math.isclose(new.cost, best.cost, rel_tol=1e-6, abs_tol=1e-9)
+    if same and new.converged != best.converged:
+        lower = new if new.converged else best
+    else:
+        lower = new if new.cost < best.cost else best
+    errors = best.errors if best.steps else new.errors
+    return replace(lower, steps=best.steps + new.steps, errors=errors)
 
 
 def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> Run:
     """Return a run before its first step."""
-    return Run(
-        z=np.asarray(start),
-        cost=np.inf,
-        steps=0,
-        converged=False,
-        errors=np.full(settings.max_steps + 1, np.nan),
-    )
+    z, none = np.asarray(start), np.full(settings.max_steps + 1, np.nan)
+    return Run(z=z, cost=np.inf, steps=0, converged=False, errors=none)
 
 
 class Begun(NamedTuple):
@@ -146,6 +224,5 @@ def run_start(
 
 def best_of(cost: Float[HostArray, " n"], converged: Bool[HostArray, " n"]) -> int:
     """Return the index of the lowest cost, among the converged runs if any is."""
-    return int(
-        np.argmin(np.where(converged, cost, np.inf) if converged.any() else cost)
-    )
+    among = np.where(converged, cost, np.inf) if converged.any() else cost
+    return int(np.argmin(among))

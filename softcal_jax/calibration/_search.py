@@ -1,4 +1,4 @@
-"""The search from many starts."""
+"""The search from many starts, given or random."""
 
 import os
 from collections.abc import Callable
@@ -6,19 +6,18 @@ from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checkpoint import Journal
-from softcal_jax.calibration._descent import Run
-from softcal_jax.calibration._evaluator import Evaluator
-from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._runs import Begun, images_of, nothing_yet, run_start
-from softcal_jax.calibration._starts import MultiStartResult, Optimum, random_starts
+from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
+from softcal_jax.calibration._result import MultiStartResult, Optimum
+from softcal_jax.calibration._runs import Begun, Run, images_of, nothing_yet, run_start
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers
-from softcal_jax.fields import unnamed
+from softcal_jax.fields import ParameterSpace, unnamed
 
 SAME_OPTIMUM = 1e-3
 """Largest difference of scaled parameters within one optimum [-]."""
@@ -27,6 +26,7 @@ FROM_ANYWHERE = CalibrationSettings(max_steps=12)
 """Settings of runs from many starts: few steps, as a good start converges quickly."""
 
 # One row at a time, so that the programs do not depend on the number of rows.
+_to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
 _from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
 _distance = eqx.filter_jit(lambda space, a, b: space.distance(a, b))
 
@@ -78,9 +78,6 @@ def multi_start(
         progress: Called when a run has ended. Other runs occupy all cores then, so it
             must not solve anything itself.
 
-    Returns:
-        All runs and their optima.
-
     Raises:
         ValueError: If there are no starts, they do not fit the parameters, or the
             checkpoint is of another search.
@@ -97,7 +94,6 @@ def multi_start(
     settings = settings or FROM_ANYWHERE
     mark = ("starts", mirror, *np.ravel(starts).tolist())
     journal = Journal(problem, settings, checkpoint, search=mark)
-    journal.load()
     lanes = len(starts) * len(problem.configurations.gravity)
     with Workers(problem.model, lanes) as workers:
         return search(
@@ -121,32 +117,17 @@ def search(
     journal: Journal,
     progress: Callable[[SearchProgress], None] | None,
 ) -> MultiStartResult:
-    """Run the search of `multi_start`.
-
-    Args:
-        workers: Threads, entered as a context.
-        evaluate: Evaluator of the calibration.
-        settings: Settings of the outer loop.
-        starts: Scaled parameters to start from [-].
-        mirror: Whether runs that end with an error continue from mirror images.
-        journal: Saves the runs, and returns those saved before.
-        progress: Called when a run has ended.
-
-    Raises:
-        RuntimeError: If no start has an equilibrium.
-    """
+    """Run the search of `multi_start`; the journal returns the runs saved before."""
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
+    run_from = partial(run_start, evaluate, settings, images=images)
     jobs, ended = [], {}
     # Sliced on the host: on the device, the number of rows gives another program.
     for i, start in enumerate(map(jnp.asarray, np.asarray(starts))):
-        begun = journal.begun(i, Begun(0, nothing_yet(settings, start)))
+        name, none = f"run{i}", Begun(0, nothing_yet(settings, start))
+        begun = journal.kept(name, none) or none
         if begun.images == len(images):
             ended[i] = begun.best
-        note = partial(journal.note_run, i)
-        job = run_start(
-            evaluate, settings, start, images=images, begun=begun, note=note
-        )
-        jobs.append(job)
+        jobs.append(run_from(start, begun=begun, note=partial(journal.keep, name)))
 
     def told(i: int, run: Run) -> None:
         if i in ended:  # it had ended before this search was resumed
@@ -165,9 +146,8 @@ def search(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
             "check loads, units and bounds, or `softcal simulate`."
         )
-    in_si = lambda rows: np.stack(
-        [_from_scaled(evaluate.numbered.space, row) for row in np.asarray(rows)]
-    )
+    numbered = evaluate.numbered.space
+    in_si = lambda z: np.stack([_from_scaled(numbered, row) for row in np.asarray(z)])
     z = np.stack([run.z for run in runs])
     values = in_si(z)
     return MultiStartResult(
@@ -205,3 +185,39 @@ def _optima(space, z, values, cost, converged) -> tuple[Optimum, ...]:
         )
         for first, members in found
     )
+
+
+def random_starts(
+    space: ParameterSpace, n: int, *, seed: int = 0
+) -> Float[Array, "n p"]:
+    """Draw random scaled parameters within the bounds, uniform in SI units.
+
+    Pairs that break their order are swapped.
+
+    Args:
+        space: The parameters.
+        n: Number of starts.
+        seed: Seed.
+
+    Raises:
+        ValueError: If n is less than one.
+    """
+    if n < 1:
+        raise ValueError(f"the number of starts must be at least 1, got {n}.")
+    random = np.random.default_rng(seed)
+    bounds = space.lower(), space.upper()
+    low, high = (np.asarray(space.from_scaled(z)) for z in bounds)
+    p = low + (high - low) * random.random((n, len(low)))
+    names, chart = space.names, space.chart
+    pairs = [
+        (names.index(small), names.index(large))
+        for small, large in space.order_names()
+        if small in names and large in names
+    ]
+    if chart is not None:
+        pairs += list(zip(map(int, chart.small), map(int, chart.large), strict=True))
+    for small, large in pairs * len(pairs):  # repeated, for chains a <= b <= c
+        p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
+        p = np.clip(p, low, high)
+    numbered = unnamed(space)
+    return jax.device_put(np.stack([_to_scaled(numbered, row) for row in p]))

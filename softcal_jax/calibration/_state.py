@@ -49,14 +49,10 @@ class CalibrationSettings(eqx.Module):
             raise ValueError(f"tol must lie in (0, 1), got {self.tol}.")
         if self.max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
-        if not self.step_bound > 0.0:
-            raise ValueError(f"step_bound must be positive, got {self.step_bound}.")
-        if not self.damping > 0.0:
-            raise ValueError(f"damping must be positive, got {self.damping}.")
-        if not self.max_step_bound > 0.0:
-            raise ValueError(
-                f"max_step_bound must be positive, got {self.max_step_bound}."
-            )
+        for name in ("step_bound", "damping", "max_step_bound"):
+            value = getattr(self, name)
+            if not value > 0.0:
+                raise ValueError(f"{name} must be positive, got {value}.")
 
 
 class CalibrationState(eqx.Module):
@@ -95,16 +91,17 @@ def initial_state(
     settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> CalibrationState:
     """Return the state before the first step."""
+    costs = jnp.full((MEMORY,), -jnp.inf, z.dtype)
     return CalibrationState(
-        z,
-        evaluation,
-        no_curvature(z),
-        jnp.full((MEMORY,), -jnp.inf, z.dtype).at[0].set(evaluation.cost),
-        jnp.full((), settings.step_bound, z.dtype),
-        jnp.full_like(z, jnp.inf),
-        jnp.zeros((), z.dtype),
-        jnp.ones((), bool),
-        jnp.zeros((), jnp.int32),
-        jnp.zeros((), bool),
-        jnp.zeros((), bool),
+        z=z,
+        evaluation=evaluation,
+        curvature=no_curvature(z),
+        recent_costs=costs.at[0].set(evaluation.cost),
+        step_bound=jnp.full((), settings.step_bound, z.dtype),
+        lambda_p=jnp.full_like(z, jnp.inf),
+        kkt_residual=jnp.zeros((), z.dtype),
+        accepted=jnp.ones((), bool),
+        step=jnp.zeros((), jnp.int32),
+        converged=jnp.zeros((), bool),
+        stalled=jnp.zeros((), bool),
     )

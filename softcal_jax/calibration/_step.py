@@ -1,4 +1,4 @@
-"""One step of the outer loop: accept or refuse what the bounded QP proposes.
+"""One step of the outer loop: what the bounded QP proposes is accepted or refused.
 
 The paper repeats the QP of Eqs. (10) and (11) with a fixed bound on the step until
 lambda_p vanishes. Here the bound is a trust region: it shrinks when a step is refused
@@ -7,22 +7,182 @@ highest of the last few (`MEMORY`). The model is linear in the errors (Gauss-New
 includes their curvature from past steps where that predicts the cost better.
 """
 
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax.calibration._curvature import Curvature, learned
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.calibration._curvature import Curvature, convex_model, learned
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
-from softcal_jax.calibration._proposal import (
-    SMALLEST_FALL,
-    Proposal,
-    is_at_bound,
-    linear_model,
-)
+from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
 
+KKT_TOLERANCE = 1e-6
+"""Largest optimality residual with which a vanishing QP step is trusted [-]."""
+
+SMALLEST_FALL = 1e-8
+"""Relative fall of the cost that is not worth a step [-].
+
+Where the fit leaves an error, Gauss-Newton converges linearly, and many small steps
+would follow that hardly change the fit.
+"""
+
+SLOW = 1e-2
+"""Predicted relative fall of the cost below which gradients must be exact [-].
+
+The errors nearly cancel in the gradient there, and errors of W_ep do not.
+"""
+
 FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
+
+
+class Proposal(eqx.Module):
+    """A step that the QP proposes: parameters after it, and a guess of the equilibria.
+
+    `cost` is that after it by the model that the QP used, `costs` by the linear model
+    of the errors, and with curvature. `precise` asks for exact compliances after it.
+    A step that `vanishes` is too small to be worth an evaluation: the loop ends, and
+    `z` and `guess` are those before the step.
+    """
+
+    qp: QPStep
+    z: Float[Array, " n_p"]
+    guess: Float[Array, "n_c n_nodes 3"]
+    cost: Float[Array, ""]
+    costs: Float[Array, "2"]
+    precise: Bool[Array, ""]
+    vanishes: Bool[Array, ""]
+
+
+def propose(
+    problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
+) -> Proposal:
+    """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11)."""
+    now, space = state.evaluation, problem.space
+    W, error, J = _linear_model(space, state.z, now)
+    solve = _qp_within_limits(problem, settings, state, J)
+    gauss_newton = lambda: solve(W, error)
+    S = state.curvature.matrix
+    curved = lambda: solve(*convex_model(W, error, S))
+    qp = jax.lax.cond(state.curvature.used, curved, gauss_newton)
+
+    def costs(step):
+        cost = 0.5 * jnp.sum((W @ step + error) ** 2)
+        return jnp.stack([cost, cost + 0.5 * jnp.sum(step * (S @ step))])
+
+    predicted = costs(qp.lambda_p)
+    cost = predicted[state.curvature.used.astype(jnp.int32)]
+    # A wrong curvature may shorten a step: both models must find it small.
+    vanishes = _small(problem, settings, state, qp, cost) & now.ok
+
+    def linearly():
+        step = gauss_newton()
+        return _small(problem, settings, state, step, costs(step.lambda_p)[0])
+
+    vanishes = jax.lax.cond(vanishes & state.curvature.used, linearly, lambda: vanishes)
+    guess = before = now.equilibrium.displacement
+    if now.tangents is not None:
+        dz = J @ qp.lambda_p
+        guess = before + jnp.einsum("p,cpni->cni", dz, now.tangents)
+    stay = lambda new, old: jnp.where(vanishes, old, new)
+    return Proposal(
+        qp=qp,
+        z=stay(_moved(space, state.z, qp.lambda_p), state.z),
+        guess=stay(guess, before),
+        cost=cost,
+        costs=predicted,
+        precise=now.cost - cost <= SLOW * now.cost,
+        vanishes=vanishes,
+    )
+
+
+class _LinearModel(NamedTuple):
+    """Errors to first order in step coordinates, those of the prior included.
+
+    `J` is the change of z per coordinate.
+    """
+
+    W: Float[Array, "n_rows n_p"]
+    error: Float[Array, " n_rows"]
+    J: Float[Array, "n_p n_p"]
+
+
+def _linear_model(
+    space: ParameterSpace, z: Float[Array, " n_p"], evaluation: Evaluation
+) -> _LinearModel:
+    W_ep, error = evaluation.W_ep, evaluation.error
+    if space.has_prior:
+        W_ep = jnp.concatenate([W_ep, jnp.diag(space.prior_weights())])
+        error = jnp.concatenate([error, evaluation.prior])
+    if space.chart is None:
+        return _LinearModel(W_ep, error, jnp.eye(z.shape[0]))
+    J = jax.jacfwd(space.chart.from_tensor)(space.chart.to_tensor(z))
+    return _LinearModel(W_ep @ J, error, J)
+
+
+def _moved(
+    space: ParameterSpace, z: Float[Array, " n_p"], step: Float[Array, " n_p"]
+) -> Float[Array, " n_p"]:
+    """Return parameters after a step, which moves tensors where axes have a chart."""
+    if space.chart is None:
+        return space.wrap(z + step)
+    chart = space.chart
+    return space.admissible(chart.from_tensor(chart.to_tensor(z) + step))
+
+
+def _qp_within_limits(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    J: Float[Array, "n_p n_p"],
+):
+    """Return the QP of W and error, with the constraints of a step filled in."""
+    space, chart = problem.space, problem.space.chart
+    limit = jnp.minimum(state.step_bound, space.max_step())
+    down, up = space.room(state.z)
+    low, high = jnp.maximum(down, -limit), jnp.minimum(up, limit)
+    A, b = space.order_rows()
+    b = b - A @ state.z
+    if chart is not None:
+        # The QP steps tensors, so the bounds of the moduli become rows.
+        moduli = np.concatenate([chart.small, chart.large])
+        free = np.concatenate([moduli, chart.angle])
+        low = low.at[free].set(-state.step_bound)
+        high = high.at[free].set(state.step_bound)
+        A = jnp.concatenate([A @ J, J[moduli], -J[moduli]])
+        b = jnp.concatenate([b, up[moduli], -down[moduli]])
+    return partial(
+        bounded_step, lower=low, upper=high, A=A, b=b, damping=settings.damping
+    )
+
+
+def _small(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    qp: QPStep,
+    cost: Float[Array, ""],
+) -> Bool[Array, ""]:
+    """Return whether a step is small because nothing is left to gain."""
+    size = jnp.max(jnp.abs(qp.lambda_p))
+    fall = state.evaluation.cost - cost
+    no_gain = settings.adapt & (fall <= SMALLEST_FALL * state.evaluation.cost)
+    free = ~_is_at_bound(problem, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
+    return ((size <= settings.tol) | no_gain) & free
+
+
+def _is_at_bound(
+    problem: CalibrationProblem, state: CalibrationState, qp: QPStep
+) -> Bool[Array, ""]:
+    """Return whether a step is as long as the trust region allows."""
+    limit = jnp.minimum(state.step_bound, problem.space.max_step())
+    return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)
 
 
 def decide(
@@ -34,13 +194,13 @@ def decide(
 ) -> CalibrationState:
     """Accept a proposed step if it helps, and adapt the bound on the next."""
     now, lambda_p = state.evaluation, proposal.qp.lambda_p
-    bound = state.step_bound
+    bound, curvature = state.step_bound, state.curvature
     predicted = now.cost - proposal.cost
     gain = (now.cost - tried.cost) / jnp.maximum(predicted, 1e-300)
     reference = jnp.max(state.recent_costs)
     lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
-    at_bound = is_at_bound(problem, state, proposal.qp)
+    at_bound = _is_at_bound(problem, state, proposal.qp)
     no_harm = tried.cost <= now.cost + SMALLEST_FALL * now.cost
     vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
@@ -49,27 +209,26 @@ def decide(
         grown = jnp.minimum(2.0 * bound, most)
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
+        curvature = _after(problem.space, state, proposal, tried)
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within
     # all constraints for a step so short that the model is linear.
     flat = predicted <= FLAT * size * 2.0 * now.cost
     keep = lambda new, old: jnp.where(accepted, new, old)
-    curvature = state.curvature
-    if settings.adapt:
-        curvature = _after(problem.space, state, proposal, tried)
+    recent = jnp.roll(state.recent_costs, 1).at[0].set(tried.cost)
     return CalibrationState(
-        keep(proposal.z, state.z),
-        jax.tree.map(keep, tried, now),
-        curvature,
-        keep(jnp.roll(state.recent_costs, 1).at[0].set(tried.cost), state.recent_costs),
-        bound,
-        lambda_p,
-        proposal.qp.kkt_residual,
-        accepted,
-        state.step + 1,
-        vanished | (collapsed & flat),
-        collapsed & ~flat,
+        z=keep(proposal.z, state.z),
+        evaluation=jax.tree.map(keep, tried, now),
+        curvature=curvature,
+        recent_costs=keep(recent, state.recent_costs),
+        step_bound=bound,
+        lambda_p=lambda_p,
+        kkt_residual=proposal.qp.kkt_residual,
+        accepted=accepted,
+        step=state.step + 1,
+        converged=vanished | (collapsed & flat),
+        stalled=collapsed & ~flat,
     )
 
 
@@ -81,16 +240,16 @@ def _after(
 ) -> Curvature:
     """Update the curvature from the compliances at both ends of a step."""
     now = state.evaluation
-    here = linear_model(space, state.z, now)
-    there = linear_model(space, proposal.z, tried)
+    here = _linear_model(space, state.z, now)
+    there = _linear_model(space, proposal.z, tried)
     error = jnp.where(tried.cost <= now.cost, there.error, here.error)
     new = learned(
         state.curvature,
-        proposal.qp.lambda_p,
-        (there.W - here.W).T @ error,
-        now.cost,
-        tried.cost,
-        proposal.costs,
+        step=proposal.qp.lambda_p,
+        change=(there.W - here.W).T @ error,
+        before=now.cost,
+        after=tried.cost,
+        predicted=proposal.costs,
     )
     # A vanishing step is not taken, so both of its ends are the same.
     keep = lambda old, new: jnp.where(proposal.vanishes, old, new)

@@ -82,9 +82,6 @@ def uncertainty(
         at_bound: Parameters on a bound; they have no standard error.
         noise: Where the noise comes from.
         prior_weights: 1 / standard deviations of the prior, 0 without; none by default.
-
-    Returns:
-        The covariance and what it rests on.
     """
     free = np.flatnonzero(~at_bound)
     weights = np.zeros(W.shape[1]) if prior_weights is None else prior_weights

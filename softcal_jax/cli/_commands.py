@@ -5,19 +5,18 @@ import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import (
     BAD_INPUT,
     NOT_CONVERGED,
     OK,
+    Display,
     Stop,
     bad_input,
     check_folder,
     load,
     no_equilibrium,
-    print_end,
 )
 
 if TYPE_CHECKING:
@@ -26,7 +25,9 @@ if TYPE_CHECKING:
         ConfigurationResult,
         HistoryEntry,
     )
+    from softcal_jax.configurations import Configuration
     from softcal_jax.fields import Parameter
+    from softcal_jax.identifiability import Identifiability, Ranking
     from softcal_jax.project import Project
 
 MOST_BY_NAME, MOST_IN_FIELD = 2, 4
@@ -68,8 +69,11 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         project.check_calibration()
     for role, group in (("fit", project.calibration), ("predict", project.validation)):
         if group:
-            show.line(f"{role}: {', '.join(c.name for c in group)}")
-    _print_registrations(project, show)
+            show.line(f"{role}: {_names(group)}")
+    if project.registrations:
+        rms = {name: 1e3 * found.rms for name, found in project.registrations.items()}
+        listed = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rms.items())
+        show.line(f"camera frame to mesh frame, rms left at the markers: {listed}")
     show.now("first equilibrium (compiling)")
     with bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(
@@ -77,20 +81,15 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
             progress=_step_lines(project, show),
             search_progress=lambda search: show.line(f"search   {search}"),
         )
-    show.lap("solve")
-    show.split("solve", "compile", result.timing_s["compile"])
+    show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
 
     def write(result: "CalibrationResult", *, force: bool) -> Path:
         show.now("writing results and pictures")
         with bad_input():
+            more = _options(project, show, force=force)
             folder = report.write_results(
-                result,
-                args.output,
-                name=project.name,
-                force=force,
-                assessment=assessment,
-                timing_s=dict(show.laps),
+                result, args.output, assessment=assessment, **more
             )
         show.lap("results and pictures")
         return folder
@@ -105,8 +104,10 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         where = write(result, force=True)
     show.line()
     show.line(report.summary_table(result, assessment))
-    _print_held_out(result, show)
-    print_end(where, show)
+    for fit in result.configurations:
+        if fit.role == "validation" and (found := _held_out_errors(fit)):
+            show.line(f"Held-out error, {fit.name}: {found}.")
+    show.results(where)
     if not result.converged:
         steps = len(result.history) - 1
         raise Stop(
@@ -126,39 +127,81 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     from softcal_jax.equilibrium import check_converged
 
     project = load(args.project, show)
-    names = tuple(c.name for c in project.configurations)
-    show.now(f"equilibrium of {', '.join(names)} (compiling)")
+    show.now(f"equilibrium of {_names(project.configurations)} (compiling)")
     with Clock() as clock:
         solution = project.simulate()
-    show.lap("solve")
-    show.split("solve", "compile", clock.seconds["compile"])
-
+    show.lap("solve", compiling=clock.seconds["compile"])
     show.now("writing results and pictures")
     with bad_input():
         result = simulation_result(project.model, project.configurations, solution)
-        where = report.write_simulation(
-            result,
-            args.output,
-            name=project.name,
-            force=args.force,
-            timing_s=dict(show.laps),
-        )
+        more = _options(project, show, force=args.force)
+        where = report.write_simulation(result, args.output, **more)
     show.lap("results and pictures")
     show.line()
     show.line(report.simulation_table(result))
-    print_end(where, show)
+    show.results(where)
     with no_equilibrium("The results hold the others, if any."):
-        check_converged(solution, names)
+        check_converged(solution, tuple(c.name for c in project.configurations))
     return OK
 
 
-def _print_registrations(project: "Project", show: Display) -> None:
-    if project.registrations:
-        listed = ", ".join(
-            f"{name} {1e3 * registration.rms:.2f} mm"
-            for name, registration in project.registrations.items()
+def identify(args: argparse.Namespace, show: Display) -> int:
+    """Judge a project before anything is measured, and rank its candidates."""
+    if args.output is not None:
+        check_folder(args)
+    from softcal_jax import report
+
+    project = load(args.project, show)
+    with bad_input():
+        project.check_identify()
+    found = ranking = None
+    with bad_input(), no_equilibrium("Nothing was written."):
+        if project.calibration:
+            show.now(f"what {_names(project.calibration)} would tell (compiling)")
+            found = project.identify()
+        if project.candidates:
+            show.now(f"what {_names(project.candidates)} would add (compiling)")
+            ranking = project.rank_candidates()
+    show.lap("solve")
+    _print_outlook(project, found, ranking, show)
+    if args.output is None:
+        show.times()
+        return OK
+    with bad_input():
+        more = _options(project, show, force=args.force)
+        where = report.write_identifiability(found, ranking, args.output, **more)
+    show.results(where)
+    return OK
+
+
+def _print_outlook(
+    project: "Project",
+    found: "Identifiability | None",
+    ranking: "Ranking | None",
+    show: Display,
+) -> None:
+    blind = [c for c in project.calibration if not (c.markers or c.effectors)]
+    show.line()
+    if blind:
+        show.line(f"No markers or effectors, so nothing to learn, in: {_names(blind)}.")
+    show.line("At the start values, with the stated noise of what is measured:")
+    for part in (found, ranking):
+        if part is not None:
+            show.line(f"{part}\n")
+    if ranking is None:
+        show.line(
+            "To see what another configuration would add, describe it in "
+            "[[candidates]] (keys as in [[configurations]]) and run this again."
         )
-        show.line(f"camera frame to mesh frame, rms left at the markers: {listed}")
+
+
+def _options(project: "Project", show: Display, *, force: bool) -> dict[str, Any]:
+    """Return what every results folder is written with."""
+    return {"name": project.name, "force": force, "timing_s": dict(show.laps)}
+
+
+def _names(group: "Sequence[Configuration]") -> str:
+    return ", ".join(c.name for c in group)
 
 
 def _step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
@@ -181,7 +224,7 @@ def _step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], 
         last = entry.step == project.settings.max_steps
         finished = last or (entry.step > 0 and size <= project.settings.tol)
         if finished and project.validation:
-            show.now(f"predicting {', '.join(c.name for c in project.validation)}")
+            show.now(f"predicting {_names(project.validation)}")
         else:
             show.now(f"step {entry.step + 1}", log=False)
 
@@ -214,28 +257,17 @@ def _rounded(value: float, unit: str) -> str:
     return f"{value:.2f}" if unit else f"{value:.5g}"
 
 
-def _print_held_out(result: "CalibrationResult", show: Display) -> None:
-    for fit in result.configurations:
-        if fit.role == "validation":
-            found = _held_out_errors(fit)
-            if found:
-                show.line(f"Held-out error, {fit.name}: {found}.")
-
-
 def _held_out_errors(fit: "ConfigurationResult") -> str:
     """Format distances of markers and angles of orientations, where there are any."""
     texts = []
     if fit.points:
         n = len(fit.points)
-        percent = (
+        markers = "marker" if n == 1 else "markers"
+        texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {n} {markers}")
+    if fit.points and math.isfinite(fit.rms_share):
+        texts[0] += (
             f", {100 * fit.rms_share:.1f} % of how far they moved "
             f"({1e3 * fit.motion:.1f} mm)"
-            if math.isfinite(fit.rms_share)
-            else ""
-        )
-        texts.append(
-            f"{1e3 * fit.rms_after:.2f} mm rms over {n} marker{'s' if n > 1 else ''}"
-            f"{percent}"
         )
     if math.isfinite(fit.turn_after):
         texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")

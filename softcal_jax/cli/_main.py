@@ -9,11 +9,15 @@ from pathlib import Path
 
 from rich.console import Console
 
-from softcal_jax.cli._commands import calibrate, demo, simulate
-from softcal_jax.cli._display import Display, process_start, warnings_as_lines
-from softcal_jax.cli._identify import identify
-from softcal_jax.cli._shared import INTERRUPTED, Stop
-from softcal_jax.cli._sweep_arguments import add_sweep, sweep_words
+from softcal_jax.cli._commands import calibrate, demo, identify, simulate
+from softcal_jax.cli._shared import (
+    INTERRUPTED,
+    Display,
+    Stop,
+    add_path,
+    warnings_as_lines,
+)
+from softcal_jax.cli._sweep import add_sweep
 
 _ABOUT = """\
 Calibrate the finite-element model of a soft robot from a few measured poses."""
@@ -41,17 +45,18 @@ exit codes: 0 judged, whatever the verdict, 1 no equilibrium, 2 bad input
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Args:
-        argv: Arguments after the program's name; those of the process by default.
+    """Run one command, with the arguments of the process by default.
 
     Returns:
         The exit code: 0 all is well, 1 not converged or no equilibrium, 2 bad input,
         130 interrupted.
     """
-    begin = process_start() if argv is None else time.time()
-    args = _parser().parse_args(sweep_words(sys.argv[1:] if argv is None else argv))
+    # The start of the process will not do: a shell may have run in it before.
+    begin = time.time() - (time.process_time() if argv is None else 0.0)
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words[:2] == ["sweep", "show"]:  # one command for the parser
+        words[:2] = ["sweep show"]
+    args = _parser().parse_args(words)
     display = Display(begin)
     try:
         with display:
@@ -83,14 +88,11 @@ def _parser() -> argparse.ArgumentParser:
         description="Fits Young's modulus of a clamped silicone beam to two measured "
         "loads, predicts a third, and writes the results.",
     )
-    _add_output(beam, default="demo_results")
-    beam.add_argument(
-        "--write",
-        metavar="DIR",
-        type=Path,
-        help="write the demo's project file and data to DIR and stop",
-    )
-    beam.set_defaults(run=demo, checkpoint=None)
+    where = "folder for the results"
+    add_path(beam, "--output", "DIR", f"{where} (default: demo_results)")
+    text = "write the demo's project file and data to DIR and stop"
+    add_path(beam, "--write", "DIR", text)
+    beam.set_defaults(run=demo, checkpoint=None, output=Path("demo_results"))
 
     fit = commands.add_parser(
         "calibrate",
@@ -98,12 +100,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Fits the parameters of a project file to its measured "
         "configurations, predicts those held out, and writes the results.",
     )
-    fit.add_argument(
-        "--checkpoint",
-        metavar="FILE",
-        type=Path,
-        help="keep the state in FILE after every step; if it is there, go on from it",
-    )
+    text = "keep the state in FILE after every step; if it is there, go on from it"
+    add_path(fit, "--checkpoint", "FILE", text)
     fit.set_defaults(run=lambda args, show: calibrate(args, show, args.project))
     forward = commands.add_parser(
         "simulate",
@@ -130,26 +128,11 @@ ranked by what measuring them as well would add.""",
     )
     outlook.set_defaults(run=identify)
     for command in (fit, forward, outlook):
-        command.add_argument(
-            "project", metavar="PROJECT.toml", type=Path, help="the project file"
-        )
-        _add_output(command, default=None, required=command is not outlook)
+        add_path(command, "project", "PROJECT.toml", "the project file")
+        needed = command is not outlook
+        add_path(command, "--output", "DIR", where, required=needed)
+    for command in (beam, fit, forward, outlook):
+        again = "replace earlier results in that folder"
+        command.add_argument("--force", action="store_true", help=again)
     add_sweep(commands, raw)
     return parser
-
-
-def _add_output(
-    parser: argparse.ArgumentParser, *, default: str | None, required: bool = False
-) -> None:
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        type=Path,
-        default=default and Path(default),
-        required=required,
-        help="folder for the results" + (f" (default: {default})" if default else ""),
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace earlier results in that folder"
-    )

@@ -1,13 +1,17 @@
-"""What all commands share: exit codes, loading a project, ending a command."""
+"""What all commands share: exit codes, output, loading a project, ending a command."""
 
 import argparse
+import sys
+import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from softcal_jax.cli._display import Display
+from rich.console import Console, RenderableType
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 if TYPE_CHECKING:
     from softcal_jax.equilibrium import Model
@@ -23,6 +27,116 @@ class Stop(Exception):
     def __init__(self, code: int, text: str):
         super().__init__(text)
         self.code = code
+
+
+class Display:
+    """Lines for what is done; on a terminal, a spinner for what is under way.
+
+    Attributes:
+        laps: Wall time of the parts so far [s].
+    """
+
+    def __init__(self, begin: float):
+        self.console = Console(file=sys.stdout)
+        self.begin = self.last = begin
+        self.laps: dict[str, float] = {}
+        self.progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            TimeElapsedColumn(),
+            console=self.console,
+            transient=True,
+            disable=not self.console.is_terminal,
+        )
+
+    def __enter__(self) -> "Display":
+        self.progress.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.progress.stop()
+
+    def now(self, what: str, *, log: bool = True) -> None:
+        """Say what begins; in a log, only if `log` is set."""
+        if self.progress.disable:
+            if log:
+                self.line(f"{what} ...")
+            return
+        for task in self.progress.task_ids:
+            self.progress.remove_task(task)
+        self.progress.add_task(what, total=None)
+
+    def line(self, text: RenderableType = "") -> None:
+        """Print a line that stays."""
+        if isinstance(text, str):
+            self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        else:
+            self.console.print(text)
+
+    def lap(self, name: str, *, compiling: float | None = None) -> None:
+        """End a part of the run, and record its wall time.
+
+        The time that it was compiling is recorded as a part of its own, before it [s].
+        """
+        now = time.time()
+        if compiling is not None:
+            self.laps["compile"] = compiling
+        self.laps[name] = now - self.last - (compiling or 0.0)
+        self.last = now
+
+    def times(self) -> None:
+        """Print how long the parts took."""
+        parts = ", ".join(f"{name} {s:.1f} s" for name, s in self.laps.items())
+        self.line(f"Time: {parts}; {time.time() - self.begin:.1f} s in all.")
+
+    def results(self, where: Path) -> None:
+        """Print what was written where, and how long the parts took."""
+        files = sorted(p.name for p in where.iterdir())
+        self.line(f"Results in {where}: {', '.join(files)}")
+        self.times()
+
+
+@contextmanager
+def warnings_as_lines(show: Display) -> Iterator[None]:
+    """Show the package's own warnings as lines, without file and line of code."""
+    from softcal_jax._compilation_cache import (
+        CompilationCacheWarning,
+        throw_away_damaged,
+    )
+    from softcal_jax.calibration import CalibrationWarning
+    from softcal_jax.configurations import TrackerWarning
+    from softcal_jax.mesh import MeshWarning
+    from softcal_jax.report import PictureWarning
+
+    own = (
+        CalibrationWarning,
+        CompilationCacheWarning,
+        MeshWarning,
+        PictureWarning,
+        TrackerWarning,
+    )
+    with warnings.catch_warnings():
+        plain = warnings.showwarning
+
+        def line(message, category, *where, **more):
+            mended = throw_away_damaged(str(message))
+            if issubclass(category, own) or mended:
+                show.line(f"warning: {mended or message}")
+            else:
+                plain(message, category, *where, **more)
+
+        warnings.showwarning = line
+        for category in own:
+            warnings.simplefilter("always", category)
+        yield
+
+
+def add_path(
+    parser: argparse.ArgumentParser, name: str, metavar: str, text: str, **more: Any
+) -> None:
+    """Add an argument that is a path; `--output` is also `-o`."""
+    names = ["-o", name] if name == "--output" else [name]
+    parser.add_argument(*names, metavar=metavar, type=Path, help=text, **more)
 
 
 def check_folder(args: argparse.Namespace) -> None:
@@ -62,19 +176,6 @@ def _law(model: "Model") -> str:
     name = type(model.law).__name__
     elasticity = getattr(model.law, "elasticity", None)  # not every law has one
     return name if elasticity is None else f"{name} of {type(elasticity).__name__}"
-
-
-def print_end(where: Path, show: Display) -> None:
-    """Print what was written where, and how long the parts took."""
-    files = sorted(p.name for p in where.iterdir())
-    show.line(f"Results in {where}: {', '.join(files)}")
-    show.line(times_line(show))
-
-
-def times_line(show: Display) -> str:
-    """Format how long the parts took."""
-    parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in show.laps.items())
-    return f"Time: {parts}; {show.total():.1f} s in all."
 
 
 @contextmanager

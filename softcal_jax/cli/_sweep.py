@@ -2,31 +2,58 @@
 
 import argparse
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import (
     BAD_INPUT,
     INTERRUPTED,
     NOT_CONVERGED,
     OK,
+    Display,
     Stop,
+    add_path,
     bad_input,
-    times_line,
 )
 
 if TYPE_CHECKING:
-    from softcal_jax.sweeps import Progress, SweepResult
+    from softcal_jax.sweeps import Progress
 
 QUIET_S = 30.0
 """Shortest time between lines of progress in a log [s]."""
+
+_SWEEP = """\
+A sweep file names a project file and the axes of the sweep:
+
+  project = "project.toml"
+
+  [axes]
+  layout = ["ends", "three"]        # of control points, from [layouts.NAME]
+  configurations = { choose = 2 }   # fitted; the others are predicted
+  start = { count = 10 }            # random starts; 0 is that of the project
+  noise = { count = 20 }            # draws added to what is fitted; 0 adds none
+  "material.nu" = [0.3, 0.4]        # any key of the project file
+
+Each trial is a row of an SQLite file as soon as it has ended. A sweep that was stopped
+or killed goes on when the same command is given again.
+
+exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input
+"""
+
+_SHOW = """\
+examples:
+  softcal sweep show sweep.sqlite                     means over starts and noise
+  softcal sweep show sweep.sqlite --all               every trial
+  softcal sweep show sweep.sqlite --by layout --plot layouts.png
+  softcal sweep show sweep.sqlite --figure steps --figure "fit rms [m]"
+"""
 
 
 def sweep(args: argparse.Namespace, show: Display) -> int:
     """Run a sweep file, or resume it."""
     import jax
 
-    from softcal_jax.sweeps import load_sweep
+    from softcal_jax.sweeps import load_sweep, sweep_table
 
     # Only a program may set this, for itself and its workers; a library must not.
     jax.config.update("jax_enable_x64", True)
@@ -36,9 +63,7 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
         loaded = load_sweep(args.sweep)
     show.lap("reading")
     database = args.output or loaded.database
-    ended = 0
-
-    tell = _progress_lines(show)
+    ended, tell = 0, _progress_lines(show)
 
     def progress(now: "Progress") -> None:
         nonlocal ended
@@ -64,16 +89,10 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     except RuntimeError as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error
     show.lap("trials")
-    return _print_result(result, str(database), show)
-
-
-def _print_result(result: "SweepResult", database: str, show: Display) -> int:
-    from softcal_jax.sweeps import sweep_table
-
     show.line()
     show.line(sweep_table(result, width=show.console.width))
     show.line(f"Rows in {database}; `softcal sweep show {database}` has more.")
-    show.line(times_line(show))
+    show.times()
     bad = len(result.rows) - len(result.of_state("converged"))
     if bad:
         what = "trial" if bad == 1 else "trials"
@@ -96,11 +115,14 @@ def _progress_lines(show: Display):
             show.line(f"failed: {point}: {row.reason.splitlines()[0]}")
         if now.ended == now.total:
             return
-        begin = "the first trial compiles" if row is None else ""
         tick = time.monotonic()
-        due = row is not None and tick - last >= QUIET_S
-        last = tick if due or row is None else last
-        show.now(f"{now}{', ' if begin else ''}{begin}", log=due)
+        if row is None:
+            last = tick
+            show.now(f"{now}, the first trial compiles", log=False)
+            return
+        due = tick - last >= QUIET_S
+        last = tick if due else last
+        show.now(str(now), log=due)
 
     return progress
 
@@ -111,19 +133,57 @@ def show_sweep(args: argparse.Namespace, show: Display) -> int:
 
     with bad_input():
         result = read_sweep(args.database)
-        show.line(
-            sweep_table(
-                result,
-                by=args.by,
-                figures=args.figure,
-                every=args.all,
-                width=show.console.width,
-            )
-        )
+        width, chosen = show.console.width, {"by": args.by, "figures": args.figure}
+        show.line(sweep_table(result, **chosen, every=args.all, width=width))
         if args.csv is not None:
             write_sweep_csv(result, args.csv)
             show.line(f"One line per trial in {args.csv}.")
         if args.plot is not None:
-            plot_sweep(result, args.plot, by=args.by, figures=args.figure)
+            plot_sweep(result, args.plot, **chosen)
             show.line(f"Picture in {args.plot}.")
     return OK
+
+
+def add_sweep(commands: "argparse._SubParsersAction", raw: Callable) -> None:
+    """Add both commands to the parser."""
+    run = commands.add_parser(
+        "sweep",
+        help="many calibrations, side by side, that can be stopped and resumed",
+        description="Calibrates a project over and over: other layouts of control "
+        "points, starts, draws of noise, sets of configurations, or values of any key.",
+        epilog=_SWEEP,
+        formatter_class=raw,
+    )
+    add_path(run, "sweep", "SWEEP.toml", "the sweep file")
+    where = "database for the rows (default: SWEEP.sqlite, beside the sweep file)"
+    add_path(run, "--output", "FILE", where)
+    workers = "worker processes (default: all cores)"
+    run.add_argument("--workers", metavar="N", type=int, help=workers)
+    threads = "threads of each (default: 1, which is fastest unless memory is short)"
+    run.add_argument(
+        "--cores-per-worker", metavar="N", type=int, default=1, help=threads
+    )
+    cluster = 'run on a Dask cluster, like "tcp://10.0.0.1:8786"'
+    run.add_argument("--scheduler", metavar="ADDRESS", help=cluster)
+    run.add_argument(
+        "--retry-failed", action="store_true", help="try again what failed before"
+    )
+    run.set_defaults(run=sweep)
+
+    table = commands.add_parser(
+        "sweep show",
+        help="what a sweep has found, also while it runs",
+        description="Tabulates the rows of a sweep, and draws them if asked to.",
+        epilog=_SHOW,
+        formatter_class=raw,
+    )
+    add_path(table, "database", "SWEEP.sqlite", "the database of the sweep")
+    for flag, metavar, what in (
+        ("--by", "AXIS", "group trials by this axis (several times for several)"),
+        ("--figure", "NAME", "show this figure (several times for several)"),
+    ):
+        table.add_argument(flag, metavar=metavar, action="append", help=what)
+    table.add_argument("--all", action="store_true", help="one line per trial")
+    add_path(table, "--plot", "FILE.png", "draw a picture")
+    add_path(table, "--csv", "FILE.csv", "write one line per trial, in SI")
+    table.set_defaults(run=show_sweep)

@@ -5,33 +5,32 @@ from softcal_jax.configurations._actuation import (
     ImposedForce,
     actuation_arrays,
 )
-from softcal_jax.configurations._actuator_effectors import (
-    ActuatorDisplacement,
-    ActuatorForce,
-    SupportReaction,
-)
 from softcal_jax.configurations._arrays import (
     ActuationArrays,
     ConfigurationArrays,
     EffectorArrays,
-    RecordingBase,
-    Springs,
 )
-from softcal_jax.configurations._body_effectors import BodyAngle, BodyFrame, Centroid
 from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY,
     Configuration,
     ConfigurationLanes,
     configuration_arrays,
     configuration_lanes,
+    measured_as,
+    measured_at_rest,
     spring_names,
 )
-from softcal_jax.configurations._effector import (
-    AbstractEffector,
-    AbstractScalar,
-    AbstractVector,
+from softcal_jax.configurations._csv_table import MarkerTable, read_markers
+from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
+from softcal_jax.configurations._effector_arrays import EffectorRecord
+from softcal_jax.configurations._effectors import (
+    ActuatorDisplacement,
+    ActuatorForce,
+    BodyAngle,
+    BodyFrame,
+    Centroid,
+    SupportReaction,
 )
-from softcal_jax.configurations._effector_record import EffectorRecord
 from softcal_jax.configurations._loads import (
     AbstractLoad,
     EdgeForce,
@@ -41,22 +40,26 @@ from softcal_jax.configurations._loads import (
     SurfaceTraction,
 )
 from softcal_jax.configurations._markers import Markers
-from softcal_jax.configurations._measured import measured_as, measured_at_rest
-from softcal_jax.configurations._measurements import MarkerTable, read_markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
-from softcal_jax.configurations._pose_averages import AveragedPose, average_poses
-from softcal_jax.configurations._pose_table import PoseTable, in_frame
+from softcal_jax.configurations._pose_table import (
+    AveragedPose,
+    PoseTable,
+    average_poses,
+    in_frame,
+)
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
-from softcal_jax.configurations._tracker import read_polhemus, read_poses
-from softcal_jax.configurations._turns import TrackerWarning
+from softcal_jax.configurations._tracker import (
+    TrackerWarning,
+    read_polhemus,
+    read_poses,
+)
 
 __all__ = [
     "STANDARD_GRAVITY",
     "AbstractEffector",
     "AbstractLoad",
     "AbstractScalar",
-    "AbstractVector",
     "ActuationArrays",
     "ActuatorDisplacement",
     "ActuatorForce",
@@ -78,9 +81,7 @@ __all__ = [
     "NodalForces",
     "PointForce",
     "PoseTable",
-    "RecordingBase",
     "Registration",
-    "Springs",
     "Support",
     "SupportReaction",
     "SurfaceForce",

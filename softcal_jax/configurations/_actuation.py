@@ -17,8 +17,7 @@ class ImposedForce(eqx.Module):
     Attributes:
         value: Tension of a cable [N], pressure of a chamber [Pa], torque of a motor
             [N m], force of a force actuator [N].
-        releasing: Whether the actuator was last released rather than pulled, which sets
-            the sign of its friction.
+        releasing: Whether it was last released, not pulled: the sign of its friction.
     """
 
     value: float
@@ -32,8 +31,7 @@ class ImposedDisplacement(eqx.Module):
         value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
             motor as its encoder shows it [rad], displacement of a force actuator's
             point [m].
-        releasing: Whether the actuator was last released rather than pulled, which sets
-            the sign of its friction.
+        releasing: Whether it was last released, not pulled: the sign of its friction.
     """
 
     value: float
@@ -47,14 +45,9 @@ BodyStates = Mapping[str, BodyState | Pose | str]
 def actuation_arrays(
     mechanism: Mechanism, actuation: Actuation, configuration: str
 ) -> ActuationArrays:
-    """Stack what is imposed on each actuator.
+    """Stack what is imposed on each actuator in the configuration of a name.
 
     A cable or chamber that is not named has no force, a motor stays at its zero.
-
-    Args:
-        mechanism: The actuators of the model.
-        actuation: Imposed forces and displacements, by name of the actuator.
-        configuration: Name of the configuration, for messages.
 
     Raises:
         ValueError: If a name is unknown, a value is not finite, a cable would push, a
@@ -72,33 +65,32 @@ def actuation_arrays(
             raise unknown_name(f"actuator of {what}", name, actuators.names)
         a = actuators.names.index(name)
         kind = actuators.kinds[a]
+        own = f"{what}: {kind.noun} {name!r}"
         imposed = isinstance(asked, ImposedDisplacement)
         unit = kind.displacement_unit if imposed else kind.force_unit
         if unit is None:
             raise ValueError(
-                f"{what}: {kind.noun} {name!r} has no displacement that could be "
-                f"imposed; give ImposedForce(...) [{kind.force_unit}]."
+                f"{own} has no displacement that could be imposed; give "
+                f"ImposedForce(...) [{kind.force_unit}]."
             )
         if not np.isfinite(asked.value):
             raise ValueError(
-                f"{what}: {kind.noun} {name!r} needs a finite number [{unit}], got "
-                f"{asked.value}."
+                f"{own} needs a finite number [{unit}], got {asked.value}."
             )
         if kind.unilateral and not imposed and asked.value < 0.0:
             raise ValueError(
-                f"{what}: {kind.noun} {name!r} has the force {asked.value:g} {unit}: "
-                "it only pulls, so the force must not be negative."
+                f"{own} has the force {asked.value:g} {unit}: it only pulls, so the "
+                "force must not be negative."
             )
         if motor[a] and imposed and abs(asked.value) > np.pi:
             raise ValueError(
-                f"{what}: motor {name!r} turns by {asked.value:g} rad, expected -pi to "
-                "pi: angles are in radians (np.deg2rad turns degrees into them)."
+                f"{own} turns by {asked.value:g} rad, expected -pi to pi: angles are "
+                "in radians (np.deg2rad turns degrees into them)."
             )
         if asked.releasing and not actuators.has_friction[a]:
             raise ValueError(
-                f"{what}: {kind.noun} {name!r} is said to be releasing, but has no "
-                "friction, so nothing depends on it: leave it out, or give the "
-                f"{kind.noun} friction."
+                f"{own} is said to be releasing, but has no friction, so nothing "
+                f"depends on it: leave it out, or give the {kind.noun} friction."
             )
         by_displacement[a], value[a] = imposed, asked.value
         releasing[a] = asked.releasing
@@ -116,11 +108,7 @@ def body_state_arrays(
 ) -> BodyStateArrays:
     """Stack the states of the rigid bodies; those not named are free.
 
-    Args:
-        mechanism: The bodies of the model.
-        states: Their states by name; a `Pose` holds the body there, and a text is the
-            `kind` of a `BodyState`.
-        configuration: Name of the configuration, for messages.
+    A `Pose` holds the body there, and a text is the `kind` of a `BodyState`.
 
     Raises:
         ValueError: If a name is unknown, a body is tied to another or has a motor, or

@@ -1,12 +1,12 @@
 """One posed robot: how it is held and loaded, and what was measured on it."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import ArrayLike
 
 from softcal_jax._names import name_key
 from softcal_jax._typing import Bool, Float, HostArray, Int
@@ -22,19 +22,18 @@ from softcal_jax.configurations._arrays import (
     EffectorArrays,
     Springs,
 )
-from softcal_jax.configurations._body_effectors import BodyFrame, Centroid
-from softcal_jax.configurations._carriers import carriers
 from softcal_jax.configurations._effector import AbstractEffector, EffectorRow
 from softcal_jax.configurations._effector_arrays import (
-    marker_rows,
-    row_indices,
+    EffectorRecord,
+    effector_record,
     stack_effectors,
 )
-from softcal_jax.configurations._effector_record import EffectorRecord, effector_records
+from softcal_jax.configurations._effectors import BodyFrame, Centroid
 from softcal_jax.configurations._loads import AbstractLoad
-from softcal_jax.configurations._markers import Markers
+from softcal_jax.configurations._markers import Markers, marker_rows
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._supports import Support
+from softcal_jax.configurations._values import optional_floats, three_numbers
 from softcal_jax.mesh import TetMesh
 
 STANDARD_GRAVITY = 9.80665
@@ -50,12 +49,6 @@ def _as_supports(
 
 def _as_loads(loads: AbstractLoad | Iterable[AbstractLoad]) -> tuple[AbstractLoad, ...]:
     return (loads,) if isinstance(loads, AbstractLoad) else tuple(loads)
-
-
-def _as_measured(
-    measured: Float[ArrayLike, "..."] | Sequence | None,
-) -> Float[HostArray, "..."] | None:
-    return None if measured is None else np.asarray(measured, float)
 
 
 class Configuration(eqx.Module):
@@ -85,7 +78,7 @@ class Configuration(eqx.Module):
     loads: tuple[AbstractLoad, ...] = eqx.field(converter=_as_loads, default=())
     markers: Markers | None = None
     measured: Float[HostArray, "n_markers 3"] | None = eqx.field(
-        converter=_as_measured, default=None
+        converter=optional_floats, default=None
     )
     effectors: tuple[AbstractEffector, ...] = eqx.field(converter=tuple, default=())
     bodies: BodyStates = eqx.field(default_factory=dict)
@@ -105,19 +98,14 @@ class Configuration(eqx.Module):
         return self.markers is not None or of_effectors
 
     def __check_init__(self):
-        gravity = np.asarray(self.gravity, float)
-        if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
+        three_numbers(f"gravity of configuration {self.name!r}", "m/s2", self.gravity)
+        if self.measured is None:
+            return
+        if self.markers is None:
             raise ValueError(
-                f"gravity of configuration {self.name!r} must be three finite numbers "
-                f"[m/s2], got {self.gravity!r}."
+                f"configuration {self.name!r} has measured positions but no markers."
             )
-        if self.measured is not None:
-            if self.markers is None:
-                raise ValueError(
-                    f"configuration {self.name!r} has measured positions but no "
-                    "markers."
-                )
-            self.markers.check_measured(self.measured, self.name)
+        self.markers.check_measured(self.measured, self.name)
 
 
 class ConfigurationLanes(NamedTuple):
@@ -159,11 +147,7 @@ def configuration_lanes(
         mesh: The mesh that all of them share.
         configurations: At least one; they may differ in everything but the mesh.
         mechanism: Rigid bodies and actuators of the model; none by default.
-        springs: Groups of elastic supports, see `spring_names`; those of these
-            configurations by default.
-
-    Returns:
-        The batch that is solved at once, and the records of its effectors.
+        springs: `spring_names` of all configurations that share a program.
 
     Raises:
         ValueError: If there is none, names repeat, nothing is held, a group, body or
@@ -173,25 +157,36 @@ def configuration_lanes(
     if not configurations:
         raise ValueError("at least one configuration is needed, got none.")
     mechanism = build_mechanism(mesh) if mechanism is None else mechanism
-    names = [configuration.name for configuration in configurations]
+    _check_names(configurations)
+    springs = spring_names(configurations) if springs is None else springs
+    rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
+    lanes, records = [], []
+    for c, own, (effectors, indices) in zip(
+        configurations, rows, stack_effectors(rows), strict=True
+    ):
+        lanes.append(_lane(mesh, mechanism, c, springs, effectors))
+        numbered = zip(own, indices, strict=True)
+        described = (effector_record(*both, mechanism.points) for both in numbered)
+        records.append(tuple(described))
+    # Not jnp.asarray, which would compile a program for every shape.
+    arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
+    return ConfigurationLanes(arrays, tuple(records))
+
+
+def _check_names(configurations: Sequence[Configuration]) -> None:
+    """Raise if two configurations share a name, or two names share a key."""
+    names = [c.name for c in configurations]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"configuration {name!r} is named more than once.")
-    rows = [effector_rows(mesh, c, mechanism) for c in configurations]
-    springs = spring_names(configurations) if springs is None else springs
-    indices = row_indices(rows)
-    stacked = stack_effectors(rows, indices)
-    lanes = [
-        _lane(mesh, mechanism, c, springs, effectors)
-        for c, effectors in zip(configurations, stacked, strict=True)
-    ]
-    # Not jnp.asarray, which would compile a program for every shape.
-    arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
-    records = [
-        effector_records(own, at, mechanism.points)
-        for own, at in zip(rows, indices, strict=True)
-    ]
-    return ConfigurationLanes(arrays, tuple(records))
+    by_key: dict[int, str] = {}
+    for name in [*names, *(c.recording for c in configurations if c.recording)]:
+        first = by_key.setdefault(name_key(name), name)
+        if first != name:
+            raise ValueError(
+                f"the names {first!r} and {name!r} of configurations or recordings "
+                "cannot be told apart: their CRC-32 is the same. Rename one of them."
+            )
 
 
 def _lane(
@@ -267,27 +262,19 @@ def _check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:
         )
 
 
-def effector_rows(
+def _effector_rows(
     mesh: TetMesh, c: Configuration, mechanism: Mechanism
 ) -> list[EffectorRow]:
-    """List rows of effector coordinates of a configuration: markers, then the others.
-
-    Args:
-        mesh: The mesh.
-        c: The configuration.
-        mechanism: Rigid bodies and actuators of the model.
-
-    Raises:
-        ValueError: If a name is used twice, or an effector does not fit the model.
-    """
-    try:
-        carried = [] if c.markers is None else carriers(mesh, c.markers)
-    except ValueError as error:
-        assert c.markers is not None
-        raise ValueError(
-            f"markers {', '.join(c.markers.names)} of configuration {c.name!r}: {error}"
-        ) from error
-    rows = marker_rows(c, carried)
+    """List rows of effector coordinates: those of markers, then the others."""
+    rows = []
+    if c.markers is not None:
+        try:
+            rows += marker_rows(mesh, c.markers, c.measured)
+        except ValueError as error:
+            raise ValueError(
+                f"markers {', '.join(c.markers.names)} of configuration {c.name!r}: "
+                f"{error}"
+            ) from error
     for effector in c.effectors:
         if effector.name in [row.name for row in rows]:
             raise ValueError(
@@ -295,11 +282,46 @@ def effector_rows(
                 "of another one."
             )
         try:
-            found = effector.rows(mesh, mechanism)
+            rows += effector.rows(mesh, mechanism)
         except ValueError as error:
             raise ValueError(f"configuration {c.name!r}: {error}") from error
-        rows += found
     return rows
+
+
+def measured_as(
+    c: Configuration,
+    values: Float[HostArray, "n 3"],
+    mesh: TetMesh,
+    mechanism: Mechanism,
+) -> Configuration:
+    """Replace the measured values of its effectors, in their order, turns from rest."""
+    n_markers = 0 if c.markers is None else len(c.markers.names)
+    used, effectors = n_markers, []
+    for effector in c.effectors:
+        n = len(effector.rows(mesh, mechanism))
+        effectors.append(effector.measured_as(values[used : used + n], mechanism))
+        used += n
+    measured = None if c.markers is None else values[:n_markers]
+    return replace(c, measured=measured, effectors=tuple(effectors))
+
+
+def measured_at_rest(
+    c: Configuration, mesh: TetMesh, mechanism: Mechanism
+) -> Configuration:
+    """Give all effectors of a configuration placeholder values, so that all count.
+
+    Raises:
+        ValueError: If it has neither markers nor other effectors.
+    """
+    if c.markers is None and not c.effectors:
+        raise ValueError(
+            f"configuration {c.name!r} has no markers and no other effectors: it sees "
+            "nothing."
+        )
+    rest = np.zeros((len(_effector_rows(mesh, c, mechanism)), 3))
+    if c.markers is not None:
+        rest[: len(c.markers.names)] = c.markers.positions
+    return measured_as(c, rest, mesh, mechanism)
 
 
 def _check_held(
@@ -335,17 +357,17 @@ def _check_held(
     rank = np.linalg.matrix_rank(held @ held.T) if held.size else 0
     if rank < 6:
         nodes = int(fixed.any(axis=1).sum())
-        by_torque = ""
+        problem = (
+            f"configuration {c.name!r} is not held: its supports ({nodes} nodes) leave "
+            f"{6 - rank} of the 6 rigid motions free. Clamp a surface, add supports, "
+            "or hold a rigid body."
+        )
         if motors:
-            by_torque = (
+            problem += (
                 f" Motor {motors[0]!r} is driven by its torque and only a hinge: "
                 "nothing that could balance it is given."
             )
-        raise ValueError(
-            f"configuration {c.name!r} is not held: its supports ({nodes} nodes) leave "
-            f"{6 - rank} of the 6 rigid motions free. Clamp a surface, add supports, "
-            f"or hold a rigid body.{by_torque}"
-        )
+        raise ValueError(problem)
 
 
 def _motors(mechanism: Mechanism) -> list[tuple[str, int]]:

@@ -4,7 +4,6 @@ Each is a sensor where it has a measured value; control brings the others to goa
 """
 
 from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple, get_args
 
@@ -12,7 +11,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
@@ -51,6 +49,26 @@ class EffectorRow(NamedTuple):
     axis: Float[HostArray, "3"] = np.zeros(3)
     reference: Float[HostArray, "3 3"] = np.eye(3)
 
+    def with_value(
+        self, value: float | Float[ArrayLike, "3"] | None, std: float
+    ) -> tuple["EffectorRow"]:
+        """Add the measured value, of one or three coordinates, and its std."""
+        weight = inverse_std(self.name, "std", std, self.unit)
+        if value is None:
+            return (self,)
+        single = np.ndim(value) == 0
+        if not np.all(np.isfinite(value)):
+            at = "is at" if self.unit == "m" else "measured"
+            verb = "has the value" if single else at
+            count = "a finite number" if single else "three finite numbers"
+            raise ValueError(
+                f"effector {self.name!r} {verb} {value}, expected {count} "
+                f"[{self.unit}]; leave out what was not measured."
+            )
+        n, measured, weights = 1 if single else 3, np.full(3, np.nan), np.zeros(3)
+        measured[:n], weights[:n] = value, weight
+        return (self._replace(measured=measured, inverse_std=weights),)
+
 
 class AbstractEffector(eqx.Module):
     """Something that is measured on the robot, or brought to a goal."""
@@ -69,120 +87,30 @@ class AbstractEffector(eqx.Module):
             ValueError: If it does not fit them, or its value is not finite.
         """
 
-    @abstractmethod
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractEffector":
-        """Return the effector with other measured values.
+        """Return it with other measured values: a row for each of `rows`, from rest."""
+        del mechanism
+        return replace(self, measured=values[0])  # pyright: ignore
 
-        Args:
-            values: One row for each of `rows`, turns counted from rest.
-            mechanism: Rigid bodies and actuators of the model.
-        """
+
+class AbstractScalar(AbstractEffector):
+    """An effector of one coordinate: a length, a volume, an angle, a force."""
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "AbstractScalar":
+        """Replace the measured value, in its unit."""
+        del mechanism
+        return replace(self, measured=float(values[0, 0]))  # pyright: ignore
 
 
 def inverse_std(name: str, what: str, std: float, unit: str) -> float:
-    """Return 1 / standard deviation of an effector.
-
-    Args:
-        name: Its name, for messages.
-        what: Name of the standard deviation, likewise.
-        std: The standard deviation.
-        unit: Its unit.
-
-    Raises:
-        ValueError: If it is not positive and finite.
-    """
+    """Return 1 / standard deviation of an effector, after a check."""
     if not (np.isfinite(std) and std > 0.0):
         raise ValueError(
             f"{what} of effector {name!r} must be positive and finite [{unit}], got "
             f"{std:g}."
         )
     return 1.0 / float(std)
-
-
-class AbstractScalar(AbstractEffector):
-    """An effector of one coordinate: a length, a volume, an angle, a force."""
-
-    def measured_as(self, values: Float[HostArray, "k 3"], mechanism: Mechanism):
-        """Replace the measured value, in its unit."""
-        del mechanism
-        return replace(self, measured=float(values[0, 0]))
-
-
-class AbstractVector(AbstractEffector):
-    """An effector of three coordinates: a position, a force."""
-
-    def measured_as(self, values: Float[HostArray, "k 3"], mechanism: Mechanism):
-        """Replace the measured position [m] or force [N]."""
-        del mechanism
-        return replace(self, measured=values[0])
-
-
-def scalar_rows(
-    row: EffectorRow, value: float | None, std: float
-) -> tuple[EffectorRow, ...]:
-    """Give a row of one coordinate its measured value.
-
-    Args:
-        row: What the coordinate is.
-        value: The value, if there is one.
-        std: Its standard deviation.
-
-    Raises:
-        ValueError: If the value is not finite, or `std` not positive.
-    """
-    weight = inverse_std(row.name, "std", std, row.unit)
-    if value is None:
-        return (row,)
-    if not np.isfinite(value):
-        raise ValueError(
-            f"effector {row.name!r} has the value {value}, expected a finite number "
-            f"[{row.unit}]; leave out what was not measured."
-        )
-    measured, weights = np.full(3, np.nan), np.zeros(3)
-    measured[0], weights[0] = value, weight
-    return (row._replace(measured=measured, inverse_std=weights),)
-
-
-def vector_rows(
-    row: EffectorRow, value: Float[HostArray, "3"] | None, std: float
-) -> tuple[EffectorRow, ...]:
-    """Give a row of three coordinates its measured values; see `scalar_rows`."""
-    weight = inverse_std(row.name, "std", std, row.unit)
-    if value is None:
-        return (row,)
-    if not np.all(np.isfinite(value)):
-        verb = "is at" if row.unit == "m" else "measured"
-        raise ValueError(
-            f"effector {row.name!r} {verb} {value}, expected three finite numbers "
-            f"[{row.unit}]; leave out what was not measured."
-        )
-    return (row._replace(measured=value, inverse_std=np.full(3, weight)),)
-
-
-def index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
-    """Find the body or actuator of an effector in a list of names.
-
-    Args:
-        wanted: Its name.
-        names: All names.
-        kind: What it is, for messages.
-        owner: Name of the effector.
-
-    Returns:
-        Its index in the list.
-
-    Raises:
-        ValueError: If it is not in the list.
-    """
-    if wanted not in names:
-        raise unknown_name(f"{kind} of effector {owner!r}", wanted, names)
-    return list(names).index(wanted)
-
-
-def optional_point(
-    value: Float[ArrayLike, "..."] | Sequence[float] | None,
-) -> HostArray | None:
-    """Convert a point to an array, as a converter of fields."""
-    return None if value is None else np.asarray(value, float)

@@ -1,10 +1,13 @@
-"""Effectors as arrays: the rows of all configurations, padded to one shape."""
+"""Rows of effectors as arrays of one shape, and records of them for results."""
 
 from collections.abc import Mapping, Sequence
+from itertools import count
 
+import equinox as eqx
 import numpy as np
+from jaxtyping import ArrayLike
 
-from softcal_jax._typing import HostArray
+from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations._arrays import EffectorArrays, RecordingBase
 from softcal_jax.configurations._effector import QUANTITIES, EffectorRow, Quantity
 
@@ -12,68 +15,117 @@ Rows = Sequence[EffectorRow]
 """The rows of one configuration, in the order of the user."""
 
 
-def row_indices(lanes: Sequence[Rows]) -> list[list[int]]:
-    """Find the index of each row of each configuration among the stacked rows.
+class EffectorRecord(eqx.Module):
+    """Up to three coordinates of an effector: their names, units and values.
 
-    Args:
-        lanes: The rows of each configuration.
+    Made together with the arrays that the solver sees, and filled in by results; files,
+    tables and pictures read it. A frame has two, one of its point and one of its turn.
+
+    Attributes:
+        name: Name of the marker or effector.
+        quantity: What the coordinates are.
+        unit: Their unit.
+        index: Index of their row in `EffectorArrays`.
+        measured: Measured values, or goals; NaN for a coordinate that was not measured.
+            A turn is counted from the measured one.
+        std: Their standard deviation; infinite for a coordinate that was not measured.
+        reference: Of a turn, the orientation that it is counted from, as a matrix [-].
+        at_rest: Of a point, its position on the undeformed robot [m]; of others NaN.
+        simulated_before: Simulated values with the start parameters; NaN without
+            an equilibrium, and where nothing was calibrated.
+        simulated: Simulated values of the result; NaN without an equilibrium.
+    """
+
+    name: str
+    quantity: Quantity
+    unit: str
+    index: int
+    measured: Float[HostArray, " k"]
+    std: Float[HostArray, " k"]
+    reference: Float[HostArray, "3 3"]
+    at_rest: Float[HostArray, " k"]
+    simulated_before: Float[HostArray, " k"]
+    simulated: Float[HostArray, " k"]
+
+    @property
+    def is_turn(self) -> bool:
+        """Whether it is the orientation of a rigid body."""
+        return self.quantity == "turn"
+
+    @property
+    def seen(self) -> Bool[HostArray, " k"]:
+        """Which coordinates were measured."""
+        return np.isfinite(self.std)
+
+    @property
+    def residual(self) -> Float[HostArray, " k"]:
+        """Simulated minus measured values; NaN where not measured."""
+        return self.simulated - self.measured
+
+    def error(self, values: Float[HostArray, " k"]) -> Float[HostArray, " k"]:
+        """Subtract the measured values from others; 0 where not measured."""
+        return np.where(self.seen, values - self.measured, 0.0)
+
+    def among(self, rows: Float[ArrayLike, "n_rows 3"]) -> Float[HostArray, " k"]:
+        """Pick its coordinates among those of all rows of a configuration."""
+        return np.asarray(rows)[self.index, : len(self.std)].copy()
+
+
+def effector_record(
+    row: EffectorRow, index: int, points: Float[HostArray, "n_points 3"]
+) -> EffectorRecord:
+    """Describe a row with an index in the arrays; `points` are all nodes at rest."""
+    # The other coordinates of a scalar or a force are padding.
+    width = 1 if row.quantity in ("scalar", "force") else 3
+    weight, nothing = row.inverse_std[:width], np.full(width, np.nan)
+    seen, is_point = weight > 0.0, row.quantity == "point"
+    return EffectorRecord(
+        name=row.name,
+        quantity=row.quantity,
+        unit=row.unit,
+        index=index,
+        measured=np.where(seen, row.measured[:width], np.nan),
+        std=np.where(seen, 1.0 / np.where(seen, weight, 1.0), np.inf),
+        reference=row.reference,
+        at_rest=row.weights @ points[row.nodes] if is_point else nothing,
+        simulated_before=nothing,
+        simulated=nothing,
+    )
+
+
+def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[int]]]:
+    """Put rows of each configuration into arrays of the same shapes.
 
     Returns:
-        For each configuration, one index per row.
+        For each configuration the arrays, and the index of each of its rows in them.
     """
-    counts = [_count(lanes, quantity) for quantity in QUANTITIES]
-    first = dict(zip(QUANTITIES, np.cumsum([0, *counts[:-1]]), strict=True))
-    indices = []
-    for lane in lanes:
-        used = dict.fromkeys(QUANTITIES, 0)
-        found = []
-        for row in lane:
-            found.append(int(first[row.quantity]) + used[row.quantity])
-            used[row.quantity] += 1
-        indices.append(found)
-    return indices
-
-
-def _count(lanes: Sequence[Rows], quantity: Quantity) -> int:
-    return max(sum(row.quantity == quantity for row in lane) for lane in lanes)
-
-
-def stack_effectors(
-    lanes: Sequence[Rows], indices: Sequence[Sequence[int]]
-) -> list[EffectorArrays]:
-    """Put the rows of each configuration into arrays of the same shapes.
-
-    Args:
-        lanes: The rows of each configuration.
-        indices: Their indices, see `row_indices`.
-    """
-    n = {q: _count(lanes, q) for q in QUANTITIES}
+    number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
+    places, end = {}, 0
+    for quantity in QUANTITIES:
+        start, end = end, end + max(number(lane, quantity) for lane in lanes)
+        places[quantity] = slice(start, end)
     widest = max((row.nodes.size for lane in lanes for row in lane), default=0)
-    return [
-        _stack(lane, at, n, widest) for lane, at in zip(lanes, indices, strict=True)
-    ]
+    return [_stack(lane, places, widest) for lane in lanes]
 
 
 def _stack(
-    lane: Rows, indices: Sequence[int], n: Mapping[str, int], widest: int
-) -> EffectorArrays:
-    total = sum(n.values())
+    lane: Rows, places: Mapping[Quantity, slice], widest: int
+) -> tuple[EffectorArrays, list[int]]:
+    points, turns, scalars, forces, reactions = places.values()
+    following = {quantity: count(place.start) for quantity, place in places.items()}
+    indices = [next(following[row.quantity]) for row in lane]
+    total = reactions.stop
     nodes = np.zeros((total, widest), np.int32)
     weights = np.zeros((total, widest))
     about, axis = np.zeros((total, 2), np.int32), np.zeros((total, 3))
     reference = np.tile(np.eye(3), (total, 1, 1))
-    measured, inverse_std = np.zeros((total, 3)), np.zeros((total, 3))
+    measured, inverse_std = np.zeros((2, total, 3))
     for i, row in zip(indices, lane, strict=True):
         nodes[i, : row.nodes.size] = row.nodes
         weights[i, : row.weights.size] = row.weights
         about[i], axis[i], reference[i] = row.about, row.axis, row.reference
         measured[i], inverse_std[i] = np.nan_to_num(row.measured), row.inverse_std
-    ends = np.cumsum([n[quantity] for quantity in QUANTITIES])
-    points, turns, scalars, forces, reactions = (
-        slice(int(end) - n[quantity], int(end))
-        for end, quantity in zip(ends, QUANTITIES, strict=True)
-    )
-    return EffectorArrays(
+    arrays = EffectorArrays(
         nodes=nodes[points],
         weights=weights[points],
         turn_body=about[turns, 0],
@@ -87,29 +139,4 @@ def _stack(
         inverse_std=inverse_std,
         base=RecordingBase(np.zeros(3), np.zeros(3)),
     )
-
-
-def marker_rows(c, carried: list[tuple[HostArray, HostArray]]) -> list[EffectorRow]:
-    """Return the markers of a configuration as rows.
-
-    Args:
-        c: The configuration.
-        carried: Nodes and weights of each of its markers.
-    """
-    if c.markers is None:
-        return []
-    inverse_std, known = c.markers.inverse_std(), c.measured is not None
-    return [
-        EffectorRow(
-            name=name,
-            quantity="point",
-            unit="m",
-            measured=c.measured[i] if known else np.full(3, np.nan),
-            inverse_std=inverse_std[i] * known,
-            nodes=nodes,
-            weights=weights,
-        )
-        for i, (name, (nodes, weights)) in enumerate(
-            zip(c.markers.names, carried, strict=True)
-        )
-    ]
+    return arrays, indices

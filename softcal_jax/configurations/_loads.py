@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.configurations._values import three_numbers
 from softcal_jax.mesh import (
     TetMesh,
     boundary_faces,
@@ -15,21 +16,17 @@ from softcal_jax.mesh import (
 )
 
 
-def _vector(name: str, unit: str, value) -> HostArray:
-    vector = np.asarray(value, float)
-    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise ValueError(
-            f"{name} must be three finite numbers [{unit}], got {value!r}."
-        )
-    return vector
-
-
 class AbstractLoad(eqx.Module):
     """A load that becomes forces on nodes, consistent with the shape functions."""
 
     @abstractmethod
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Compute forces on all nodes [N]."""
+        """Compute forces on all nodes [N].
+
+        Raises:
+            ValueError: If a group or node is unknown, a point lies outside the mesh, or
+                a force is not three finite numbers.
+        """
 
 
 class PointForce(AbstractLoad):
@@ -44,19 +41,11 @@ class PointForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Compute forces on the nodes of the tet that holds the point [N].
-
-        Raises:
-            ValueError: If the point lies outside the mesh.
-        """
-        point, force = (
-            _vector("point", "m", self.point),
-            _vector("force", "N", self.force),
-        )
+        """Compute forces on the nodes of the tet that holds the point [N]."""
+        point = three_numbers("point", "m", self.point)
+        force = three_numbers("force", "N", self.force)
         at = locate(mesh, point[None], max_distance=1e-3 * mesh.size)
-        out = np.zeros_like(mesh.points)
-        np.add.at(out, at.nodes[0], at.weights[0][:, None] * force)
-        return out
+        return _added(mesh, at.nodes[0], at.weights[0][:, None] * force)
 
 
 class NodalForces(AbstractLoad):
@@ -71,12 +60,7 @@ class NodalForces(AbstractLoad):
     forces: Float[HostArray, "n 3"]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Place the forces on all nodes; they add up where a node is named twice [N].
-
-        Raises:
-            ValueError: If a node is not in the mesh, or the forces are not three
-                finite numbers for each.
-        """
+        """Place the forces, added up where a node is named twice, on all nodes [N]."""
         nodes = node_indices(mesh, self.nodes, "a nodal force")
         forces = np.asarray(self.forces, float)
         if forces.shape != (len(nodes), 3):
@@ -90,9 +74,7 @@ class NodalForces(AbstractLoad):
                 f"the force on node {nodes[bad[0]]} is {forces[bad[0]]}: expected "
                 "three finite numbers [N]."
             )
-        out = np.zeros_like(mesh.points)
-        np.add.at(out, nodes, forces)
-        return out
+        return _added(mesh, nodes, forces)
 
 
 class EdgeForce(AbstractLoad):
@@ -108,13 +90,8 @@ class EdgeForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N].
-
-        Raises:
-            ValueError: If the group or a node is unknown, or they hold no edge of the
-                boundary.
-        """
-        force = _vector("force", "N", self.force)
+        """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
+        force = three_numbers("force", "N", self.force)
         nodes = node_indices(mesh, self.where, "an edge force")
         edges = _boundary_edges(mesh)
         edges = edges[np.all(np.isin(edges[:, :2], nodes), axis=1)]
@@ -126,10 +103,8 @@ class EdgeForce(AbstractLoad):
         ends = mesh.points[edges[:, :2]]
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         shares = np.array([0.5, 0.5] if edges.shape[1] == 2 else [1 / 6, 1 / 6, 4 / 6])
-        out = np.zeros_like(mesh.points)
         per_edge = (length / length.sum())[:, None] * shares
-        np.add.at(out, edges, per_edge[:, :, None] * force)
-        return out
+        return _added(mesh, edges, per_edge[:, :, None] * force)
 
 
 class SurfaceForce(AbstractLoad):
@@ -146,7 +121,7 @@ class SurfaceForce(AbstractLoad):
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Consistent forces on the nodes of the surface [N]."""
         shares = surface_shares(mesh, mesh.faces(self.where))
-        force = _vector("force", "N", self.force)
+        force = three_numbers("force", "N", self.force)
         return (shares / shares.sum())[:, None] * force
 
 
@@ -164,7 +139,14 @@ class SurfaceTraction(AbstractLoad):
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Consistent forces on the nodes of the surface [N]."""
         shares = surface_shares(mesh, mesh.faces(self.where))
-        return shares[:, None] * _vector("traction", "Pa", self.traction)
+        return shares[:, None] * three_numbers("traction", "Pa", self.traction)
+
+
+def _added(mesh: TetMesh, nodes, forces) -> Float[HostArray, "n_nodes 3"]:
+    """Place forces on all nodes; they add up where a node is named twice [N]."""
+    out = np.zeros_like(mesh.points)
+    np.add.at(out, nodes, forces)
+    return out
 
 
 def _boundary_edges(mesh: TetMesh) -> Int[HostArray, "n_edges n_ln"]:

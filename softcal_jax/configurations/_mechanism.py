@@ -41,12 +41,9 @@ class Mechanism(eqx.Module):
         return len(self.actuators.names)
 
     def displacements(self, x: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
-        """Compute displacements delta_a of the actuators, as imposed and measured.
+        """Compute displacements delta_a at positions x [m], as imposed and measured.
 
         For a motor it is the reading of its encoder: the angle minus the zero error.
-
-        Args:
-            x: Positions of all nodes [m].
         """
         return actuator_displacements(self.actuators, x) - self.motor_zero
 
@@ -56,15 +53,7 @@ def build_mechanism(
     bodies: Sequence[RigidBody] = (),
     actuators: Sequence[AbstractActuator] = (),
 ) -> Mechanism:
-    """Stack the rigid bodies and actuators of a mesh.
-
-    Args:
-        mesh: The mesh at rest.
-        bodies: Rigid bodies.
-        actuators: Cables, chambers, motors, forces.
-
-    Returns:
-        The mechanism.
+    """Stack the rigid bodies and actuators of a mesh at rest.
 
     Raises:
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
@@ -75,29 +64,26 @@ def build_mechanism(
     index_of = {name: k for k, name in enumerate(stacked.names)}
     arrays = actuator_arrays(mesh, points, actuators, index_of)
     _check_motors(stacked, arrays)
-    zero = jnp.zeros(len(arrays.names))
-    return Mechanism(points, stacked, arrays, zero)
+    return Mechanism(points, stacked, arrays, jnp.zeros(len(arrays.names)))
 
 
 def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
+    """Raise unless each motor turns a free body of its own, mounted without a turn."""
     turned: dict[int, str] = {}
     for name, body in zip(actuators.names, actuators.motor_body, strict=True):
         if body < 0:
             continue
-        if bodies.owner[body] != body:
-            root = bodies.names[bodies.owner[body]]
+        own, root = bodies.names[body], bodies.names[bodies.owner[body]]
+        if own != root:
             raise ValueError(
-                f"motor {name!r} turns {bodies.names[body]!r}, which is tied to "
-                f"{root!r}: let it turn {root!r}."
+                f"motor {name!r} turns {own!r}, which is tied to {root!r}: let it turn "
+                f"{root!r}."
             )
         if body in turned:
-            raise ValueError(
-                f"motors {turned[body]!r} and {name!r} both turn "
-                f"{bodies.names[body]!r}."
-            )
+            raise ValueError(f"motors {turned[body]!r} and {name!r} both turn {own!r}.")
         if np.any(np.asarray(bodies.mounting_rotation[body]) != 0.0):
             raise ValueError(
-                f"motor {name!r} turns {bodies.names[body]!r}, whose mounting turns it "
-                "already: give that rotation to the axes of the body, or to the angle."
+                f"motor {name!r} turns {own!r}, whose mounting turns it already: give "
+                "that rotation to the axes of the body, or to the angle."
             )
         turned[body] = name

@@ -51,9 +51,6 @@ def register(
         nominal: The same markers in the mesh frame [m].
         weights: Weight of each marker [-]; equal by default.
 
-    Returns:
-        The motion and its residuals.
-
     Raises:
         ValueError: If fewer than three markers are given, they lie on a line or in one
             place in either frame, their numbers differ, a value is not finite, or the

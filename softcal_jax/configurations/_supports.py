@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.configurations._axes import parse_axes
+from softcal_jax.configurations._values import parse_axes, three_numbers
 from softcal_jax.mesh import TetMesh, node_indices, surface_shares
 
 
@@ -31,14 +31,18 @@ class Support(eqx.Module):
 
     def __check_init__(self):
         parse_axes(self.axes)
-        if self.stiffness is not None:
-            self._check_stiffness(self.stiffness)
-        if np.shape(self.displacement) != (3,) or not np.all(
-            np.isfinite(self.displacement)
-        ):
+        three_numbers("displacement", "m", self.displacement)
+        if self.stiffness is None:
+            return
+        if not (np.isfinite(self.stiffness) and self.stiffness > 0.0):
             raise ValueError(
-                "displacement must be three finite numbers [m], "
-                f"got {self.displacement!r}."
+                f"stiffness of the support {self.name!r} must be positive and finite "
+                f"[N/m3], got {self.stiffness!r}; leave it out for a rigid support."
+            )
+        if not isinstance(self.where, str):
+            raise ValueError(
+                "a support with a stiffness needs the name of a surface group, whose "
+                "area it acts on; got node indices."
             )
 
     def apply(
@@ -47,17 +51,11 @@ class Support(eqx.Module):
         fixed: Bool[HostArray, "n_nodes 3"],
         imposed: Float[HostArray, "n_nodes 3"],
     ) -> None:
-        """Write the support into the masks of a configuration.
-
-        Raises:
-            ValueError: If the group or a node is unknown, or a node is given two
-                displacements.
-        """
+        """Write the support into the masks of a configuration."""
         nodes = node_indices(mesh, self.where, "a support")
         for axis in parse_axes(self.axes):
-            clash = fixed[nodes, axis] & (
-                imposed[nodes, axis] != self.displacement[axis]
-            )
+            other = imposed[nodes, axis] != self.displacement[axis]
+            clash = fixed[nodes, axis] & other
             if np.any(clash):
                 raise ValueError(
                     f"node {nodes[clash][0]} is held twice along "
@@ -66,24 +64,8 @@ class Support(eqx.Module):
             fixed[nodes, axis] = True
             imposed[nodes, axis] = self.displacement[axis]
 
-    def _check_stiffness(self, stiffness: float) -> None:
-        if not (np.isfinite(stiffness) and stiffness > 0.0):
-            raise ValueError(
-                f"stiffness of the support {self.name!r} must be positive and finite "
-                f"[N/m3], got {stiffness!r}; leave it out for a rigid support."
-            )
-        if not isinstance(self.where, str):
-            raise ValueError(
-                "a support with a stiffness needs the name of a surface group, whose "
-                "area it acts on; got node indices."
-            )
-
     def areas(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Compute the area of each node of an elastic support, along its axes [m2].
-
-        Raises:
-            ValueError: If the group is not a surface.
-        """
+        """Compute the area of each node of an elastic support, along its axes [m2]."""
         areas = np.zeros((mesh.n_nodes, 3))
         shares = surface_shares(mesh, mesh.faces(str(self.where)))
         areas[:, parse_axes(self.axes)] = shares[:, None]

@@ -1,30 +1,34 @@
 """Poses of the sensors of a 6-D tracker from its text export."""
 
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softcal_jax._names import METRES, unknown_name
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations._csv_table import (
     CsvTable,
-    Row,
     check_length_unit,
     coordinates,
-    missing,
     read_lines,
     read_table,
 )
 from softcal_jax.configurations._pose_table import PoseTable
-from softcal_jax.configurations._turns import (
-    ANGLES,
-    RADIANS,
-    from_angles,
-    from_quaternions,
-)
 
-_QUATERNION = ("qw", "qx", "qy", "qz")
+_QUATERNION = ["qw", "qx", "qy", "qz"]
+_ANGLES = ("azimuth", "elevation", "roll")
+_RADIANS = {"deg": np.pi / 180.0, "rad": 1.0}
+
+_UNIT_LENGTH = 1e-3
+"""Largest error of a quaternion's length, more than rounding to four digits gives."""
+
+
+class TrackerWarning(UserWarning):
+    """Something in a tracker's file that is probably a mistake."""
 
 
 def read_poses(
@@ -33,7 +37,7 @@ def read_poses(
     length_unit: str | None = None,
     select: Mapping[str, str] | None = None,
 ) -> PoseTable:
-    """Read poses of sensors from a CSV file with a header line.
+    """Read poses of sensors, in their order, from a CSV file with a header line.
 
     Columns: `sensor`; `x`, `y`, `z` or columns that carry their unit, like `x_mm`; and
     either the angles `azimuth_deg`, `elevation_deg`, `roll_deg` (or `..._rad`) or a
@@ -49,9 +53,6 @@ def read_poses(
             where the columns carry it.
         select: Column and value pairs; only the rows that have them all are taken.
 
-    Returns:
-        The selected readings, in the order of the file.
-
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it cannot be read, a column is missing, a unit is unknown,
@@ -65,26 +66,29 @@ def read_poses(
     table = read_table(path, "sensor", select)
     columns, metres = coordinates(table, length_unit)
     turn_columns = _turn_columns(table)
-    values = np.array(
-        [
-            [_finite(table, row, c) for c in (*columns, *turn_columns)]
-            for row in table.rows
-        ]
-    )
-    lines = tuple(row.line for row in table.rows)
-    positions, turns = metres * values[:, :3], values[:, 3:]
-    if turn_columns == list(_QUATERNION):
-        rotations = from_quaternions(table.path, lines, turns)
+    columns += turn_columns
+    values = table.numbers(columns)
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        row, k = bad[0]
+        raise ValueError(
+            f"{table.path}, line {table.lines[row]}: {columns[k]} of sensor "
+            f"{table.names[row]!r} is missing or not finite. Leave the reading out."
+        )
+    turns = values[:, 3:]
+    if turn_columns == _QUATERNION:
+        rotations = _from_quaternions(table.path, table.lines, turns)
     else:
         remedy = "name the columns azimuth_{unit}, elevation_{unit}, roll_{unit}"
         unit = turn_columns[0].removeprefix("azimuth_")
-        rotations = from_angles(table.path, lines, turns, unit=unit, remedy=remedy)
-    names = tuple(row.cells["sensor"] for row in table.rows)
+        rotations = _from_angles(
+            table.path, table.lines, turns, unit=unit, remedy=remedy
+        )
     return PoseTable(
-        names=names,
-        positions=positions,
+        names=table.names,
+        positions=metres * values[:, :3],
         rotations=rotations,
-        lines=lines,
+        lines=table.lines,
         source=table.source,
     )
 
@@ -109,9 +113,6 @@ def read_polhemus(
         stations: Names by station; only these are read. By default all are, with names
             like "station 1".
 
-    Returns:
-        The readings, in the order of the file.
-
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it cannot be read, a unit is unknown, a line does not hold seven
@@ -121,15 +122,15 @@ def read_polhemus(
         TrackerWarning: If angles in degrees look like radians.
     """
     check_length_unit(length_unit)
-    if angle_unit not in RADIANS:
-        raise unknown_name("angle unit", angle_unit, RADIANS)
+    if angle_unit not in _RADIANS:
+        raise unknown_name("angle unit", angle_unit, _RADIANS)
     path = Path(path)
-    numbered = read_lines(path, "tracker")
-    if not numbered:
-        raise ValueError(f"tracker file {path} holds no readings.")
     readings = [
-        (number, _seven_numbers(path, number, text)) for number, text in numbered
+        (line, _seven_numbers(path, line, text))
+        for line, text in read_lines(path, "tracker")
     ]
+    if not readings:
+        raise ValueError(f"tracker file {path} holds no readings.")
     present = dict.fromkeys(int(values[0]) for _, values in readings)
     wanted = stations or {station: f"station {station}" for station in present}
     for station in wanted:
@@ -138,14 +139,13 @@ def read_polhemus(
                 f"{path} has no station {station}. It has "
                 f"{', '.join(map(str, present))}."
             )
-    chosen = [(line, v) for line, v in readings if int(v[0]) in wanted]
+    chosen = [reading for reading in readings if int(reading[1][0]) in wanted]
     lines = tuple(line for line, _ in chosen)
-    values = np.array([v for _, v in chosen])
-    remedy = "give angle_unit={unit!r}"
+    values, remedy = np.array([v for _, v in chosen]), "give angle_unit={unit!r}"
     return PoseTable(
         names=tuple(wanted[int(station)] for station in values[:, 0]),
         positions=METRES[length_unit] * values[:, 1:4],
-        rotations=from_angles(
+        rotations=_from_angles(
             path, lines, values[:, 4:], unit=angle_unit, remedy=remedy
         ),
         lines=lines,
@@ -156,9 +156,8 @@ def read_polhemus(
 def _turn_columns(table: CsvTable) -> list[str]:
     """Find the columns of the three angles or of the quaternion."""
     path, header = table.path, table.header
-    forms: list[list[str]] = [list(_QUATERNION)]
-    forms += [[f"{angle}_{unit}" for angle in ANGLES] for unit in RADIANS]
-    kinds = [columns for columns in forms if set(columns) & set(header)]
+    forms = [[f"{angle}_{unit}" for angle in _ANGLES] for unit in _RADIANS]
+    kinds = [form for form in (_QUATERNION, *forms) if set(form) & set(header)]
     if len(kinds) > 1:
         there = [c for columns in kinds for c in columns if c in header]
         raise ValueError(
@@ -166,47 +165,84 @@ def _turn_columns(table: CsvTable) -> list[str]:
             "keep one."
         )
     if not kinds:
-        bare = set(ANGLES) & set(header)
+        bare = set(_ANGLES) & set(header)
         reason = "its angles carry no unit" if bare else "it has no rotation"
         raise ValueError(
             f"{path}: {reason}; it needs the columns azimuth_deg, elevation_deg, "
             "roll_deg (or azimuth_rad, ...) or qw, qx, qy, qz. Columns there: "
             f"{', '.join(header)}."
         )
-    for column in kinds[0]:
-        if column not in header:
-            raise missing(path, column, header)
+    table.check_columns(kinds[0])
     return kinds[0]
 
 
-def _finite(table: CsvTable, row: Row, column: str) -> float:
-    value = table.number(row, column)
-    if not np.isfinite(value):
-        raise ValueError(
-            f"{table.path}, line {row.line}: {column} of sensor "
-            f"{row.cells['sensor']!r} is missing or not finite. Leave the reading out."
-        )
-    return value
-
-
 def _seven_numbers(path: Path, line: int, text: str) -> list[float]:
-    cells = text.split()
-    names = ("station", "x", "y", "z", *ANGLES)
+    cells, where = text.split(), f"{path}, line {line}"
+    names = ("station", "x", "y", "z", *_ANGLES)
     if len(cells) != len(names):
         raise ValueError(
-            f"{path}, line {line}: {len(cells)} numbers where 7 are needed, with "
-            f"spaces between: {', '.join(names)}."
+            f"{where}: {len(cells)} numbers where 7 are needed, with spaces between: "
+            f"{', '.join(names)}."
         )
     values = []
     for name, cell in zip(names, cells, strict=True):
         try:
             values.append(float(cell))
         except ValueError as error:
-            raise ValueError(
-                f"{path}, line {line}: {name} is {cell!r}, not a number."
-            ) from error
+            raise ValueError(f"{where}: {name} is {cell!r}, not a number.") from error
         if not np.isfinite(values[-1]):
-            raise ValueError(f"{path}, line {line}: {name} is {cell}, not finite.")
+            raise ValueError(f"{where}: {name} is {cell}, not finite.")
     if values[0] != int(values[0]):
-        raise ValueError(f"{path}, line {line}: station is {cells[0]}, not an integer.")
+        raise ValueError(f"{where}: station is {cells[0]}, not an integer.")
     return values
+
+
+def _from_quaternions(
+    path: Path, lines: tuple[int, ...], quaternions: Float[HostArray, "n 4"]
+) -> Float[HostArray, "n 3 3"]:
+    """Convert quaternions, scalar part first, to rotation matrices [-]."""
+    lengths = np.linalg.norm(quaternions, axis=1)
+    bad = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT_LENGTH)
+    if bad.size:
+        raise ValueError(
+            f"{path}, line {lines[bad[0]]}: the quaternion has the length "
+            f"{lengths[bad[0]]:.6g}, not 1: write four digits or more, and neither "
+            "scale nor average quaternions."
+        )
+    return Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix()
+
+
+def _from_angles(
+    path: Path,
+    lines: tuple[int, ...],
+    angles: Float[HostArray, "n 3"],
+    *,
+    unit: str,
+    remedy: str,
+) -> Float[HostArray, "n 3 3"]:
+    """Compute rotation matrices Rz(azimuth) Ry(elevation) Rx(roll) [-].
+
+    `remedy` says how to state another unit, for which "{unit}" stands.
+    """
+    # With some tolerance, since trackers print few digits: 1.571 is a right angle.
+    limits = np.array([2.0 * np.pi, np.pi / 2.0, 2.0 * np.pi]) / _RADIANS[unit]
+    outside = np.argwhere(np.abs(angles) > 1.001 * limits)
+    if outside.size:
+        row, k = outside[0]
+        hint = ""
+        if unit == "rad":
+            hint = f" If it is in degrees, {remedy.format(unit='deg')}."
+        raise ValueError(
+            f"{path}, line {lines[row]}: the {_ANGLES[k]} is {angles[row, k]:g} "
+            f"{unit}, beyond {limits[k]:.4g} {unit}.{hint}"
+        )
+    # Numbers that could all be radians, and are too large to ignore.
+    sizes = np.abs(angles).max(axis=0)
+    if unit == "deg" and all(sizes <= [3.142, 1.571, 3.142]) and sizes.max() > 1.0:
+        warnings.warn(
+            f"{path}: every angle lies within half a turn if it is in radians. If they "
+            f"are not degrees, {remedy.format(unit='rad')}.",
+            TrackerWarning,
+            stacklevel=3,
+        )
+    return Rotation.from_euler("ZYX", angles * _RADIANS[unit]).as_matrix()

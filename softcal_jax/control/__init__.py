@@ -13,8 +13,8 @@ from softcal_jax.control._compliance import (
 )
 from softcal_jax.control._goals import Goal, with_goals
 from softcal_jax.control._limits import Limits
-from softcal_jax.control._outcomes import OUTCOMES
 from softcal_jax.control._result import (
+    OUTCOMES,
     GoalFit,
     InverseResult,
     StepRecord,

@@ -66,13 +66,7 @@ class ActuatorCompliance(eqx.Module):
 def actuator_state(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
 ) -> ActuatorState:
-    """Read effectors and actuators at an equilibrium.
-
-    Args:
-        model: The model.
-        configuration: One configuration.
-        solution: Its equilibrium.
-    """
+    """Read effectors and actuators of a configuration at its equilibrium."""
     return _state(model, configuration, solution.displacement, solution.multipliers)
 
 
@@ -96,18 +90,11 @@ def with_inputs(
 def actuator_compliance(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
 ) -> ActuatorCompliance:
-    """Compute W_ea and W_aa at an equilibrium by one factorization; Eqs. (4), (5).
+    """Compute W_ea and W_aa of a configuration at its equilibrium; Eqs. (4), (5).
 
     A column of W_ea is de/dlambda_a where the force is imposed, and de/ddelta_a, with
-    the other inputs held, where the displacement is imposed.
-
-    Args:
-        model: The model.
-        configuration: One configuration, with its effectors.
-        solution: Its equilibrium.
-
-    Returns:
-        The derivatives.
+    the other inputs held, where the displacement is imposed. One factorization serves
+    all columns.
     """
     value = jnp.asarray(configuration.actuation.value)
     u = solution.displacement

@@ -35,29 +35,28 @@ def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
     """
     markers = configuration.markers
     marker_names = () if markers is None else markers.names
-    names = [effector.name for effector in configuration.effectors]
+    known = [*(effector.name for effector in configuration.effectors), *marker_names]
     for name in goals:
-        if name not in (*names, *marker_names):
+        if name not in known:
             what = f"effector of configuration {configuration.name!r}"
-            raise unknown_name(what, name, [*names, *marker_names])
+            raise unknown_name(what, name, known)
     effectors = tuple(
         _aimed(effector, goals[effector.name]) if effector.name in goals else effector
         for effector in configuration.effectors
     )
     measured = configuration.measured
-    of_markers = [name for name in marker_names if name in goals]
-    if of_markers:
-        if measured is None and len(of_markers) < len(marker_names):
-            missing = [name for name in marker_names if name not in goals]
+    missing = [name for name in marker_names if name not in goals]
+    if len(missing) < len(marker_names):
+        if measured is None and missing:
             raise ValueError(
                 f"marker {missing[0]!r} of configuration {configuration.name!r} has no "
                 "goal, but others have: give one to each, or leave it out."
             )
         measured = np.zeros((len(marker_names), 3)) if measured is None else measured
         measured = measured.copy()
-        for name in of_markers:
-            what = f"marker {name!r}"
-            measured[marker_names.index(name)] = _numbers(what, goals[name], 3)
+        for row, name in enumerate(marker_names):
+            if name in goals:
+                measured[row] = _numbers(f"marker {name!r}", goals[name], 3)
     return replace(configuration, effectors=effectors, measured=measured)
 
 
@@ -72,8 +71,7 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
             )
         return replace(effector, measured=goal)
     if isinstance(effector, AbstractScalar):
-        value = float(_numbers(what, goal, 1)[0])
-        return replace(effector, measured=value)
+        return replace(effector, measured=float(_numbers(what, goal, 1)[0]))
     return replace(effector, measured=_numbers(what, goal, 3))  # type: ignore[call-arg]
 
 
@@ -97,18 +95,8 @@ def goal_levels(
 ) -> Float[HostArray, "n_levels n_rows 3"]:
     """Build the weights of all effector coordinates, one array per priority level.
 
-    Args:
-        lanes: One configuration; its measured values are the goals.
-        name: Its name, for messages.
-        priorities: Level of each effector, 1 first; those not named have 1.
-
-    Returns:
-        1 / standard deviation on the level of a coordinate; 0 on other levels and for
-        coordinates without a goal.
-
-    Raises:
-        ValueError: If no effector has a goal, or a priority is below 1 or names an
-            unknown effector.
+    They are 1 / standard deviation on the level of a coordinate, and 0 on other levels
+    and for coordinates without a goal.
     """
     (records,) = lanes.effectors
     names = [record.name for record in records]

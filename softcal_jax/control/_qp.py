@@ -2,10 +2,11 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Float
-from softcal_jax.calibration import bounded_step
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration import QPStep, bounded_step
 
 NULL = 1e-10
 """Relative squared singular value below which a level does not see a direction [-]."""
@@ -14,48 +15,26 @@ NULL = 1e-10
 class InputRows(NamedTuple):
     """Bounds and rows of the scaled step: lower <= y <= upper and A y <= b [-].
 
-    Attributes:
-        lower: Lowest step of each input.
-        upper: Highest step of each input.
-        A: Change, per unit of y, of the quantities that are not imposed.
-        b: Largest change allowed.
+    A y is the change of the quantities that are not imposed.
     """
 
-    lower: Float[Array, " n_a"]
-    upper: Float[Array, " n_a"]
-    A: Float[Array, "n_rows n_a"]
-    b: Float[Array, " n_rows"]
+    lower: Float[Array | HostArray, " n_a"]
+    upper: Float[Array | HostArray, " n_a"]
+    A: Float[Array | HostArray, "n_rows n_a"]
+    b: Float[Array | HostArray, " n_rows"]
 
 
-class LevelsStep(NamedTuple):
-    """Step that minimises all levels, in order of priority.
-
-    Attributes:
-        y: Scaled step of the inputs [-].
-        kkt_residual: Largest optimality residual of the QPs of all levels [-].
-    """
-
-    y: Float[Array, " n_a"]
-    kkt_residual: Float[Array, ""]
-
-
+@jax.jit
 def step_in_levels(
     levels: tuple[tuple[Float[Array, "_ n_a"], Float[Array, " _"]], ...],
     rows: InputRows,
     radius: Float[Array, ""],
-) -> LevelsStep:
+) -> QPStep:
     """Minimise ||W y + error|| of the first level, then of the next among its minima.
 
     All minima of a level share W y, so the next level moves only in the null space of
-    W, and priorities are strict whatever the weights. Each level is one bounded QP.
-
-    Args:
-        levels: W and errors of each level, in units of std.
-        rows: Bounds and rows.
-        radius: Trust region, a bound on every entry of the step [-].
-
-    Returns:
-        The step.
+    W, and priorities are strict whatever the weights. Each level is one bounded QP; the
+    optimality residual is the largest of all. The radius bounds every entry of y.
     """
     moves = rows.upper > rows.lower
     lower = jnp.maximum(rows.lower, -radius)
@@ -84,7 +63,7 @@ def step_in_levels(
             )
             y = jnp.clip(y + P @ qp.lambda_p, lower, upper)
         kkt = jnp.maximum(kkt, qp.kkt_residual)
-    return LevelsStep(y, kkt)
+    return QPStep(y, kkt)
 
 
 def _within_null_space(P, W, moves):

@@ -1,19 +1,31 @@
 """Results of inverse control."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import (
-    Configuration,
-    EffectorRecord,
-    ImposedDisplacement,
-    ImposedForce,
-)
-from softcal_jax.control._outcomes import OUTCOMES
+from softcal_jax.configurations import Configuration, EffectorRecord
 from softcal_jax.equilibrium import EquilibriumSolution
+
+
+class OUTCOMES(eqx.Enumeration):
+    """Outcome of inverse control, compared with `==`."""
+
+    met = "all goals are met"
+    nearest = (
+        "nearest reachable point: some goals are not met, and no step within the "
+        "limits comes closer"
+    )
+    limits_violated = (
+        "no actuation near the start keeps the limits of what follows the actuators; "
+        "start inside them, or widen them"
+    )
+    stalled = (
+        "steps were refused until none was left, short of a minimum; the equilibria "
+        "may jump there (buckling), or newton.rtol be too coarse"
+    )
+    max_steps = "the search did not end within max_steps; raise it"
+    no_equilibrium = "the start has no equilibrium; start from another actuation"
 
 
 class GoalFit(eqx.Module):
@@ -137,19 +149,3 @@ class TrajectoryResult(eqx.Module):
     def unmet(self) -> tuple[int, ...]:
         """Indices of the goals that are not met."""
         return tuple(i for i, point in enumerate(self.points) if not point.met)
-
-
-def imposed(
-    configuration: Configuration, names: Sequence[str], value: Float[HostArray, " n_a"]
-) -> dict[str, ImposedForce | ImposedDisplacement]:
-    """Build the actuation of a configuration with other values.
-
-    Args:
-        configuration: Its `actuation` says what is imposed.
-        names: Names of all actuators.
-        value: Their inputs.
-    """
-    return {
-        name: type(asked)(float(value[list(names).index(name)]))
-        for name, asked in configuration.actuation.items()
-    }

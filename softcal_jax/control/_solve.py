@@ -2,42 +2,44 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike
 
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Float
-from softcal_jax.configurations import (
-    Configuration,
-    EffectorRecord,
-    configuration_lanes,
-)
-from softcal_jax.control._decision import ROUNDING
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import QPStep
+from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.control._goals import Goal, goal_levels, with_goals
-from softcal_jax.control._limits import Limits, active_limits, limit_arrays
-from softcal_jax.control._outcomes import OUTCOMES
-from softcal_jax.control._problem import ControlProblem, follow_room, linearise
+from softcal_jax.control._limits import Limits, limit_arrays
+from softcal_jax.control._problem import (
+    Command,
+    Linear,
+    follow_room,
+    level_errors,
+    linearise,
+    parts,
+)
+from softcal_jax.control._qp import step_in_levels
 from softcal_jax.control._result import (
+    OUTCOMES,
     GoalFit,
     InverseResult,
     StepRecord,
     TrajectoryResult,
-    imposed,
 )
 from softcal_jax.control._step import (
+    ROUNDING,
+    Arrival,
     ControlSettings,
-    ControlState,
-    control_step,
-    start_control,
+    Decision,
+    Trial,
+    arrive,
+    decide,
 )
 from softcal_jax.equilibrium import Model
-
-_start = eqx.filter_jit(start_control)
-_step = eqx.filter_jit(control_step)
 
 
 def solve_inverse(
@@ -48,7 +50,7 @@ def solve_inverse(
     limits: Mapping[str, Limits] | None = None,
     priorities: Mapping[str, int] | None = None,
     settings: ControlSettings | None = None,
-    guess: Float[Array, "n_points 3"] | None = None,
+    guess: Float[ArrayLike, "n_points 3"] | None = None,
     throw: bool = True,
 ) -> InverseResult:
     """Find the actuation that brings effectors to their goals, or nearest to them.
@@ -85,10 +87,12 @@ def solve_inverse(
     """
     command = _prepare(model, configuration, goals, limits, priorities, settings)
     if guess is None:
-        guess = jnp.zeros((model.n_points, 3))
-    result = _run(command, guess)
-    if throw:
-        _check(result)
+        guess = np.zeros((model.n_points, 3))
+    result = _search(command, np.asarray(guess))
+    if throw and result.outcome == OUTCOMES.no_equilibrium:
+        raise RuntimeError(f"{result.message} {RESULTS[result.solution.result]}.")
+    if throw and not (result.met or result.outcome == OUTCOMES.nearest):
+        raise RuntimeError(result.message)
     return result
 
 
@@ -106,27 +110,26 @@ def follow_trajectory(
 
     Args:
         model: The model.
-        configuration: Where the first command starts; see `solve_inverse`.
+        configuration: Where the first command starts.
         goals: Goals by name, for each point of the trajectory.
         limits: Limits of actuators; `step` holds between neighbouring points.
         priorities: Level of each effector.
         settings: Settings.
-        throw: Raise at the first search that fails, see `solve_inverse`.
+        throw: As `solve_inverse`.
 
     Returns:
         The commands, up to the first one without an equilibrium.
 
     Raises:
         ValueError: As `solve_inverse`.
-        RuntimeError: As `solve_inverse`.
+        RuntimeError: As `solve_inverse`, at the first search that fails.
     """
     points: list[InverseResult] = []
-    now, guess = configuration, jnp.zeros((model.n_points, 3))
+    now, guess = configuration, None
     for goal in goals:
-        aimed = replace(configuration, actuation=now.actuation)
         result = solve_inverse(
             model,
-            aimed,
+            replace(configuration, actuation=now.actuation),
             goals=goal,
             limits=limits,
             priorities=priorities,
@@ -141,17 +144,7 @@ def follow_trajectory(
     return TrajectoryResult(tuple(points))
 
 
-class _Command(NamedTuple):
-    """A command as the user gave it, and as arrays."""
-
-    configuration: Configuration
-    effectors: tuple[EffectorRecord, ...]
-    priorities: Mapping[str, int]
-    problem: ControlProblem
-    settings: ControlSettings
-
-
-def _prepare(model, configuration, goals, limits, priorities, settings) -> _Command:
+def _prepare(model, configuration, goals, limits, priorities, settings) -> Command:
     """Check a command and build its arrays."""
     if not configuration.actuation:
         known = ", ".join(map(repr, model.mechanism.actuators.names)) or "none"
@@ -159,119 +152,134 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> _Comm
             f"configuration {configuration.name!r} commands no actuator: name those to "
             f"be commanded in `actuation`, where they start. Actuators: {known}."
         )
-    settings = ControlSettings() if settings is None else settings
-    priorities = {} if priorities is None else priorities
-    configuration = with_goals(configuration, {} if goals is None else goals)
-    mesh, mechanism = model.mesh, model.mechanism
-    allowed = limit_arrays(mechanism, configuration, {} if limits is None else limits)
-    lanes = configuration_lanes(mesh, [configuration], mechanism)
-    arrays = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
-    problem = ControlProblem(
+    settings, priorities = settings or ControlSettings(), priorities or {}
+    configuration = with_goals(configuration, goals or {})
+    allowed = limit_arrays(model.mechanism, configuration, limits or {})
+    lanes = configuration_lanes(model.mesh, [configuration], model.mechanism)
+    return Command(
         model=model,
-        configuration=arrays,
-        limits=jax.tree.map(jnp.asarray, allowed),
-        start=arrays.actuation.value,
-        levels=jnp.asarray(goal_levels(lanes, configuration.name, priorities)),
-        epsilon=jnp.asarray(settings.epsilon),
-    )
-    (effectors,) = lanes.effectors
-    return _Command(
         configuration=configuration,
-        effectors=effectors,
+        lane=jax.tree.map(lambda leaf: leaf[0], lanes.arrays),
+        effectors=lanes.effectors[0],
+        limits=allowed,
         priorities=priorities,
-        problem=problem,
+        levels=goal_levels(lanes, configuration.name, priorities),
         settings=settings,
     )
 
 
-def _run(command: _Command, guess: Float[Array, "n_points 3"]) -> InverseResult:
-    """Run the search, one compiled step after the other."""
-    problem, settings = command.problem, command.settings
-    # Tolerances are traced and unused settings fixed, so that neither recompiles.
-    of_program = replace(settings, epsilon=0.0, max_steps=1)
-    of_program = jax.tree.map(jnp.asarray, of_program)
-    state = _start(problem, guess, of_program)
-    if not bool(state.solution.converged):
-        return _result(command, state, OUTCOMES.no_equilibrium, ())
-    records = []
-    while (outcome := _outcome(state, settings)) is None:
-        state = _step(problem, of_program, state)
+def _search(command: Command, guess: Float[HostArray, "n_points 3"]) -> InverseResult:
+    """Repeat: linearise, solve the QPs, try the step, keep it if it helps."""
+    settings, box = command.settings, command.box()
+
+    def arrived(value, guess) -> Arrival:
+        model, lane = command.model, command.lane
+        value, guess = jnp.asarray(value), jnp.asarray(guess)
+        found = arrive(model, lane, jnp.asarray(box), value, guess, settings.newton)
+        return found._replace(value=np.asarray(found.value))
+
+    here = arrived(command.start, guess)
+    if not here.stands:
+        return _result(command, here, None, OUTCOMES.no_equilibrium, [])
+    decision = Decision(
+        accepted=True,
+        step_bound=settings.step_bound,
+        penalty=np.ones(len(command.levels) + 1),
+    )
+    linear, records = linearise(command, here.value, here.compliance), []
+    while (outcome := _outcome(command, here, linear, decision, records)) is None:
+        levels = tuple(zip(linear.W, linear.error, strict=True))
+        qp = step_in_levels(levels, linear.rows, jnp.asarray(decision.step_bound))
+        change = np.asarray(qp.lambda_p) * linear.scale
+        moved = np.tensordot(change, here.compliance.displacement, axes=1)
+        there = arrived(
+            np.clip(here.value + change, *box),
+            np.asarray(here.solution.displacement) + moved,
+        )
+        trial = _trial(command, linear, qp, there, decision)
+        decision = decide(trial, decision, settings)
+        if decision.accepted:
+            here = there
+            linear = linearise(command, here.value, here.compliance)
+        violation, *costs = parts(linear.rows.b, linear.error)
         records.append(
             StepRecord(
-                size=float(state.last_step),
-                cost=float(state.cost),
-                violation=float(state.violation),
-                kkt_residual=float(state.kkt_residual),
-                newton_steps=int(state.newton_steps),
-                accepted=bool(state.accepted),
+                size=trial.size,
+                cost=float(sum(costs)),
+                violation=float(violation),
+                kkt_residual=trial.kkt_residual,
+                newton_steps=int(there.solution.steps),
+                accepted=decision.accepted,
             )
         )
-    return _result(command, state, outcome, tuple(records))
+    return _result(command, here, linear, outcome, records)
 
 
-def _outcome(state: ControlState, settings: ControlSettings) -> OUTCOMES | None:
+def _trial(
+    command: Command,
+    linear: Linear,
+    qp: QPStep,
+    there: Arrival,
+    before: Decision,
+) -> Trial:
+    """Compare the parts before a step with what was expected and what came of it."""
+    rows, error, step = linear.rows, linear.error, np.asarray(qp.lambda_p)
+    change = linear.W @ step
+    now = parts(rows.b, error)
+    tried = np.full_like(now, np.inf)
+    if there.stands:
+        state = there.compliance.state
+        room = follow_room(command, state, linear.length)
+        tried = parts(room, level_errors(command, state, linear.energy))
+    weight = before.penalty[1:, None]
+    lengths = np.sum(weight * change**2) * np.sum(weight * error**2)
+    length = np.sqrt(max(lengths, np.finfo(float).tiny))
+    return Trial(
+        now=now,
+        expected=parts(rows.b - rows.A @ step, error + change),
+        tried=tried,
+        size=float(np.abs(step).max()),
+        kkt_residual=float(qp.kkt_residual),
+        cosine=-np.sum(weight * change * error) / length,
+    )
+
+
+def _outcome(
+    command: Command,
+    here: Arrival,
+    linear: Linear,
+    decision: Decision,
+    records: Sequence[StepRecord],
+) -> OUTCOMES | None:
     """Determine how the search has ended; None while it goes on."""
-    if bool(state.met) and (settings.epsilon == 0.0 or bool(state.vanished)):
+    settings = command.settings
+    error = np.abs(command.residuals(here.compliance.state)).max()
+    kept_limits = parts(linear.rows.b, linear.error)[0] <= ROUNDING
+    met = error <= settings.tol and kept_limits
+    if met and (settings.epsilon == 0.0 or decision.vanished):
         return OUTCOMES.met
-    if bool(state.vanished):
+    if decision.vanished:
         return OUTCOMES.nearest
-    if bool(state.stalled):
-        violated = float(state.violation) > ROUNDING
-        return OUTCOMES.limits_violated if violated else OUTCOMES.stalled
-    if int(state.step) >= settings.max_steps:
-        return OUTCOMES.max_steps
-    return None
+    if decision.stalled:
+        return OUTCOMES.stalled if kept_limits else OUTCOMES.limits_violated
+    return OUTCOMES.max_steps if len(records) >= settings.max_steps else None
 
 
 def _result(
-    command: _Command,
-    state: ControlState,
+    command: Command,
+    here: Arrival,
+    linear: Linear | None,
     outcome: OUTCOMES,
-    records: tuple[StepRecord, ...],
+    records: Sequence[StepRecord],
 ) -> InverseResult:
-    problem, mechanism = command.problem, command.problem.model.mechanism
-    names = mechanism.actuators.names
-    value = np.asarray(state.value)
-    actuation = imposed(command.configuration, names, value)
-    configuration = replace(command.configuration, actuation=actuation)
-    of_actuators = state.compliance.state
+    names = command.model.mechanism.actuators.names
     by_name = lambda values: dict(zip(names, map(float, values), strict=True))
-    return InverseResult(
-        outcome=outcome,
-        configuration=configuration,
-        solution=state.solution,
-        goals=_goal_fits(command, np.asarray(of_actuators.effectors)),
-        forces=by_name(of_actuators.forces),
-        displacements=by_name(of_actuators.displacements),
-        active_limits=_active(problem, state),
-        steps=records,
-    )
-
-
-def _active(problem: ControlProblem, state: ControlState) -> tuple[str, ...]:
-    """List the limits that are reached, in words."""
-    if not bool(state.solution.converged):
-        return ()
-    linear = linearise(problem, state.value, state.compliance)
-    lower, upper = problem.box()
-    room = follow_room(problem, state.compliance.state, linear.length)
-    of_inputs = [
-        (state.value - lower) / linear.scale,
-        (upper - state.value) / linear.scale,
-    ]
-    room = np.concatenate([np.stack(of_inputs), np.asarray(room).reshape(2, -1)])
-    active = (room <= 10.0 * ROUNDING) & np.asarray(upper > lower)
-    gone = np.abs(np.asarray(state.value - problem.start))
-    step = np.asarray(problem.limits.step)
-    by_displacement = np.asarray(problem.configuration.actuation.by_displacement)
-    return active_limits(
-        problem.model.mechanism, by_displacement, active, gone >= step * (1.0 - 1e-12)
-    )
-
-
-def _goal_fits(command: _Command, reached) -> tuple[GoalFit, ...]:
-    """Compare every effector that has a goal with that goal; frames have two rows."""
-    return tuple(
+    inputs, state = by_name(here.value), here.compliance.state
+    asked = command.configuration.actuation
+    actuation = {a: replace(asked[a], value=inputs[a]) for a in asked}
+    reached = np.asarray(state.effectors)
+    # Every effector that has a goal is compared with it; frames have two rows.
+    goals = tuple(
         GoalFit(
             replace(effector, simulated=effector.among(reached)),
             command.priorities.get(effector.name, 1),
@@ -279,10 +287,34 @@ def _goal_fits(command: _Command, reached) -> tuple[GoalFit, ...]:
         for effector in command.effectors
         if effector.seen.any()
     )
+    return InverseResult(
+        outcome=outcome,
+        configuration=replace(command.configuration, actuation=actuation),
+        solution=here.solution,
+        goals=goals,
+        forces=by_name(state.forces),
+        displacements=by_name(state.displacements),
+        active_limits=() if linear is None else _active(command, here, linear),
+        steps=tuple(records),
+    )
 
 
-def _check(result: InverseResult) -> None:
-    if result.outcome == OUTCOMES.no_equilibrium:
-        raise RuntimeError(f"{result.message} {RESULTS[result.solution.result]}.")
-    if not (result.met or result.outcome == OUTCOMES.nearest):
-        raise RuntimeError(result.message)
+def _active(command: Command, here: Arrival, linear: Linear) -> tuple[str, ...]:
+    """List the limits that are reached, in words."""
+    lower, upper = command.box()
+    of_inputs = [here.value - lower, upper - here.value] / linear.scale
+    of_rest = follow_room(command, here.compliance.state, linear.length)
+    room = np.concatenate([of_inputs, of_rest.reshape(2, -1)])
+    active = (room <= 10.0 * ROUNDING) & (upper > lower)
+    step = command.limits.step * (1.0 - 1e-12)
+    step_reached = np.abs(here.value - command.start) >= step
+    by_displacement = np.asarray(command.lane.actuation.by_displacement)
+    actuators, found = command.model.mechanism.actuators, []
+    for a, row in np.argwhere(active.T):
+        of_input, side = row < 2, ("lower", "upper")[row % 2]
+        what = "displacement" if by_displacement[a] == of_input else "force"
+        if of_input and step_reached[a]:
+            what, side = f"step of the {what}", "longest"
+        noun, name = actuators.kinds[a].noun, actuators.names[a]
+        found.append(f"{what} of {noun} {name!r} at its {side} limit")
+    return tuple(found)

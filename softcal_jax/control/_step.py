@@ -1,33 +1,32 @@
-"""One step of inverse control: solve the QPs, try the step, keep it if it helps."""
+"""One step of inverse control: try inputs, and decide whether they helped."""
 
-from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration import KKT_TOLERANCE
+from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.control._compliance import (
     ActuatorCompliance,
-    ActuatorState,
     actuator_compliance,
     actuator_state,
     with_inputs,
 )
-from softcal_jax.control._decision import ROUNDING, Parts, Trial, decide
-from softcal_jax.control._problem import (
-    ControlProblem,
-    Linear,
-    follow_room,
-    level_errors,
-    linearise,
-)
-from softcal_jax.control._qp import step_in_levels
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
+    Model,
     NewtonSettings,
     solve_equilibrium,
 )
+
+ROUNDING = 1e-6
+"""Violation of a limit that is ignored, relative to the size of the robot [-]."""
+
+FLAT_COSINE = 1e-2
+"""Cosine between error and step below which a refused step means a minimum [-]."""
 
 
 class ControlSettings(eqx.Module):
@@ -48,13 +47,13 @@ class ControlSettings(eqx.Module):
         newton: Settings of the equilibria.
     """
 
-    tol: float | Float[Array, ""] = 1e-2
-    step_tol: float | Float[Array, ""] = 1e-6
-    max_steps: int = eqx.field(static=True, default=50)
-    step_bound: float | Float[Array, ""] = 0.1
-    max_step_bound: float | Float[Array, ""] = 0.5
-    epsilon: float = eqx.field(static=True, default=0.0)
-    newton: NewtonSettings = eqx.field(static=True, default_factory=NewtonSettings)
+    tol: float = 1e-2
+    step_tol: float = 1e-6
+    max_steps: int = 50
+    step_bound: float = 0.1
+    max_step_bound: float = 0.5
+    epsilon: float = 0.0
+    newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
 
     def __check_init__(self):
         for name in ("tol", "step_tol", "step_bound", "max_step_bound"):
@@ -66,209 +65,126 @@ class ControlSettings(eqx.Module):
             raise ValueError(f"epsilon must not be negative, got {self.epsilon}.")
 
 
-class ControlState(eqx.Module):
-    """State of the search, as a pytree.
+class Arrival(NamedTuple):
+    """The equilibrium at some inputs, with slack cables wound up, and its derivatives.
+
+    They are nan where there is no equilibrium.
+    """
+
+    value: Float[Array | HostArray, " n_a"]
+    solution: EquilibriumSolution
+    compliance: ActuatorCompliance
+
+    @property
+    def stands(self) -> bool:
+        """Whether there is an equilibrium with derivatives."""
+        return bool(np.isfinite(self.compliance.W_ea).all())
+
+
+@eqx.filter_jit
+def arrive(
+    model: Model,
+    configuration: ConfigurationArrays,
+    box: Float[Array, "2 n_a"],
+    value: Float[Array, " n_a"],
+    guess: Float[Array, "n_points 3"],
+    newton: NewtonSettings,
+) -> Arrival:
+    """Solve for the equilibrium, wind up slack cables, and differentiate there.
+
+    Winding them up until they are just taut does not change the equilibrium, but a
+    slack cable has no effect on the robot and so no derivative, whereas a taut one has.
+    """
+    configuration = with_inputs(configuration, value)
+    solution = solve_equilibrium(model, configuration, guess=guess, settings=newton)
+    delta_a = actuator_state(model, configuration, solution).displacements
+    cable = jnp.asarray(model.mechanism.actuators.unilateral)
+    cable = cable & jnp.asarray(configuration.actuation.by_displacement)
+    lower, upper = box
+    wound = jnp.maximum(value, jnp.minimum(delta_a, upper))
+    value = jnp.where(cable & (upper > lower), wound, value)
+    configuration = with_inputs(configuration, value)
+    return Arrival(value, solution, actuator_compliance(model, configuration, solution))
+
+
+class Trial(NamedTuple):
+    """A step that was tried; its parts are violated limits, then each level's cost [-].
 
     Attributes:
-        value: Inputs of all actuators, in their units.
-        solution: Equilibrium there.
-        compliance: Derivatives there.
+        now: Parts before the step.
+        expected: Parts after the step, by the linear model.
+        tried: Parts after the step, at the true equilibrium; inf without one.
+        size: Largest entry of the step.
+        kkt_residual: Optimality residual of its QPs.
+        cosine: Cosine between the errors and their expected reduction.
+    """
+
+    now: Float[HostArray, " n_parts"]
+    expected: Float[HostArray, " n_parts"]
+    tried: Float[HostArray, " n_parts"]
+    size: float
+    kkt_residual: float
+    cosine: float
+
+
+class Decision(NamedTuple):
+    """Consequences of a step that was tried.
+
+    Attributes:
+        accepted: Whether the step is kept.
         step_bound: Bound on the next step [-].
-        penalty: Weights of limits and levels in the sum that a step must lower [-].
-        cost: Half the squared errors of all levels, energy included [-].
-        violation: Sum of the violated limits of what is not imposed [-].
-        error: Largest error of an effector coordinate, in units of std [-].
-        last_step: Largest entry of the last step, kept or not [-].
-        kkt_residual: Optimality residual of its QPs [-].
-        newton_steps: Newton iterations of the last trial.
-        accepted: Whether it was kept.
-        step: Steps so far.
-        met: Whether all goals are met within the limits.
-        vanished: Whether no step lowers the error any more.
+        penalty: Weights of the parts [-].
+        vanished: Whether no step helps any more.
         stalled: Whether even the smallest step was refused, away from a minimum.
     """
 
-    value: Float[Array, " n_a"]
-    solution: EquilibriumSolution
-    compliance: ActuatorCompliance
-    step_bound: Float[Array, ""]
-    penalty: Float[Array, " n_parts"]
-    cost: Float[Array, ""]
-    violation: Float[Array, ""]
-    error: Float[Array, ""]
-    last_step: Float[Array, ""]
-    kkt_residual: Float[Array, ""]
-    newton_steps: Int[Array, ""]
-    accepted: Bool[Array, ""]
-    step: Int[Array, ""]
-    met: Bool[Array, ""]
-    vanished: Bool[Array, ""]
-    stalled: Bool[Array, ""]
+    accepted: bool
+    step_bound: float
+    penalty: Float[HostArray, " n_parts"]
+    vanished: bool = False
+    stalled: bool = False
 
 
-def _respond(problem: ControlProblem, value, solution: EquilibriumSolution):
-    """Wind up slack cables until they are just taut, and differentiate there.
+def decide(trial: Trial, before: Decision, settings: ControlSettings) -> Decision:
+    """Accept a step that lowers the weighted sum of the parts, and adapt the bound.
 
-    This does not change the equilibrium, but a slack cable has no effect on the robot
-    and so no derivative, whereas a taut one has.
+    The sum is an exact penalty function: the weight of an earlier part is raised until
+    the sum is expected to fall along the step that the QPs of all levels found (Nocedal
+    and Wright, Numerical Optimization, 2006, Eq. 18.36).
     """
-    configuration = with_inputs(problem.configuration, value)
-    delta_a = actuator_state(problem.model, configuration, solution).displacements
-    cable = jnp.asarray(problem.model.mechanism.actuators.unilateral)
-    cable = cable & jnp.asarray(configuration.actuation.by_displacement)
-    lower, upper = problem.box()
-    wound = jnp.where(cable, jnp.maximum(value, jnp.minimum(delta_a, upper)), value)
-    value = jnp.where(upper > lower, wound, value)
-    configuration = with_inputs(problem.configuration, value)
-    return value, actuator_compliance(problem.model, configuration, solution)
-
-
-def start_control(
-    problem: ControlProblem,
-    guess: Float[Array, "n_points 3"],
-    settings: ControlSettings,
-) -> ControlState:
-    """Build the state before the first step (traceable).
-
-    Args:
-        problem: The command.
-        guess: Displacement close to the equilibrium at the start; zero for rest [m].
-        settings: Settings.
-    """
-    solution = solve_equilibrium(
-        problem.model,
-        with_inputs(problem.configuration, problem.start),
-        guess=guess,
-        settings=settings.newton,
-    )
-    value, compliance = _respond(problem, problem.start, solution)
-    zero, no = jnp.zeros(()), jnp.zeros((), bool)
-    state = ControlState(
-        value=value,
-        solution=solution,
-        compliance=compliance,
-        step_bound=zero + settings.step_bound,
-        penalty=jnp.ones(problem.levels.shape[0] + 1),
-        cost=zero,
-        violation=zero,
-        error=zero,
-        last_step=zero + jnp.inf,
-        kkt_residual=zero,
-        newton_steps=solution.steps,
-        accepted=~no,
-        step=jnp.zeros((), jnp.int32),
-        met=no,
-        vanished=no,
-        stalled=no,
-    )
-    return _judged(problem, settings, state)
-
-
-def _judged(problem: ControlProblem, settings: ControlSettings, state: ControlState):
-    """Update the errors of a state and whether its goals are met."""
-    linear = linearise(problem, state.value, state.compliance)
-    parts = _parts(problem, linear, state.compliance.state)
-    error = jnp.max(jnp.abs(problem.residuals(state.compliance.state)))
-    met = (error <= settings.tol) & (parts[0] <= ROUNDING)
-    return eqx.tree_at(
-        lambda s: (s.cost, s.violation, s.error, s.met),
-        state,
-        (jnp.sum(parts[1:]), parts[0], error, met),
+    # What is good enough counts as equal, so that noise below it is ignored.
+    floor = np.full_like(trial.now, 0.5 * settings.tol**2)
+    floor[0], floor[-1] = ROUNDING, 0.0
+    now, expected, tried = (np.maximum(part, floor) for part in trial[:3])
+    penalty = _raised(before.penalty, now - expected)
+    hoped, drop = penalty @ (now - expected), penalty @ (now - tried)
+    converged = bool(np.isfinite(trial.tried).all())
+    at_bound = trial.size >= 0.99 * before.step_bound
+    kept_limits = trial.now[0] <= 10.0 * ROUNDING
+    # A vanished step ends the search even if it is refused: its expected gain may lie
+    # below the residual of the equilibria.
+    vanished = converged and kept_limits and trial.kkt_residual <= KKT_TOLERANCE
+    vanished = vanished and trial.size <= settings.step_tol and not at_bound
+    accepted = bool(converged and hoped > 0.0 and drop >= 1e-4 * hoped)
+    bound = before.step_bound if accepted else 0.25 * trial.size
+    if accepted and at_bound and drop > 0.75 * hoped:
+        bound = min(2.0 * bound, settings.max_step_bound)
+    collapsed = not accepted and bound < settings.step_tol
+    flat = converged and kept_limits and trial.cosine <= FLAT_COSINE
+    return Decision(
+        accepted=accepted,
+        step_bound=bound,
+        penalty=penalty,
+        vanished=bool(vanished or (collapsed and flat)),
+        stalled=bool(collapsed and not flat),
     )
 
 
-def _parts(problem: ControlProblem, linear: Linear, state: ActuatorState):
-    """Compute the violated limits, then the cost of each level [-]."""
-    room = follow_room(problem, state, linear.length)
-    violation = jnp.sum(jnp.maximum(-room, 0.0))
-    off = level_errors(problem, state, linear.energy)
-    return jnp.concatenate([violation[None], 0.5 * jnp.sum(off**2, axis=1)])
-
-
-def control_step(
-    problem: ControlProblem, settings: ControlSettings, state: ControlState
-) -> ControlState:
-    """Take one step: linearise, solve the QPs, try, decide (traceable).
-
-    Args:
-        problem: The command.
-        settings: Settings.
-        state: State before the step, whose equilibrium has converged.
-
-    Returns:
-        State after it.
-    """
-    linear = linearise(problem, state.value, state.compliance)
-    levels = tuple(zip(linear.W, linear.error, strict=True))
-    qp = step_in_levels(levels, linear.rows, state.step_bound)
-    change = qp.y * linear.scale
-    value = jnp.clip(state.value + change, *problem.box())
-    guess = jnp.tensordot(change, state.compliance.displacement, axes=1)
-    guess = state.solution.displacement + guess
-    configuration = with_inputs(problem.configuration, value)
-    solution = solve_equilibrium(
-        problem.model, configuration, guess=guess, settings=settings.newton
-    )
-    tried = actuator_state(problem.model, configuration, solution)
-    trial = Trial(
-        parts=Parts(
-            now=_parts(problem, linear, state.compliance.state),
-            expected=_expected_parts(linear, qp.y),
-            tried=_parts(problem, linear, tried),
-        ),
-        size=jnp.max(jnp.abs(qp.y)),
-        kkt_residual=qp.kkt_residual,
-        cosine=_cosine(linear, qp.y, state.penalty),
-        converged=solution.converged,
-    )
-    decision = decide(
-        trial,
-        state.step_bound,
-        state.penalty,
-        tol=settings.tol,
-        step_tol=settings.step_tol,
-        max_step_bound=settings.max_step_bound,
-    )
-
-    def moved():
-        wound, compliance = _respond(problem, value, solution)
-        return wound, solution, compliance
-
-    reached, equilibrium, compliance = jax.lax.cond(
-        decision.accepted,
-        moved,
-        lambda: (state.value, state.solution, state.compliance),
-    )
-    new = replace(
-        state,
-        value=reached,
-        solution=equilibrium,
-        compliance=compliance,
-        step_bound=decision.step_bound,
-        penalty=decision.penalty,
-        last_step=trial.size,
-        kkt_residual=trial.kkt_residual,
-        newton_steps=solution.steps,
-        accepted=decision.accepted,
-        step=state.step + 1,
-        vanished=decision.vanished,
-        stalled=decision.stalled,
-    )
-    return _judged(problem, settings, new)
-
-
-def _expected_parts(linear: Linear, y: Float[Array, " n_a"]):
-    """Predict the parts after a step with the linear model [-]."""
-    after = linear.W @ y + linear.error
-    room = linear.rows.b - linear.rows.A @ y
-    violation = jnp.sum(jnp.maximum(-room, 0.0))
-    return jnp.concatenate([violation[None], 0.5 * jnp.sum(after**2, axis=1)])
-
-
-def _cosine(linear: Linear, y: Float[Array, " n_a"], penalty):
-    """Compute the cosine between the weighted errors and their reduction [-]."""
-    weight = penalty[1:, None]
-    change = linear.W @ y
-    lengths = jnp.sum(weight * change**2) * jnp.sum(weight * linear.error**2)
-    lengths = jnp.maximum(lengths, jnp.finfo(y.dtype).tiny)
-    return -jnp.sum(weight * change * linear.error) / jnp.sqrt(lengths)
+def _raised(penalty: HostArray, drops: HostArray) -> Float[HostArray, " n_parts"]:
+    """Raise weights of earlier parts until the weighted drops have a positive sum."""
+    penalty = penalty.copy()
+    for part in range(len(penalty) - 2, -1, -1):
+        if drops[part] > np.finfo(float).tiny:
+            later = penalty[part + 1 :] @ drops[part + 1 :]
+            penalty[part] = max(penalty[part], -2.0 * later / drops[part])
+    return penalty

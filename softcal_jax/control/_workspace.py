@@ -1,6 +1,7 @@
 """Effectors over many actuations, computed by one program."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -9,10 +10,9 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations import (
     Configuration,
-    ConfigurationLanes,
     actuation_arrays,
     configuration_lanes,
 )
@@ -60,12 +60,8 @@ def sample_workspace(
         model: The model.
         configuration: Its `actuation` says which actuators are commanded, by force or
             by displacement; its effectors are recorded.
-        inputs: One actuation per row, in the order of `actuation`, in the units of the
-            actuators.
+        inputs: One actuation per row, in the order and units of `actuation`.
         settings: Settings of the equilibria.
-
-    Returns:
-        The samples; those without an equilibrium are nan and listed in `failures`.
 
     Raises:
         ValueError: If nothing is commanded, there are no effectors, or the inputs are
@@ -81,47 +77,40 @@ def sample_workspace(
             f"inputs need one column for each of {', '.join(names)}, shape (n_samples, "
             f"{len(names)}), got {inputs.shape}."
         )
-    lanes, asked = _lanes(model, configuration, inputs)
-    newton = NewtonSettings() if settings is None else settings
+    mechanism = model.mechanism
+    lanes = configuration_lanes(model.mesh, [configuration], mechanism)
+    if not lanes.effectors[0]:
+        raise ValueError(f"{what} has no effectors and no markers to follow.")
+    values = []
+    for i, sample in enumerate(inputs):
+        asked = {
+            name: replace(configuration.actuation[name], value=float(value))
+            for name, value in zip(names, sample, strict=True)
+        }
+        which = f"{configuration.name}, sample {i}"
+        values.append(actuation_arrays(mechanism, asked, which).value)
     lane = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
-    solution, values = _sample(model, lane, asked, newton)
-    converged = np.asarray(solution.converged)
+    newton = settings or NewtonSettings()
+    solution, found = _sample(model, lane, np.array(values), newton)
     effectors: dict[str, list] = {}
     for record in lanes.effectors[0]:
-        own = np.asarray(values)[:, record.index]
+        own = np.asarray(found)[:, record.index]
         effectors.setdefault(record.name, []).append(own)
+    converged = np.asarray(solution.converged)
+    failures = []
+    for i in np.flatnonzero(~converged):
+        result = jax.tree.map(lambda leaf, i=i: leaf[i], solution.result)
+        pairs = zip(names, inputs[i], strict=True)
+        asked = ", ".join(f"{name} = {value:g}" for name, value in pairs)
+        failures.append(f"sample {i} ({asked}): {RESULTS[result]}")
     return Workspace(
         inputs=inputs,
         names=names,
         effectors={name: np.stack(rows, axis=1) for name, rows in effectors.items()},
         converged=converged,
         solution=solution,
-        failures=_failures(names, inputs, solution, converged),
+        failures=tuple(failures),
     )
-
-
-def _lanes(
-    model: Model, configuration: Configuration, inputs: Float[HostArray, "n_samples n"]
-) -> tuple[ConfigurationLanes, Float[Array, "n_samples n_a"]]:
-    """Build one configuration and the inputs of all actuators for each sample."""
-    mechanism = model.mechanism
-    lanes = configuration_lanes(model.mesh, [configuration], mechanism)
-    if not lanes.effectors[0]:
-        raise ValueError(
-            f"configuration {configuration.name!r} has no effectors and no markers to "
-            "follow."
-        )
-    values = []
-    for i, sample in enumerate(inputs):
-        asked = {
-            name: type(kind)(float(value))
-            for (name, kind), value in zip(
-                configuration.actuation.items(), sample, strict=True
-            )
-        }
-        what = f"{configuration.name}, sample {i}"
-        values.append(actuation_arrays(mechanism, asked, what).value)
-    return lanes, jnp.asarray(np.array(values))
 
 
 @eqx.filter_jit
@@ -135,14 +124,3 @@ def _sample(model, configuration, values, newton):
         return solution, jnp.where(solution.converged, effectors, jnp.nan)
 
     return jax.vmap(one)(values)
-
-
-def _failures(names, inputs, solution: EquilibriumSolution, converged):
-    texts = []
-    for i in np.flatnonzero(~converged):
-        result = jax.tree.map(lambda leaf, i=i: leaf[i], solution.result)
-        asked = ", ".join(
-            f"{name} = {value:g}" for name, value in zip(names, inputs[i], strict=True)
-        )
-        texts.append(f"sample {i} ({asked}): {RESULTS[result]}")
-    return tuple(texts)

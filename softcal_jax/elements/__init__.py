@@ -1,11 +1,13 @@
 """Reference elements and the 3x3 tensor algebra that the laws are written in."""
 
-from softcal_jax.elements._quadrature import QuadratureRule, tet_rule, triangle_rule
-from softcal_jax.elements._shape import (
+from softcal_jax.elements._simplex import (
     TET_EDGES,
     TET_FACES,
+    QuadratureRule,
     shape_functions,
     shape_gradients,
+    tet_rule,
+    triangle_rule,
 )
 from softcal_jax.elements._tensors import (
     axial,

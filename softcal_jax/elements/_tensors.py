@@ -31,19 +31,11 @@ def determinant(F: Float[Array, "3 3"]) -> Float[Array, ""]:
 
 def cofactor(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """Compute the cofactor matrix det(F) F^-T, the derivative of the determinant."""
-    rows = []
-    for i in range(3):
-        a, b = (i + 1) % 3, (i + 2) % 3
-        rows.append(
-            jnp.stack(
-                [
-                    F[a, (j + 1) % 3] * F[b, (j + 2) % 3]
-                    - F[a, (j + 2) % 3] * F[b, (j + 1) % 3]
-                    for j in range(3)
-                ]
-            )
-        )
-    return jnp.stack(rows)
+    at = lambda i, j: F[i % 3, j % 3]
+    entry = lambda i, j: (
+        at(i + 1, j + 1) * at(i + 2, j + 2) - at(i + 1, j + 2) * at(i + 2, j + 1)
+    )
+    return jnp.stack([jnp.stack([entry(i, j) for j in range(3)]) for i in range(3)])
 
 
 def matmul(A: Float[Array, "3 3"], B: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -60,13 +52,8 @@ def axial(A: Float[Array, "3 3"]) -> Float[Array, "3"]:
 def skew(a: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Return the skew matrix hat(a) with hat(a) b = a x b."""
     zero = jnp.zeros_like(a[0])
-    return jnp.stack(
-        [
-            jnp.stack([zero, -a[2], a[1]]),
-            jnp.stack([a[2], zero, -a[0]]),
-            jnp.stack([-a[1], a[0], zero]),
-        ]
-    )
+    rows = [[zero, -a[2], a[1]], [a[2], zero, -a[0]], [-a[1], a[0], zero]]
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def solve3(M: Float[Array, "3 3"], b: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -96,13 +83,8 @@ def rotation(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
 
     Higham, "Computing the polar decomposition", SIAM J. Sci. Stat. Comput. 7 (1986).
     The derivative is the closed form dR = R hat(M^-1 axial(R^T dF)) with
-    M = tr(S) I - S, not that of the iteration.
-
-    Args:
-        F: Deformation gradient [-], non-singular.
-
-    Returns:
-        The orthogonal factor; a proper rotation where det F > 0.
+    M = tr(S) I - S, not that of the iteration. F is non-singular [-]; R is a proper
+    rotation where det F > 0.
     """
     return jax.lax.fori_loop(0, _POLAR_STEPS, lambda _, R: _scaled_newton_step(R), F)
 

@@ -10,16 +10,13 @@ from softcal_jax.equilibrium._assembly import (
     strain_energy,
     tangent_values,
 )
-from softcal_jax.equilibrium._continuation import Continuation, continue_equilibrium
+from softcal_jax.equilibrium._continuation import continue_equilibrium
 from softcal_jax.equilibrium._effectors import (
     actuator_forces,
-    effector_forces,
-    effector_positions,
     effector_values,
     marker_positions,
 )
 from softcal_jax.equilibrium._lanes import lane_by_lane
-from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._linearisation import (
     Linearisation,
     factor_solve,
@@ -38,7 +35,6 @@ from softcal_jax.equilibrium._robot_state import (
     robot_states,
 )
 from softcal_jax.equilibrium._sensitivity import (
-    AdjointRows,
     InputRows,
     Readings,
     Sensitivity,
@@ -46,8 +42,11 @@ from softcal_jax.equilibrium._sensitivity import (
     input_rows,
     sensitivity,
 )
-from softcal_jax.equilibrium._solution import EquilibriumSolution, check_converged
-from softcal_jax.equilibrium._solve import solve_equilibrium
+from softcal_jax.equilibrium._solve import (
+    EquilibriumSolution,
+    check_converged,
+    solve_equilibrium,
+)
 from softcal_jax.equilibrium._workers import (
     Batch,
     Job,
@@ -59,14 +58,11 @@ from softcal_jax.equilibrium._workers import (
 __all__ = [
     "RESULTS",
     "ActuatorState",
-    "AdjointRows",
     "Batch",
     "BodyPlace",
-    "Continuation",
     "EquilibriumSolution",
     "InputRows",
     "Job",
-    "LinearSolution",
     "Linearisation",
     "Model",
     "NewtonSettings",
@@ -81,8 +77,6 @@ __all__ = [
     "build_model",
     "check_converged",
     "continue_equilibrium",
-    "effector_forces",
-    "effector_positions",
     "effector_values",
     "energy_and_force",
     "external_force",

@@ -12,14 +12,12 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
     deformation_gradients,
-    element_energy,
     element_energy_and_force,
-    element_force,
     element_stiffness,
     mean_dilatation,
     mixed_newton,
 )
-from softcal_jax.equilibrium._model import Model, check_law
+from softcal_jax.equilibrium._model import Model, check_law, to_blocks
 from softcal_jax.equilibrium._sparsity import element_entries
 from softcal_jax.materials import PointValues, is_point_values
 
@@ -30,16 +28,9 @@ FieldOfLaw = Callable[[Any], Any]
 def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **own):
     """Apply a function of (u, dN, w, law, active, ...) to all tets, block by block.
 
-    Args:
-        model: The model.
-        u: Nodal values.
-        kernel: Function of one tet, defined at module level so that its trace is
-            cached; a closure would be traced at every call and keep its program alive.
-        per_tet: Further values of each tet, in blocks.
-        own: Further arguments shared by all tets: arrays, or hashable options.
-
-    Returns:
-        Arrays with axes (block, ..., tet in block).
+    The kernel is defined at module level so that its trace is cached; a closure would
+    be traced at every call and keep its program alive. `per_tet` are further values of
+    each tet, in blocks; `own` are shared by all tets: arrays, or hashable options.
     """
     blocks = (model.shape_gradients, model.weights, model.law_blocks(), model.active)
     arrays = {name: value for name, value in own.items() if eqx.is_array(value)}
@@ -64,23 +55,19 @@ def strain_energy(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_blocks block"]:
     """Compute the strain energy of each tet, in blocks [J]."""
-    return _map_blocks(model, u, _energy, formulation=model.formulation)
+    return _map_blocks(model, u, _part, part=0, formulation=model.formulation)
 
 
-def _energy(u, dN, w, law, active, formulation):
-    return active * element_energy(u, dN, w, law, formulation)
+def _part(u, dN, w, law, active, part, formulation):
+    return active * element_energy_and_force(u, dN, w, law, formulation)[part]
 
 
 def internal_force(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_points 3"]:
     """Compute the internal force f(u; p), the gradient of the strain energy [N]."""
-    forces = _map_blocks(model, u, _force, formulation=model.formulation)
+    forces = _map_blocks(model, u, _part, part=1, formulation=model.formulation)
     return _add_forces(model, forces)
-
-
-def _force(u, dN, w, law, active, formulation):
-    return active * element_force(u, dN, w, law, formulation)
 
 
 def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
@@ -105,15 +92,9 @@ def tangent_values(
 ) -> Float[Array, " nnz"]:
     """Compute the tangent K = df/du over all nodes, in the order of the pattern [N/m].
 
-    For a conservative model K is symmetric and only its upper triangle is returned.
-
-    Args:
-        model: The model.
-        u: Displacement [m].
-        before: Displacement at which the step to `u` began, see `element_stiffness`;
-            the mixed formulation ignores it [m].
+    For a conservative model only its upper triangle is returned. For `before`, where
+    the step to `u` began, see `element_stiffness`; the mixed formulation ignores it.
     """
-    check_law(model.law, model.conservative, model.formulation)
     both, stepped = u, None
     if before is not None:
         both, stepped = jnp.concatenate([u, before], axis=1), jnp.any(before != u)
@@ -138,7 +119,6 @@ def mixed_tangent(
     model: Model, u: Float[Array, "n_points 3"], theta: Float[Array, "n_blocks block"]
 ) -> tuple[Float[Array, " nnz"], Float[Array, "n_points 3"]]:
     """Compute tangent and force of the Newton step with independent volume ratios."""
-    check_law(model.law, model.conservative, model.formulation)
     entries, forces = _map_blocks(
         model, u, _mixed_newton, theta, symmetric=model.pattern.symmetric
     )
@@ -177,17 +157,9 @@ def field_forces(
 ) -> dict[str, Float[Array, "n_blocks m n_en 3 block"]]:
     """Differentiate each tet's internal force by its own values of some fields [N].
 
-    A field has one value per tet or per quadrature point, so one pass over the tets
-    gives the derivatives by all values; parameters that spread the field over the mesh
-    are weighted sums of them.
-
-    Args:
-        model: The model.
-        u: Displacement [m].
-        fields: Accessors of fields of the law, by name; equal ones are traced once.
-
-    Returns:
-        Nodal forces in blocks; m is 1, or the number of quadrature points.
+    One pass over the tets gives the derivatives by all values, m per tet: one, or one
+    per quadrature point. Parameters that spread a field over the mesh are weighted sums
+    of them. `fields` are accessors by name; equal ones are traced once.
     """
     own = {"fields": tuple(fields.items()), "formulation": model.formulation}
     return _map_blocks(model, u, _field_forces, **own)
@@ -206,7 +178,7 @@ def _field_forces(u, dN, w, law, active, fields, formulation):
             points = is_point_values(values[name])
             value = PointValues(plain[name]) if points else plain[name][0]
             new = eqx.tree_at(where, new, value)
-        return element_force(u, dN, w, new, formulation)
+        return element_energy_and_force(u, dN, w, new, formulation)[1]
 
     # Linearise once: what a law computes from F is shared by all fields.
     _, slope = jax.linearize(force, plain)
@@ -224,19 +196,15 @@ def add_weighted(
     forces: Mapping[str, Float[Array, "n_blocks _ n_en 3 block"]],
     weights: Mapping[str, Float[Array, "n_p n_tets _"]],
 ) -> Float[Array, "n_p n_points 3"]:
-    """Sum the forces of all tets, weighted per parameter, into nodal forces [N].
+    """Sum forces of tets from `field_forces` into nodal forces of each parameter [N].
 
-    Args:
-        model: The model.
-        forces: Forces of each tet per unit of each field, from `field_forces`.
-        weights: Change of these fields in each tet per unit of each parameter.
+    `weights` are the changes of the fields in each tet per unit of each parameter.
     """
 
     def of_tets(name, weight):
-        n_blocks, m, *_, block = forces[name].shape
-        pad = n_blocks * block - model.n_tets
-        full = jnp.concatenate([weight, jnp.zeros((pad, m))])
-        blocked = jnp.moveaxis(full.reshape(n_blocks, block, m), 1, 2)
+        n_blocks, *_, block = forces[name].shape
+        blocked = to_blocks(weight, model.n_tets, n_blocks, block)
+        blocked = jnp.moveaxis(blocked, 1, 2)
         return jnp.sum(forces[name] * blocked[:, :, None, None, :], axis=1)
 
     def one(weight):
@@ -248,6 +216,7 @@ def add_weighted(
 def _add_entries(
     model: Model, entries: Float[Array, "n_blocks n_entries block"]
 ) -> Float[Array, " nnz"]:
+    check_law(model.law, model.conservative, model.formulation)
     zero = jnp.zeros(model.pattern.nnz, entries.dtype)
     return zero.at[model.destination].add(entries)
 

@@ -1,70 +1,56 @@
 """Balance of forces of a posed model: residual, gaps and their norm."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.equilibrium import _actuation as actuation
+from softcal_jax.actuators import actuator_rows, curvature_entries, displacement_rows
 from softcal_jax.equilibrium._assembly import energy_and_force, internal_force
+from softcal_jax.equilibrium._bordered import System
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._sparsity import element_entries, mask_supports
 
 _TAUT = 1e-6
 """Slack below which a cable still counts as taut, relative to the mesh size [-]."""
 
 
-class Deformed(NamedTuple):
-    """A displacement with the quantities that the balance of forces needs.
+class Point(NamedTuple):
+    """A displacement with what balance and line search need to know there.
 
     Attributes:
         u: The displacement [m].
         force: Internal force [N].
         delta_a: Displacements of the actuators.
+        energy: Strain energy [J]; like the following None where nobody needs it.
+        energy_scale: Sum of its absolute parts, the scale of its rounding [J].
+        min_det_F: Smallest det F [-].
     """
 
     u: Float[Array, "n_points 3"]
     force: Float[Array, "n_points 3"]
     delta_a: Float[Array, " n_a"]
-
-
-class Point(NamedTuple):
-    """A deformed state with its energy, as a line search needs it.
-
-    Attributes:
-        deformed: Displacement, internal force and displacements of the actuators.
-        energy: Strain energy [J].
-        energy_scale: Sum of its absolute parts, the scale of its rounding [J].
-        min_det_F: Smallest det F [-].
-    """
-
-    deformed: Deformed
-    energy: Float[Array, ""]
-    energy_scale: Float[Array, ""]
-    min_det_F: Float[Array, ""]
-
-    @property
-    def u(self) -> Float[Array, "n_points 3"]:
-        """The displacement [m]."""
-        return self.deformed.u
+    energy: Any = None
+    energy_scale: Any = None
+    min_det_F: Any = None
 
     @property
     def finite(self) -> Bool[Array, ""]:
         """Whether energy and force are finite."""
-        return jnp.isfinite(self.energy) & jnp.all(jnp.isfinite(self.deformed.force))
+        return jnp.isfinite(self.energy) & jnp.all(jnp.isfinite(self.force))
 
 
-def deform(model: Model, u: Float[Array, "n_points 3"]) -> Deformed:
+def deform(model: Model, u: Float[Array, "n_points 3"]) -> Point:
     """Compute internal force and actuator displacements, without the energy."""
-    return Deformed(u, internal_force(model, u), actuation.displacements(model, u))
+    return Point(u, internal_force(model, u), model.displacements(u))
 
 
 def evaluate(model: Model, u: Float[Array, "n_points 3"]) -> Point:
     """Compute energy, internal force and actuator displacements."""
     energy, scale, force, det = energy_and_force(model, u)
-    deformed = Deformed(u, force, actuation.displacements(model, u))
-    return Point(deformed, energy, scale, det)
+    return Point(u, force, model.displacements(u), energy, scale, det)
 
 
 def at_rest(model: Model) -> Point:
@@ -72,63 +58,25 @@ def at_rest(model: Model) -> Point:
     none = jnp.zeros((model.n_points, 3))
     delta_a = jnp.zeros(model.mechanism.n_actuators) - model.mechanism.motor_zero
     zero, one = jnp.zeros(()), jnp.ones(())
-    return Point(Deformed(none, none, delta_a), zero, zero, one)
-
-
-def by_multiplier(posed: Posed) -> Bool[Array, " n_a"]:
-    """Flag the actuators with an imposed displacement, whose force is unknown."""
-    return actuation.by_multiplier(posed.model, posed.configuration.actuation)
+    return Point(none, none, delta_a, zero, zero, one)
 
 
 def actuator_loads(
     posed: Posed, lambda_a: Float[Array, " n_a"]
 ) -> Float[Array, " n_a"]:
-    """Return the forces of all actuators: solved for, or imposed at this load.
-
-    Args:
-        posed: The configuration.
-        lambda_a: Forces of the actuators whose displacement is imposed.
-    """
+    """Return the forces of all actuators: solved for, or imposed at this load."""
     imposed = posed.configuration.actuation.forces
-    return jnp.where(by_multiplier(posed), lambda_a, posed.load * imposed)
+    return jnp.where(posed.by_multiplier, lambda_a, posed.load * imposed)
 
 
-def unbalanced(posed: Posed, at: Deformed, lambda_a: Float[Array, " n_a"]):
-    """Compute the out-of-balance forces g on all nodes [N], and the rows F_a.
-
-    Args:
-        posed: The configuration.
-        at: The deformed state.
-        lambda_a: Forces of the actuators whose displacement is imposed.
-    """
-    rows = actuation.force_rows(posed.model, at.u)
+def unbalanced(posed: Posed, at: Point, lambda_a: Float[Array, " n_a"]):
+    """Compute the out-of-balance forces g on all nodes [N], and the rows F_a."""
+    rows = actuator_rows(posed.model.mechanism.actuators, posed.model.positions(at.u))
     forces = actuator_loads(posed, lambda_a)
     g = at.force - posed.load * posed.f_ext + posed.spring_force(at.u)
     if len(forces) > 0:
         g = g - jnp.sum(forces[:, None, None] * rows, axis=0)
     return g, rows
-
-
-def add_boundary_stiffness(
-    posed: Posed,
-    values: Float[Array, " nnz"],
-    u: Float[Array, "n_points 3"],
-    lambda_a: Float[Array, " n_a"],
-) -> Float[Array, " nnz"]:
-    """Add the stiffness of actuators and elastic supports to the tangent.
-
-    Args:
-        posed: The configuration.
-        values: Tangent of the mesh over all nodes.
-        u: Displacement [m].
-        lambda_a: Forces of the actuators whose displacement is imposed.
-    """
-    model, springs = posed.model, posed.configuration.springs
-    loads = actuator_loads(posed, lambda_a)
-    values = actuation.add_curvature(model, values, u, loads)
-    if not springs.names:
-        return values
-    return values.at[model.pattern.diagonal].add(springs.coefficients().ravel())
 
 
 def rows_on_free(
@@ -140,78 +88,102 @@ def rows_on_free(
     return jax.vmap(lambda row: posed.on_free(u, row))(rows)
 
 
-def bordered_system(
+class Tangent(NamedTuple):
+    """The tangent at a deformed state.
+
+    Attributes:
+        nodal: Its entries over all nodes [N/m].
+        stiffness: Mean stiffness of an unknown [N/m].
+        system: That of the unknowns, bordered by the actuators `with_multiplier`.
+        H_a: Derivatives of their displacements by all nodes, by rows.
+        g: Out-of-balance forces on all nodes [N].
+    """
+
+    nodal: Float[Array, " nnz"]
+    stiffness: Float[Array, ""]
+    system: System
+    H_a: Float[Array, "n_m n_points 3"]
+    g: Float[Array, "n_points 3"]
+
+
+def assemble(
     posed: Posed,
-    u: Float[Array, "n_points 3"],
+    at: Point,
+    lambda_a: Float[Array, " n_a"],
     *,
-    values: Float[Array, " nnz_reduced"],
-    forces: Float[Array, "n_a n_points 3"],
+    mesh: Float[Array, " nnz"],
     active: Bool[Array, " n_a"],
-) -> tuple[actuation.System, Float[Array, "n_m n_points 3"]]:
-    """Border the tangent with the actuators whose lambda_a may be an unknown.
+) -> Tangent:
+    """Add actuators and springs to the tangent of the mesh; reduce and border it.
 
-    Args:
-        posed: The configuration.
-        u: Displacement [m].
-        values: Tangent of the unknowns, supports masked.
-        forces: F_a of all actuators on all nodes, by rows.
-        active: Which actuators have an imposed displacement that acts.
-
-    Returns:
-        The system, and H_a of these actuators on all nodes.
+    `mesh` is the tangent of the mesh over all nodes, `active` flags the actuators with
+    an imposed displacement that acts.
     """
-    which = actuation.with_multiplier(posed.model)
-    own = actuation.own_displacement_rows(posed.model, u)
-    system = actuation.System(
-        values=values,
-        F_a=rows_on_free(posed, u, forces[which]),
-        active=active[which],
-        H_own=None if own is None else rows_on_free(posed, u, own),
-    )
-    return system, forces[which] if own is None else own
+    model, u, nodal = posed.model, at.u, mesh
+    actuators, springs = model.mechanism.actuators, posed.configuration.springs
+    x, which = model.positions(u), model.with_multiplier
+    g, rows = unbalanced(posed, at, lambda_a)
+    loads = actuator_loads(posed, lambda_a)
+    curvature = curvature_entries(actuators, x, loads)  # d(F_a^T lambda_a)/dx
+    for matrices, places in zip(curvature, model.curvature_at, strict=True):
+        p, q = element_entries(matrices.shape[1] // 3, model.pattern.symmetric)
+        nodal = nodal.at[places].add(-matrices[:, p, q].T)
+    if springs.names:
+        nodal = nodal.at[model.pattern.diagonal].add(springs.coefficients().ravel())
+    reduced = posed.reduce(u, nodal, g)
+    values, stiffness = mask_supports(model.solver.sparsity, reduced, posed.fixed())
+    H_a, H_own = rows[which], None
+    if any(actuators.has_friction):
+        H_a = displacement_rows(actuators, x)[which]
+        H_own = rows_on_free(posed, u, H_a)
+    F_a = rows_on_free(posed, u, rows[which])
+    system = System(values, F_a, active[which], H_own)
+    return Tangent(nodal, stiffness, system, H_a, g)
 
 
-def gap(posed: Posed, at: Deformed, lambda_a, stiffness):
-    """Compute imposed minus current displacements, 0 where a cable is slack.
-
-    Args:
-        posed: The configuration.
-        at: The deformed state.
-        lambda_a: Forces of the actuators.
-        stiffness: Force per unit of gap, to distinguish slack from taut.
-
-    Returns:
-        The gaps, and which actuators act.
-    """
+def _wanting(posed: Posed, at: Point) -> tuple[Float[Array, " n_a"], Array]:
+    """Return imposed minus current displacements, and which actuators only pull."""
     wanted = posed.load * jnp.asarray(posed.configuration.actuation.value)
-    gap = wanted - at.delta_a
     unilateral = jnp.asarray(posed.model.mechanism.actuators.unilateral)
+    return wanted - at.delta_a, unilateral
+
+
+def gap(posed: Posed, at: Point, lambda_a, stiffness):
+    """Return the gaps of imposed displacements, and which of them act.
+
+    A slack cable has none; the stiffness [force per gap] tells slack from taut.
+    """
+    gap, unilateral = _wanting(posed, at)
     taut = lambda_a + stiffness * gap > 0.0
-    active = by_multiplier(posed) & (taut | ~unilateral)
+    active = posed.by_multiplier & (taut | ~unilateral)
     return jnp.where(active, gap, 0.0), active
 
 
-def taut(posed: Posed, at: Deformed) -> Bool[Array, " n_a"]:
+def taut(posed: Posed, at: Point) -> Bool[Array, " n_a"]:
     """Flag the imposed displacements that act at an equilibrium: no slack cables."""
-    model = posed.model
-    wanted = posed.load * jnp.asarray(posed.configuration.actuation.value)
-    short = wanted - at.delta_a >= -_TAUT * model.mechanism.bodies.length
-    unilateral = jnp.asarray(model.mechanism.actuators.unilateral)
-    return by_multiplier(posed) & (short | ~unilateral)
+    gap, unilateral = _wanting(posed, at)
+    short = gap >= -_TAUT * posed.model.mechanism.bodies.length
+    return posed.by_multiplier & (short | ~unilateral)
 
 
-def estimated_forces(posed: Posed, at: Deformed) -> Float[Array, " n_a"]:
-    """Estimate the forces behind imposed displacements from the balance of forces.
+def estimated_forces(posed: Posed, at: Point) -> Float[Array, " n_a"]:
+    """Estimate the forces behind imposed displacements by least squares.
 
-    Exact at equilibrium; 0 for slack cables.
+    This first-order multiplier estimate is exact at equilibrium; 0 for slack cables.
     """
+    if posed.model.with_multiplier.size == 0:
+        return jnp.zeros_like(at.delta_a)
     g, rows = unbalanced(posed, at, jnp.zeros_like(at.delta_a))
-    return actuation.estimated_forces(
-        rows_on_free(posed, at.u, rows), taut(posed, at), posed.on_free(at.u, g)
-    )
+    active = taut(posed, at)
+    F_a = jnp.where(active[:, None], rows_on_free(posed, at.u, rows), 0.0)
+    normal = jnp.sum(F_a[:, None] * F_a[None], axis=-1)
+    scale = jnp.maximum(jnp.diag(normal), jnp.finfo(F_a.dtype).tiny)
+    unit = jnp.diag(jnp.where(active, 0.0, scale))
+    work = jnp.sum(F_a * posed.on_free(at.u, g)[None], axis=1)
+    return jnp.linalg.solve(normal + unit, work)
 
 
-def merit(posed: Posed, at: Deformed, lambda_a, gap_stiffness) -> Float[Array, ""]:
+def merit(posed: Posed, at: Point, lambda_a, gap_stiffness) -> Float[Array, ""]:
     """Compute the norm of out-of-balance forces and of gaps, as forces [N]."""
     g, _ = unbalanced(posed, at, lambda_a)
     g = posed.on_free(at.u, g)
@@ -219,15 +191,10 @@ def merit(posed: Posed, at: Deformed, lambda_a, gap_stiffness) -> Float[Array, "
     return jnp.sqrt(jnp.sum(g**2) + jnp.sum((gap_stiffness * to_go) ** 2))
 
 
-def relative(posed: Posed, at: Deformed, merit, stiffness, rtol: float):
+def relative(posed: Posed, at: Point, merit, stiffness, rtol: float):
     """Divide a merit by the larger of external and internal force [-].
 
-    Args:
-        posed: The configuration.
-        at: The deformed state.
-        merit: Value of `merit` there [N].
-        stiffness: Mean stiffness of an unknown [N/m].
-        rtol: Relative residual at which Newton stops [-].
+    `stiffness` is the mean stiffness of an unknown [N/m], `rtol` where Newton stops.
     """
     points = jnp.asarray(posed.model.mechanism.points)
     size = jnp.maximum(jnp.max(jnp.ptp(points, axis=0)), jnp.max(jnp.abs(at.u)))

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._actuation import with_multiplier
 from softcal_jax.equilibrium._balance import (
     Point,
     estimated_forces,
@@ -22,6 +21,7 @@ from softcal_jax.equilibrium._balance import (
     relative,
     unbalanced,
 )
+from softcal_jax.equilibrium._bordered import zeros_of
 from softcal_jax.equilibrium._direction import (
     Factor,
     Step,
@@ -32,8 +32,7 @@ from softcal_jax.equilibrium._linearisation import Linearisation, linearise
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings, newton
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solution import EquilibriumSolution
-from softcal_jax.equilibrium._solve import as_solution
+from softcal_jax.equilibrium._solve import EquilibriumSolution, as_solution
 
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which the guess counts as bad."""
@@ -41,14 +40,12 @@ MAX_QUICK_STEPS = 5
 CHORDS_FROM = 1e-4
 """Relative residual below which chord steps replace Newton steps.
 
-A chord step costs one evaluation of the forces and one solve, without assembly or
-factorization. Starting them earlier would leave a less accurate tangent to the
-sensitivities.
+They cost one evaluation of the forces and one solve. Starting them earlier would leave
+a less accurate tangent to the sensitivities.
 """
 
 MOST_CHORDS = 3
-"""Most chord steps still expected, at the rate of the last; else take a Newton step.
-"""
+"""Most chord steps to expect at the rate of the last; else take a Newton step."""
 
 SHORT = 1e-3
 """Relative residual below which the tangent is assembled without predicted stress.
@@ -60,9 +57,7 @@ Newton's method converges quadratically there, and this tangent is cheaper.
 class Continuation(NamedTuple):
     """An equilibrium, and the linear system there.
 
-    Attributes:
-        equilibrium: The equilibrium.
-        linearisation: The system, with the factors of the last Newton step if possible.
+    The system has the factors of the last Newton step if possible.
     """
 
     equilibrium: EquilibriumSolution
@@ -73,9 +68,9 @@ class _Quick(NamedTuple):
     """State of the quick steps.
 
     `before` is where the last step began, or where it ended if the residual is small
-    (`SHORT`). `factor` belongs to the last Newton step. `chord`: the next step reuses
-    it. `arrived`: converged, at most one more factorization is needed. `robust`: the
-    careful solve comes next.
+    (`SHORT`). `factor` belongs to the last Newton step; with `chord` the next step
+    reuses it. `arrived`: converged, at most one more factorization is needed. `robust`:
+    the careful solve comes next.
     """
 
     solution: EquilibriumSolution
@@ -103,23 +98,14 @@ def continue_equilibrium(
 
     Full Newton steps are taken as long as each reduces the residual, the state is
     stable and no tet is inverted; otherwise the careful method of `solve_equilibrium`
-    takes over. The last digits come from steps on the last factor (chord steps). The
-    linear system is stated at the equilibrium, but its tangent is that before the last
-    Newton step, so its error is of the order of that step. (The rows of the parameters
-    are not taken from there, or a direction without any effect would seem to have one.)
+    takes over, with the same `settings`. The last digits come from steps on the last
+    factor (chord steps). The linear system is stated at the equilibrium, but its
+    tangent is that before the last Newton step, so its error is of the order of that
+    step; one more step if `precise` makes it exact. (The rows of the parameters are not
+    taken from there, or a direction without any effect would seem to have one.)
 
-    Args:
-        model: The model.
-        configuration: One configuration.
-        guess: Displacement close to the equilibrium [m].
-        settings: Settings of Newton's method, for the careful solve.
-        before: Equilibrium displacement from which the guess was extrapolated to first
-            order; it saves slender robots a Newton step [m].
-        precise: Whether to take one more Newton step, so that the tangent belongs to
-            the equilibrium.
-
-    Returns:
-        The equilibrium and the linear system.
+    `before` is the equilibrium from which the guess was extrapolated to first order; it
+    saves slender robots a Newton step [m].
     """
     if not model.solver.counts_negative or has_volume_unknowns(model):
         # Without a count of negative eigenvalues a quick step could end in an unstable
@@ -128,9 +114,8 @@ def continue_equilibrium(
         u, lambda_a = solution.displacement, solution.multipliers
         return Continuation(solution, linearise(model, configuration, u, lambda_a))
     quick = _QuickSteps(Posed.of(model.tabulated(), configuration), settings, precise)
-    state = jax.lax.while_loop(
-        lambda s: ~s.done, quick.step, quick.start(guess, before)
-    )
+    start = quick.start(guess, before)
+    state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
     linearisation = Linearisation(
         posed=Posed.of(model, configuration),
         u=state.solution.displacement,
@@ -143,13 +128,7 @@ def continue_equilibrium(
 
 
 class _QuickSteps(NamedTuple):
-    """Full Newton steps from a guess, and chord steps on the last factor.
-
-    Attributes:
-        posed: The configuration, at full load.
-        settings: Settings of Newton's method, for the careful solve.
-        precise: Whether the tangent must belong to the equilibrium.
-    """
+    """Full Newton steps from a guess, and chord steps on the last factor."""
 
     posed: Posed
     settings: NewtonSettings
@@ -157,13 +136,7 @@ class _QuickSteps(NamedTuple):
 
     @property
     def model(self) -> Model:
-        """The model."""
         return self.posed.model
-
-    @property
-    def has_multipliers(self) -> bool:
-        """Whether forces of actuators may be unknowns."""
-        return with_multiplier(self.model).size > 0
 
     def start(self, guess: Float[Array, "n_points 3"], before) -> _Quick:
         """Return the state before the first step, with held nodes in place."""
@@ -174,9 +147,7 @@ class _QuickSteps(NamedTuple):
         # After a moved support, or from rest, only the careful solve is safe.
         usable = usable & ~jnp.any(posed.imposed(rigid) != 0.0)
         usable = usable & jnp.any(guess != 0.0)
-        lambda_a = jnp.zeros_like(at.deformed.delta_a)
-        if self.has_multipliers:
-            lambda_a = estimated_forces(posed, at.deformed)
+        lambda_a = estimated_forces(posed, at)
         count, one = jnp.zeros((), jnp.int32), jnp.ones((), guess.dtype)
         unsolved = EquilibriumSolution(
             displacement=at.u,
@@ -196,7 +167,8 @@ class _QuickSteps(NamedTuple):
             at=at,
             before=jnp.where(self.residual(at, lambda_a) <= SHORT, at.u, before),
             lambda_a=lambda_a,
-            factor=Factor.none(self.model),
+            # Nothing yet, and not ok.
+            factor=zeros_of(lambda: self.newton_step(at, lambda_a, at.u)[1]),
             chord=no,
             arrived=no,
             step=count,
@@ -211,18 +183,18 @@ class _QuickSteps(NamedTuple):
 
     def residual(self, at: Point, lambda_a):
         """Compute the relative out-of-balance force, without gaps of actuators."""
-        size = merit(self.posed, at.deformed, lambda_a, jnp.zeros_like(lambda_a))
+        size = merit(self.posed, at, lambda_a, jnp.zeros_like(lambda_a))
         no_stiffness = jnp.zeros((), at.u.dtype)
-        return relative(self.posed, at.deformed, size, no_stiffness, self.settings.rtol)
+        return relative(self.posed, at, size, no_stiffness, self.settings.rtol)
 
     def newton_step(self, at: Point, lambda_a, before) -> tuple[Step, Factor]:
         """Compute a Newton step and its factor."""
-        found = newton_direction(self.posed, at.deformed, lambda_a, before=before)
+        found = newton_direction(self.posed, at, lambda_a, before=before)
         return found.step, found.factor
 
     def chord_step(self, s: _Quick) -> tuple[Step, Factor]:
         """Compute a step on the factor of the last Newton step, without multipliers."""
-        g, _ = unbalanced(self.posed, s.at.deformed, s.lambda_a)
+        g, _ = unbalanced(self.posed, s.at, s.lambda_a)
         rhs = -self.posed.on_free(s.at.u, g)
         d = self.model.solver.solve_again(s.factor.system.values, rhs[None])[0]
         return Step(d, s.lambda_a, jnp.zeros_like(s.lambda_a)), s.factor
@@ -235,7 +207,7 @@ class _QuickSteps(NamedTuple):
         was_careful, posed, rtol = s.robust, self.posed, self.settings.rtol
         before = jnp.where(was_careful, at.u, s.before)
         newton_step = lambda: self.newton_step(at, lambda_a, before)
-        if self.has_multipliers:
+        if self.model.with_multiplier.size > 0:
             step, factor = newton_step()
         else:
             step, factor = jax.lax.cond(
@@ -245,8 +217,8 @@ class _QuickSteps(NamedTuple):
         share = jnp.where(was_careful, 0.0, 1.0)
         new = evaluate(self.model, posed.move(at.u, share * step.d))
         new_lambda = step.lambda_a + share * step.d_lambda
-        size = merit(posed, new.deformed, new_lambda, factor.gap_stiffness)
-        residual = relative(posed, new.deformed, size, factor.stiffness, rtol)
+        size = merit(posed, new, new_lambda, factor.gap_stiffness)
+        residual = relative(posed, new, size, factor.stiffness, rtol)
         stable = factor.ok & (factor.n_negative == 0) & (new.min_det_F > 0.0)
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual)
         arrived = sound & (residual <= rtol)
@@ -271,7 +243,6 @@ class _QuickSteps(NamedTuple):
         close = jnp.where(s.chord, to_come <= rtol, residual <= CHORDS_FROM)
         pick = lambda a, b: jnp.where(taken, a, b)
         solution = jax.tree.map(pick, quick, solution)
-        done = was_careful | last
         short = self.residual(new, new_lambda) <= SHORT
         return _Quick(
             solution=solution,
@@ -283,5 +254,5 @@ class _QuickSteps(NamedTuple):
             arrived=arrived,
             step=n_newton,
             robust=~was_careful & ~arrived & ~contracts,
-            done=done,
+            done=was_careful | last,
         )

@@ -1,4 +1,8 @@
-"""The Newton step of a posed model."""
+"""The Newton step of a posed model, and the line search along it.
+
+The search is on the potential. The norm of the residual is used where no potential
+exists, or where imposed actuator displacements make the equilibrium a saddle point.
+"""
 
 from typing import NamedTuple
 
@@ -7,24 +11,24 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.bodies import KINDS
-from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._assembly import (
     mixed_tangent,
     predicted_dilatation,
     tangent_values,
 )
 from softcal_jax.equilibrium._balance import (
-    Deformed,
-    add_boundary_stiffness,
-    bordered_system,
-    by_multiplier,
+    Point,
+    assemble,
+    evaluate,
     gap,
+    merit,
     unbalanced,
 )
+from softcal_jax.equilibrium._bordered import System
 from softcal_jax.equilibrium._element import is_mixed
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._sparsity import mask_supports, product
+from softcal_jax.equilibrium._sparsity import product
 
 _LARGEST_TURN = 0.5
 """Rotation on a hinge beyond which a Newton step is meaningless [rad]."""
@@ -36,46 +40,23 @@ class Factor(NamedTuple):
     Attributes:
         system: The matrix.
         stiffness: Mean stiffness of an unknown [N/m].
-        gap_stiffness: Force per displacement of each actuator whose displacement is
-            imposed.
+        gap_stiffness: Force per displacement of each actuator with an imposed one.
         n_negative: Number of negative eigenvalues, see `Bordered`.
         ok: Whether the factorization succeeded.
     """
 
-    system: actuation.System
+    system: System
     stiffness: Float[Array, ""]
     gap_stiffness: Float[Array, " n_a"]
     n_negative: Int[Array, ""]
     ok: Bool[Array, ""]
 
-    @classmethod
-    def none(cls, model: Model) -> "Factor":
-        """Return a placeholder, not ok, for the initial state of a loop."""
-        n_m, real = actuation.with_multiplier(model).size, jnp.zeros(())
-        rows = jnp.zeros((n_m, model.n_dof))
-        system = actuation.System(
-            values=jnp.zeros(model.solver.sparsity.nnz),
-            F_a=rows,
-            active=jnp.zeros(n_m, bool),
-            H_own=rows if any(model.mechanism.actuators.has_friction) else None,
-        )
-        return cls(
-            system=system,
-            stiffness=real,
-            gap_stiffness=jnp.zeros(model.mechanism.n_actuators),
-            n_negative=jnp.zeros((), jnp.int32),
-            ok=jnp.zeros((), bool),
-        )
-
 
 class Step(NamedTuple):
-    """A step of the unknowns and of the actuators' forces.
+    """A step d of the unknowns, held ones included [m], and of the actuators' forces.
 
-    Attributes:
-        d: Step of the unknowns, held ones included [m].
-        lambda_a: Forces, before the step, of actuators whose displacement is imposed;
-            0 for a cable found to be slack.
-        d_lambda: Their step.
+    `lambda_a` are the forces before the step where the displacement is imposed; 0 if
+    slack.
     """
 
     d: Float[Array, " n_dof"]
@@ -113,7 +94,7 @@ def dilatation(model: Model, theta, u, du):
 
 def newton_direction(
     posed: Posed,
-    at: Deformed,
+    at: Point,
     lambda_a: Float[Array, " n_a"],
     *,
     theta=None,
@@ -122,17 +103,11 @@ def newton_direction(
 ) -> Direction:
     """Compute the Newton step at a deformed state.
 
-    Args:
-        posed: The configuration, under a share of its load.
-        at: The deformed state.
-        lambda_a: Forces of the actuators.
-        theta: Volume ratios; only for the mixed formulation.
-        strict: Whether only steps that lower the potential are taken; likewise.
-        before: Displacement at which the step to this state began, to assemble the
-            tangent with the stress predicted by that step; see `tangent_values` [m].
+    The mixed formulation needs the volume ratios `theta`, and whether only steps that
+    lower the potential are taken. `before`: see `tangent_values`.
     """
     model, u = posed.model, at.u
-    fixed, held_step = posed.fixed(), posed.imposed(u)
+    held_step = posed.imposed(u)
     moving = jnp.any(held_step != 0.0)
     to_go, active = gap(posed, at, lambda_a, jnp.ones(()))
     # A slack cable loses its force before the step.
@@ -144,36 +119,31 @@ def newton_direction(
         values, force = mixed_tangent(model, u, jnp.where(strict, at_u, theta))
     else:
         values, force = tangent_values(model, u, before), at.force
-    g, rows = unbalanced(posed, at, lambda_a)
-    values = add_boundary_stiffness(posed, values, u, lambda_a)
+    tangent = assemble(posed, at, lambda_a, mesh=values, active=active)
     # Held nodes that still have to move pull on the rest: - K du_held.
     pull = jax.lax.cond(
         moving,
-        lambda: product(model.pattern, values, held_step.ravel()),
+        lambda: product(model.pattern, tangent.nodal, held_step.ravel()),
         lambda: jnp.zeros_like(held_step.ravel()),
     )
-    reduced = posed.reduce(u, values, g)
-    masked, stiffness = mask_supports(model.solver.sparsity, reduced, fixed)
-    g_newton = g + (force - at.force)
-    rhs = -posed.gather(u, g_newton + pull.reshape(u.shape))
-    which = actuation.with_multiplier(model)
-    system, H_a = bordered_system(posed, u, values=masked, forces=rows, active=active)
-    on_held = jnp.sum(H_a * held_step[None], axis=(1, 2))
-    rhs = jnp.where(fixed, 0.0, rhs)
-    solved = system.solve(model, rhs[None], (to_go[which] - on_held)[None])
+    g_newton = tangent.g + (force - at.force) + pull.reshape(u.shape)
+    rhs = -posed.on_free(u, g_newton)
+    on_held = jnp.sum(tangent.H_a * held_step[None], axis=(1, 2))
+    which = model.with_multiplier
+    solved = tangent.system.solve(
+        model.solver, rhs[None], (to_go[which] - on_held)[None]
+    )
     d = solved.x[0]
-    slope = jnp.sum(posed.on_free(u, g) * d)
+    slope = jnp.sum(posed.on_free(u, tangent.g) * d)
     supports = jnp.where(jnp.asarray(posed.configuration.fixed), held_step, 0.0)
     sign, reach = _on_hinges(posed, d[u.size :], slope, moving)
-    d_lambda = actuation.among_all(model, solved.lambda_a[0])
-    compliance = jnp.abs(jnp.diag(solved.W_aa))
-    tiny = jnp.finfo(u.dtype).tiny
     # Slack cables included: a step that tightens one leaves a gap to close.
-    stiff = actuation.among_all(model, 1.0 / jnp.maximum(compliance, tiny))
+    compliance = jnp.maximum(jnp.abs(jnp.diag(solved.W_aa)), jnp.finfo(u.dtype).tiny)
+    stiff = model.among_all(1.0 / compliance)
     factor = Factor(
-        system=system,
-        stiffness=stiffness,
-        gap_stiffness=jnp.where(by_multiplier(posed), stiff, 0.0),
+        system=tangent.system,
+        stiffness=tangent.stiffness,
+        gap_stiffness=jnp.where(posed.by_multiplier, stiff, 0.0),
         n_negative=solved.n_negative,
         ok=solved.ok,
     )
@@ -181,7 +151,7 @@ def newton_direction(
         step=Step(
             d=(sign * d).at[: u.size].add(supports.ravel()),
             lambda_a=lambda_a,
-            d_lambda=sign * d_lambda,
+            d_lambda=sign * model.among_all(solved.lambda_a[0]),
         ),
         slope=sign * slope,
         moving=moving,
@@ -203,7 +173,112 @@ def _on_hinges(posed: Posed, twists, slope, moving):
     hinged = (posed.states.kind == KINDS.index("hinged")) & ~moving
     turns = jnp.abs(twists.reshape(-1, 6)[:, 5]) / model.mechanism.bodies.length
     largest = jnp.max(jnp.where(hinged, turns, 0.0))
-    uphill = jnp.any(hinged) & (slope > 0.0) & ~jnp.any(by_multiplier(posed))
+    uphill = jnp.any(hinged) & (slope > 0.0) & ~jnp.any(posed.by_multiplier)
     uphill = uphill & model.conservative
     reach = _LARGEST_TURN / jnp.maximum(largest, _LARGEST_TURN)
     return jnp.where(uphill, -one, one), reach
+
+
+class Trial(NamedTuple):
+    """A point along a Newton step, with multipliers and norm of the residual [N]."""
+
+    at: Point
+    lambda_a: Float[Array, " n_a"]
+    merit: Float[Array, ""]
+    good: Bool[Array, ""]
+
+
+def always_potential(model: Model) -> bool:
+    """Tell whether the line search uses the potential in every configuration."""
+    return model.conservative and model.with_multiplier.size == 0
+
+
+def line_search(
+    posed: Posed,
+    at: Point,
+    direction: Direction,
+    *,
+    strict: Bool[Array, ""],
+    reference: Float[Array, ""] | None,
+    backtracks: int,
+) -> Trial:
+    """Backtrack until the step passes the test and all values are finite.
+
+    Unless `strict`, full steps are taken even uphill: the first step of a large
+    rotation always raises Pi, by orders of magnitude in a nearly incompressible body,
+    and a strict search would take very short steps. Full steps are only trusted if they
+    end in a stable state.
+
+    `reference` is the larger of the last two norms of the residual, inf at the start of
+    a load step; None if the search always uses the potential [N]. After
+    `backtracks` halvings the step counts as failed.
+    """
+    lower, moving = _lower(posed, at, direction, reference), direction.moving
+    step, gap_stiffness = direction.step, direction.factor.gap_stiffness
+
+    def trial(alpha):
+        new = evaluate(posed.model, posed.swing(at.u, alpha * step.d))
+        lambda_a = step.lambda_a + alpha * step.d_lambda
+        size = merit(posed, new, lambda_a, gap_stiffness)
+        enough = lower(alpha, new, lambda_a, size)
+        # Some laws survive an inverted tet but hardly recover from it. A support that
+        # moves too far is cut like a load.
+        inside_out = (new.min_det_F <= 0.0) & (at.min_det_F > 0.0)
+        inside_out = inside_out & (~moving | ~strict)
+        good = (enough | moving | ~strict) & new.finite & ~inside_out
+        return Trial(new, lambda_a, size, good)
+
+    def keep_trying(carry):
+        _, trials, tried = carry
+        again = ~tried.good & (trials <= backtracks) & ~moving
+        return (trials == 0) | again
+
+    def halve(carry):
+        alpha, trials, _ = carry
+        return 0.5 * alpha, trials + 1, trial(alpha)
+
+    # The first trial is inside the loop, so that it is compiled only once.
+    none = Trial(at, step.lambda_a, jnp.zeros(()), jnp.zeros((), bool))
+    return jax.lax.while_loop(keep_trying, halve, (direction.reach, 0, none))[2]
+
+
+def _lower(posed: Posed, at: Point, direction: Direction, reference):
+    """Return the test of a trial step: does it lower Pi, or the residual, enough?
+
+    The residual must fall below the larger of the last two, `reference`, which a Newton
+    direction can always reach (Grippo, Lampariello and Lucidi, SIAM J. Numer. Anal. 23,
+    1986). A rotation completed only to first order stretches a slender body, so the
+    residual rises by orders of magnitude for one step. Monotone descent would take very
+    short steps even under gravity alone.
+    """
+    before, scale = _potential(posed, at)
+    slope, d = direction.slope, direction.step.d
+
+    def test(alpha, new, lambda_a, merit):
+        falls = reference is not None and merit <= (1.0 - 1e-4 * alpha) * reference
+        if not posed.model.conservative:
+            return falls
+        potential, new_scale = _potential(posed, new)
+        armijo = potential <= before + 1e-4 * alpha * slope
+        # Near the solution Pi changes by less than its rounding, so the slope
+        # decides (approximate Wolfe condition of Hager and Zhang, SIAM J. Optim. 16,
+        # 2005).
+        g, _ = unbalanced(posed, new, lambda_a)
+        flat = jnp.sum(posed.on_free(new.u, g) * d) <= 0.8 * jnp.abs(slope)
+        flat = flat & (potential <= before + 1e-6 * (scale + new_scale))
+        saddle = jnp.any(posed.by_multiplier)
+        return jnp.where(saddle, falls, armijo | flat)
+
+    return test
+
+
+def _potential(posed: Posed, at: Point):
+    """Compute Pi at a point, and the scale of its rounding [J]."""
+    work = posed.load * posed.f_ext * at.u
+    springs = posed.spring_energy(at.u)
+    value, scale = at.energy + springs - jnp.sum(work), at.energy_scale + springs
+    scale = scale + jnp.sum(jnp.abs(work))
+    forces = posed.configuration.actuation.forces
+    of_actuators = posed.load * forces * at.delta_a
+    value = value - jnp.sum(of_actuators)
+    return value, scale + jnp.sum(jnp.abs(of_actuators))

@@ -6,11 +6,10 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
 from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
-from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 
 def effector_values(
@@ -22,35 +21,40 @@ def effector_values(
 ) -> Float[Array, "n_rows 3"]:
     """Compute all effectors: positions [m], rotations [rad], scalars and forces [N].
 
-    Args:
-        model: The model.
-        configuration: One configuration, with its effectors.
-        u: Equilibrium displacement [m].
-        multipliers: Forces of actuators whose displacement is imposed; estimated from
-            the balance by default.
-        unbalanced: Value of `residual`, if already known [N].
-
-    Returns:
-        Rows in the order of `EffectorArrays`.
+    Rows are ordered as in `EffectorArrays`. The forces of actuators whose displacement
+    is imposed are estimated from the balance unless `multipliers` gives them;
+    `unbalanced` is `residual`, if already known [N].
     """
-    kinematic = effector_positions(model, configuration.effectors, u)
-    if not configuration.effectors.has_forces:
-        return kinematic
-    forces = effector_forces(model, configuration, u, multipliers, unbalanced)
-    return jnp.concatenate([kinematic, forces])
+    effectors = configuration.effectors
+    rows = [_positions(model, effectors, u)]
+    if not effectors.has_forces:
+        return rows[0]
+    if multipliers is None:
+        multipliers = solved_forces(model, configuration, u)
+    if unbalanced is None:
+        unbalanced = residual(model, configuration, u, multipliers)
+    if effectors.force_actuator.shape[0] > 0:
+        forces = actuator_forces(model, configuration, u, multipliers, unbalanced)
+        rows.append(_in_first_column(forces[effectors.force_actuator]))
+    weights = jnp.asarray(effectors.reaction_weights)
+    # Spring forces are part of the balance, but the ground carries them too.
+    ground = unbalanced - Posed.of(model, configuration).spring_force(u)
+    held = ground[effectors.reaction_nodes]
+    rows.append(jnp.sum(weights[:, :, None] * held, axis=1))
+    return jnp.concatenate(rows)
 
 
-def effector_positions(
+def _in_first_column(value: Float[Array, " n"]) -> Float[Array, "n 3"]:
+    """Write scalars as rows of three."""
+    none = jnp.zeros_like(value)
+    return jnp.stack([value, none, none], axis=1)
+
+
+def _positions(
     model: Model, effectors: EffectorArrays, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_rows_of_positions 3"]:
-    """Compute the rows that depend on positions alone: points, rotations, scalars.
-
-    Args:
-        model: The model.
-        effectors: The effectors.
-        u: Displacement [m].
-    """
-    x = actuation.positions(model, u)
+    """Compute the rows that depend on positions alone: points, rotations, scalars."""
+    x = model.positions(u)
     weights = jnp.asarray(effectors.weights)
     points = jnp.sum(weights[:, :, None] * x[effectors.nodes], axis=1)
     centre = jnp.mean(jnp.asarray(model.mesh.points), axis=0)
@@ -63,7 +67,9 @@ def effector_positions(
         rotation = frames_at(bodies, x[model.mesh.n_nodes :]).rotation
         reference = jnp.asarray(effectors.turn_reference)
         seen = effectors.base.turn(rotation[effectors.turn_body])
-        rows.append(jax.vmap(_turn)(seen, reference))
+        # Rotation vectors from the reference orientations, in the frame of the mesh.
+        turns = jnp.sum(seen[:, :, None] * reference[:, None], axis=-1)
+        rows.append(jax.vmap(rotation_vector)(turns))
     else:
         rotation = jnp.broadcast_to(jnp.eye(3)[None], (1, 3, 3))
     if n_scalars > 0:
@@ -72,10 +78,9 @@ def effector_positions(
         angle = jax.vmap(_angle)(rotation[first], rotation[second], axes)
         value = angle
         if model.mechanism.n_actuators > 0:
-            delta_a = actuation.displacements(model, u)
+            delta_a = model.displacements(u)
             value = jnp.where(second < 0, delta_a[first], angle)
-        none = jnp.zeros_like(value)
-        rows.append(jnp.stack([value, none, none], axis=1))
+        rows.append(_in_first_column(value))
     return jnp.concatenate(rows)
 
 
@@ -84,23 +89,12 @@ def marker_positions(
 ) -> Float[Array, "n_markers 3"]:
     """Compute the simulated marker positions of one configuration [m].
 
-    Args:
-        model: The model.
-        configuration: One configuration, with markers.
-        solution: Its equilibrium.
-
-    Returns:
-        Positions in the frame of the mesh, markers first, then the points of other
-        effectors; nan where there is no equilibrium.
+    In the frame of the mesh, markers first, then points of other effectors; nan without
+    equilibrium.
     """
     effectors = configuration.effectors
     n_points = effectors.nodes.shape[0]
-    return effector_positions(model, effectors, solution.displacement)[:n_points]
-
-
-def _turn(R: Float[Array, "3 3"], reference: Float[Array, "3 3"]):
-    """Compute the rotation vector from a reference orientation, in the mesh frame."""
-    return rotation_vector(jnp.sum(R[:, None, :] * reference[None, :, :], axis=-1))
+    return _positions(model, effectors, solution.displacement)[:n_points]
 
 
 def _angle(
@@ -124,8 +118,8 @@ def actuator_forces(
     model: Model,
     configuration: ConfigurationArrays,
     u: Float[Array, "n_points 3"],
-    multipliers: Float[Array, " n_a"] | None = None,
-    unbalanced: Float[Array, "n_points 3"] | None = None,
+    multipliers: Float[Array, " n_a"],
+    unbalanced: Float[Array, "n_points 3"],
 ) -> Float[Array, " n_a"]:
     """Compute the forces lambda_a of all actuators, in their units.
 
@@ -133,14 +127,9 @@ def actuator_forces(
     as for `effector_values`.
     """
     forces = configuration.actuation.forces
-    if unbalanced is None:
-        unbalanced = residual(model, configuration, u, multipliers)
-    if multipliers is None:
-        multipliers = solved_forces(model, configuration, u)
-    forces = jnp.where(
-        actuation.by_multiplier(model, configuration.actuation), multipliers, forces
-    )
-    gathered = Posed.of(model, configuration).gather(u, unbalanced)
+    posed = Posed.of(model, configuration)
+    forces = jnp.where(posed.by_multiplier, multipliers, forces)
+    gathered = posed.gather(u, unbalanced)
     for a, body in enumerate(model.mechanism.actuators.motor_body):
         if body >= 0:
             # Angles count in metres at the end of the frame's axis, hence the length.
@@ -148,31 +137,3 @@ def actuator_forces(
             held = configuration.actuation.by_displacement[a]
             forces = forces.at[a].set(jnp.where(held, torque, forces[a]))
     return forces
-
-
-def effector_forces(
-    model: Model,
-    configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
-    multipliers: Float[Array, " n_a"] | None = None,
-    unbalanced: Float[Array, "n_points 3"] | None = None,
-) -> Float[Array, "n_rows_of_forces 3"]:
-    """Compute the rows that need the balance: actuator forces and reactions [N].
-
-    Arguments as for `effector_values`.
-    """
-    effectors = configuration.effectors
-    rows = []
-    if unbalanced is None:
-        unbalanced = residual(model, configuration, u, multipliers)
-    if effectors.force_actuator.shape[0] > 0:
-        forces = actuator_forces(model, configuration, u, multipliers, unbalanced)
-        value = forces[effectors.force_actuator]
-        none = jnp.zeros_like(value)
-        rows.append(jnp.stack([value, none, none], axis=1))
-    weights = jnp.asarray(effectors.reaction_weights)
-    # Spring forces are part of the balance, but the ground carries them too.
-    ground = unbalanced - Posed.of(model, configuration).spring_force(u)
-    held = ground[effectors.reaction_nodes]
-    rows.append(jnp.sum(weights[:, :, None] * held, axis=1))
-    return jnp.concatenate(rows)

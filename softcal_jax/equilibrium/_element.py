@@ -45,22 +45,11 @@ def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
     return J, jnp.cbrt(theta / J), jax.vmap(cofactor)(F) / J[:, None, None]
 
 
-def _at_points(law: AbstractLaw, function, F: Float[Array, "n_qp 3 3"]):
-    """Evaluate a function of a law and F at the quadrature points of a tet."""
+def _at_points(law: AbstractLaw, method: str, F: Float[Array, "n_qp 3 3"]):
+    """Call a method of the law with F at each quadrature point of a tet."""
     plain, axes = law_at_points(law)
-    return jax.vmap(function, in_axes=(axes, 0))(plain, F)
-
-
-def _energies_and_stresses(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
-    return _at_points(law, lambda law, F: law.energy_and_stress(F), F)
-
-
-def _stresses(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
-    return _at_points(law, lambda law, F: law.stress(F), F)
-
-
-def _stresses_and_tangents(law: AbstractLaw, F: Float[Array, "n_qp 3 3"]):
-    return _at_points(law, lambda law, F: law.stress_and_tangent(F), F)
+    call = lambda law, F: getattr(law, method)(F)
+    return jax.vmap(call, in_axes=(axes, 0))(plain, F)
 
 
 def mean_dilatation(
@@ -78,28 +67,6 @@ def is_mixed(formulation: Formulation, n_qp: int) -> bool:
     return formulation == "mean-dilatation" and n_qp > 1
 
 
-def element_energy(
-    u: Float[Array, "n_en 3"],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
-    law: AbstractLaw,
-    formulation: Formulation,
-) -> Float[Array, ""]:
-    """Compute the strain energy of a tet, sum_q w_q psi(F_q) [J]."""
-    return element_energy_and_force(u, dN, w, law, formulation)[0]
-
-
-def element_force(
-    u: Float[Array, "n_en 3"],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
-    law: AbstractLaw,
-    formulation: Formulation,
-) -> Float[Array, "n_en 3"]:
-    """Compute the internal force of a tet, the gradient of its energy [N]."""
-    return element_energy_and_force(u, dN, w, law, formulation)[1]
-
-
 def element_energy_and_force(
     u: Float[Array, "n_en 3"],
     dN: Float[Array, "n_qp n_en 3"],
@@ -113,13 +80,13 @@ def element_energy_and_force(
         theta = mean_dilatation(u, dN, w)
         J, s, G = _scaled_to(theta, F)
         share = w * J / (theta * jnp.sum(w))
-        psi, P_bar = _energies_and_stresses(law, _each(s) * F)
+        psi, P_bar = _at_points(law, "energy_and_stress", _each(s) * F)
         P_bar = _each(s) * P_bar
         mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
         pressure = jnp.sum(w * mean_stress)
         P = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
     else:
-        psi, P = _energies_and_stresses(law, F)
+        psi, P = _at_points(law, "energy_and_stress", F)
         P = _each(w) * P
     return jnp.sum(w * psi), _push(P, dN)
 
@@ -135,21 +102,14 @@ def element_stiffness(
 ) -> Float[Array, "n_en 3 n_en 3"]:
     """Compute the tangent stiffness of a tet, the Hessian of its energy [N/m].
 
-    Args:
-        u: Nodal displacements [m].
-        dN: Shape gradients at the quadrature points [1/m].
-        w: Quadrature weights, volume included [m3].
-        law: Constitutive law.
-        formulation: Formulation of the volume change.
-        before: Displacements at which the step to `u` began; the geometric stiffness
-            then uses the stress predicted by that step, see `_foreseen` [m].
-        stepped: Whether `before` differs from `u` anywhere in the mesh; required with
-            `before`.
+    With `before`, the displacements at which the step to `u` began, the geometric
+    stiffness uses the stress predicted by that step, see `_foreseen`; `stepped` then
+    tells whether `before` differs from `u` anywhere in the mesh.
     """
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         return mixed_newton(u, mean_dilatation(u, dN, w), dN, w, law)[0]
-    P, A = _stresses_and_tangents(law, F)
+    P, A = _at_points(law, "stress_and_tangent", F)
     if before is not None:
         began = deformation_gradients(before, dN)
         gap = jax.lax.cond(
@@ -180,7 +140,7 @@ def _foreseen(
     uses the linear prediction instead (Magisano, Leonetti and Garcea, Comput. Methods
     Appl. Mech. Eng. 313, 2017).
     """
-    second = lambda F: _second(F, _stresses(law, F))
+    second = lambda F: _second(F, _at_points(law, "stress", F))
     stress, change = jax.jvp(second, (before,), (F - before,))
     return stress + change
 
@@ -226,7 +186,7 @@ def mixed_newton(
     w: Float[Array, " n_qp"],
     law: AbstractLaw,
 ) -> tuple[Float[Array, "n_en 3 n_en 3"], Float[Array, "n_en 3"]]:
-    """Compute the Newton system of a tet with an independent volume ratio `theta`.
+    """Compute stiffness [N/m] and force [N] of a tet with an independent volume ratio.
 
     Three-field form of Simo, Taylor and Pister (Comput. Methods Appl. Mech. Eng. 51,
     1985): W(u, theta) = sum_q w_q psi((theta / J_q)^(1/3) F_q) with theta = J_bar(u)
@@ -235,25 +195,14 @@ def mixed_newton(
     a nearly incompressible body would resist every rotation that the step completes
     only to first order.
 
-    At theta = J_bar(u) the stiffness is the Hessian of `element_energy` and the force
-    is `element_force`.
-
-    Args:
-        u: Nodal displacements [m].
-        theta: Volume ratio of the tet [-].
-        dN: Shape gradients at the quadrature points [1/m].
-        w: Quadrature weights, volume included [m3].
-        law: Constitutive law.
-
-    Returns:
-        Condensed stiffness [N/m] and force [N].
+    At theta = J_bar(u) they are Hessian and gradient of the strain energy.
     """
     # With eta = d ln theta and G = F^-T, dF_bar = s (dF + (eta - G : dF) / 3 F).
     F = deformation_gradients(u, dN)
     J, s, G = _scaled_to(theta, F)
     share = w * J / (theta * jnp.sum(w))
     gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
-    P_bar, A = _stresses_and_tangents(law, _each(s) * F)
+    P_bar, A = _at_points(law, "stress_and_tangent", _each(s) * F)
     P_bar, A = _each(s) * P_bar, (s**2)[:, None, None, None, None] * A
     A_F = jnp.sum(A * F[:, None, None], axis=(3, 4))
     Q = A_F + P_bar

@@ -1,9 +1,8 @@
 """PARDISO on the host, called from a program that runs on a GPU.
 
-The solvers of `_linear_solver` run inside programs for the CPU. This one passes the
-matrix to the host and waits for the solution, through a callback that JAX supports on
-every platform. Such programs must run one at a time: on a CPU, as many of them as JAX
-has threads would deadlock.
+It takes the matrix through a callback that JAX supports on every platform. Such
+programs must run one at a time: on a CPU, as many of them as JAX has threads would
+deadlock.
 """
 
 import os
@@ -18,6 +17,7 @@ import jax
 import numpy as np
 from scipy import sparse
 
+from softcal_jax._machine import available_cores
 from softcal_jax._typing import HostArray
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._sparsity import Sparsity
@@ -38,7 +38,8 @@ _PERTURBED, _NEGATIVE = 14, 23  # counts of perturbed pivots, negative eigenvalu
 class HostPardiso(AbstractLinearSolver):
     """Intel oneMKL PARDISO through pypardiso.
 
-    All symmetric matrices share one set of factors, all others share another.
+    All symmetric matrices share one set of factors, all others share another; factors
+    of the same matrix are used again.
     """
 
     sparsity: Sparsity
@@ -47,11 +48,15 @@ class HostPardiso(AbstractLinearSolver):
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "HostPardiso":
-        """Store the pattern; the first matrix triggers its analysis.
-
-        Raises:
-            ImportError: If pypardiso is not installed.
-        """
+        """Store the pattern; the first matrix triggers its analysis."""
+        told = os.environ.get("PJRT_NPROC", os.environ.get("NPROC", ""))
+        threads = int(told) if told.isdigit() else available_cores()
+        if jax.default_backend() == "cpu" and threads < 2:
+            raise ValueError(
+                "The solver 'pardiso-host' is called back from JAX, which needs two "
+                f"threads for that and has {threads}: set PJRT_NPROC=2 before Python "
+                "starts."
+            )
         if find_spec("pypardiso") is None:
             raise ImportError(
                 'solver="pardiso-host", that of a GPU, needs pypardiso: '
@@ -67,17 +72,13 @@ class HostPardiso(AbstractLinearSolver):
         )
         s = self.sparsity
         return jax.pure_callback(
-            _OnHost(s.symmetric), results, s.indptr, s.indices, values, rhs
+            _on_host, results, s.symmetric, s.indptr, s.indices, values, rhs
         )
 
     @property
     def runs_in_threads(self):
         """Whether several threads may run it: never."""
         return False
-
-    def solve_again(self, values, rhs):
-        """Solve, reusing the factors if the last matrix was the same."""
-        return self._factor_solve(values, rhs)[0]
 
 
 @dataclass
@@ -134,28 +135,22 @@ class _Solved(NamedTuple):
     ok: np.bool_
 
 
-@dataclass(frozen=True)
-class _OnHost:
-    """The host callback; instances compare equal, so programs are not recompiled."""
+def _on_host(symmetric, indptr, indices, values, rhs) -> _Solved:
+    from pypardiso.pardiso_wrapper import PyPardisoError
 
-    symmetric: bool
-
-    def __call__(self, indptr, indices, values, rhs) -> _Solved:
-        from pypardiso.pardiso_wrapper import PyPardisoError
-
-        # Copies: the kept matrix outlives the buffers of JAX.
-        indptr, indices, values, rhs = map(np.array, (indptr, indices, values, rhs))
-        n = indptr.size - 1
-        matrix = sparse.csr_array((values, indices, indptr), shape=(n, n))
-        slot = _slot(self.symmetric)
-        with slot.lock:
-            try:
-                slot.prepare(matrix)
-                x = slot.call(_SOLVE, matrix, rhs.T).T
-            except PyPardisoError as error:
-                if error.value != _ZERO_PIVOT:
-                    raise
-                return _Solved(np.zeros_like(rhs), np.int32(0), np.bool_(False))
-            regular = slot.pardiso.get_iparm(_PERTURBED) == 0
-            n_negative = slot.pardiso.get_iparm(_NEGATIVE) if self.symmetric else -1
-        return _Solved(np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular))
+    # Copies: the kept matrix outlives the buffers of JAX.
+    indptr, indices, values, rhs = map(np.array, (indptr, indices, values, rhs))
+    n, symmetric = indptr.size - 1, bool(symmetric)
+    matrix = sparse.csr_array((values, indices, indptr), shape=(n, n))
+    slot = _slot(symmetric)
+    with slot.lock:
+        try:
+            slot.prepare(matrix)
+            x = slot.call(_SOLVE, matrix, rhs.T).T
+        except PyPardisoError as error:
+            if error.value != _ZERO_PIVOT:
+                raise
+            return _Solved(np.zeros_like(rhs), np.int32(0), np.bool_(False))
+        regular = slot.pardiso.get_iparm(_PERTURBED) == 0
+        n_negative = slot.pardiso.get_iparm(_NEGATIVE) if symmetric else -1
+    return _Solved(np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular))

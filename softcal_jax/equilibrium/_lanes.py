@@ -15,9 +15,9 @@ def lane_by_lane(function: T) -> T:
 
     An ordinary `vmap` of a `while_loop` runs every lane until the slowest has ended.
     Here a converged lane costs nothing more, a batch gives bit for bit the results of
-    its members, and arrays that the lanes share are never copied. Assembly already
-    fills the vector units with the tets of one lane, and the sparse solver takes one
-    matrix at a time.
+    its members, and arrays that the lanes share are never copied; also if nested.
+    Assembly already fills the vector units with the tets of one lane, and the sparse
+    solver takes one matrix at a time.
 
     Apart from the threads of PARDISO and XLA within a lane, this loop uses one core;
     `Workers`, outside of compiled programs, runs lanes on all cores. Measured for 16
@@ -27,12 +27,6 @@ def lane_by_lane(function: T) -> T:
     threads call such a program. `shard_map` over two CPU devices took 117 and 159 ms,
     but needs the devices before JAX starts, and confines PARDISO to one core even for
     a single lane.
-
-    Args:
-        function: Takes and returns pytrees of arrays.
-
-    Returns:
-        The function with this batching rule, which also holds for nested `vmap`.
     """
     batched = jax.custom_batching.custom_vmap(function)
 

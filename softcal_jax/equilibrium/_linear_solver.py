@@ -21,9 +21,9 @@ class LinearSolution(NamedTuple):
     """Solution of a linear system and what its factorization reports.
 
     Attributes:
-        x: Solutions, one row per right-hand side.
+        x: Solutions, one row per right-hand side; zero if not `ok`.
         n_negative: Number of negative eigenvalues; -1 if not counted.
-        ok: False if the matrix was singular or not finite; `x` is then zero.
+        ok: False if the matrix was singular or not finite.
     """
 
     x: Float[Array, "n_rhs n_dof"]
@@ -51,19 +51,21 @@ class AbstractLinearSolver(eqx.Module):
         *,
         transpose: bool = False,
     ) -> LinearSolution:
-        """Factorize once and solve for every right-hand side.
+        """Factorize once and solve for every right-hand side, with K^T if `transpose`.
 
-        Args:
-            values: Entries in the order of the pattern.
-            rhs: One right-hand side per row.
-            transpose: Solve with the transposed matrix.
-
-        Returns:
-            The solutions; zero and not ok if they do not exist.
+        `values` are in the order of the pattern; each row of `rhs` is a right-hand
+        side.
         """
         if transpose and self.sparsity.mirror is not None:
             values = values[self.sparsity.mirror]
-        return LinearSolution(*_factor_solve(self, values, rhs))
+        finite = jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(rhs))
+        # NaN makes PARDISO abort the process: factorize the identity instead.
+        unit = jnp.zeros_like(values).at[self.sparsity.diagonal].set(1.0)
+        x, n_negative, ok = self._factor_solve(
+            jnp.where(finite, values, unit), jnp.where(finite, rhs, 0.0)
+        )
+        ok = ok & finite & jnp.all(jnp.isfinite(x))
+        return LinearSolution(jnp.where(ok, x, 0.0), n_negative, ok)
 
     @property
     def runs_in_threads(self) -> bool:
@@ -71,12 +73,9 @@ class AbstractLinearSolver(eqx.Module):
         return True
 
     def another(self, number: int) -> "AbstractLinearSolver":
-        """Return a solver of the same pattern for another thread, with its own factors.
+        """Return a solver for thread `number`: same pattern, its own factors.
 
         Solvers that keep no factors or do not run in threads return themselves.
-
-        Args:
-            number: Index of the thread, from 1; equal indices share factors.
         """
         del number
         return self
@@ -88,46 +87,15 @@ class AbstractLinearSolver(eqx.Module):
         """
         return nullcontext()
 
-    @abstractmethod
     def solve_again(
         self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
     ) -> Float[Array, "n_rhs n_dof"]:
-        """Solve with the factors of the last `factor_solve`.
+        """Solve with the factors of the last `factor_solve`, for its matrix `values`.
 
         Another program may have replaced them in the meantime, so the caller must check
-        the solution.
-
-        Args:
-            values: The matrix that was factorized.
-            rhs: Finite right-hand sides, one per row.
+        the solution. A solver that keeps no factors factorizes again.
         """
-
-
-@jax.custom_batching.custom_vmap
-def _factor_solve(solver, values, rhs):
-    finite = jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(rhs))
-    # NaN makes PARDISO abort the process: factorize the identity instead.
-    unit = jnp.zeros_like(values).at[solver.sparsity.diagonal].set(1.0)
-    x, n_negative, ok = solver._factor_solve(
-        jnp.where(finite, values, unit), jnp.where(finite, rhs, 0.0)
-    )
-    ok = ok & finite & jnp.all(jnp.isfinite(x))
-    return jnp.where(ok, x, 0.0), n_negative, ok
-
-
-@_factor_solve.def_vmap
-def _factor_solve_rule(axis_size, in_batched, solver, values, rhs):
-    _, values_batched, rhs_batched = in_batched
-    if values_batched:  # one factorization per lane
-        rhs = rhs if rhs_batched else jnp.broadcast_to(rhs, (axis_size, *rhs.shape))
-        out = jax.lax.map(lambda lane: _factor_solve(solver, *lane), (values, rhs))
-        return out, (True, True, True)
-    # one factorization, all right-hand sides in one call
-    x, n_negative, ok = _factor_solve(solver, values, rhs.reshape(-1, rhs.shape[-1]))
-    return (
-        (x.reshape(rhs.shape), n_negative, ok),
-        (True, False, False),
-    )
+        return self._factor_solve(values, rhs)[0]
 
 
 _Options = tuple[tuple[int, int], ...]
@@ -154,8 +122,7 @@ _MKL_DOMAIN_PARDISO = 4
 def _load_pardiso(sparsity: Sparsity):
     """Import pardiso-mkl-jax with OpenMP threads that do not spin.
 
-    By default MKL's threads spin for a while after each call, but JAX needs their cores
-    for the assembly.
+    MKL's threads would spin after each call, but the assembly needs their cores.
     """
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pardiso_mkl_jax import MatrixType, primitive
@@ -168,8 +135,7 @@ def _load_pardiso(sparsity: Sparsity):
 def _analyse(sparsity: Sparsity, options: _Options, number: int):
     """Analyse a pattern outside jit; return its token and PARDISO's report.
 
-    pardiso-mkl-jax identifies an analysis by its inputs, so `number` goes into the
-    values to make each one distinct.
+    pardiso-mkl-jax tells analyses apart by their inputs: `number` goes into the values.
     """
     primitive, kind = _load_pardiso(sparsity)
     return primitive.analyze(
@@ -211,10 +177,8 @@ class Pardiso(AbstractLinearSolver):
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Pardiso":
         """Analyse the pattern in the ordering that needs less work."""
-        nested, degree = (
-            _work(sparsity, order) for order in (_NESTED, _MINIMUM_DEGREE)
-        )
-        return cls._of(sparsity, _MINIMUM_DEGREE if degree <= nested else _NESTED, 0)
+        orders = (_MINIMUM_DEGREE, _NESTED)
+        return cls._of(sparsity, min(orders, key=lambda o: _work(sparsity, o)), 0)
 
     @classmethod
     def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":
@@ -251,8 +215,7 @@ class Pardiso(AbstractLinearSolver):
     def on_one_core(self):
         """Enter a context in which new solvers use one core each.
 
-        PARDISO plans for the number of threads at analysis, and fails if it differs
-        later.
+        PARDISO plans for a number of threads, and fails if it differs later.
         """
         from pardiso_mkl_jax._mkl_loader import libmkl_rt
 
@@ -284,13 +247,9 @@ class Klu(AbstractLinearSolver):
     """KLU through klujax, for platforms without PARDISO.
 
     It does not count negative eigenvalues. CHOLMOD would be faster, but its package
-    aborts at the first indefinite tangent of a batch.
-
-    Attributes:
-        full_rows: Row of each entry of the full matrix: the pattern, then the lower
-            triangle of a symmetric one.
-        full_cols: Column of each entry.
-        source: Index of its value in the pattern.
+    aborts at the first indefinite tangent of a batch. The full matrix has the entries
+    of the pattern, then the lower triangle of a symmetric one, with values from
+    `source`.
     """
 
     sparsity: Sparsity
@@ -319,17 +278,9 @@ class Klu(AbstractLinearSolver):
         x = klujax.solve(self.full_rows, self.full_cols, values[self.source], rhs.T).T
         return x, jnp.full((), -1, jnp.int32), jnp.all(jnp.isfinite(x))
 
-    def solve_again(self, values, rhs):
-        """Factorize again: klujax keeps no factors."""
-        return self._factor_solve(values, rhs)[0]
-
 
 def require_float64() -> None:
-    """Raise unless JAX computes in float64; in float32 equilibria do not converge.
-
-    Raises:
-        ValueError: If `jax_enable_x64` is off.
-    """
+    """Raise unless JAX computes in float64; in float32 equilibria do not converge."""
     if not jax.config.read("jax_enable_x64"):
         raise ValueError(
             "softcal_jax needs float64, but JAX is in float32. Put "

@@ -8,20 +8,19 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._assembly import tangent_values
 from softcal_jax.equilibrium._balance import (
-    add_boundary_stiffness,
-    bordered_system,
+    assemble,
     deform,
     estimated_forces,
     taut,
     unbalanced,
 )
+from softcal_jax.equilibrium._bordered import Bordered, System, zeros_of
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._sparsity import mask_supports, product
+from softcal_jax.equilibrium._sparsity import product
 
 SAME_MATRIX = 1e-6
 """Largest relative residual at which a solution belongs to the given matrix [-]."""
@@ -37,14 +36,8 @@ def residual(
 
     At equilibrium it is zero on free coordinates; on held ones it is the reaction, the
     force of the support on the robot. Summed over a rigid body it is zero, or the force
-    that holds the body.
-
-    Args:
-        model: The model.
-        configuration: One configuration.
-        u: Displacement [m].
-        lambda_a: Forces of the actuators whose displacement is imposed; by default
-            estimated from the balance, which is exact at equilibrium.
+    that holds the body. Unless given, the forces `lambda_a` of actuators whose
+    displacement is imposed are estimated from the balance, exactly at equilibrium.
     """
     posed, at = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
@@ -76,20 +69,10 @@ class Linearisation(eqx.Module):
     posed: Posed
     u: Float[Array, "n_points 3"]
     lambda_a: Float[Array, " n_a"]
-    system: actuation.System
+    system: System
     regular: Bool[Array, ""]
     factorized: bool = eqx.field(static=True, default=False)
     differentiable: bool = eqx.field(static=True, default=False)
-
-    @property
-    def model(self) -> Model:
-        """The model."""
-        return self.posed.model
-
-    @property
-    def configuration(self) -> ConfigurationArrays:
-        """The configuration."""
-        return self.posed.configuration
 
     def free(self, forces: Float[Array, "n_points 3"]) -> Float[Array, " n_dof"]:
         """Reduce nodal forces to the free unknowns, 0 on the others [N]."""
@@ -105,47 +88,38 @@ class Linearisation(eqx.Module):
         gap: Float[Array, "n n_m"],
         *,
         transpose: bool = False,
-    ) -> actuation.Bordered:
+    ) -> Bordered:
         """Solve for several right-hand sides with at most one factorization.
 
-        Args:
-            force: Forces on the free unknowns, 0 on the others [N].
-            gap: Imposed minus current displacements of active actuators.
-            transpose: Solve with the transposed matrix.
-
-        Returns:
-            The solutions; zero and not ok if they do not exist.
+        `force` is 0 on held unknowns [N], `gap` the imposed minus current displacement
+        of active actuators; solutions are zero and not ok if they do not exist.
         """
-        solve = partial(self.system.solve, self.model, transpose=transpose)
+        solve = partial(self.system.solve, self.posed.model.solver, transpose=transpose)
         if self.differentiable:
             assert not transpose, "autodiff transposes these solutions itself"
-            return _solve_linearly(self.model, self.system, force, gap)
+            return _solve_linearly(self.posed.model, self.system, force, gap)
         if not self.factorized:
             return solve(force, gap)
         ok = self.regular & jnp.all(jnp.isfinite(force)) & jnp.all(jnp.isfinite(gap))
-        zeros = jax.tree.map(
-            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
-            jax.eval_shape(solve, force, gap),
-        )
         again = lambda: self._on_last_factors(solve, force, gap)
-        return jax.lax.cond(ok, again, lambda: zeros)
+        return jax.lax.cond(ok, again, lambda: zeros_of(solve, force, gap))
 
-    def _on_last_factors(self, solve, force, gap) -> actuation.Bordered:
+    def _on_last_factors(self, solve, force, gap) -> Bordered:
         """Solve with the factors of the last Newton step.
 
-        Another program may have replaced PARDISO's factors in between; one product with
-        a combination of all solutions detects it. The matrix is then factorized again,
-        as it always is where displacements of actuators are imposed.
+        Another program may have replaced them; one product with a combination of all
+        solutions detects it. The matrix is then factorized again, as it always is where
+        displacements of actuators are imposed.
         """
         if gap.shape[1] > 0:
             return solve(force, gap)
-        solver, values = self.model.solver, self.system.values
+        solver, values = self.posed.model.solver, self.system.values
         x = solver.solve_again(values, force)
         size = jnp.linalg.norm(force, axis=1)
         mix = jnp.where(size > 0.0, 1.0 / size, 0.0)[:, None]
         off = product(solver.sparsity, values, jnp.sum(mix * x, axis=0))
         off = jnp.linalg.norm(off - jnp.sum(mix * force, axis=0))
-        found = actuation.Bordered(
+        found = Bordered(
             x=x,
             lambda_a=gap,
             W_aa=jnp.zeros((0, 0)),
@@ -158,10 +132,10 @@ class Linearisation(eqx.Module):
 
 def _solve_linearly(
     model: Model,
-    system: actuation.System,
+    system: System,
     force: Float[Array, "n n_dof"],
     gap: Float[Array, "n n_m"],
-) -> actuation.Bordered:
+) -> Bordered:
     """Solve the bordered system in a way that autodiff can transpose."""
     n_dof, n_m = force.shape[1], gap.shape[1]
     values, active = system.values, system.active
@@ -181,7 +155,7 @@ def _solve_linearly(
     def solve(_, b, *, transpose=False):
         below = b[:, n_dof:]
         wanted = jnp.where(active[None], -below, 0.0) if n_m > 0 else below
-        found = system.solve(model, b[:, :n_dof], wanted, transpose=transpose)
+        found = system.solve(model.solver, b[:, :n_dof], wanted, transpose=transpose)
         lam = jnp.where(active[None], found.lambda_a, below) if n_m > 0 else below
         # A derivative that does not exist must not be mistaken for zero.
         return jnp.where(found.ok, join(found.x, lam), jnp.nan)
@@ -193,7 +167,7 @@ def _solve_linearly(
         transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
     )
-    return actuation.Bordered(
+    return Bordered(
         x=x[:, :n_dof],
         lambda_a=x[:, n_dof:],
         W_aa=jnp.full((n_m, n_m), jnp.nan),
@@ -212,31 +186,17 @@ def linearise(
 ) -> Linearisation:
     """Assemble the tangent and the actuator rows at an equilibrium.
 
-    Args:
-        model: The model.
-        configuration: One configuration.
-        u: Displacement at the equilibrium [m].
-        lambda_a: Forces of actuators whose displacement is imposed; estimated from the
-            balance by default.
-        differentiable: See `Linearisation`.
+    `lambda_a` as for `residual`, `differentiable` as in `Linearisation`.
     """
     posed, at = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
-        lambda_a = jnp.zeros_like(at.delta_a)
-        if actuation.with_multiplier(model).size > 0:
-            lambda_a = estimated_forces(posed, at)
-    g, rows = unbalanced(posed, at, lambda_a)
-    values = add_boundary_stiffness(posed, tangent_values(model, u), u, lambda_a)
-    reduced = posed.reduce(u, values, g)
-    masked, _ = mask_supports(model.solver.sparsity, reduced, posed.fixed())
-    system, _ = bordered_system(
-        posed, u, values=masked, forces=rows, active=taut(posed, at)
-    )
+        lambda_a = estimated_forces(posed, at)
+    mesh, active = tangent_values(model, u), taut(posed, at)
     return Linearisation(
         posed=posed,
         u=u,
         lambda_a=lambda_a,
-        system=system,
+        system=assemble(posed, at, lambda_a, mesh=mesh, active=active).system,
         regular=jnp.ones((), bool),
         differentiable=differentiable,
     )
@@ -253,17 +213,8 @@ def factor_solve(
     """Solve K(u) dx = rhs on the free unknowns, with one factorization for all rows.
 
     Imposed actuator displacements are kept: the inverse is that of the bordered system,
-    which gives W_ep - W_ea W_aa^-1 W_ap in place of W_ep.
-
-    Args:
-        model: The model.
-        configuration: One configuration; its supports hold rows.
-        u: Equilibrium displacement, where K is taken [m].
-        rhs: Right-hand sides; entries on held nodes are ignored [N].
-        transpose: Solve with K^T, which equals K only for a conservative model.
-
-    Returns:
-        Displacements of all nodes, zero on held ones [m].
+    which gives W_ep - W_ea W_aa^-1 W_ap in place of W_ep. Entries of `rhs` on held
+    nodes are ignored [N], where `x` is zero [m]. `transpose` solves with K^T.
     """
     lin = linearise(model, configuration, u)
     gap = jnp.zeros((rhs.shape[0], lin.system.active.size))

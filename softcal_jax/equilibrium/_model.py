@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import ArrayLike, Shaped
 
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators import AbstractActuator, clique_nodes
@@ -19,9 +19,14 @@ from softcal_jax.equilibrium._linear_solver import (
     AbstractLinearSolver,
     require_float64,
 )
-from softcal_jax.equilibrium._reduction import Reduction, build_reduction
 from softcal_jax.equilibrium._solver_choice import check_solver, choose_solver
-from softcal_jax.equilibrium._sparsity import Sparsity, build_sparsity, destinations
+from softcal_jax.equilibrium._sparsity import (
+    Reduction,
+    Sparsity,
+    build_reduction,
+    build_sparsity,
+    destinations,
+)
 from softcal_jax.materials import AbstractLaw
 from softcal_jax.mesh import TetMesh, check_mesh
 
@@ -74,6 +79,29 @@ class Model(eqx.Module):
         return self.solver.sparsity.n_dof
 
     @property
+    def with_multiplier(self) -> Int[HostArray, " n_m"]:
+        """Indices of the actuators whose force may be unknown: their motion is imposed.
+
+        Motors are left out: an imposed angle holds the body itself.
+        """
+        actuators = self.mechanism.actuators
+        motor = np.array(actuators.motor_body) >= 0
+        return np.flatnonzero(actuators.has_displacement & ~motor)
+
+    def among_all(self, values: Float[Array, "*b n_m"]) -> Float[Array, "*b n_a"]:
+        """Expand values of the actuators `with_multiplier` to all, 0 elsewhere."""
+        none = jnp.zeros((*values.shape[:-1], self.mechanism.n_actuators), values.dtype)
+        return none.at[..., self.with_multiplier].set(values, unique_indices=True)
+
+    def positions(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+        """Return the positions of all nodes [m]."""
+        return jnp.asarray(self.mechanism.points) + u
+
+    def displacements(self, u: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
+        """Return the displacements delta_a of the actuators."""
+        return self.mechanism.displacements(self.positions(u))
+
+    @property
     def n_tets(self) -> int:
         """Number of tets."""
         return self.mesh.tets.shape[0]
@@ -82,9 +110,8 @@ class Model(eqx.Module):
     def conservative(self) -> bool:
         """Whether a potential exists, so that the tangent is symmetric.
 
-        Without one, the full tangent goes to a non-symmetric solver, Newton reduces the
-        residual instead of the potential, and stability cannot be judged by counting
-        negative eigenvalues.
+        Without one, the solver takes the full tangent, Newton reduces the residual, and
+        negative eigenvalues do not tell whether a state is stable.
         """
         return self.solver.sparsity.symmetric
 
@@ -107,14 +134,13 @@ class Model(eqx.Module):
     def law_blocks(self) -> AbstractLaw:
         """Return the law with per-tet arrays cut into blocks for the assembly."""
         n_blocks, _, block = self.weights.shape
-        return jax.tree.map(
-            lambda leaf: to_blocks(leaf, self.n_tets, n_blocks, block), self.law
-        )
+        cut = lambda leaf: to_blocks(leaf, self.n_tets, n_blocks, block)
+        return jax.tree.map(cut, self.law)
 
 
 def to_blocks(
-    leaf: Float[Array, "..."], n_tets: int, n_blocks: int, block: int
-) -> Float[Array, "n_blocks block ..."]:
+    leaf: Shaped[Array, "..."], n_tets: int, n_blocks: int, block: int
+) -> Shaped[Array, "n_blocks block ..."]:
     """Cut per-tet values into blocks; a single value is repeated for all tets."""
     if leaf.ndim == 0:
         return jnp.broadcast_to(leaf, (n_blocks, block))
@@ -133,11 +159,7 @@ def _check_fields(law: AbstractLaw, n_tets: int) -> None:
 
 
 def check_law(law: AbstractLaw, conservative: bool, formulation: Formulation) -> None:
-    """Raise unless the law suits this kind of tangent and formulation.
-
-    Raises:
-        ValueError: If the law has no potential and one of them requires it.
-    """
+    """Raise unless the law has the potential that tangent or formulation requires."""
     name = type(law).__name__
     if conservative and not law.conservative:
         raise ValueError(
@@ -169,25 +191,21 @@ def build_model(
     "mean-dilatation" is slightly too soft but more accurate from nu = 0.49 on
     (`python -m benchmarks run locking`).
 
-    A law without a potential (`ClassicalCorotational`) makes the model not
-    `conservative`: solving it costs more, and stability remains unknown.
+    A law without a potential (`ClassicalCorotational`) or a `SurfacePressure` makes the
+    model not `conservative`: solving costs more, and stability remains unknown.
 
     Args:
         mesh: The mesh [m], linear or quadratic.
         law: Constitutive law; its arrays hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
         bodies: The rigid bodies.
-        actuators: Cables, chambers, motors and other actuators. A
-            `SurfacePressure` has no potential and makes the model not `conservative`.
+        actuators: Cables, chambers, motors and other actuators.
         formulation: How the volume change enters. "auto" takes "mean-dilatation" for
             quadratic tets whose law has a Poisson's ratio `nu` of 0.49 or more, and
             "displacement" otherwise; `Model.formulation` says which.
         solver: Sparse direct solver: "pardiso" or "klu" on the CPU, by default that of
             the platform; or "pardiso-host", the default where JAX computes on a GPU
             (extra `gpu`).
-
-    Returns:
-        The model.
 
     Raises:
         ValueError: If JAX is not in float64, the mesh is not sound, the density is
@@ -205,27 +223,23 @@ def build_model(
     n_tets, n_en = mesh.tets.shape
     chosen = _formulation(formulation, law, n_en)
     check_law(law, law.conservative, chosen)
-    block = BLOCK
-    n_blocks = -(-n_tets // block)
-
-    def blocked(per_tet):
-        pad = np.broadcast_to(
-            per_tet[:1], (n_blocks * block - n_tets, *per_tet.shape[1:])
-        )
-        cut = np.concatenate([per_tet, pad]).reshape(
-            n_blocks, block, *per_tet.shape[1:]
-        )
-        return np.moveaxis(cut, 1, -1)
-
+    n_blocks = -(-n_tets // BLOCK)
+    blocked = lambda per_tet: jnp.moveaxis(
+        to_blocks(jnp.asarray(per_tet), n_tets, n_blocks, BLOCK), 1, -1
+    )
     dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
     conservative = law.conservative and mechanism.actuators.symmetric
     rigid = _within_one_body(mesh, mechanism)
-    active = np.concatenate([~rigid, np.zeros(n_blocks * block - n_tets, bool)])
+    active = np.arange(n_blocks * BLOCK) < n_tets
+    active[:n_tets] &= ~rigid
     curved = clique_nodes(mechanism.actuators)
     cliques = (mesh.tets, *curved)
     pattern = build_sparsity(cliques, len(mechanism.points), symmetric=conservative)
-    reduction = _reduction(mechanism, pattern, (mesh.tets[~rigid], *curved))
-    unknowns = pattern if reduction is None else reduction.reduced
+    reduction, unknowns = None, pattern
+    if mechanism.bodies.n_bodies > 0:
+        deforming = (mesh.tets[~rigid], *curved)
+        reduction = build_reduction(pattern, deforming, mechanism.bodies)
+        unknowns = reduction.reduced
     rule = tet_rule(2 if n_en == 4 else 4)
     _, w_load = _shape_gradients_at(mesh, degree=2 if n_en == 4 else 4)
     node_volumes = w_load @ shape_functions(rule.barycentric, n_en)
@@ -234,11 +248,11 @@ def build_model(
         law=law,
         density=density,
         mechanism=mechanism,
-        shape_gradients=jnp.asarray(blocked(dN)),
-        weights=jnp.asarray(blocked(w)),
-        active=jnp.asarray(active.reshape(n_blocks, block), float),
-        nodes=jnp.asarray(blocked(mesh.tets.astype(np.int32))),
-        destination=jnp.asarray(blocked(destinations(pattern, mesh.tets).T)),
+        shape_gradients=blocked(dN),
+        weights=blocked(w),
+        active=jnp.asarray(active.reshape(n_blocks, BLOCK), float),
+        nodes=blocked(mesh.tets.astype(np.int32)),
+        destination=blocked(destinations(pattern, mesh.tets).T),
         node_volumes=jnp.asarray(node_volumes),
         pattern=pattern,
         curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
@@ -249,10 +263,7 @@ def build_model(
 
 
 def _linked(mechanism: Mechanism) -> list[np.ndarray]:
-    """Return the nodes that each rigid body holds together, tied bodies included.
-
-    Bodies with motors are linked through the ground.
-    """
+    """Return the nodes that each body, or the ground by motors, holds together."""
     bodies = mechanism.bodies
     owner = bodies.owner[bodies.body]
     driven = np.isin(owner, mechanism.actuators.motor_body)
@@ -266,18 +277,6 @@ def _within_one_body(mesh: TetMesh, mechanism: Mechanism) -> np.ndarray:
     body[mechanism.bodies.attached] = mechanism.bodies.body
     of_tet = body[mesh.tets]
     return (of_tet[:, 0] >= 0) & np.all(of_tet == of_tet[:, :1], axis=1)
-
-
-def _reduction(mechanism: Mechanism, pattern: Sparsity, cliques) -> Reduction | None:
-    bodies = mechanism.bodies
-    if bodies.n_bodies == 0:
-        return None
-    first_frame = len(mechanism.points) - 4 * bodies.n_bodies
-    rigid = np.concatenate(
-        [bodies.attached, np.arange(first_frame, len(mechanism.points))]
-    )
-    body = np.concatenate([bodies.body, np.repeat(np.arange(bodies.n_bodies), 4)])
-    return build_reduction(pattern, cliques, rigid, bodies.owner[body], bodies.n_bodies)
 
 
 def _checked_density(
@@ -297,7 +296,9 @@ def _checked_density(
     return density
 
 
-def _formulation(choice: str, law: AbstractLaw, n_en: int) -> Formulation:
+def _formulation(
+    choice: Literal["auto"] | Formulation, law: AbstractLaw, n_en: int
+) -> Formulation:
     if choice == "auto":
         nu = [
             np.max(leaf)
@@ -306,10 +307,8 @@ def _formulation(choice: str, law: AbstractLaw, n_en: int) -> Formulation:
         ]
         stiff = n_en == 10 and any(value >= 0.49 for value in nu)
         return "mean-dilatation" if stiff else "displacement"
-    if choice == "displacement":
-        return "displacement"
-    if choice == "mean-dilatation":
-        return "mean-dilatation"
+    if choice in ("displacement", "mean-dilatation"):
+        return choice
     raise ValueError(
         'formulation must be "auto", "displacement" or "mean-dilatation", '
         f"got {choice!r}."

@@ -2,8 +2,8 @@
 
 Minimises Pi(x) = sum_e V_e psi(F_e) - t (f_ext . u + lambda_a . delta_a) over the free
 unknowns, while the load factor t goes from 0 to 1 (paper Eqs. 1-3; equilibrium is a
-minimum of Pi when forces are imposed). A single `while_loop` does it all: each
-iteration is a Newton step, and the end or failure of a load step only changes t.
+minimum of Pi when forces are imposed). Each iteration of a single `while_loop` is a
+Newton step; the end or failure of a load step only changes t.
 """
 
 from dataclasses import dataclass
@@ -16,18 +16,20 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._balance import (
     Point,
     at_rest,
-    by_multiplier,
     estimated_forces,
     evaluate,
     merit,
     relative,
 )
-from softcal_jax.equilibrium._direction import dilatation, newton_direction
-from softcal_jax.equilibrium._line_search import always_potential, line_search
+from softcal_jax.equilibrium._direction import (
+    always_potential,
+    dilatation,
+    line_search,
+    newton_direction,
+)
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
 
@@ -72,8 +74,8 @@ class NewtonState(NamedTuple):
     `ok` and `*_ok` belong to the last equilibrium on the load path. `theta` holds the
     volume ratios of the mixed Newton step; everything else, including the stopping
     rule, uses theta = J_bar(u). `turned`: the last trial step inverted a tet.
-    `merit_before` is the norm of the residual one step ago, for the line search; inf at
-    the start of a load step, None if the line search always uses the potential.
+    `merit_before` is the norm of the residual one step ago; inf at the start of a load
+    step, None if the line search always uses the potential.
     """
 
     at: Point
@@ -98,19 +100,13 @@ class NewtonState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)  # JAX caches its methods by identity
 class NewtonLoop:
-    """Newton's method for a configuration.
-
-    Attributes:
-        posed: The configuration, at full load.
-        settings: The settings.
-    """
+    """Newton's method for a configuration, posed at full load."""
 
     posed: Posed
     settings: NewtonSettings
 
     @property
     def model(self) -> Model:
-        """The model."""
         return self.posed.model
 
     def strict(self, s: NewtonState):
@@ -128,26 +124,21 @@ class NewtonLoop:
         """Do one Newton iteration, then keep, raise or cut the load."""
         posed, strict = self.posed.at_load(s.load), self.strict(s)
         direction = newton_direction(
-            posed, s.at.deformed, s.lambda_a, theta=s.theta, strict=strict
+            posed, s.at, s.lambda_a, theta=s.theta, strict=strict
         )
         factor = direction.factor
         downhill = jnp.ones((), bool)
         if self.model.conservative:  # otherwise it always descends the residual
-            saddle = jnp.any(by_multiplier(posed))
+            saddle = jnp.any(posed.by_multiplier)
             downhill = direction.moving | (direction.slope <= 0.0) | ~strict | saddle
+        before = merit(posed, s.at, direction.step.lambda_a, factor.gap_stiffness)
+        reference = jax.tree.map(lambda old: jnp.maximum(old, before), s.merit_before)
+        rtol, most = self.settings.rtol, self.settings.max_backtracks
         tried = line_search(
-            posed,
-            s.at,
-            direction,
-            strict=strict,
-            merit_before=s.merit_before,
-            max_backtracks=self.settings.max_backtracks,
+            posed, s.at, direction, strict=strict, reference=reference, backtracks=most
         )
         good = tried.good & factor.ok & downhill
-        rtol = self.settings.rtol
-        residual = relative(
-            posed, tried.at.deformed, tried.merit, factor.stiffness, rtol
-        )
+        residual = relative(posed, tried.at, tried.merit, factor.stiffness, rtol)
         residual = jnp.where(good, residual, jnp.inf)
         before_step = s.residual
         s = s._replace(
@@ -158,12 +149,9 @@ class NewtonLoop:
             # A singular tangent gives no step; keep the flag of the step before.
             turned=jnp.where(factor.ok, tried.at.min_det_F <= 0.0, s.turned),
         )
-        before = merit(
-            posed, s.at.deformed, direction.step.lambda_a, factor.gap_stiffness
-        )
         # A single step that converges, as in a strut under an axial force, leaves the
         # tangent of another state: factorize once more at this state without moving.
-        near = before <= _NEAR * jnp.linalg.norm(tried.at.deformed.force)
+        near = before <= _NEAR * jnp.linalg.norm(tried.at.force)
         near = near | (factor.n_negative < 0)
         stay = (s.residual <= rtol) & (s.step_in_load > 1)
         good, near = good | (stay & factor.ok), near | stay
@@ -189,10 +177,10 @@ class NewtonLoop:
         return jax.lax.cond(failed, self.back, lambda s: s, s)
 
     def suspicious(self, s: NewtonState, det):
-        """Tell whether full steps may have left the load path.
+        """Tell whether full steps may have left the load path; load steps find it.
 
         They may have jumped to a saddle, shown by negative eigenvalues, or past an
-        inverted tet, which some laws survive. Load stepping then finds the path.
+        inverted tet, which some laws survive.
         """
         jumped = (det <= 0.0) & (s.increment >= self.settings.strict_below)
         if self.model.conservative:
@@ -248,16 +236,14 @@ class NewtonLoop:
         # Rest is a better start than inverted tets or infinite energy.
         usable = guess.finite & (guess.min_det_F > 0.0)
         at = _select(usable, guess, rest)
-        lambda_a = none = jnp.zeros(self.model.mechanism.n_actuators)
-        if actuation.with_multiplier(self.model).size > 0:
-            warm = jnp.any(at.u != 0.0)
-            lambda_a = jnp.where(warm, estimated_forces(self.posed, at.deformed), 0.0)
+        warm = jnp.any(at.u != 0.0)
+        lambda_a = jnp.where(warm, estimated_forces(self.posed, at), 0.0)
         state = NewtonState(
             at=at,
             theta=zero,
             lambda_a=lambda_a,
             ok=rest,
-            lambda_ok=none,
+            lambda_ok=jnp.zeros_like(lambda_a),
             load=one,
             load_ok=zero,
             increment=one,
@@ -283,8 +269,7 @@ def newton(
 ) -> NewtonState:
     """Solve one configuration from the guess `u0`, first at full load.
 
-    If the guess does not lead to a solution at full load, load stepping starts from
-    rest.
+    If that does not lead to a solution, load stepping starts from rest.
     """
     loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
     keep_going = lambda s: ~s.done & (s.step < settings.max_steps)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.actuators import actuators_moving
@@ -29,7 +30,7 @@ from softcal_jax.bodies import (
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import gravity_load
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._reduction import reduce_values
+from softcal_jax.equilibrium._sparsity import reduce_values
 
 _UNMOVED = 1e-12
 """Distance of a held body from its place that is rounding, per frame length [-]."""
@@ -40,8 +41,7 @@ def _body_states(
 ) -> BodyStateArrays:
     """Return how the configuration and its motors constrain the bodies.
 
-    A motor with an imposed angle holds its body; with an imposed torque it leaves the
-    body free on its hinge.
+    A motor holds its body at an imposed angle; a torque leaves it free on its hinge.
     """
     mechanism = model.mechanism
     state, actuation = configuration.bodies, configuration.actuation
@@ -85,10 +85,7 @@ class Posed(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
-        """Pose a model in a configuration at full load.
-
-        Friction takes its sign from the configuration's direction of motion.
-        """
+        """Pose a model at full load; friction opposes the configuration's motion."""
         f_ext = external_force(model, configuration)
         if any(model.mechanism.actuators.has_friction):
             actuators = actuators_moving(
@@ -109,8 +106,11 @@ class Posed(NamedTuple):
         return self._replace(load=load, mounted=frames)
 
     @property
-    def _has_bodies(self) -> bool:
-        return self.model.reduction is not None
+    def by_multiplier(self) -> Bool[Array, " n_a"]:
+        """Flag the actuators with an imposed displacement, whose force is unknown."""
+        model, actuation = self.model, self.configuration.actuation
+        may_be = np.isin(np.arange(model.mechanism.n_actuators), model.with_multiplier)
+        return jnp.asarray(actuation.by_displacement) & may_be
 
     def spring_force(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
         """Compute the forces of the nodes on the springs of elastic supports [N]."""
@@ -137,12 +137,7 @@ class Posed(NamedTuple):
     def gather(
         self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
     ) -> Float[Array, " n_dof"]:
-        """Gather forces on all nodes into forces on the unknowns, G^T f [N].
-
-        Args:
-            u: Displacement [m].
-            forces: Forces on the nodes [N].
-        """
+        """Gather forces on all nodes at u into forces on the unknowns, G^T f [N]."""
         plan = self.model.reduction
         if plan is None:
             return forces.ravel()
@@ -170,19 +165,18 @@ class Posed(NamedTuple):
         return free.at[plan.rigid].set(along, unique_indices=True)
 
     def rigid(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
-        """Make every body rigid again, as its frame is placed [m].
-
-        Guesses need it: a linear prediction stretches what rotates.
-        """
-        return self._with_bodies(u, self._frames(u)) if self._has_bodies else u
+        """Make every body of a guess rigid again, as its frame is placed [m]."""
+        if self.model.reduction is None:
+            return u
+        return self._with_bodies(u, self._frames(u))
 
     def move(
         self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
     ) -> Float[Array, "n_points 3"]:
-        """Apply a step of the unknowns to a displacement [m].
+        """Apply a step of the unknowns to a displacement; bodies move rigidly [m].
 
-        Bodies move rigidly. Held bodies go to their imposed pose at this load; the step
-        of supported nodes is already part of d.
+        Held bodies go to their imposed pose at this load; the step of supported nodes
+        is already part of d.
         """
         if self.states is None or self.mounted is None:
             return u + d.reshape(u.shape)
@@ -226,14 +220,11 @@ class Posed(NamedTuple):
 
     def imposed(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
         """Return the remaining motion of held nodes to their imposed positions [m]."""
-        held = jnp.asarray(self.configuration.fixed)
-        target = self.load * jnp.asarray(self.configuration.imposed)
-        gap = jnp.where(held, target - u, 0.0)
+        gap = self.held_at(u) - u
         plan = self.model.reduction
         if plan is None:
             return gap
-        there = self.move(u, jnp.zeros(u.size + 6 * self._n_bodies))[plan.rigid]
-        far = there - u[plan.rigid]
+        far = gap[plan.rigid]
         rounding = _UNMOVED * self.model.mechanism.bodies.length
         return gap.at[plan.rigid].set(jnp.where(jnp.abs(far) > rounding, far, 0.0))
 
@@ -242,7 +233,7 @@ class Posed(NamedTuple):
         held = jnp.asarray(self.configuration.fixed)
         target = self.load * jnp.asarray(self.configuration.imposed)
         there = jnp.where(held, target, u)
-        if not self._has_bodies:
+        if self.model.reduction is None:
             return there
         return self.move(there, jnp.zeros(u.size + 6 * self._n_bodies))
 
@@ -254,19 +245,14 @@ class Posed(NamedTuple):
     ) -> Float[Array, " nnz_reduced"]:
         """Reduce the tangent over all nodes to the unknowns [N/m].
 
-        Args:
-            u: Displacement [m].
-            values: Tangent over all nodes.
-            unbalanced: Out-of-balance forces, internal minus external [N]. Those on the
-                nodes of a body keep their direction as it rotates, so their moment
-                changes.
+        The out-of-balance forces on the nodes of a body keep their direction as it
+        rotates, so their moment changes.
         """
         plan = self.model.reduction
         if plan is None:
             return values
-        return reduce_values(
-            plan, values, self._follow(u), self._geometric(u, unbalanced)
-        )
+        turning = self._geometric(u, unbalanced)
+        return reduce_values(plan, values, self._follow(u), turning)
 
     @property
     def _n_bodies(self) -> int:
@@ -274,8 +260,7 @@ class Posed(NamedTuple):
 
     def _frames(self, u: Float[Array, "n_points 3"]) -> Frames:
         n_nodes = self.model.mesh.n_nodes
-        points = jnp.asarray(self.model.mechanism.points)
-        return frames_at(self.model.mechanism.bodies, (points + u)[n_nodes:])
+        return frames_at(self.model.mechanism.bodies, self.model.positions(u)[n_nodes:])
 
     def _with_bodies(self, u: Float[Array, "n_points 3"], frames: Frames):
         """Place all nodes of bodies according to their frames."""
@@ -291,7 +276,7 @@ class Posed(NamedTuple):
         """Return the vectors from the owning body's origin to each rigid node [m]."""
         plan = self.model.reduction
         assert plan is not None
-        x = jnp.asarray(self.model.mechanism.points) + u
+        x = self.model.positions(u)
         origins = x[self.model.mesh.n_nodes :: 4]
         return x[plan.rigid] - origins[plan.owner]
 

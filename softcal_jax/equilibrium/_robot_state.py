@@ -1,7 +1,7 @@
 """States of rigid bodies, actuators and supports at equilibrium, for results."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,12 +17,11 @@ from softcal_jax.configurations import (
     SupportReaction,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._effectors import actuator_forces
 from softcal_jax.equilibrium._linearisation import residual
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 
 class BodyPlace(eqx.Module):
@@ -94,10 +93,10 @@ class RobotState(eqx.Module):
     displacement: Float[HostArray, "n_points 3"]
 
 
-class _Balance(eqx.Module):
+class _Balance(NamedTuple):
     """Results of the balance of forces of one configuration."""
 
-    of_ground: Float[Array, "n_points 3"]
+    ground: Float[Array, "n_points 3"]
     forces: Float[Array, " n_a"]
     displacements: Float[Array, " n_a"]
     rotation: Float[Array, "n_b 3 3"]
@@ -106,15 +105,13 @@ class _Balance(eqx.Module):
 @eqx.filter_jit
 def _balance(model: Model, lane: ConfigurationArrays, u, multipliers) -> _Balance:
     unbalanced = residual(model, lane, u, multipliers)
-    bodies, n = model.mechanism.bodies, model.mechanism.n_actuators
-    none = jnp.zeros(0)
-    x = actuation.positions(model, u)
+    bodies, x = model.mechanism.bodies, model.positions(u)
     return _Balance(
         # What springs of the ground hold is balanced already.
-        unbalanced - Posed.of(model, lane).spring_force(u),
-        actuator_forces(model, lane, u, multipliers, unbalanced) if n else none,
-        actuation.displacements(model, u) if n else none,
-        frames_at(bodies, x[model.mesh.n_nodes :]).rotation
+        ground=unbalanced - Posed.of(model, lane).spring_force(u),
+        forces=actuator_forces(model, lane, u, multipliers, unbalanced),
+        displacements=model.displacements(u),
+        rotation=frames_at(bodies, x[model.mesh.n_nodes :]).rotation
         if bodies.n_bodies
         else jnp.zeros((0, 3, 3)),
     )
@@ -128,29 +125,19 @@ def robot_states(
 ) -> tuple[RobotState | None, ...]:
     """Compute poses of bodies, forces of actuators and reactions at equilibria.
 
-    Args:
-        model: The model.
-        configurations: The configurations that were solved.
-        solution: Their equilibria, one lane per configuration.
-        arrays: The same configurations as arrays, if already stacked.
-
-    Returns:
-        One entry per configuration; None where there is no equilibrium, and for a
-        model without rigid bodies and actuators.
+    `solution` has one lane per configuration; `arrays` are the configurations, if
+    already stacked. None stands for a lane without equilibrium, and for all of a model
+    without rigid bodies and actuators.
     """
     if model.mechanism.bodies.n_bodies + model.mechanism.n_actuators == 0:
         return (None,) * len(configurations)
     if arrays is None:
         arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
-    states = []
+    states: list[RobotState | None] = [None] * len(configurations)
     for i, configuration in enumerate(configurations):
-        if not bool(solution.converged[i]):
-            states.append(None)
-            continue
-        lane = jax.tree.map(lambda leaf, i=i: leaf[i], arrays)
-        u, multipliers = solution.displacement[i], solution.multipliers[i]
-        found = _balance(model, lane, u, multipliers)
-        states.append(_state(model, configuration, lane, np.asarray(u), found))
+        if bool(solution.converged[i]):
+            lane, found = jax.tree.map(lambda leaf, i=i: leaf[i], (arrays, solution))
+            states[i] = _state(model, configuration, lane, found)
     return tuple(states)
 
 
@@ -158,19 +145,42 @@ def _state(
     model: Model,
     configuration: Configuration,
     lane: ConfigurationArrays,
-    u: Float[HostArray, "n_points 3"],
-    found: _Balance,
+    solution: EquilibriumSolution,
 ) -> RobotState:
-    of_ground = np.asarray(found.of_ground)
-    return RobotState(
-        _bodies(model, lane, u, np.asarray(found.rotation)),
-        _actuators(model, lane, found),
-        tuple(
-            Reaction(name, of_ground[nodes].sum(axis=0))
-            for name, nodes in _grounds(model, configuration, lane)
-        ),
-        u,
+    u, multipliers = solution.displacement, solution.multipliers
+    found = jax.tree.map(np.asarray, _balance(model, lane, u, multipliers))
+    u = np.asarray(u)
+    bodies, kinds = model.mechanism.bodies, _kinds(model, lane)
+    moved = u[model.mesh.n_nodes :: 4]
+    places = (
+        BodyPlace(
+            name=bodies.names[k],
+            state=kind,
+            position=bodies.origin[k] + moved[k],
+            translation=moved[k],
+            rotation_vector=Rotation.from_matrix(found.rotation[k]).as_rotvec(),
+        )
+        for k, kind in enumerate(kinds)
     )
+    known, delta_a = model.mechanism.actuators, found.displacements
+    displacement = lambda a, unit: None if unit is None else float(delta_a[a])
+    actuators = (
+        ActuatorState(
+            name=name,
+            kind=kind.noun,
+            imposed="displacement" if lane.actuation.by_displacement[a] else "force",
+            force=float(found.forces[a]),
+            force_unit=kind.force_unit,
+            displacement=displacement(a, kind.displacement_unit),
+            displacement_unit=kind.displacement_unit,
+        )
+        for a, (name, kind) in enumerate(zip(known.names, known.kinds, strict=True))
+    )
+    reactions = (
+        Reaction(name, np.asarray(found.ground)[nodes].sum(axis=0))
+        for name, nodes in _grounds(model, configuration, kinds).items()
+    )
+    return RobotState(tuple(places), tuple(actuators), tuple(reactions), u)
 
 
 def _kinds(model: Model, lane: ConfigurationArrays) -> list[str]:
@@ -184,52 +194,9 @@ def _kinds(model: Model, lane: ConfigurationArrays) -> list[str]:
     return ["tied" if owner != k else kinds[k] for k, owner in own]
 
 
-def _bodies(
-    model: Model, lane: ConfigurationArrays, u, rotation: Float[HostArray, "n_b 3 3"]
-) -> tuple[BodyPlace, ...]:
-    bodies = model.mechanism.bodies
-    places = []
-    for k, kind in enumerate(_kinds(model, lane)):
-        moved = u[model.mesh.n_nodes + 4 * k]
-        places.append(
-            BodyPlace(
-                name=bodies.names[k],
-                state=kind,
-                position=bodies.origin[k] + moved,
-                translation=moved,
-                rotation_vector=Rotation.from_matrix(rotation[k]).as_rotvec(),
-            )
-        )
-    return tuple(places)
-
-
-def _actuators(
-    model: Model, lane: ConfigurationArrays, found: _Balance
-) -> tuple[ActuatorState, ...]:
-    actuators = model.mechanism.actuators
-    by_displacement = lane.actuation.by_displacement
-    states = []
-    for a, (name, kind) in enumerate(
-        zip(actuators.names, actuators.kinds, strict=True)
-    ):
-        unit = kind.displacement_unit
-        states.append(
-            ActuatorState(
-                name=name,
-                kind=kind.noun,
-                imposed="displacement" if by_displacement[a] else "force",
-                force=float(found.forces[a]),
-                force_unit=kind.force_unit,
-                displacement=None if unit is None else float(found.displacements[a]),
-                displacement_unit=unit,
-            )
-        )
-    return tuple(states)
-
-
 def _grounds(
-    model: Model, configuration: Configuration, lane: ConfigurationArrays
-) -> list[tuple[str, Int[HostArray, " n"]]]:
+    model: Model, configuration: Configuration, kinds: list[str]
+) -> dict[str, Int[HostArray, " n"]]:
     """List what holds the robot, by name, with the nodes held."""
     mesh, mechanism = model.mesh, model.mechanism
     bodies = mechanism.bodies
@@ -241,10 +208,10 @@ def _grounds(
         named = isinstance(support.where, str)
         name = str(support.where) if named else f"support {i}"
         grounds[name] = nodes_of(support.where)
-    for k, kind in enumerate(_kinds(model, lane)):
+    for k, kind in enumerate(kinds):
         if kind in ("held", "hinged"):
             name = bodies.names[k]
             attached = bodies.attached[bodies.body == k]
             key = f"rigid body {name}" if name in grounds else name
             grounds[key] = nodes_of(attached)
-    return list(grounds.items())
+    return grounds

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import _actuation as actuation
 from softcal_jax.equilibrium._linearisation import Linearisation, residual
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
@@ -56,14 +55,8 @@ def input_rows(
 ) -> InputRows:
     """Differentiate balance, supports and readings along one direction of the inputs.
 
-    Args:
-        model: The model.
-        configuration: One configuration.
-        u: Displacement at its equilibrium [m].
-        lambda_a: Forces of actuators whose displacement is imposed.
-        along: Maps a function of (model, configuration) to its derivative along the
-            direction.
-        readings: What is read off; nothing by default.
+    `along` maps a function of (model, configuration) to its derivative along the
+    direction; `lambda_a` are the forces of actuators whose displacement is imposed.
     """
 
     def held(model, configuration):
@@ -77,7 +70,7 @@ def input_rows(
 
     def gap(model, configuration):
         wanted = jnp.asarray(configuration.actuation.value)
-        return wanted - actuation.displacements(model, held(model, configuration))
+        return wanted - model.displacements(held(model, configuration))
 
     def read(model, configuration):
         assert readings is not None
@@ -85,7 +78,7 @@ def input_rows(
         return readings(model, configuration, there, lambda_a).ravel()
 
     fixed = Posed.of(model, configuration).fixed()
-    which = actuation.with_multiplier(model)
+    which = model.with_multiplier
     return InputRows(
         force=jnp.where(fixed, 0.0, -along(balance)),
         held=along(held),
@@ -98,18 +91,18 @@ class Sensitivity(NamedTuple):
     """Derivatives of an equilibrium by its inputs.
 
     Attributes:
-        W_ep: Change of each reading per unit of each input.
+        W_ep: Change of each reading per unit of each input, in its unit.
+        ok: Whether the tangent is regular; if not, the solutions are zero.
         displacement: Change of the displacement, by rows [m]; None if adjoint.
         unknowns: Change of the free unknowns [m]; likewise.
         multipliers: Change of the multipliers; likewise.
-        ok: Whether the tangent is regular; if not, the solutions are zero.
     """
 
-    W_ep: Float[Array, "n_e n"]
-    displacement: Float[Array, "n n_points 3"] | None
-    unknowns: Float[Array, "n n_dof"] | None
-    multipliers: Float[Array, "n n_a"] | None
-    ok: Bool[Array, ""]
+    W_ep: Float[Array, "*batch n_e n"]
+    ok: Bool[Array, "*batch"]
+    displacement: Float[Array, "*batch n n_points 3"] | None = None
+    unknowns: Float[Array, "*batch n n_dof"] | None = None
+    multipliers: Float[Array, "*batch n n_a"] | None = None
 
 
 def sensitivity(
@@ -122,26 +115,23 @@ def sensitivity(
     """Turn the rows of inputs into derivatives of state and readings; Eq. (9).
 
     W_ep = H_e K^-1 H_p^T + de/dp, with one factorization; K is bordered by the rows of
-    actuators whose displacement is imposed. The adjoint method solves for K^-T H_e^T.
+    actuators whose displacement is imposed.
 
     Args:
         linearisation: The system at the equilibrium.
         rows: Rows of all inputs, stacked.
         readings: What is read off; nothing by default.
-        adjoint: Solve for the rows of H_e instead of those of the inputs; faster if
-            there are fewer readings.
+        adjoint: Solve for K^-T H_e^T instead; faster if there are fewer readings.
     """
     lin = linearisation
     if adjoint:
         assert readings is not None
         H = adjoint_rows(lin, readings)
         W = H.state @ rows.force.T + H.gap @ rows.gap.T + rows.reading.T
-        return Sensitivity(
-            W_ep=W, displacement=None, unknowns=None, multipliers=None, ok=H.ok
-        )
+        return Sensitivity(W, H.ok)
     solved = lin.solve(rows.force, rows.gap)
     moved = lin.scatter(solved.x)
-    changed = actuation.among_all(lin.model, solved.lambda_a)
+    changed = lin.posed.model.among_all(solved.lambda_a)
     W = rows.reading.T
     if readings is not None:
         read = _at_fixed_inputs(lin, readings)
@@ -150,10 +140,10 @@ def sensitivity(
         W = W + follow(moved, changed).T
     return Sensitivity(
         W_ep=W,
+        ok=solved.ok,
         displacement=rows.held + moved,
         unknowns=solved.x,
         multipliers=changed,
-        ok=solved.ok,
     )
 
 
@@ -172,22 +162,16 @@ class AdjointRows(NamedTuple):
 
 
 def adjoint_rows(linearisation: Linearisation, readings: Readings) -> AdjointRows:
-    """Solve for the rows of H_e, one right-hand side per reading.
-
-    Args:
-        linearisation: The system at the equilibrium.
-        readings: What is read off.
-    """
+    """Solve for the rows of H_e, one right-hand side per reading."""
     lin = linearisation
     value, pull_back = jax.vjp(_at_fixed_inputs(lin, readings), lin.u, lin.lambda_a)
     by_u, by_lambda = jax.vmap(pull_back)(jnp.eye(value.size))
-    which = actuation.with_multiplier(lin.model)
+    which = lin.posed.model.with_multiplier
     solved = lin.solve(jax.vmap(lin.free)(by_u), -by_lambda[:, which], transpose=True)
     return AdjointRows(solved.x, -solved.lambda_a, solved.ok)
 
 
 def _at_fixed_inputs(lin: Linearisation, readings: Readings):
     """Return the readings as a flat function of the state alone."""
-    return lambda u, lambda_a: readings(
-        lin.model, lin.configuration, u, lambda_a
-    ).ravel()
+    at = (lin.posed.model, lin.posed.configuration)
+    return lambda u, lambda_a: readings(*at, u, lambda_a).ravel()

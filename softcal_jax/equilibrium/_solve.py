@@ -3,23 +3,51 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._results import RESULTS
+from softcal_jax._typing import Array, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState, newton
 from softcal_jax.equilibrium._sensitivity import input_rows, sensitivity
-from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
-def _lane(settings: NewtonSettings):
-    @lane_by_lane
-    def lane(model, configuration, u0):
-        return as_solution(newton(model, configuration, u0, settings))
+class EquilibriumSolution(eqx.Module):
+    """Equilibrium of one configuration, or of a batch (leading axis on every field).
 
-    return lane
+    Attributes:
+        displacement: Displacement u of the nodes of the mesh, then of the four nodes
+            of each rigid body's frame [m]; nan where no equilibrium was found.
+        multipliers: Forces of the actuators whose displacement is imposed, 0 for the
+            others; `actuator_forces` gives those of all.
+        result: Outcome; only `RESULTS.converged` is an equilibrium.
+        steps: Newton iterations, each on a factor of its own, all load steps together.
+        load_steps: Load increments that were taken (1: full load at once).
+        load_reached: Share of the load at the last equilibrium [-]; 1 if converged.
+        residual: Residual relative to the larger of external and internal force [-].
+        min_det_F: Smallest det F over all quadrature points [-].
+        n_negative: Number of negative eigenvalues of the last tangent, 0 for a stable
+            state; -1 if unknown, because the linear solver does not count them or the
+            model is not conservative.
+    """
+
+    displacement: Float[Array, "*batch n_points 3"]
+    multipliers: Float[Array, "*batch n_a"]
+    result: RESULTS
+    steps: Int[Array, "*batch"]
+    load_steps: Int[Array, "*batch"]
+    load_reached: Float[Array, "*batch"]
+    residual: Float[Array, "*batch"]
+    min_det_F: Float[Array, "*batch"]
+    n_negative: Int[Array, "*batch"]
+
+    @property
+    def converged(self) -> Array:
+        """Whether each configuration reached a regular equilibrium."""
+        return self.result == RESULTS.converged
 
 
 def as_solution(state: NewtonState) -> EquilibriumSolution:
@@ -41,15 +69,18 @@ def as_solution(state: NewtonState) -> EquilibriumSolution:
 
 @eqx.filter_custom_jvp
 def _equilibrium(model, configuration, u0, *, settings):
-    return _lane(settings)(model, configuration, u0)
+    @lane_by_lane
+    def lane(model, configuration, u0):
+        return as_solution(newton(model, configuration, u0, settings))
+
+    return lane(model, configuration, u0)
 
 
 @_equilibrium.def_jvp
 def _equilibrium_jvp(primals, tangents, *, settings):
     """Differentiate an equilibrium by the implicit function theorem.
 
-    Like all derivatives it comes from `sensitivity`; the single input is a step along
-    the tangents.
+    The single input of `sensitivity` is a step along the tangents.
     """
     model, configuration, u0 = primals
     t_model, t_configuration, _ = tangents
@@ -61,10 +92,9 @@ def _equilibrium_jvp(primals, tangents, *, settings):
         value, slope = eqx.filter_jvp(function, inputs, t_inputs)
         return jnp.zeros_like(value) if slope is None else slope
 
-    rows = input_rows(model, configuration, u, lambda_a, along)
-    rows = jax.tree.map(lambda row: row[None], rows)
+    row = input_rows(model, configuration, u, lambda_a, along)
     lin = linearise(model, configuration, u, lambda_a, differentiable=True)
-    d = sensitivity(lin, rows)
+    d = sensitivity(lin, jax.tree.map(lambda leaf: leaf[None], row))
     # Without an equilibrium there is no derivative either.
     or_nan = lambda a: jnp.where(solution.converged, a[0], jnp.nan)
     none = jax.tree.map(lambda _: None, solution)
@@ -100,3 +130,26 @@ def solve_equilibrium(
     """
     u0 = jnp.zeros((model.n_points, 3)) if guess is None else guess
     return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())
+
+
+def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
+    """Raise an error that names every configuration of a batch without an equilibrium.
+
+    Raises:
+        RuntimeError: If a lane did not converge; the message says which and why.
+    """
+    bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
+    if bad.size == 0:
+        return
+
+    def why(lane):
+        of = lambda leaf: np.atleast_1d(np.asarray(leaf))[lane]
+        result = jax.tree.map(lambda a: jnp.asarray(of(a)), solution.result)
+        return (
+            f"configuration {names[lane]!r}: {RESULTS[result]} "
+            f"({of(solution.steps)} Newton steps, "
+            f"{100 * of(solution.load_reached):.0f} % of the load carried, residual "
+            f"{of(solution.residual):.1e}, smallest det F {of(solution.min_det_F):.3g})"
+        )
+
+    raise RuntimeError("no equilibrium found.\n" + "\n".join(map(why, bad)))

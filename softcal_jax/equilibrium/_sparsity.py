@@ -8,10 +8,12 @@ one symbolic analysis and one compiled program.
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.bodies import BodyArrays
 
 
 class Sparsity(eqx.Module):
@@ -52,12 +54,7 @@ class Sparsity(eqx.Module):
     def positions(
         self, rows: Int[HostArray, "..."], columns: Int[HostArray, "..."]
     ) -> Int[HostArray, "..."]:
-        """Find the positions of entries, or of their mirror images if only those exist.
-
-        Args:
-            rows: Their rows.
-            columns: Their columns; every entry must be in the pattern.
-        """
+        """Find entries in the pattern, or their mirror images if only those exist."""
         keys = self.rows.astype(np.int64) * self.n_dof + self.indices
         row, column = _upward(self.symmetric, np.asarray(rows), np.asarray(columns))
         found = np.searchsorted(keys, row.astype(np.int64) * self.n_dof + column)
@@ -82,13 +79,7 @@ def build_sparsity(
 ) -> Sparsity:
     """Build the pattern of a matrix that couples the nodes of each clique, like a tet.
 
-    Args:
-        cliques: Sets of coupled nodes; each array holds sets of equal size.
-        n_nodes: Number of nodes, with three unknowns each.
-        symmetric: Whether the matrix is symmetric.
-
-    Returns:
-        The pattern.
+    Each array of `cliques` holds sets of equal size; a node has three unknowns.
     """
     # Sort pairs of nodes first: nine times fewer keys than pairs of unknowns.
     own = np.arange(n_nodes, dtype=np.int64)
@@ -115,11 +106,7 @@ def from_entries(
 ) -> Sparsity:
     """Build a pattern from entries in any order, duplicates allowed.
 
-    Args:
-        rows: Their rows.
-        columns: Their columns.
-        n_dof: Number of rows; every diagonal entry must be given.
-        symmetric: Whether to leave out entries below the diagonal.
+    Every diagonal entry must be given; a symmetric pattern leaves out those below.
     """
     keys = rows.astype(np.int64) * n_dof + columns
     keys = np.unique(keys[rows <= columns] if symmetric else keys)
@@ -138,12 +125,7 @@ def from_entries(
 def destinations(
     sparsity: Sparsity, nodes: Int[HostArray, "n m"]
 ) -> Int[HostArray, "n_entries n"]:
-    """Find the positions of each clique's entries, ordered as in `element_entries`.
-
-    Args:
-        sparsity: A pattern that contains the cliques.
-        nodes: Their nodes.
-    """
+    """Find the positions of each clique's entries, ordered as in `element_entries`."""
     n, m = nodes.shape
     dof = (3 * nodes[:, :, None] + np.arange(3)).reshape(n, 3 * m)
     p, q = element_entries(m, sparsity.symmetric)
@@ -167,8 +149,7 @@ def mask_supports(
 ) -> tuple[Float[Array, " nnz"], Float[Array, ""]]:
     """Replace rows and columns of held unknowns by those of a scaled identity.
 
-    Returns:
-        The entries, and the scale: the mean stiffness of an unknown [N/m].
+    The scale, returned too, is the mean stiffness of an unknown [N/m].
     """
     held = fixed[sparsity.rows] | fixed[sparsity.indices]
     diagonal = values[sparsity.diagonal]
@@ -176,3 +157,157 @@ def mask_supports(
     scale = jnp.mean(jnp.abs(diagonal))
     on_diagonal = jnp.where(fixed, scale, diagonal)
     return jnp.where(held, 0.0, values).at[sparsity.diagonal].set(on_diagonal), scale
+
+
+class Reduction(eqx.Module):
+    """Where entries of the tangent over all nodes go in that of the unknowns.
+
+    Nodes of a body move with it, du = G d, so its tangent is G^T K G plus a geometric
+    part (`Posed.reduce`). K is assembled over all nodes first. Nodes of bodies keep
+    empty rows, so that node i always has the unknowns 3 i to 3 i + 2.
+
+    Attributes:
+        reduced: Pattern over the unknowns: three per node, then six per body.
+        rigid: Nodes that belong to bodies, frame nodes included.
+        owner: Index of the body whose unknowns move each.
+        kept: Entries between free nodes.
+        kept_at: Where they go.
+        mixed: Blocks between a free and a rigid node; of a matrix that is not
+            symmetric, those between a rigid and a free node too, transposed.
+        mixed_rigid: Index in `rigid` of the rigid node.
+        mixed_at: Where they go, likewise transposed.
+        inner: Blocks between two rigid nodes.
+        inner_first: Index in `rigid` of the first node.
+        inner_second: Index in `rigid` of the second node.
+        bodies: Entries of the matrix between bodies that the pattern stores.
+        bodies_at: Where they go.
+    """
+
+    reduced: Sparsity
+    rigid: Int[HostArray, " n_rigid"]
+    owner: Int[HostArray, " n_rigid"]
+    kept: Int[HostArray, " n_kept"]
+    kept_at: Int[HostArray, " n_kept"]
+    mixed: Int[HostArray, "n_mixed 3 3"]
+    mixed_rigid: Int[HostArray, " n_mixed"]
+    mixed_at: Int[HostArray, "n_mixed 3 6"]
+    inner: Int[HostArray, "n_inner 3 3"]
+    inner_first: Int[HostArray, " n_inner"]
+    inner_second: Int[HostArray, " n_inner"]
+    bodies: Int[HostArray, " n_body_entries"]
+    bodies_at: Int[HostArray, " n_body_entries"]
+
+
+def build_reduction(
+    full: Sparsity,
+    cliques: Sequence[Int[HostArray, "_ _"]],
+    bodies: BodyArrays,
+) -> Reduction:
+    """Plan the reduction once, on the host.
+
+    `cliques` are sets of nodes that the tangent couples, except within one body.
+    """
+    n_nodes, n_bodies = full.n_dof // 3, bodies.n_bodies
+    frames = np.arange(n_nodes - 4 * n_bodies, n_nodes)
+    rigid = np.concatenate([bodies.attached, frames])
+    of_frames = np.repeat(np.arange(n_bodies), 4)
+    owner = bodies.owner[np.concatenate([bodies.body, of_frames])]
+    index = np.full(n_nodes, -1)
+    index[rigid] = np.arange(rigid.size)
+    a, b = _ordered_pairs(cliques, n_nodes)
+    mixed = (index[a] < 0) & (index[b] >= 0)
+    inner = (index[a] >= 0) & (index[b] >= 0)
+    first, second = index[a[inner]], index[b[inner]]
+    body_rows = lambda k: 3 * n_nodes + 6 * k[:, None] + np.arange(6)
+    of_body = body_rows(owner[index[b[mixed]]])
+    rows, columns = _entries(_node_rows(a[mixed]), of_body)
+    own = np.arange(n_bodies) * (n_bodies + 1)
+    coupled = np.union1d(owner[first] * n_bodies + owner[second], own)
+    k, m = coupled // n_bodies, coupled % n_bodies
+    body_row, body_col = _entries(body_rows(k), body_rows(m))
+    kept = np.flatnonzero((index[full.rows // 3] < 0) & (index[full.indices // 3] < 0))
+    n_dof = 3 * n_nodes + 6 * n_bodies
+    diagonal = np.arange(n_dof)
+    found = (
+        (full.rows[kept], rows, columns, body_row, diagonal),
+        (full.indices[kept], columns, rows, body_col, diagonal),
+    )
+    row, column = (np.concatenate([a.ravel() for a in part]) for part in found)
+    reduced = from_entries(row, column, n_dof, symmetric=full.symmetric)
+    in_pattern = (body_row <= body_col) | (not full.symmetric)
+    flat = np.ravel_multi_index(
+        (body_row - 3 * n_nodes, body_col - 3 * n_nodes), (6 * n_bodies, 6 * n_bodies)
+    )
+    blocks = _blocks(full, a[mixed], b[mixed])
+    mixed_at = reduced.positions(rows, columns)
+    mixed_rigid = index[b[mixed]]
+    if not full.symmetric:
+        below = np.swapaxes(_blocks(full, b[mixed], a[mixed]), 1, 2)
+        blocks = np.concatenate([blocks, below])
+        mixed_at = np.concatenate([mixed_at, reduced.positions(columns, rows)])
+        mixed_rigid = np.tile(mixed_rigid, 2)
+    return Reduction(
+        reduced=reduced,
+        rigid=rigid.astype(np.int32),
+        owner=owner.astype(np.int32),
+        kept=kept.astype(np.int32),
+        kept_at=reduced.positions(full.rows[kept], full.indices[kept]),
+        mixed=blocks,
+        mixed_rigid=mixed_rigid.astype(np.int32),
+        mixed_at=mixed_at,
+        inner=_blocks(full, a[inner], b[inner]),
+        inner_first=first.astype(np.int32),
+        inner_second=second.astype(np.int32),
+        bodies=flat[in_pattern].astype(np.int32),
+        bodies_at=reduced.positions(body_row[in_pattern], body_col[in_pattern]),
+    )
+
+
+def _ordered_pairs(cliques, n_nodes: int) -> tuple[HostArray, HostArray]:
+    """List every ordered pair of coupled nodes once."""
+    keys = [
+        np.unique(nodes[:, :, None].astype(np.int64) * n_nodes + nodes[:, None, :])
+        for nodes in cliques
+    ]
+    found = np.unique(np.concatenate(keys))
+    return found // n_nodes, found % n_nodes
+
+
+def _node_rows(nodes: HostArray) -> HostArray:
+    return 3 * nodes[:, None] + np.arange(3)
+
+
+def _entries(rows: HostArray, columns: HostArray) -> list[HostArray]:
+    """List rows and columns of the entries of dense blocks."""
+    return list(np.broadcast_arrays(rows[:, :, None], columns[:, None, :]))
+
+
+def _blocks(full: Sparsity, a: HostArray, b: HostArray) -> HostArray:
+    """Find the positions of the 3 x 3 blocks of pairs of nodes."""
+    return full.positions(*_entries(_node_rows(a), _node_rows(b)))
+
+
+def reduce_values(
+    plan: Reduction,
+    values: Float[Array, " nnz"],
+    G: Float[Array, "n_rigid 3 6"],
+    extra: Float[Array, "n_b 6 6"],
+) -> Float[Array, " nnz_reduced"]:
+    """Compute the tangent of the unknowns, G^T K G plus a block `extra` for each body.
+
+    G is the motion of the rigid nodes per unit of their bodies' unknowns.
+    """
+    n_b = extra.shape[0]
+    out = jnp.zeros(plan.reduced.nnz, values.dtype)
+    out = out.at[plan.kept_at].set(values[plan.kept])
+    product = lambda A, B: jnp.sum(A[..., :, :, None] * B[..., None, :, :], axis=-2)
+    mixed = product(values[plan.mixed], G[plan.mixed_rigid])
+    out = out.at[plan.mixed_at].add(mixed)
+    right = product(values[plan.inner], G[plan.inner_second])
+    inner = product(jnp.swapaxes(G[plan.inner_first], 1, 2), right)
+    owner = jnp.asarray(plan.owner)
+    pair = owner[plan.inner_first] * n_b + owner[plan.inner_second]
+    blocks = jax.ops.segment_sum(inner, pair, n_b * n_b).reshape(n_b, n_b, 6, 6)
+    blocks = blocks.at[jnp.arange(n_b), jnp.arange(n_b)].add(extra)
+    whole = jnp.swapaxes(blocks, 1, 2).reshape(-1)
+    return out.at[plan.bodies_at].add(whole[plan.bodies])

@@ -18,21 +18,31 @@ from softcal_jax.equilibrium._model import Model
 T = TypeVar("T")
 
 _COMPILED: set[Hashable] = set()
-"""Programs that have run in this process."""
+"""Programs that have run since JAX last forgot what it had compiled."""
 
 _COMPILING: dict[Hashable, Lock] = {}
 """Locks held by the thread that compiles a program, while others wait."""
+
+
+@jax.jit
+def _remembered():
+    """Be forgotten by `jax.clear_caches`, as all other programs are."""
+
+
+def _forget_as_jax() -> None:
+    """Forget the programs that have run if `jax.clear_caches` was called."""
+    if _remembered._cache_size() == 0:  # pyright: ignore[reportAttributeAccessIssue]
+        _COMPILED.clear()
+        _remembered()
 
 
 class Batch(NamedTuple):
     """Lanes of one program whose results a job waits for.
 
     Attributes:
-        function: Runs the program with a solver and the values of a lane, and blocks
-            until it ends.
+        function: Runs the program with a solver and a lane, and blocks until it ends.
         lanes: Arguments of the function, one entry per lane.
-        program: Key from `program_key`; a new program is compiled by one thread while
-            the others wait.
+        program: Key from `program_key`; one thread compiles, while the others wait.
     """
 
     function: Callable[[AbstractLinearSolver, Any], Any]
@@ -45,11 +55,9 @@ Job = Generator[Batch, list[Any], T]
 
 
 def program_key(name: str, *arguments: Any) -> Hashable:
-    """Build a key that identifies a compiled program.
+    """Build a key that identifies a compiled program of a function of this name.
 
-    Args:
-        name: Name of the function.
-        arguments: Arguments shared by all lanes; arrays count by shape and type only.
+    Arrays among the arguments, which all lanes share, count by shape and type only.
     """
     leaves, tree = jax.tree.flatten(arguments)
     kind = lambda leaf: (leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf
@@ -81,10 +89,10 @@ class Workers:
     """
 
     def __init__(self, model: Model, lanes: int, n: int | None = None):
-        """Prepare the context.
+        """Prepare copies of the model's sparse solver; see the class.
 
         Args:
-            model: The model, whose sparse solver is copied.
+            model: The model.
             lanes: Number of lanes of all jobs, an upper limit of the threads.
             n: Number of threads; by default that of usable cores.
 
@@ -100,6 +108,7 @@ class Workers:
 
     def __enter__(self) -> "Workers":
         if self.n > 1:
+            _forget_as_jax()
             self._pool = ThreadPoolExecutor(self.n)
             with self._solver.on_one_core():
                 for k in range(1, self.n + 1):
@@ -111,11 +120,7 @@ class Workers:
             self._pool.shutdown(cancel_futures=True)
 
     def end_of(self, job: Job[T]) -> T:
-        """Run one job and return its result.
-
-        Args:
-            job: The job, see `ends`.
-        """
+        """Run one job and return its result; see `ends`."""
         return self.ends([job])[0]
 
     def ends(
@@ -126,20 +131,12 @@ class Workers:
         Lanes of earlier jobs go first, and a new job starts only when the others do not
         fill the threads. Jobs therefore finish one after the other, and few are lost if
         this is interrupted. Between batches a job computes in the caller's thread.
-
-        Args:
-            jobs: Generators that yield a `Batch` and are sent its results.
-            told: Called with the index and the result of each job as it ends.
+        `told` is called with the index and the result of each job as it ends.
         """
         return _Round(self, list(jobs), told or (lambda *_: None)).ends()
 
     def submit(self, batch: Batch, lane: int) -> Future:
-        """Submit one lane; with a single worker it runs at once.
-
-        Args:
-            batch: The batch.
-            lane: Index of the lane.
-        """
+        """Submit one lane by its index; with a single worker it runs at once."""
         if self.n > 1:
             return self._pool.submit(self._run, batch, lane)
         done: Future = Future()

@@ -1,30 +1,34 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
-from softcal_jax._units import Readable, readable_unit
+from softcal_jax._units import (
+    Readable,
+    readable_estimate,
+    readable_unit,
+    readable_values,
+)
 from softcal_jax.export._budget import budget_dict
 from softcal_jax.export._csv import (
     write_effectors_csv,
     write_markers_csv,
     write_robot_csv,
 )
-from softcal_jax.export._folder import check_results_folder, results_folder
-from softcal_jax.export._identifiability import (
-    assessment_dict,
+from softcal_jax.export._folder import (
+    check_results_folder,
+    file_stems,
+    results_folder,
+)
+from softcal_jax.export._json import (
     identifiability_dict,
     outlook_dict,
-    starts_dict,
+    result_dict,
+    simulation_dict,
 )
-from softcal_jax.export._json import result_dict, robot_dict, simulation_dict
-from softcal_jax.export._names import file_stems
 from softcal_jax.export._plain import write_json
-from softcal_jax.export._units import readable_estimate, readable_values
-from softcal_jax.export._versions import versions
 from softcal_jax.export._vtu import write_vtu
 from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
     "Readable",
-    "assessment_dict",
     "budget_dict",
     "check_results_folder",
     "file_stems",
@@ -35,10 +39,7 @@ __all__ = [
     "readable_values",
     "result_dict",
     "results_folder",
-    "robot_dict",
     "simulation_dict",
-    "starts_dict",
-    "versions",
     "write_effectors_csv",
     "write_json",
     "write_markers_csv",

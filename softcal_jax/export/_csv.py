@@ -18,12 +18,7 @@ Configurations = Sequence[ConfigurationResult]
 
 
 def write_markers_csv(path: Path, configurations: Configurations) -> None:
-    """Write one line per configuration and marker or other point.
-
-    Args:
-        path: The file.
-        configurations: Those of a calibration.
-    """
+    """Write one line per configuration and marker or other point of a calibration."""
     header = ["configuration", "role", "marker"]
     header += [f"{column}_{axis}_mm" for column in _VALUES for axis in "xyz"]
     rows = []
@@ -38,22 +33,15 @@ def write_markers_csv(path: Path, configurations: Configurations) -> None:
 
 
 def write_effectors_csv(path: Path, configurations: Configurations) -> None:
-    """Write one line per coordinate of effectors that are not points, in SI.
-
-    Args:
-        path: The file.
-        configurations: Those of a calibration.
-    """
+    """Write one line per coordinate of effectors that are not points, in SI."""
     rows = []
     for fit in configurations:
-        for effector in fit.others:
-            what = "turn" if effector.is_turn else "value"
-            for i, values in enumerate(np.transpose(_values(effector))):
-                coordinate = (
-                    f"{what}_{'xyz'[i]}" if len(effector.measured) > 1 else what
-                )
-                head = [fit.name, fit.role, effector.name, coordinate, effector.unit]
-                rows.append([*head, *(_text(v) for v in values)])
+        for own in fit.others:
+            what = "turn" if own.is_turn else "value"
+            for axis, values in zip("xyz", np.transpose(_values(own)), strict=False):
+                coordinate = f"{what}_{axis}" if len(own.measured) > 1 else what
+                head = [fit.name, fit.role, own.name, coordinate, own.unit]
+                rows.append([*head, *map(_text, values)])
     header = ["configuration", "role", "effector", "coordinate", "unit", *_VALUES]
     _write(path, header, rows)
 
@@ -63,12 +51,7 @@ def _values(effector: EffectorRecord) -> list[Float[HostArray, " k"]]:
 
 
 def write_robot_csv(path: Path, configurations: Configurations) -> None:
-    """Write one line per value of rigid bodies, actuators and reactions, in SI.
-
-    Args:
-        path: The file.
-        configurations: Those of a calibration or a simulation.
-    """
+    """Write one line per value of rigid bodies, actuators and reactions, in SI."""
     header = ["configuration", "part", "name", "what", "quantity", "value", "unit"]
     rows = [
         [result.name, *words, _text(value), unit]
@@ -81,13 +64,10 @@ def write_robot_csv(path: Path, configurations: Configurations) -> None:
 
 def _robot_rows(robot: RobotState):
     """Yield part, name, kind, quantity, value and unit of each value."""
+    units = {"position": "m", "translation": "m", "rotation_vector": "rad"}
     for body in robot.bodies:
         head = ("rigid body", body.name, body.state)
-        for what, unit in (
-            ("position", "m"),
-            ("translation", "m"),
-            ("rotation_vector", "rad"),
-        ):
+        for what, unit in units.items():
             for axis, value in zip("xyz", getattr(body, what), strict=True):
                 yield *head, f"{what}_{axis}", value, unit
     for own in robot.actuators:

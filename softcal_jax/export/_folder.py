@@ -2,22 +2,42 @@
 
 import json
 import os
+import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 INDEX_FILES = ("result.json", "simulation.json", "identifiability.json")
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 
+_RESERVED = {"convergence", "markers", "result", "simulation"}
+"""Stems of the other files of a results folder."""
+
+
+def file_stems(names: Sequence[str]) -> list[str]:
+    """Make one file name per configuration, without extension, safe on every system.
+
+    Anything but letters, digits, ".", "-" and "_" is replaced. A number is added where
+    two would be the same file on a system that ignores case, or where the name with
+    "_robot" after it, of the file of its actuators, would be another's.
+    """
+    taken = set(_RESERVED)
+    stems = []
+    for name in names:
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:80]
+        stem = unique = stem or "configuration"
+        copy = 2
+        while taken & (own := {unique.lower(), f"{unique.lower()}_robot"}):
+            unique, copy = f"{stem}_{copy}", copy + 1
+        taken |= own
+        stems.append(unique)
+    return stems
+
 
 def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
     """Raise unless results may be written to a folder; call it before a long run.
-
-    Args:
-        directory: The folder, which need not exist.
-        force: Replace the results in it.
 
     Raises:
         FileExistsError: If it is a file, or is not empty and `force` is off or it is
@@ -49,13 +69,7 @@ def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Pa
 
     If the block raises, the temporary folder is removed and earlier results stay as
     they were. With `force` earlier results are replaced, but not files of the user.
-
-    Args:
-        directory: The final folder; missing parents are created.
-        force: Replace earlier results.
-
-    Yields:
-        The folder to write into.
+    Missing parents are created.
 
     Raises:
         FileExistsError: As `check_results_folder`, or if a foreign file would be
@@ -65,9 +79,8 @@ def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Pa
     check_results_folder(directory, force=force)
     made = _make_parents(directory)
     try:
-        partial = Path(
-            tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent)
-        )
+        name = tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent)
+        partial = Path(name)
         try:
             yield partial
             _move_into_place(partial, directory)

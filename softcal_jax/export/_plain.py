@@ -1,45 +1,81 @@
-"""Conversion of values to what JSON can hold."""
+"""Values as JSON can hold them, and the versions that a result was computed with."""
 
 import dataclasses
 import json
 import math
+import platform
+import re
 from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from softcal_jax.equilibrium import Model
 
-def fields_of(module: Any) -> dict[str, Any]:
-    """Return the fields of a module by name."""
-    return {f.name: getattr(module, f.name) for f in dataclasses.fields(module)}
+_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
+
+
+def pick(owner: object, *names: str) -> dict[str, Any]:
+    """Return some attributes by name."""
+    return {name: getattr(owner, name) for name in names}
 
 
 def plain(value: Any) -> Any:
-    """Convert arrays to lists, NumPy to Python numbers, and non-finite ones to None."""
+    """Convert modules to dictionaries, arrays to lists, and non-finite numbers to None.
+
+    NumPy numbers become those of Python.
+    """
+    if dataclasses.is_dataclass(value):
+        value = pick(value, *(field.name for field in dataclasses.fields(value)))
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, jax.Array)):
-        return plain(np.asarray(value).tolist())
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        value = np.asarray(value).tolist()
+    if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write a dictionary as JSON that every parser reads.
-
-    Args:
-        path: The file.
-        data: The dictionary, as from `result_dict`.
+    """Write a dictionary, as from `result_dict`, as JSON that every parser reads.
 
     Raises:
         ValueError: If it holds a NaN or an infinity, which JSON lacks.
     """
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
+
+
+def versions(model: Model) -> dict[str, str]:
+    """List versions of Python and the numerical packages, and the machine.
+
+    The sparse solver of the model names its package.
+    """
+    packages = [*_PACKAGES, *re.findall(r"\((.+)\)", model.solver.name)]
+    return {
+        "python": platform.python_version(),
+        "softcal_jax": _version("softcal-jax"),
+        **{name: _version(name) for name in packages},
+        "platform": platform.platform(),
+        "cpu": _cpu(),
+        "device": jax.devices()[0].device_kind,
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"  # run from a checkout
+
+
+def _cpu() -> str:
+    info = Path("/proc/cpuinfo")  # Linux; elsewhere `platform` knows
+    if info.exists():
+        found = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
+        if found:
+            return found.group(1).strip()
+    return platform.processor() or platform.machine()

@@ -1,7 +1,6 @@
 """Deformed bodies as VTK files for ParaView."""
 
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 
 import equinox as eqx
@@ -23,8 +22,6 @@ def write_vtu(
     path: str | Path,
     model: Model,
     displacement: Float[ArrayLike, "n_nodes 3"],
-    *,
-    fields: Mapping[str, Float[ArrayLike, "n_tets ..."]] | None = None,
 ) -> None:
     """Write a deformed body for ParaView; quadratic tets stay quadratic.
 
@@ -37,14 +34,11 @@ def write_vtu(
         path: The file, ending in .vtu.
         model: The model.
         displacement: Nodal displacement [m].
-        fields: Further values per tet, by name.
 
     Raises:
-        ValueError: If the name does not end in .vtu, or an array has the wrong shape.
+        ValueError: If the name does not end in .vtu, or the shape is wrong.
     """
-    path = Path(path)
-    if path.suffix != ".vtu":
-        raise ValueError(f"the file name must end in .vtu, got {path.name!r}.")
+    path = vtu_path(path)
     mesh = model.mesh
     u = np.asarray(displacement, float)
     if u.shape != mesh.points.shape:
@@ -54,14 +48,6 @@ def write_vtu(
         )
     energy = np.asarray(_strain_energy(model, jnp.asarray(u))).ravel()[: mesh.n_tets]
     cells = {"strain_energy_density": energy / volumes(mesh), **_material(model)}
-    for name, values in (fields or {}).items():
-        values = np.asarray(values, float)
-        if values.shape[:1] != (mesh.n_tets,):
-            raise ValueError(
-                f"field {name!r} needs one value per tet ({mesh.n_tets}), "
-                f"got shape {values.shape}."
-            )
-        cells[name] = _columns(values)
     bodies = model.mechanism.bodies
     of_bodies = {}
     if bodies.n_bodies:
@@ -77,27 +63,31 @@ def write_vtu(
     ).write(path)
 
 
+def vtu_path(path: str | Path) -> Path:
+    """Check the ending of a file's name."""
+    path = Path(path)
+    if path.suffix != ".vtu":
+        raise ValueError(f"the file name must end in .vtu, got {path.name!r}.")
+    return path
+
+
 def _material(model: Model) -> dict[str, HostArray]:
-    """Return density and fields of the law, one value per tet."""
-    leaves: list[tuple[tuple[str, ...], ArrayLike]] = [(("density",), model.density)]
+    """Return density and fields of the law, one value or vector per tet."""
+    leaves: list[tuple[str, ArrayLike]] = [("density", model.density)]
     law = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
     for path, leaf in law:
         if is_point_values(leaf):  # a cell of VTK holds one value
             leaf = jnp.mean(leaf.values, axis=1)
-        parts = jax.tree_util.keystr(path).strip(".").split(".")
-        leaves.append((tuple(parts), leaf))
-    names = Counter(parts[-1] for parts, _ in leaves)
+        leaves.append((jax.tree_util.keystr(path).strip("."), leaf))
+    last = lambda path: path.rpartition(".")[2]
+    names = Counter(last(path) for path, _ in leaves)
     cells = {}
-    for parts, leaf in leaves:
+    for path, leaf in leaves:
         # A law with two elasticities has two E: use the whole path as the name then.
-        name = parts[-1] if names[parts[-1]] == 1 else ".".join(parts)
+        name = last(path) if names[last(path)] == 1 else path
         values = np.asarray(leaf, float)
         if values.ndim == 0:
             values = np.full(model.n_tets, values)
-        cells[name] = _columns(values)
+        # VTK knows no tensors per tet.
+        cells[name] = values if values.ndim == 1 else values.reshape(len(values), -1)
     return cells
-
-
-def _columns(values: Float[HostArray, "..."]) -> HostArray:
-    """Flatten tensors per tet to vectors, since VTK knows no other shapes."""
-    return values if values.ndim == 1 else values.reshape(len(values), -1)

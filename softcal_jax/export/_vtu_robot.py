@@ -1,14 +1,14 @@
 """Cables, walls of chambers, motors and frames of rigid bodies as a VTK file."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import meshio
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.actuators import actuator_geometry
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.equilibrium import Model, RobotState
+from softcal_jax.export._vtu import vtu_path
 
 
 def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
@@ -29,109 +29,56 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     Raises:
         ValueError: If the name does not end in .vtu.
     """
-    path = Path(path)
-    if path.suffix != ".vtu":
-        raise ValueError(f"the file name must end in .vtu, got {path.name!r}.")
-    pieces, x = _pieces(model, state), _moved(model, state)
-    axes = _axes(model, x)
-    n_b, n = len(axes), len(pieces.points)
-    vectors = {"arrow": np.concatenate([np.zeros((n_b, 3)), pieces.arrows])}
-    vectors |= {f"axis_{k + 1}": axes[:, k] for k in range(3)}
-    bodies = [np.zeros(len(owner)) for owner in pieces.owners]
-    bodies[0][:n_b] = 1 + np.arange(n_b)
-    # Entry 0 is for cells that no actuator owns, whose owner is -1.
+    path = vtu_path(path)
+    mechanism, first = model.mechanism, model.mesh.n_nodes
+    rest = np.asarray(mechanism.points)
+    moved = rest + state.displacement
+    after = actuator_geometry(mechanism.actuators, moved)
+    used, faces = np.unique(after.faces, return_inverse=True)
+
+    def points(x: Float[HostArray, "n_all 3"], shown: ActuatorGeometry):
+        """Stack origins of frames, motors and forces, cables, then nodes of faces."""
+        return np.concatenate(
+            [x[first::4], shown.points, shown.segments.reshape(-1, 3), x[used]]
+        )
+
+    at_rest = points(rest, actuator_geometry(mechanism.actuators, rest))
+    n, n_b = len(at_rest), mechanism.bodies.n_bodies
+    n_v, n_l, n_fn = n_b + len(after.points), len(after.segments), after.faces.shape[-1]
+    frames = moved[first:].reshape(-1, 4, 3)
+    axes = (frames[:, 1:] - frames[:, :1]) / mechanism.bodies.length
+    vectors = {f"axis_{k + 1}": axes[:, k] for k in range(3)}
+    vectors["arrow"] = np.concatenate([np.zeros((n_b, 3)), after.arrows])
+
+    # Kind and points of the cells, and the index of the actuator of each, -1 for none.
+    vertex_owner = np.concatenate([np.full(n_b, -1), after.point_owner])
+    kind = "triangle" if n_fn == 3 else "triangle6"
+    faces = n_v + 2 * n_l + faces.reshape(-1, n_fn)
+    blocks = (
+        ("vertex", np.arange(n_v)[:, None], vertex_owner),
+        ("line", n_v + np.arange(2 * n_l).reshape(-1, 2), after.segment_owner),
+        (kind, faces, after.face_owner),
+    )
+    there = [block for block in blocks if len(block[1])]
+    # Entry 0 is for cells that no actuator owns.
     forces = np.array([0.0, *(a.force for a in state.actuators)])
     moves = np.array([0.0, *(a.displacement or 0.0 for a in state.actuators)])
-    there = [i for i, (_, nodes) in enumerate(pieces.cells) if len(nodes)]
-    each = lambda values: [values[pieces.owners[i] + 1] for i in there]
+    bodies = np.concatenate([1.0 + np.arange(n_b), np.zeros(n)])
     meshio.Mesh(
-        pieces.points,
-        [pieces.cells[i] for i in there],
+        at_rest,
+        [(kind, nodes) for kind, nodes, _ in there],
         point_data={
-            "displacement": pieces.displacement,
-            **{name: _padded(rows, n) for name, rows in vectors.items()},
+            "displacement": points(moved, after) - at_rest,
+            # Zero at all points but the vertices.
+            **{k: np.pad(v, ((0, n - len(v)), (0, 0))) for k, v in vectors.items()},
         },
         cell_data={
-            "actuator": [pieces.owners[i] + 1.0 for i in there],
-            "rigid_body": [bodies[i] for i in there],
-            "lambda_a": each(forces),
-            "delta_a": each(moves),
+            "actuator": [owner + 1.0 for *_, owner in there],
+            "rigid_body": [
+                bodies[: len(owner)] if kind == "vertex" else np.zeros(len(owner))
+                for kind, _, owner in there
+            ],
+            "lambda_a": [forces[owner + 1] for *_, owner in there],
+            "delta_a": [moves[owner + 1] for *_, owner in there],
         },
     ).write(path)
-
-
-class _Pieces(NamedTuple):
-    """Points and cells: vertices, then lines, then faces.
-
-    Attributes:
-        points: Points at rest, first origins of rigid bodies, motors and forces [m].
-        displacement: Their displacement [m].
-        arrows: Axes of motors and directions of forces [-].
-        cells: Kind and points of the cells.
-        owners: Index of the actuator of each cell, -1 for none.
-    """
-
-    points: Float[HostArray, "n 3"]
-    displacement: Float[HostArray, "n 3"]
-    arrows: Float[HostArray, "n_arrows 3"]
-    cells: list[tuple[str, Int[HostArray, "_ _"]]]
-    owners: list[Int[HostArray, " _"]]
-
-
-def _pieces(model: Model, state: RobotState) -> _Pieces:
-    actuators, rest = model.mechanism.actuators, np.asarray(model.mechanism.points)
-    before = actuator_geometry(actuators, rest)
-    after = actuator_geometry(actuators, _moved(model, state))
-    origins = _origins(model, rest)
-    n_v, n_s = len(origins) + len(after.points), len(after.segments)
-    used, faces = np.unique(after.faces, return_inverse=True)
-    n_fn = after.faces.shape[-1]
-    points = [origins, before.points, before.segments.reshape(-1, 3), rest[used]]
-    displacement = [
-        _origins(model, state.displacement),
-        after.points - before.points,
-        (after.segments - before.segments).reshape(-1, 3),
-        state.displacement[used],
-    ]
-    cells = [
-        ("vertex", np.arange(n_v)[:, None]),
-        ("line", n_v + np.arange(2 * n_s).reshape(-1, 2)),
-        (
-            "triangle" if n_fn == 3 else "triangle6",
-            n_v + 2 * n_s + faces.reshape(-1, n_fn),
-        ),
-    ]
-    none = np.full(len(origins), -1)
-    vertex_owner = np.concatenate([none, after.point_owner])
-    return _Pieces(
-        points=np.concatenate(points),
-        displacement=np.concatenate(displacement),
-        arrows=after.arrows,
-        cells=cells,
-        owners=[vertex_owner, after.segment_owner, after.face_owner],
-    )
-
-
-def _moved(model: Model, state: RobotState) -> Float[HostArray, "n_points 3"]:
-    """Compute the positions of all nodes [m]."""
-    return np.asarray(model.mechanism.points) + state.displacement
-
-
-def _origins(
-    model: Model, x: Float[HostArray, "n_points 3"]
-) -> Float[HostArray, "n_b 3"]:
-    """Select the rows of the origins of the rigid bodies' frames [m]."""
-    return x[model.mesh.n_nodes :: 4]
-
-
-def _axes(
-    model: Model, x: Float[HostArray, "n_points 3"]
-) -> Float[HostArray, "n_b 3 3"]:
-    """Compute the axes of the rigid bodies' frames, as rows [-]."""
-    nodes = x[model.mesh.n_nodes :].reshape(-1, 4, 3)
-    return (nodes[:, 1:] - nodes[:, :1]) / model.mechanism.bodies.length
-
-
-def _padded(first: Float[HostArray, "_ 3"], n: int) -> Float[HostArray, "n 3"]:
-    """Pad the vectors of the first points with zeros for the rest."""
-    return np.concatenate([first, np.zeros((n - len(first), 3))])

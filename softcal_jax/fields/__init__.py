@@ -1,14 +1,9 @@
 """Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
-from softcal_jax.fields._entry import AbstractEntry
-from softcal_jax.fields._errors import (
-    AbstractError,
-    FieldError,
-    SetupError,
-)
+from softcal_jax.fields._errors import AbstractError, FieldError, SetupError
 from softcal_jax.fields._model_fields import find_field, set_field
-from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter
 from softcal_jax.fields._setup import QUANTITIES, SetupParameter
 from softcal_jax.fields._setup_parameters import (
     actuator_factor,
@@ -20,10 +15,16 @@ from softcal_jax.fields._setup_parameters import (
     mounting,
     recording_offset,
 )
-from softcal_jax.fields._space import Entry, ParameterSpace, Pin, as_space, check_names
+from softcal_jax.fields._space import (
+    Entry,
+    ParameterSpace,
+    Pin,
+    as_space,
+    check_names,
+    unnamed,
+)
 from softcal_jax.fields._spread import ControlPointParameters
 from softcal_jax.fields._uncertain import Uncertain, exactly_known
-from softcal_jax.fields._unnamed import unnamed
 from softcal_jax.fields._validation import check_parameters, check_scopes
 
 __all__ = [

@@ -1,6 +1,7 @@
 """Control points and inverse-distance weighting (paper Sec. IV.A)."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -39,9 +40,8 @@ def idw_weights(
     Raises:
         ValueError: If the power is not positive, or `nearest` is out of range.
     """
-    check_power(power)
     x, c = jnp.asarray(points, float), jnp.asarray(control_points, float)
-    check_nearest(nearest, c.shape[0])
+    _check_weighting(power, nearest, c.shape[0])
     squares = jnp.sum((x[:, None] - c[None]) ** 2, axis=2)
     # On a control point: the limit, with a derivative of zero instead of 0 / 0.
     squares = jnp.maximum(squares, jnp.finfo(squares.dtype).tiny)
@@ -53,17 +53,13 @@ def idw_weights(
     return jax.nn.softmax(nearness, axis=1)
 
 
-def check_power(power: float) -> None:
-    """Raise ValueError unless the exponent is positive and finite."""
+def _check_weighting(power: float, nearest: int | None, n_cp: int) -> None:
     if not (np.isfinite(power) and power > 0.0):
         raise ValueError(
             f"power must be positive and finite, got {power:g}: with 0 every control "
             "point would count the same everywhere; the paper takes 2."
         )
 
-
-def check_nearest(nearest: int | None, n_cp: int) -> None:
-    """Raise ValueError unless `nearest` lies between 1 and n_cp."""
     if nearest is not None and not 1 <= nearest <= n_cp:
         raise ValueError(
             f"nearest must lie between 1 and the number of control points, {n_cp}, "
@@ -71,12 +67,25 @@ def check_nearest(nearest: int | None, n_cp: int) -> None:
         )
 
 
+Places = (
+    Float[ArrayLike, "n_cp 3"]
+    | Sequence[Sequence[float] | HostArray]
+    | Mapping[str, Sequence[float] | HostArray]
+)
+
+
+def _as_array(positions: Places) -> Float[Array, "n_cp 3"]:
+    # Checked and stacked before, in `__post_init__`.
+    return jnp.asarray(positions)
+
+
 class ControlPoints(eqx.Module):
     """Places where the fields of a law have values of their own.
 
     Attributes:
+        positions: Positions in the frame of the mesh at rest [m], or a mapping of
+            names to them.
         names: One name per control point; "CP 1", "CP 2", ... by default.
-        positions: Positions in the frame of the mesh at rest [m].
         power: Exponent of the inverse-distance weighting [-].
         nearest: How many of the nearest control points act on a tet; all by default.
         axes: Coordinate axes that count for the distance. With "xz" the field does not
@@ -85,67 +94,45 @@ class ControlPoints(eqx.Module):
             a tenth of the diagonal of its region.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
-    positions: Float[Array, "n_cp 3"]
-    power: float = eqx.field(static=True)
-    nearest: int | None = eqx.field(static=True)
-    axes: str = eqx.field(static=True)
-    max_distance: float | None = eqx.field(static=True)
+    positions: Float[Array, "n_cp 3"] = eqx.field(converter=_as_array)
+    names: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
+    power: float = eqx.field(static=True, default=2.0, converter=float)
+    nearest: int | None = eqx.field(static=True, default=None)
+    axes: str = eqx.field(static=True, default=AXES)
+    max_distance: float | None = eqx.field(static=True, default=None)
 
-    def __init__(
-        self,
-        positions: Float[ArrayLike, "n_cp 3"]
-        | Sequence[Sequence[float] | HostArray]
-        | Mapping[str, Sequence[float] | HostArray],
-        *,
-        names: Sequence[str] | None = None,
-        power: float = 2.0,
-        nearest: int | None = None,
-        axes: str = AXES,
-        max_distance: float | None = None,
-    ):
-        """Make control points from positions, or from a mapping of names to them.
-
-        Raises:
-            ValueError: If a position is not three finite numbers, two coincide, names
-                repeat, or an option is out of its range.
-        """
-        if isinstance(positions, Mapping):
-            names = tuple(positions) if names is None else names
-            for name, x in positions.items():
+    def __post_init__(self):
+        given: Any = self.positions
+        if isinstance(given, Mapping):
+            self.names = self.names or tuple(given)
+            for name, x in given.items():
                 if np.shape(x) != (3,):
                     raise ValueError(
                         f"control point {name!r} needs three numbers [m], got {x}."
                     )
-            positions = np.array([np.asarray(x, float) for x in positions.values()])
-        x = np.asarray(positions, float)
+            given = [np.asarray(x, float) for x in given.values()]
+        x = np.asarray(given, float)
         if x.ndim != 2 or x.shape[1] != 3 or not len(x):
             raise ValueError(
                 "control points need positions of shape (number, 3) [m], at least one; "
                 f"got shape {x.shape}."
             )
-        if names is None:
-            names = tuple(f"CP {i + 1}" for i in range(len(x)))
-        self.names = tuple(names)
+        self.names = self.names or tuple(f"CP {i + 1}" for i in range(len(x)))
         self.positions = jnp.asarray(x)
-        self.power, self.nearest = float(power), nearest
-        self.axes, self.max_distance = axes, max_distance
-        self._check(x)
 
-    def _check(self, x: HostArray) -> None:
+    def __check_init__(self):
+        x = np.asarray(self.positions)
         if len(self.names) != len(x) or len(set(self.names)) != len(x):
             raise ValueError(
                 f"{len(x)} control points need as many different names, got "
                 f"{', '.join(self.names)}."
             )
-        if not self.axes or any(
-            self.axes.count(a) > 1 or a not in AXES for a in self.axes
-        ):
+        known = set(self.axes) <= set(AXES)
+        if not self.axes or not known or len(set(self.axes)) < len(self.axes):
             raise ValueError(
                 f'axes must be some of "xyz", each once, like "xz"; got {self.axes!r}.'
             )
-        check_power(self.power)
-        check_nearest(self.nearest, len(x))
+        _check_weighting(self.power, self.nearest, len(x))
         if self.max_distance is not None and not self.max_distance >= 0.0:
             raise ValueError(
                 f"max_distance must not be negative [m], got {self.max_distance:g}."
@@ -156,20 +143,16 @@ class ControlPoints(eqx.Module):
                 f"control point {self.names[bad[0]]!r} lies at {x[bad[0]]}: expected "
                 "three finite numbers [m]."
             )
-        self._check_apart(x[:, self.columns])
-
-    def _check_apart(self, x: HostArray) -> None:
+        x = x[:, self.columns]
         size = max(float(np.abs(x).max()), np.finfo(float).tiny)
-        for j in range(1, len(x)):
-            gaps = np.linalg.norm(x[:j] - x[j], axis=1)
-            i = int(np.argmin(gaps))
-            if gaps[i] <= 1e-9 * size:
-                where = "" if self.axes == AXES else f" along {self.axes}"
-                raise ValueError(
-                    f"control points {self.names[i]!r} and {self.names[j]!r} coincide"
-                    f"{where}: the data could never tell their values apart. Remove "
-                    "one, or move it."
-                )
+        gaps = np.linalg.norm(x[:, None] - x[None], axis=2)
+        for i, j in np.argwhere(np.triu(gaps <= 1e-9 * size, k=1)):
+            where = "" if self.axes == AXES else f" along {self.axes}"
+            raise ValueError(
+                f"control points {self.names[i]!r} and {self.names[j]!r} coincide"
+                f"{where}: the data could never tell their values apart. Remove one, "
+                "or move it."
+            )
 
     @property
     def columns(self) -> list[int]:
@@ -180,11 +163,6 @@ class ControlPoints(eqx.Module):
         self, points: Float[ArrayLike, "n_points 3"]
     ) -> Float[Array, "n_points n_cp"]:
         """Compute the weights of the control points at some points [-]."""
-        x = jnp.asarray(points, float)
         columns = jnp.asarray(self.columns)
-        return idw_weights(
-            x[:, columns],
-            self.positions[:, columns],
-            power=self.power,
-            nearest=self.nearest,
-        )
+        x, c = (jnp.asarray(at, float)[:, columns] for at in (points, self.positions))
+        return idw_weights(x, c, power=self.power, nearest=self.nearest)

@@ -11,10 +11,9 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._model_fields import find_field, set_field
-from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import QUANTITIES, Quantity, entry_index
+from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._setup import OF_CONFIGURATION, QUANTITIES, entry_index
 from softcal_jax.materials import PointValues, is_point_values
 
 
@@ -44,16 +43,6 @@ class AbstractError(AbstractEntry):
     def size(self, values: Mapping[str, Float[Array, ""]]) -> Float[Array, ""]:
         """Return the error, in SI units or relative."""
         return values[self.name] * self.std
-
-    @property
-    def tet_group(self) -> None:
-        """None: where it acts is stated by its arrays."""
-        return None
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
 
     def renamed(
         self, points: Mapping[str, str], names: Mapping[str, str]
@@ -123,19 +112,9 @@ class SetupError(AbstractError):
     axis: str = eqx.field(static=True, default="")
     relative: bool = eqx.field(static=True, default=False)
 
-    @property
-    def quantity(self) -> Quantity:
-        """What it sets."""
-        return QUANTITIES[self.kind]
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """None: it sets no field of the law."""
-        return ()
-
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
-        if not self.quantity.of_configuration:
+        if self.kind not in OF_CONFIGURATION:
             entry_index(self, model)
 
     def apply(
@@ -144,9 +123,9 @@ class SetupError(AbstractError):
         """Add the error to its entry."""
         error = self.size(values)
         change = lambda old: old + error * (old if self.relative else 1.0)
-        put, of_configuration = self.quantity.put, self.quantity.of_configuration
+        of_configuration = self.kind in OF_CONFIGURATION
         owner = configuration if of_configuration else model
         if owner is None:
             return model, configuration
-        owner = put(owner, entry_index(self, owner), change)
+        owner = QUANTITIES[self.kind].put(owner, entry_index(self, owner), change)
         return (model, owner) if of_configuration else (owner, configuration)

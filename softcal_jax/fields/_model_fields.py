@@ -38,35 +38,24 @@ def set_field(
     """
     where = find_field(model, field)
     old = where(model)
-    if isinstance(value, PointValues):
-        return eqx.tree_at(where, model, _in_region(model, old, value, region))
-    new = jnp.asarray(value, float)
+    new = value if isinstance(value, PointValues) else jnp.asarray(value, float)
     if region is not None:
-        tets = model.mesh.tets_of(region)
-        if is_point_values(old):
-            points = jnp.broadcast_to(
-                new.reshape(-1, 1), (len(tets), old.values.shape[1])
-            )
-            new = PointValues(old.values.at[tets].set(points))
-        else:
-            per_tet = jnp.broadcast_to(old, (model.mesh.n_tets,))
-            new = per_tet.at[tets].set(new)
-    elif not is_point_values(old):
+        new = _in_tets(old, new, model.mesh.tets_of(region), model.mesh.n_tets)
+    elif not (is_point_values(old) or isinstance(new, PointValues)):
         new = jnp.broadcast_to(new, jnp.broadcast_shapes(new.shape, jnp.shape(old)))
     return eqx.tree_at(where, model, new)
 
 
-def _in_region(model: Any, old: Any, value: PointValues, region: str | None):
-    if region is None:
-        return value
-    if is_point_values(old):
-        everywhere = old.values
-    else:
-        per_tet = jnp.broadcast_to(old, (model.mesh.n_tets,))
-        shape = (model.mesh.n_tets, value.values.shape[1])
-        everywhere = jnp.broadcast_to(per_tet[:, None], shape)
-    tets = model.mesh.tets_of(region)
-    return PointValues(everywhere.at[tets].set(value.values))
+def _in_tets(old: Any, new: Any, tets: Any, n_tets: int) -> Any:
+    """Change values of some tets, by quadrature point if either is given so."""
+    by_points = lambda v: v.values if is_point_values(v) else jnp.asarray(v)[..., None]
+    before, after = by_points(old), by_points(new)
+    n_qp = max(before.shape[-1], after.shape[-1])
+    values = jnp.broadcast_to(before.reshape(-1, before.shape[-1]), (n_tets, n_qp))
+    after = after.reshape(-1, after.shape[-1])
+    values = values.at[tets].set(jnp.broadcast_to(after, (len(tets), n_qp)))
+    either = is_point_values(old) or is_point_values(new)
+    return PointValues(values) if either else values[:, 0]
 
 
 def region_tets(mesh: Any, region: str | None) -> HostArray:
@@ -77,31 +66,23 @@ def region_tets(mesh: Any, region: str | None) -> HostArray:
 
 
 def find_field(model: Any, field: str):
-    """Find a field of a model's law, or its density, by name.
+    """Return the function from a model to a field of its law, or to its density.
 
     Args:
         model: Anything with `law` and `density`.
         field: Name of the field, like "E"; a dotted path if the name is not unique.
 
-    Returns:
-        A function from a model to that array, as `eqx.tree_at` expects it.
-
     Raises:
         ValueError: If no field has that name, or more than one.
     """
-    paths = ["density"] + [
-        "law" + jax.tree_util.keystr(path)
-        for path, _ in jax.tree_util.tree_leaves_with_path(
-            model.law, is_leaf=is_point_values
-        )
-    ]
+    leaves = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
+    paths = ["density"] + ["law" + jax.tree_util.keystr(path) for path, _ in leaves]
     found = [path for path in paths if ("." + path).endswith("." + field)]
     if len(found) != 1:
         problem = "is not unique" if found else "does not exist"
         raise ValueError(
             f"field {field!r} of the model {problem}; it has {', '.join(paths)}."
         )
-
     return _Accessor(found[0])
 
 

@@ -1,14 +1,14 @@
 """Which parameters belong together: order constraints and material axes."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
-from softcal_jax.fields._entry import AbstractEntry
-from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entries = tuple[AbstractEntry, ...]
@@ -25,17 +25,12 @@ class Term(NamedTuple):
 
 
 def order_terms(
-    entries: Entries, order: tuple[tuple[str, str], ...]
+    entries: Entries, order: tuple[tuple[str, ...], ...]
 ) -> list[tuple[Term, Term]]:
     """Collect both sides of every inequality smaller <= larger.
 
-    Args:
-        entries: Entries of a parameter space.
-        order: Pairs of parameter names, or of fields with control points.
-
-    Returns:
-        One pair per control point of two fields, or per pair of parameters, except for
-        pairs of known values.
+    One pair per control point of two fields, or per pair of parameters, except for
+    pairs of known values.
 
     Raises:
         ValueError: If a name is unknown, two fields share no control point, a control
@@ -52,91 +47,72 @@ def order_terms(
                 f"common ({', '.join(left)} and {', '.join(right)})."
             )
         for key in shared:
-            pair = (left[key], right[key])
-            if pair[0].scale != pair[1].scale:
+            small, large = left[key], right[key]
+            if small.scale != large.scale:
                 raise ValueError(
                     f"order ({smaller!r}, {larger!r}): give both the same scale; got "
-                    f"{pair[0].scale!r} and {pair[1].scale!r}."
+                    f"{small.scale!r} and {large.scale!r}."
                 )
-            if pair[0].column is not None or pair[1].column is not None:
-                pairs.append(pair)
-            else:
-                _check_known(*pair)
+            if small.column is not None or large.column is not None:
+                pairs.append((small, large))
+            elif is_traced(small.constant) or is_traced(large.constant):
+                continue
+            elif float(small.constant) > float(large.constant):
+                raise ValueError(
+                    f"order: {small.name} <= {large.name}, but both are fixed, the "
+                    "first above the second."
+                )
     return pairs
-
-
-def _check_known(small: Term, large: Term) -> None:
-    """Raise ValueError if two known values contradict the order."""
-    if is_traced(small.constant) or is_traced(large.constant):
-        return
-    if float(small.constant) > float(large.constant):
-        raise ValueError(
-            f"order: {small.name} <= {large.name}, but both are fixed, the first "
-            "above the second."
-        )
 
 
 def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
     """Return the terms of a parameter, or of a field by control point.
 
-    Args:
-        entries: Entries of a parameter space.
-        name: The parameter or the field.
-        key: Option that names it, "order" or "axes", for errors.
+    `key` is the option that names it, "order" or "axes", for errors.
     """
     parameters = [q for entry in entries for q in entry.parameters]
     columns = {q.name: i for i, q in enumerate(parameters)}
+
+    def unknown(column: int) -> Term:
+        q = parameters[column]
+        return Term(q.name, q.scale, column, q.unit_step, jnp.zeros(()))
+
     if name in columns:
-        return {"": _unknown(parameters, columns[name])}
-    sides = {}
-    for entry in entries:
-        if isinstance(entry, ControlPointParameters) and entry.field == name:
-            for point in entry.control_points.names:
-                if point in entry.fixed:
-                    side = _known(entry, point)
-                else:
-                    column = columns[entry.parameter_name(point)]
-                    side = _unknown(parameters, column)
-                if point in sides:
-                    raise ValueError(
-                        f"{name} has two values at control point {point!r}, in "
-                        "different regions: give their control points different names."
-                    )
-                sides[point] = side
+        return {"": unknown(columns[name])}
+    fields = [entry for entry in entries if isinstance(entry, ControlPointParameters)]
+    sides: dict[str, Term] = {}
+    for entry in fields:
+        if entry.field != name:
+            continue
+        for point in entry.control_points.names:
+            if point in sides:
+                raise ValueError(
+                    f"{name} has two values at control point {point!r}, in "
+                    "different regions: give their control points different names."
+                )
+            if point in entry.fixed:
+                value = entry.fixed[point]
+                known = jnp.log(value) if entry.scale == "log" else value
+                own = f"{name} of {point}"
+                sides[point] = Term(own, entry.scale, None, jnp.ones(()), known)
+            else:
+                sides[point] = unknown(columns[entry.parameter_name(point)])
     if not sides:
-        fields = [e.field for e in entries if isinstance(e, ControlPointParameters)]
+        known = [*(entry.field for entry in fields), *columns]
         raise ValueError(
             f"{key} names {name!r}, which is neither a parameter nor a field with "
-            f"control points.{suggestion(name, [*fields, *columns])} Parameters are "
+            f"control points.{suggestion(name, known)} Parameters are "
             f"{', '.join(columns)}."
         )
     return sides
 
 
-def _unknown(parameters: list[Parameter], column: int) -> Term:
-    q = parameters[column]
-    unit = jnp.ones(()) if q.scale == "log" else q.unit_step
-    return Term(q.name, q.scale, column, unit, jnp.zeros(()))
-
-
-def _known(entry: ControlPointParameters, point: str) -> Term:
-    value = entry.fixed[point]
-    constant = jnp.log(value) if entry.scale == "log" else value
-    name = f"{entry.field} of {point}"
-    return Term(name, entry.scale, None, jnp.ones(()), constant)
-
-
 def axis_columns(
-    entries: Entries, axes: tuple[tuple[str, str, str], ...]
+    entries: Entries, axes: tuple[tuple[str, ...], ...]
 ) -> Int[HostArray, "n_axes 3"]:
     """Find the columns of (smaller modulus, larger modulus, angle) of every axis.
 
-    Args:
-        entries: Entries of a parameter space.
-        axes: Triples of fields with the same control points.
-
-    Returns:
-        One row per control point at which all three are unknown.
+    One row per control point at which all three are unknown.
 
     Raises:
         ValueError: If a name is unknown, no control point has all three unknown, a
@@ -171,9 +147,9 @@ def axis_columns(
     return np.array(rows, dtype=int).reshape(-1, 3)
 
 
-def _check_axis(axis: tuple[str, str, str], members: list[Parameter]) -> None:
-    small, large, angle = members
-    for modulus in (small, large):
+def _check_axis(axis: tuple[str, ...], members: list[Parameter]) -> None:
+    *moduli, angle = members
+    for modulus in moduli:
         if modulus.scale != "log":
             raise ValueError(
                 f'axes {axis}: {modulus.name!r} must have scale="log", got '
@@ -190,3 +166,120 @@ def _check_axis(axis: tuple[str, str, str], members: list[Parameter]) -> None:
                 f"axes {axis}: {member.name!r} has a max_step, but steps of an axis "
                 "are taken as tensors; leave one of the two out."
             )
+
+
+_NEARLY_ISOTROPIC = 1e-7
+"""Smallest d: at 0 the angle and the derivatives along c and s are undefined [-]."""
+
+
+class AxisChart(NamedTuple):
+    """Step coordinates of axes: the components of a tensor, regular at isotropy.
+
+    {E_s, E_l, theta} (smaller and larger modulus, angle of the material axis) are polar
+    coordinates of a symmetric tensor in the print plane: with m = (ln E_l + ln E_s) / 2
+    and d = (ln E_l - ln E_s) / 2 >= 0, its logarithm has the components
+
+        m,  c = d cos 2 theta,  s = d sin 2 theta.
+
+    Polar coordinates have two traps for a Gauss-Newton step. The angle winds: 181
+    degrees is the same axis as 1 degree, but far away. And at E_s = E_l the angle has
+    no effect: a fit whose axis is a quarter turn wrong is driven there and stays.
+    (m, c, s) avoid both, E_s <= E_l always holds, and a step across the origin turns
+    the axis by 90 degrees, as it should. The parameters remain {E_s, E_l, theta}.
+
+    Attributes:
+        small: Columns of ln E_s in z, one per axis.
+        large: Columns of ln E_l.
+        angle: Columns of theta / S.
+        S: Scale of the angles [rad].
+    """
+
+    small: Int[HostArray, " n_axes"]
+    large: Int[HostArray, " n_axes"]
+    angle: Int[HostArray, " n_axes"]
+    S: Float[Array, " n_axes"]
+
+    def to_tensor(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Replace (ln E_s, ln E_l, theta / S) by (m, c, s)."""
+        m = 0.5 * (z[self.large] + z[self.small])
+        d = 0.5 * (z[self.large] - z[self.small])
+        twice = 2.0 * self.S * z[self.angle]
+        z = z.at[self.small].set(m).at[self.large].set(d * jnp.cos(twice))
+        return z.at[self.angle].set(d * jnp.sin(twice))
+
+    def from_tensor(self, tensor: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Invert `to_tensor`, with angles between -90 and 90 degrees."""
+        m, c, s = tensor[self.small], tensor[self.large], tensor[self.angle]
+        d = jnp.sqrt(c**2 + s**2)
+        theta = 0.5 * jnp.arctan2(s, c) / self.S
+        z = tensor.at[self.small].set(m - d).at[self.large].set(m + d)
+        return z.at[self.angle].set(theta)
+
+    def clip(
+        self,
+        z: Float[Array, " n_p"],
+        lower: Float[Array, " n_p"],
+        upper: Float[Array, " n_p"],
+    ) -> Float[Array, " n_p"]:
+        """Clip the moduli to their bounds, keeping them slightly apart."""
+        gap = 2.0 * _NEARLY_ISOTROPIC
+        s, l = self.small, self.large
+        top = jnp.clip(z[l], jnp.maximum(lower[l], lower[s] + gap), upper[l])
+        low = jnp.minimum(jnp.clip(z[s], lower[s], upper[s]), top - gap)
+        return z.at[s].set(low).at[l].set(top)
+
+
+class FadingAxis(NamedTuple):
+    """The three fields of an axis whose angle has a core."""
+
+    small: ControlPointParameters
+    large: ControlPointParameters
+    angle: ControlPointParameters
+
+    def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
+        """Reduce the contrast of the moduli in the cores; their geometric mean stays.
+
+        Args:
+            model: The model, with the three fields as without a core.
+            values: Values of all parameters by name, in SI units.
+        """
+        low = jnp.log(self.small.evaluate(model.mesh, values))
+        high = jnp.log(self.large.evaluate(model.mesh, values))
+        middle, half = 0.5 * (high + low), 0.5 * (high - low)
+        half = half * self.angle.contrast(model.mesh, values)
+        model = self.small.set_on(model, jnp.exp(middle - half))
+        return self.large.set_on(model, jnp.exp(middle + half))
+
+
+def fading_axes(
+    entries: Entries, axes: tuple[tuple[str, ...], ...]
+) -> list[FadingAxis]:
+    """Return the axes whose angle has a core.
+
+    Raises:
+        ValueError: If an angle with a core belongs to no axis, or if the moduli of its
+            axis are not sampled where it is.
+    """
+    fields = [e for e in entries if isinstance(e, ControlPointParameters)]
+    found = []
+    for angle in fields:
+        if angle.core == 0.0:
+            continue
+        its = [axis for axis in axes if axis[2] == angle.field]
+        if not its:
+            raise ValueError(
+                f"{angle.field} has a core, in which the contrast of two moduli fades: "
+                f'say which in axes, like ("E_l", "E_t", "{angle.field}"), or leave '
+                "core out."
+            )
+        where = (angle.region, angle.sampling)
+        beside = {e.field: e for e in fields if (e.region, e.sampling) == where}
+        for field in its[0]:
+            if field not in beside:
+                raise ValueError(
+                    f"{angle.field} has a core, and {field} is not sampled where it "
+                    f"is: give both region={angle.region!r} and "
+                    f"sampling={angle.sampling!r}, or leave core out."
+                )
+        found.append(FadingAxis(*(beside[field] for field in its[0])))
+    return found

@@ -1,5 +1,6 @@
-"""One unknown constant: bounds, scaling S and place in the model."""
+"""Entries of a parameter space, and the simplest one: an unknown constant."""
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
@@ -10,17 +11,115 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
-from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.materials import is_point_values
+
+
+class AbstractEntry(eqx.Module):
+    """One or several unknowns, and what they set in a model and its configurations.
+
+    Sensitivities follow from `apply` by autodiff. A new kind of parameter is a line in
+    `fields._setup.QUANTITIES` if it sets an array that the model or the configurations
+    already have, otherwise a subclass.
+    """
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple["Parameter", ...]:
+        """The unknowns that it adds."""
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Fields of the law, or the density, if it sets these and nothing else.
+
+        One pass over the tets then gives the forces of all unknowns of a field. Empty
+        for an entry that sets anything else; `check_parameters` verifies this.
+        """
+        return ()
+
+    @property
+    def tet_group(self) -> str | None:
+        """Tet group in which it sets fields; None for the whole body."""
+        return None
+
+    @property
+    def label(self) -> str:
+        """Its name in messages."""
+        return ", ".join(parameter.name for parameter in self.parameters)
+
+    @abstractmethod
+    def apply(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
+        """Set the values of its unknowns; traceable and differentiable.
+
+        Args:
+            model: Anything with `law`, `density`, `mesh` and `mechanism`.
+            configuration: Arrays of one configuration; None where only the model is
+                wanted.
+            values: Values of all parameters by name, in SI units.
+
+        Returns:
+            Model and configuration, changed where the entry sets something.
+        """
+
+    @abstractmethod
+    def check(self, model: Any) -> None:
+        """Raise ValueError unless the model has what the entry sets."""
+
+    @abstractmethod
+    def renamed(
+        self, points: Mapping[str, str], names: Mapping[str, str]
+    ) -> "AbstractEntry":
+        """Return the same entry with other names of control points and parameters."""
 
 
 def _number(value) -> Float[Array, ""]:
     return jnp.asarray(value, float)
 
 
-class Parameter(AbstractEntry):
-    """One unknown constant of the model.
+def _number_or_none(value) -> Float[Array, ""] | None:
+    return None if value is None else jnp.asarray(value, float)
+
+
+class AbstractFieldEntry(AbstractEntry):
+    """Unknowns that set one field of the law, or the density.
+
+    Attributes:
+        scale: "log" for moduli (a step is a ratio), "linear" otherwise.
+        S: For a linear scale, the size of a unit step of lambda_p; upper - lower by
+            default. A log scale needs none.
+        region: Tet group that it is set in; the whole body by default.
+        unit: SI unit, for tables.
+        max_step: Largest entry of lambda_p in one step, like the step limits of the
+            paper; on a log scale 0.01 is 1 %. None leaves it to the trust region [-].
+        prior_std: Standard deviation of the prior about `start`: relative on a log
+            scale (0.3 is 30 %), in SI units on a linear one. None without a prior.
+    """
+
+    scale: Literal["log", "linear"] = eqx.field(
+        static=True, default="log", kw_only=True
+    )
+    S: Float[Array, ""] | None = eqx.field(
+        default=None, converter=_number_or_none, kw_only=True
+    )
+    region: str | None = eqx.field(static=True, default=None, kw_only=True)
+    unit: str = eqx.field(static=True, default="", kw_only=True)
+    max_step: Float[Array, ""] | None = eqx.field(
+        default=None, converter=_number_or_none, kw_only=True
+    )
+    prior_std: Float[Array, ""] | None = eqx.field(
+        default=None, converter=_number_or_none, kw_only=True
+    )
+
+    @property
+    def tet_group(self) -> str | None:
+        """The region that it sets the field in."""
+        return self.region
+
+
+class Parameter(AbstractFieldEntry):
+    """One unknown constant of the model; further options are of `AbstractFieldEntry`.
 
     Attributes:
         name: Name in tables and results.
@@ -28,17 +127,8 @@ class Parameter(AbstractEntry):
         start: Value before calibration, in SI units.
         lower: Smallest value allowed.
         upper: Largest value allowed.
-        scale: "log" for moduli (a step is a ratio), "linear" otherwise.
-        S: For a linear scale, the size of a unit step of lambda_p; upper - lower by
-            default. A log scale needs none.
-        region: Tet group that it applies to; the whole body by default.
-        unit: SI unit, for tables.
-        max_step: Largest entry of lambda_p in one step, like the step limits of the
-            paper; on a log scale 0.01 is 1 %. None leaves it to the trust region [-].
         periodic: Whether both bounds are equivalent, as for the angle of an axis, -90
             to 90 degrees: a step past one bound re-enters at the other.
-        prior_std: Standard deviation of the prior about `start`: relative on a log
-            scale (0.3 is 30 %), in SI units on a linear one. None without a prior.
     """
 
     name: str = eqx.field(static=True)
@@ -46,19 +136,7 @@ class Parameter(AbstractEntry):
     start: Float[Array, ""] = eqx.field(converter=_number)
     lower: Float[Array, ""] = eqx.field(converter=_number)
     upper: Float[Array, ""] = eqx.field(converter=_number)
-    scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
-    S: Float[Array, ""] | None = eqx.field(
-        default=None, converter=lambda v: None if v is None else _number(v)
-    )
-    region: str | None = eqx.field(static=True, default=None)
-    unit: str = eqx.field(static=True, default="")
-    max_step: Float[Array, ""] | None = eqx.field(
-        default=None, converter=lambda v: None if v is None else _number(v)
-    )
-    periodic: bool = eqx.field(static=True, default=False)
-    prior_std: Float[Array, ""] | None = eqx.field(
-        default=None, converter=lambda v: None if v is None else _number(v)
-    )
+    periodic: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
         if any(is_traced(v) for v in (self.start, self.lower)):
@@ -90,35 +168,39 @@ class Parameter(AbstractEntry):
                 f"{what}: a log scale needs positive bounds, got lower {lower:g}; use "
                 'scale="linear".'
             )
-        if self.S is not None and not float(self.S) > 0.0:
-            raise ValueError(f"{what}: S must be positive, got {float(self.S):g}.")
-        if self.max_step is not None and not float(self.max_step) > 0.0:
-            raise ValueError(
-                f"{what}: max_step must be positive, got {float(self.max_step):g}."
-            )
-
-        if self.prior_std is not None and not float(self.prior_std) > 0.0:
-            raise ValueError(
-                f"{what}: prior_std must be positive, got {float(self.prior_std):g}; "
-                "leave it out where nothing is known before."
-            )
+        for name, remedy in (
+            ("S", ""),
+            ("max_step", ""),
+            ("prior_std", "; leave it out where nothing is known before"),
+        ):
+            value = getattr(self, name)
+            if value is not None and not float(value) > 0.0:
+                raise ValueError(
+                    f"{what}: {name} must be positive, got {float(value):g}{remedy}."
+                )
 
     @property
     def parameters(self) -> tuple["Parameter", ...]:
-        """The unknowns that it adds: itself."""
+        """Itself."""
         return (self,)
 
     @property
+    def fields(self) -> tuple[str, ...]:
+        """The field that it sets."""
+        return (self.field,)
+
+    @property
     def unit_step(self) -> Float[Array, ""]:
-        """S of a linear scale."""
+        """S of a linear scale; 1 on a log scale."""
+        if self.scale == "log":
+            return jnp.ones(())
         return self.upper - self.lower if self.S is None else self.S
 
     def prior_weight(self) -> Float[Array, ""]:
         """Return 1 / standard deviation of the scaled prior; 0 without one [-]."""
         if self.prior_std is None:
             return jnp.zeros(())
-        unit = jnp.ones(()) if self.scale == "log" else self.unit_step
-        return unit / self.prior_std
+        return self.unit_step / self.prior_std
 
     def to_scaled(self, p: Float[Array, ""]) -> Float[Array, ""]:
         """Compute the scaled coordinate z: ln p, or p / S [-]."""
@@ -127,21 +209,6 @@ class Parameter(AbstractEntry):
     def from_scaled(self, z: Float[Array, ""]) -> Float[Array, ""]:
         """Compute the value of a scaled coordinate: p = exp z, or p = S z."""
         return jnp.exp(z) if self.scale == "log" else z * self.unit_step
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """The field that it sets."""
-        return (self.field,)
-
-    @property
-    def tet_group(self) -> str | None:
-        """The region that it sets the field in."""
-        return self.region
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
 
     def apply(
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]

@@ -3,6 +3,7 @@
 If such an error is not a parameter it biases the moduli, and residuals may hide it.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -13,14 +14,12 @@ import jax.numpy as jnp
 
 from softcal_jax._names import name_key, unknown_name
 from softcal_jax._typing import Array, Float
-from softcal_jax.fields._entry import AbstractEntry
-from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter
 
 Scope = Literal["configuration", "recording"]
 _SCOPES: tuple[Scope, ...] = ("configuration", "recording")
 
-XYZ = ("x", "y", "z")
-
+_XYZ = ("x", "y", "z")
 
 Change = Callable[[Any], Any]
 Put = Callable[[Any, tuple[int, ...], Change], Any]
@@ -30,21 +29,25 @@ class Quantity(NamedTuple):
     """An array of the model, or of its configurations, whose entries can be unknown.
 
     Attributes:
+        title: Name of an unknown, with {of} and {axis} filled in.
         put: Changes an entry: of (model or configuration, index, function of the old
             value).
-        of_configuration: Whether configurations hold it, or the model.
         noun: What its first axis enumerates, like "motor"; empty if nothing.
         names: Names along the first axis, from the model or the configuration.
         components: Names along the last axis; empty for one number.
-        scales: Scales that a parameter of it may have.
+        scales: Scales that a parameter of it may have, the usual one first.
+        unit: SI unit, for tables.
+        least: Smallest value that it can have at all, in SI units.
     """
 
+    title: str
     put: Put
-    of_configuration: bool
     noun: str = ""
     names: Callable[[Any], Sequence[str]] = lambda _: ()
     components: tuple[str, ...] = ()
-    scales: tuple[str, ...] = ("linear",)
+    scales: tuple[Literal["linear", "log"], ...] = ("linear",)
+    unit: str = ""
+    least: float = -math.inf
 
 
 def _entry_of(path: str) -> Put:
@@ -58,73 +61,88 @@ def _entry_of(path: str) -> Put:
     return put
 
 
-def _motors(model: Any) -> list[str]:
-    """List the names of all actuators, empty unless they are motors."""
-    actuators = model.mechanism.actuators
-    both = zip(actuators.names, actuators.motor_body, strict=True)
-    return [name if body >= 0 else "" for name, body in both]
-
-
-def _rough(model: Any) -> list[str]:
-    """List the names of all actuators, empty unless they have friction."""
-    actuators = model.mechanism.actuators
-    both = zip(actuators.names, actuators.has_friction, strict=True)
-    return [name if has_friction else "" for name, has_friction in both]
-
-
 def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
     # One for all configurations, so that the old one is not asked for.
     actuators = model.mechanism.actuators.with_friction(*index, change(None))
     return eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
 
 
-QUANTITIES = {
+def _actuators(which: Callable[[Any], list[bool]]) -> Callable[[Any], list[str]]:
+    """Make the function that names all actuators, those not of a kind empty."""
+
+    def names(model: Any) -> list[str]:
+        actuators = model.mechanism.actuators
+        both = zip(actuators.names, which(actuators), strict=True)
+        return [name if known else "" for name, known in both]
+
+    return names
+
+
+_FACTOR = ("log", "linear")
+
+_OF_MODEL = {
     "motor_zero": Quantity(
+        "zero of {of}",
         _entry_of("mechanism.motor_zero"),
-        of_configuration=False,
         noun="motor",
-        names=_motors,
+        names=_actuators(lambda a: [body >= 0 for body in a.motor_body]),
+        unit="rad",
     ),
     "mounting": Quantity(
+        "mounting {axis} of {of}",
         _entry_of("mechanism.bodies.mounting_translation"),
-        of_configuration=False,
         noun="rigid body",
         names=attrgetter("mechanism.bodies.names"),
-        components=XYZ,
+        components=_XYZ,
+        unit="m",
     ),
     "friction": Quantity(
+        "friction of {of}",
         _put_friction,
-        of_configuration=False,
         noun="actuator with friction",
-        names=_rough,
-    ),
-    "gravity_tilt": Quantity(
-        _entry_of("tilt"), of_configuration=True, components=("first", "second")
-    ),
-    "load_factor": Quantity(
-        _entry_of("load_factor"), of_configuration=True, scales=("linear", "log")
-    ),
-    "actuator_factor": Quantity(
-        _entry_of("actuation.force_factor"),
-        of_configuration=True,
-        noun="actuator",
-        names=attrgetter("actuation.names"),
-        scales=("linear", "log"),
-    ),
-    "recording_offset": Quantity(
-        _entry_of("effectors.base.translation"), of_configuration=True, components=XYZ
-    ),
-    "recording_turn": Quantity(
-        _entry_of("effectors.base.rotation"), of_configuration=True, components=XYZ
-    ),
-    "clamp_stiffness": Quantity(
-        _entry_of("springs.stiffness"),
-        of_configuration=True,
-        noun="support with a stiffness",
-        names=attrgetter("springs.names"),
-        scales=("log", "linear"),
+        names=_actuators(attrgetter("has_friction")),
+        least=0.0,
     ),
 }
+OF_CONFIGURATION = {
+    "gravity_tilt": Quantity(
+        "{axis} tilt of gravity",
+        _entry_of("tilt"),
+        components=("first", "second"),
+        unit="rad",
+    ),
+    "load_factor": Quantity(
+        "factor of loads", _entry_of("load_factor"), scales=_FACTOR
+    ),
+    "actuator_factor": Quantity(
+        "factor of {of}",
+        _entry_of("actuation.force_factor"),
+        noun="actuator",
+        names=attrgetter("actuation.names"),
+        scales=_FACTOR,
+    ),
+    "recording_offset": Quantity(
+        "offset {axis}",
+        _entry_of("effectors.base.translation"),
+        components=_XYZ,
+        unit="m",
+    ),
+    "recording_turn": Quantity(
+        "turn {axis}",
+        _entry_of("effectors.base.rotation"),
+        components=_XYZ,
+        unit="rad",
+    ),
+    "clamp_stiffness": Quantity(
+        "stiffness of {of}",
+        _entry_of("springs.stiffness"),
+        noun="support with a stiffness",
+        names=attrgetter("springs.names"),
+        scales=_FACTOR,
+        unit="N/m^3",
+    ),
+}
+QUANTITIES = _OF_MODEL | OF_CONFIGURATION
 """Kinds of parameters that set one entry of an array: one line for a new kind."""
 
 
@@ -136,8 +154,7 @@ class SetupParameter(AbstractEntry):
     """One unknown of the setup, the loads or the recordings.
 
     It is calibrated together with the material, to decouple them (paper Sec. VII).
-    `motor_zero`, `mounting`, `gravity_tilt`, `load_factor`,
-    `actuator_factor`, `recording_offset` and `clamp_stiffness` make them.
+    Functions named like its kinds make it, `motor_zero` for example.
 
     Attributes:
         kind: One of `QUANTITIES`.
@@ -171,26 +188,21 @@ class SetupParameter(AbstractEntry):
             raise ValueError(
                 f"{what}: {self.kind} is one number and has no axis, got {self.axis!r}."
             )
-        if self.parameters[0].scale not in quantity.scales:
+        if self.unknowns[0].scale not in quantity.scales:
             raise ValueError(
                 f"{what} of the setup needs scale={quoted(quantity.scales)}: zero is a "
                 "value that it may have."
             )
-        self._check_scope(what)
-
-    def _check_scope(self, what: str) -> None:
         if self.by not in _SCOPES:
-            raise ValueError(
-                f'{what}: by must be "configuration" or "recording", got {self.by!r}.'
-            )
-        if self.each and not self.quantity.of_configuration:
+            raise ValueError(f"{what}: by must be {quoted(_SCOPES)}, got {self.by!r}.")
+        if self.each and not self._of_configuration:
             raise ValueError(
                 f"{what}: {self.kind} belongs to the robot, which all configurations "
                 "share; leave `each` out."
             )
-        if len(self.parameters) != max(1, len(self.each)):
+        if len(self.unknowns) != max(1, len(self.each)):
             raise ValueError(
-                f"{what}: {len(self.parameters)} unknowns were given, expected one for "
+                f"{what}: {len(self.unknowns)} unknowns were given, expected one for "
                 f"each {self.by} named ({', '.join(self.each) or 'none'}), or one for "
                 "all."
             )
@@ -204,24 +216,13 @@ class SetupParameter(AbstractEntry):
         return QUANTITIES[self.kind]
 
     @property
-    def fields(self) -> tuple[str, ...]:
-        """None: it sets no field of the law."""
-        return ()
-
-    @property
-    def tet_group(self) -> None:
-        """None: it belongs to no tets."""
-        return None
+    def _of_configuration(self) -> bool:
+        return self.kind in OF_CONFIGURATION
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Its unknowns."""
         return self.unknowns
-
-    @property
-    def label(self) -> str:
-        """Names of its unknowns."""
-        return ", ".join(parameter.name for parameter in self.parameters)
 
     @property
     def noun(self) -> str:
@@ -240,15 +241,14 @@ class SetupParameter(AbstractEntry):
 
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
-        if not self.quantity.of_configuration:
+        if not self._of_configuration:
             entry_index(self, model)
 
     def apply(
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
     ) -> tuple[Any, Any]:
         """Set its entry; configurations that it does not belong to keep theirs."""
-        of_configuration = self.quantity.of_configuration
-        owner = configuration if of_configuration else model
+        owner = configuration if self._of_configuration else model
         if owner is None:
             return model, configuration
 
@@ -261,14 +261,14 @@ class SetupParameter(AbstractEntry):
             return old
 
         owner = self.quantity.put(owner, entry_index(self, owner), change)
-        return (model, owner) if of_configuration else (owner, configuration)
+        return (model, owner) if self._of_configuration else (owner, configuration)
 
     def renamed(
         self, points: Mapping[str, str], names: Mapping[str, str]
     ) -> "SetupParameter":
         """Return the same unknowns with other names."""
         del points
-        own = tuple(replace(q, name=names[q.name], unit="") for q in self.parameters)
+        own = tuple(replace(q, name=names[q.name], unit="") for q in self.unknowns)
         return replace(self, unknowns=own)
 
 
@@ -276,13 +276,13 @@ def entry_index(entry: Any, owner: Any) -> tuple[int, ...]:
     """Find the index of what an entry sets in the array of its quantity.
 
     Args:
-        entry: Anything with `quantity`, `of`, `axis` and `label`.
+        entry: Anything with `kind`, `of`, `axis` and `label`.
         owner: The model, or a configuration.
 
     Raises:
         ValueError: If the owner does not have what the entry belongs to.
     """
-    quantity, index = entry.quantity, ()
+    quantity, index = QUANTITIES[entry.kind], ()
     if quantity.noun:
         names = list(quantity.names(owner))
         known = [name for name in names if name]

@@ -1,84 +1,68 @@
 """Constructors of parameters of setup, loads and recordings."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NotRequired, TypedDict, Unpack
 
 import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import XYZ, Scope, SetupParameter
+from softcal_jax.fields._setup import QUANTITIES, Scope, SetupParameter
 
 
-class Knowledge(NamedTuple):
-    """Prior knowledge of a quantity.
+class Known(TypedDict):
+    """What is known before, and of what: options of errors that may differ.
 
     Attributes:
-        nominal: Nominal value, in SI units.
-        limit: Largest error considered, in SI units; on a log scale a factor.
-        prior_std: Standard deviation of the error, in SI units or, on a log scale,
-            relative; None if it is not known.
-        least: Smallest value that it can have at all, in SI units.
+        prior_std: Prior standard deviation, relative for a factor or a stiffness (like
+            0.05); None if not known.
+        each: Configurations or recordings with an unknown each; one for all by default.
+        by: What `each` names, "configuration" or "recording" (default).
     """
 
-    nominal: float
-    limit: float
     prior_std: float | None
-    least: float = -np.inf
+    each: NotRequired[Sequence[str]]
+    by: NotRequired[Scope]
 
 
-def setup_parameters(
+def _unknowns(
     kind: str,
     of: str = "",
     *,
-    name: str,
-    knowledge: Knowledge,
-    unit: str = "",
-    scale: Literal["linear", "log"] = "linear",
-    axis: str = "",
-    each: Sequence[str] = (),
-    by: Scope = "recording",
-) -> SetupParameter:
-    """Make the entry for one array entry of the setup.
+    limit: float,
+    nominal: Float[ArrayLike, "..."] | Sequence[float] | None = None,
+    **known: Unpack[Known],
+) -> tuple[SetupParameter, ...]:
+    """Make the entries of a quantity, one per component.
 
-    Args:
-        kind: One of `QUANTITIES`.
-        of: What it belongs to, like the motor.
-        name: Name of the unknown; with `each`, " in ..." is added.
-        knowledge: Nominal value, limit and prior.
-        unit: SI unit, for tables.
-        scale: "linear", or "log" for a factor or a stiffness.
-        axis: Component of a quantity that has several.
-        each: Configurations or recordings with an unknown each; one for all by default.
-        by: What `each` names.
-
-    Raises:
-        ValueError: If the arguments are inconsistent.
+    `limit` is the largest error, in SI units, or factor on a log scale. `nominal` is 0,
+    or 1 for a factor.
     """
-    nominal, limit, prior_std, least = knowledge
+    quantity, each = QUANTITIES[kind], known.get("each", ())
+    axes, scale = quantity.components or ("",), quantity.scales[0]
     log = scale == "log"
-    lower, upper = (
-        (nominal / limit, nominal * limit)
-        if log
-        else (nominal - limit, nominal + limit)
-    )
-    names = [f"{name} in {member}" for member in each] or [name]
-    own = [
-        Parameter(
-            own_name,
-            field="",
-            start=nominal,
-            lower=max(least, lower),
-            upper=upper,
-            scale=scale,
-            S=None if log else limit,
-            unit=unit,
-            prior_std=prior_std,
-        )
-        for own_name in names
-    ]
-    return SetupParameter(kind, of, own, axis, each, by)
+    middles = np.broadcast_to(float(log) if nominal is None else nominal, len(axes))
+    entries = []
+    for axis, middle in zip(axes, middles, strict=True):
+        name = quantity.title.format(of=of, axis=axis)
+        unknowns = [
+            Parameter(
+                own_name,
+                field="",
+                start=middle,
+                lower=max(quantity.least, middle / limit if log else middle - limit),
+                upper=middle * limit if log else middle + limit,
+                scale=scale,
+                S=None if log else limit,
+                unit=quantity.unit,
+                prior_std=known["prior_std"],
+            )
+            for own_name in [f"{name} in {member}" for member in each] or [name]
+        ]
+        by = known.get("by", "recording")
+        entries.append(SetupParameter(kind, of, unknowns, axis, each, by))
+    return tuple(entries)
 
 
 def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupParameter:
@@ -89,13 +73,7 @@ def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupPar
         limit: Largest error considered [rad].
         prior_std: Prior standard deviation [rad]; None if not known.
     """
-    return setup_parameters(
-        "motor_zero",
-        motor,
-        name=f"zero of {motor}",
-        knowledge=Knowledge(0.0, limit, prior_std),
-        unit="rad",
-    )
+    return _unknowns("motor_zero", motor, limit=limit, prior_std=prior_std)[0]
 
 
 def mounting(
@@ -113,16 +91,8 @@ def mounting(
         limit: Largest error considered, per axis [m].
         prior_std: Prior standard deviation [m]; None if not known.
     """
-    return tuple(
-        setup_parameters(
-            "mounting",
-            body,
-            name=f"mounting {axis} of {body}",
-            knowledge=Knowledge(float(value), limit, prior_std),
-            unit="m",
-            axis=axis,
-        )
-        for axis, value in zip(XYZ, np.asarray(nominal), strict=True)
+    return _unknowns(
+        "mounting", body, limit=limit, prior_std=prior_std, nominal=nominal
     )
 
 
@@ -137,20 +107,13 @@ def friction(
         limit: Largest error considered; it stays above zero [-].
         prior_std: Prior standard deviation; None if not known [-].
     """
-    return setup_parameters(
-        "friction",
-        actuator,
-        name=f"friction of {actuator}",
-        knowledge=Knowledge(nominal, limit, prior_std, least=0.0),
-    )
+    return _unknowns(
+        "friction", actuator, limit=limit, prior_std=prior_std, nominal=nominal
+    )[0]
 
 
 def gravity_tilt(
-    *,
-    limit: float = float(np.deg2rad(10.0)),
-    prior_std: float | None,
-    each: Sequence[str] = (),
-    by: Scope = "recording",
+    *, limit: float = float(np.deg2rad(10.0)), **known: Unpack[Known]
 ) -> tuple[SetupParameter, ...]:
     """Make the direction of gravity two parameters: angles about two axes normal to it.
 
@@ -158,87 +121,40 @@ def gravity_tilt(
 
     Args:
         limit: Largest tilt considered, per axis [rad].
-        prior_std: Prior standard deviation [rad]; None if not known.
-        each: Configurations or recordings with a tilt each; one for all by default.
-        by: What `each` names.
+        known: Prior [rad], and who has a tilt each; see `Known`.
     """
-    return tuple(
-        setup_parameters(
-            "gravity_tilt",
-            name=f"{axis} tilt of gravity",
-            knowledge=Knowledge(0.0, limit, prior_std),
-            unit="rad",
-            axis=axis,
-            each=each,
-            by=by,
-        )
-        for axis in ("first", "second")
-    )
+    return _unknowns("gravity_tilt", limit=limit, **known)
 
 
-def load_factor(
-    *,
-    limit: float = 2.0,
-    prior_std: float | None,
-    each: Sequence[str] = (),
-    by: Scope = "recording",
-) -> SetupParameter:
+def load_factor(*, limit: float = 2.0, **known: Unpack[Known]) -> SetupParameter:
     """Make a factor on the dead loads a parameter, for forces known to some percent.
 
     Args:
         limit: Largest factor considered, and 1 over the smallest [-].
-        prior_std: Relative standard deviation of the forces, like 0.05; None if not
-            known [-].
-        each: Configurations or recordings with a factor each; one for all by default.
-        by: What `each` names.
+        known: Prior, relative, and who has a factor each; see `Known`.
     """
-    return setup_parameters(
-        "load_factor",
-        name="factor of loads",
-        knowledge=Knowledge(1.0, limit, prior_std),
-        scale="log",
-        each=each,
-        by=by,
-    )
+    return _unknowns("load_factor", limit=limit, **known)[0]
 
 
 def actuator_factor(
-    actuator: str,
-    *,
-    limit: float = 2.0,
-    prior_std: float | None,
-    each: Sequence[str] = (),
-    by: Scope = "recording",
+    actuator: str, *, limit: float = 2.0, **known: Unpack[Known]
 ) -> SetupParameter:
     """Make a factor on the imposed force of an actuator a parameter.
 
     Args:
         actuator: Name of the actuator.
         limit: Largest factor considered, and 1 over the smallest [-].
-        prior_std: Relative standard deviation of the force, like 0.05; None if not
-            known [-].
-        each: Configurations or recordings with a factor each; one for all by default.
-        by: What `each` names.
+        known: Prior, relative, and who has a factor each; see `Known`.
     """
-    return setup_parameters(
-        "actuator_factor",
-        actuator,
-        name=f"factor of {actuator}",
-        knowledge=Knowledge(1.0, limit, prior_std),
-        scale="log",
-        each=each,
-        by=by,
-    )
+    return _unknowns("actuator_factor", actuator, limit=limit, **known)[0]
 
 
 def recording_offset(
     *,
     limit: float,
-    prior_std: float | None,
     turn_limit: float | None = None,
     turn_prior_std: float | None = None,
-    each: Sequence[str] = (),
-    by: Scope = "recording",
+    **known: Unpack[Known],
 ) -> tuple[SetupParameter, ...]:
     """Make the frame of a recording, or of a tracker's base, parameters.
 
@@ -247,39 +163,19 @@ def recording_offset(
 
     Args:
         limit: Largest offset considered, per axis [m].
-        prior_std: Prior standard deviation [m]; None if not known.
         turn_limit: Largest rotation considered, per axis [rad]; none by default.
         turn_prior_std: Prior standard deviation [rad]; None if not known.
-        each: Configurations or recordings with a frame each; one for all by default.
-        by: What `each` names.
+        known: Prior of the offset [m], and who has a frame each; see `Known`.
     """
-    kinds = [("recording_offset", "offset", "m", Knowledge(0.0, limit, prior_std))]
-    if turn_limit is not None:
-        turned = Knowledge(0.0, turn_limit, turn_prior_std)
-        kinds.append(("recording_turn", "turn", "rad", turned))
-    return tuple(
-        setup_parameters(
-            kind,
-            name=f"{noun} {axis}",
-            knowledge=knowledge,
-            unit=unit,
-            axis=axis,
-            each=each,
-            by=by,
-        )
-        for kind, noun, unit, knowledge in kinds
-        for axis in XYZ
-    )
+    offset = _unknowns("recording_offset", limit=limit, **known)
+    if turn_limit is None:
+        return offset
+    known["prior_std"] = turn_prior_std
+    return offset + _unknowns("recording_turn", limit=turn_limit, **known)
 
 
 def clamp_stiffness(
-    group: str,
-    nominal: float,
-    *,
-    limit: float = 1e3,
-    prior_std: float | None,
-    each: Sequence[str] = (),
-    by: Scope = "recording",
+    group: str, nominal: float, *, limit: float = 1e3, **known: Unpack[Known]
 ) -> SetupParameter:
     """Make the stiffness of an elastic support a parameter.
 
@@ -287,18 +183,6 @@ def clamp_stiffness(
         group: Surface group of a `Support` with a stiffness.
         nominal: Nominal stiffness [N/m3].
         limit: Largest ratio to it considered, and 1 over the smallest [-].
-        prior_std: Relative prior standard deviation; None if not known [-].
-        each: Configurations or recordings with a stiffness each; by default one
-            for all.
-        by: What `each` names.
+        known: Prior, relative, and who has a stiffness each; see `Known`.
     """
-    return setup_parameters(
-        "clamp_stiffness",
-        group,
-        name=f"stiffness of {group}",
-        knowledge=Knowledge(nominal, limit, prior_std),
-        unit="N/m^3",
-        scale="log",
-        each=each,
-        by=by,
-    )
+    return _unknowns("clamp_stiffness", group, limit=limit, nominal=nominal, **known)[0]

@@ -1,45 +1,46 @@
 """The space of all calibrated parameters: scaling, bounds, order constraints."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
-from softcal_jax.fields._axes import AxisChart
-from softcal_jax.fields._cores import fading_axes
-from softcal_jax.fields._entry import AbstractEntry
-from softcal_jax.fields._order import axis_columns, order_terms
-from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._order import (
+    AxisChart,
+    axis_columns,
+    fading_axes,
+    order_terms,
+)
+from softcal_jax.fields._parameters import AbstractEntry, Parameter
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entry = AbstractEntry
 
-
-def _as_pairs(order: Iterable[Sequence[str]]) -> tuple[tuple[str, str], ...]:
-    pairs = []
-    for pair in order:
-        if isinstance(pair, str) or len(pair) != 2:
-            raise ValueError(
-                'order takes pairs (smaller, larger), like ("E_l", "E_t"); got '
-                f"{pair!r}."
-            )
-        pairs.append((str(pair[0]), str(pair[1])))
-    return tuple(pairs)
+Groups = tuple[tuple[str, ...], ...]
 
 
-def _as_triples(axes: Iterable[Sequence[str]]) -> tuple[tuple[str, str, str], ...]:
-    triples = []
-    for axis in axes:
-        if isinstance(axis, str) or len(axis) != 3:
-            raise ValueError(
-                "axes takes triples (smaller modulus, larger modulus, angle), like "
-                f'("E_l", "E_t", "theta"); got {axis!r}.'
-            )
-        triples.append((str(axis[0]), str(axis[1]), str(axis[2])))
-    return tuple(triples)
+def _groups(size: int, expected: str) -> Callable[[Iterable[Sequence[str]]], Groups]:
+    """Make the converter of an option that lists groups of names of one size."""
+
+    def convert(groups: Iterable[Sequence[str]]) -> Groups:
+        groups = tuple(groups)
+        for group in groups:
+            if isinstance(group, str) or len(group) != size:
+                raise ValueError(f"{expected}; got {group!r}.")
+        return tuple(tuple(map(str, group)) for group in groups)
+
+    return convert
+
+
+_PAIRS = _groups(2, 'order takes pairs (smaller, larger), like ("E_l", "E_t")')
+_TRIPLES = _groups(
+    3,
+    "axes takes triples (smaller modulus, larger modulus, angle), like "
+    '("E_l", "E_t", "theta")',
+)
 
 
 class Pin(eqx.Module):
@@ -78,12 +79,8 @@ class ParameterSpace(eqx.Module):
     """
 
     entries: tuple[Entry, ...] = eqx.field(converter=tuple)
-    order: tuple[tuple[str, str], ...] = eqx.field(
-        static=True, default=(), converter=_as_pairs
-    )
-    axes: tuple[tuple[str, str, str], ...] = eqx.field(
-        static=True, default=(), converter=_as_triples
-    )
+    order: Groups = eqx.field(static=True, default=(), converter=_PAIRS)
+    axes: Groups = eqx.field(static=True, default=(), converter=_TRIPLES)
     tensor_steps: bool = eqx.field(static=True, default=True)
     pin: Pin | None = None
 
@@ -125,15 +122,17 @@ class ParameterSpace(eqx.Module):
         """Convert scaled coordinates z to values p."""
         return jnp.stack([q.from_scaled(z[i]) for i, q in enumerate(self.parameters)])
 
+    def _if_periodic(self, periodic, otherwise) -> Float[Array, " n_p"]:
+        """Choose entries by whether the parameter is periodic."""
+        flags = jnp.asarray([q.periodic for q in self.parameters])
+        return jnp.where(flags, periodic, otherwise)
+
     def room(
         self, z: Float[Array, " n_p"]
     ) -> tuple[Float[Array, " n_p"], Float[Array, " n_p"]]:
         """Return the largest steps down and up within bounds; infinite if periodic."""
-        periodic = jnp.asarray([q.periodic for q in self.parameters])
-        return (
-            jnp.where(periodic, -jnp.inf, self.lower() - z),
-            jnp.where(periodic, jnp.inf, self.upper() - z),
-        )
+        down = self._if_periodic(-jnp.inf, self.lower() - z)
+        return down, self._if_periodic(jnp.inf, self.upper() - z)
 
     def max_step(self) -> Float[Array, " n_p"]:
         """Return the step limits of the parameters, infinite by default."""
@@ -144,23 +143,34 @@ class ParameterSpace(eqx.Module):
     def wrap(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
         """Wrap periodic parameters into their bounds."""
         low, high = self.lower(), self.upper()
-        periodic = jnp.asarray([q.periodic for q in self.parameters])
-        return jnp.where(periodic, low + jnp.mod(z - low, high - low), z)
+        return self._if_periodic(low + jnp.mod(z - low, high - low), z)
 
-    @property
-    def chart(self) -> AxisChart | None:
-        """Step coordinates of the axes; None without axes or tensor steps."""
-        if not (self.axes and self.tensor_steps):
-            return None
-        columns = axis_columns(self.entries, self.axes)
-        S = [self.parameters[i].unit_step for i in columns[:, 2]]
-        return AxisChart(columns[:, 0], columns[:, 1], columns[:, 2], jnp.stack(S))
+    def shorter(self, gap: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Reduce differences of scaled parameters to the shorter way if periodic."""
+        turn = self.upper() - self.lower()
+        return self._if_periodic(gap - turn * jnp.round(gap / turn), gap)
 
     def distance(
         self, z: Float[Array, " n_p"], other: Float[Array, " n_p"]
     ) -> Float[Array, " n_p"]:
         """Compute distances of scaled parameters, the shorter way if periodic."""
         return jnp.abs(self.shorter(z - other))
+
+    @property
+    def chart(self) -> AxisChart | None:
+        """Step coordinates of the axes; None without axes or tensor steps."""
+        if not (self.axes and self.tensor_steps):
+            return None
+        small, large, angle = axis_columns(self.entries, self.axes).T
+        S = [self.parameters[i].unit_step for i in angle]
+        return AxisChart(small, large, angle, jnp.stack(S))
+
+    def admissible(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Clip parameters to their bounds, keeping moduli of an axis slightly apart."""
+        z = self.wrap(z)
+        if self.chart is not None:
+            z = self.chart.clip(z, self.lower(), self.upper())
+        return jnp.clip(z, self.lower(), self.upper())
 
     @property
     def has_prior(self) -> bool:
@@ -185,19 +195,6 @@ class ParameterSpace(eqx.Module):
             middle = middle.at[self.pin.column].set(self.pin.value)
         return self.prior_weights() * self.shorter(z - middle)
 
-    def shorter(self, gap: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Reduce differences of scaled parameters to the shorter way if periodic."""
-        turn = self.upper() - self.lower()
-        periodic = jnp.asarray([q.periodic for q in self.parameters])
-        return jnp.where(periodic, gap - turn * jnp.round(gap / turn), gap)
-
-    def admissible(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Clip parameters to their bounds, keeping moduli of an axis slightly apart."""
-        z = self.wrap(z)
-        if self.chart is not None:
-            z = self.chart.clip(z, self.lower(), self.upper())
-        return jnp.clip(z, self.lower(), self.upper())
-
     def order_rows(self) -> tuple[Float[Array, "n_rows n_p"], Float[Array, " n_rows"]]:
         """Return the order constraints as A z <= b."""
         terms = order_terms(self.entries, self.order)
@@ -218,7 +215,12 @@ class ParameterSpace(eqx.Module):
         return [(small.name, large.name) for small, large in terms]
 
     def apply(
-        self, model: Any, configuration: Any, z: Float[Array, " n_p"]
+        self,
+        model: Any,
+        configuration: Any,
+        z: Float[Array, " n_p"],
+        columns: Int[HostArray, " n"] | Sequence[int] = (),
+        own: Float[Array, " n"] | Sequence[float] = (),
     ) -> tuple[Any, Any]:
         """Set the values of scaled coordinates in a model and a configuration.
 
@@ -227,6 +229,8 @@ class ParameterSpace(eqx.Module):
             configuration: Arrays of one configuration; None where only the model is
                 wanted.
             z: Scaled coordinates [-].
+            columns: Indices of coordinates given separately, for derivatives by them.
+            own: Their values, in place of those in `z` [-].
 
         Returns:
             Both, with the values set; setting them again changes nothing.
@@ -234,30 +238,11 @@ class ParameterSpace(eqx.Module):
         Raises:
             ValueError: If either lacks what a parameter sets.
         """
-        none = np.zeros(0, int)
-        return self.apply_partly(model, configuration, z, none, z[none])
-
-    def apply_partly(
-        self,
-        model: Any,
-        configuration: Any,
-        z: Float[Array, " n_p"],
-        columns: Int[HostArray, " n"],
-        own: Float[Array, " n"],
-    ) -> tuple[Any, Any]:
-        """Do as `apply`, with some coordinates given separately, for derivatives.
-
-        Args:
-            model: As for `apply`.
-            configuration: As for `apply`.
-            z: Scaled coordinates [-].
-            columns: Indices of the coordinates given separately.
-            own: Their values, in place of those in `z` [-].
-        """
-        parameters = self.parameters
-        scaled = {q.name: z[i] for i, q in enumerate(parameters)}
-        scaled |= {parameters[i].name: own[k] for k, i in enumerate(columns)}
-        values = {q.name: q.from_scaled(scaled[q.name]) for q in parameters}
+        scaled = list(z)
+        for column, value in zip(columns, own, strict=True):
+            scaled[column] = value
+        pairs = zip(self.parameters, scaled, strict=True)
+        values = {q.name: q.from_scaled(coordinate) for q, coordinate in pairs}
         for entry in self.entries:
             model, configuration = entry.apply(model, configuration, values)
         for axis in fading_axes(self.entries, self.axes):
@@ -265,12 +250,7 @@ class ParameterSpace(eqx.Module):
         return model, configuration
 
     def model_at(self, model: Any, z: Float[Array, " n_p"]) -> Any:
-        """Set the values of scaled coordinates in a model alone.
-
-        Args:
-            model: Anything with `law`, `density`, `mesh` and `mechanism`.
-            z: Scaled coordinates [-].
-        """
+        """Set the values of scaled coordinates in a model alone; see `apply`."""
         return self.apply(model, None, z)[0]
 
     @property
@@ -291,9 +271,8 @@ def as_space(
     """Make a parameter space of one parameter or several."""
     if isinstance(parameters, ParameterSpace):
         return parameters
-    if isinstance(parameters, AbstractEntry):
-        return ParameterSpace((parameters,))
-    return ParameterSpace(tuple(parameters))
+    one = isinstance(parameters, AbstractEntry)
+    return ParameterSpace((parameters,) if one else tuple(parameters))
 
 
 def check_names(entries: tuple[Entry, ...]) -> None:
@@ -314,3 +293,31 @@ def check_names(entries: tuple[Entry, ...]) -> None:
                         f"{entry.field} of {point} is tied to {name!r}, which is no "
                         f"parameter; there are {', '.join(names)}."
                     )
+
+
+def unnamed(space: ParameterSpace) -> ParameterSpace:
+    """Replace the names of parameters by numbers, for computing; reports need them.
+
+    Names are static in compiled programs, so spaces that only differ in names, like two
+    layouts with equally many control points, would compile twice.
+    """
+    points: dict[str, str] = {}
+    names: dict[str, str] = {}
+    for entry in space.entries:
+        if isinstance(entry, ControlPointParameters):
+            for point in entry.control_points.names:
+                number = points.setdefault(point, str(len(points) + 1))
+                names[f"{entry.field} of {point}"] = f"{entry.field} of {number}"
+        else:
+            for parameter in entry.parameters:
+                names[parameter.name] = f"parameter {len(names) + 1}"
+
+    def rename(groups: Groups) -> Groups:  # an order may name fields as well
+        return tuple(tuple(names.get(name, name) for name in own) for own in groups)
+
+    return replace(
+        space,
+        entries=tuple(entry.renamed(points, names) for entry in space.entries),
+        order=rename(space.order),
+        axes=rename(space.axes),
+    )

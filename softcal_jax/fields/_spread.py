@@ -1,6 +1,7 @@
 """A field of the law with one unknown per control point (paper Sec. IV.A)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import equinox as eqx
@@ -11,143 +12,110 @@ from jaxtyping import ArrayLike
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
-from softcal_jax.fields._entry import AbstractEntry
 from softcal_jax.fields._model_fields import region_tets, set_field
-from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._parameters import AbstractFieldEntry, Parameter
 from softcal_jax.materials import PointValues
 from softcal_jax.mesh import TetMesh
 
-Interpolation = Literal["linear", "log", "director"]
-Sampling = Literal["centroids", "quadrature"]
-
-PER_CONTROL_POINT = "one for all control points or one for each"
+_LOST = 1e-20
+"""Square of rho below which there is no direction [-]."""
 
 
-class ControlPointParameters(AbstractEntry):
+def _numbers(value: Float[ArrayLike, "..."] | Sequence[float]) -> Float[Array, "..."]:
+    return jnp.asarray(value, float)
+
+
+def _known(
+    fixed: Mapping[str, Float[ArrayLike, ""]] | None,
+) -> dict[str, Float[Array, ""]]:
+    return {name: jnp.asarray(v, float) for name, v in (fixed or {}).items()}
+
+
+def _pairs(
+    tied: Mapping[str, str] | Iterable[tuple[str, str]] | None,
+) -> tuple[tuple[str, str], ...]:
+    return tuple(dict(tied or ()).items())
+
+
+class ControlPointParameters(AbstractFieldEntry):
     """One unknown per control point, spread over the body as a field of the law.
 
     p(X) = sum_j w_j(X) p_j with the inverse-distance weights w_j, paper Sec. IV.A.
+    Options of each unknown, like `scale`, are those of `AbstractFieldEntry`.
 
     `interpolation` is how values are mixed: "linear" as in the paper; "log" mixes
     logarithms, for moduli that differ by orders of magnitude. "director" is for the
     angle of an axis: the mixed direction is that of sum_j w_j (cos 2 theta_j,
-    sin 2 theta_j), so +90 and -90 degrees are the same axis, as in the material. With
-    "linear", the axis between control points at 85 and -85 degrees would turn through
-    0, although the two are 10 degrees apart, and a calibration can end half a turn from
-    the truth. Use "director" unless to reproduce the paper. Bounds that span 180
-    degrees then do not bind: the angle leaves by one and re-enters by the other.
+    sin 2 theta_j), so +90 and -90 degrees are the same axis, as in the material; with
+    "linear", the axis between 85 and -85 degrees would turn through 0. Use "director"
+    unless to reproduce the paper. Bounds that span 180 degrees then do not bind: the
+    angle leaves by one and re-enters by the other.
 
-    Between control points whose axes differ much the mixed directions nearly cancel:
-    rho = |sum_j w_j (cos 2 theta_j, sin 2 theta_j)| is small, and the direction turns
-    by a right angle from one tet to the next, over the full contrast of the moduli.
-    Such a defect moves through the mesh with the parameters, and each tet it passes
-    puts a kink into the cost of a calibration. With a `core` the contrast fades there,
-    like the order of a liquid crystal in the core of a defect: see `contrast`, and
-    `ParameterSpace.axes` for the moduli concerned.
+    Where mixed directions nearly cancel, rho = |sum_j w_j (cos 2 theta_j,
+    sin 2 theta_j)| is small, and the direction turns by a right angle from one tet to
+    the next. Such a defect moves with the parameters, and each tet it passes puts a
+    kink into the cost. With a `core` the contrast of the moduli fades there, like the
+    order of a liquid crystal: see `contrast`, and `ParameterSpace.axes`.
 
     Attributes:
         field: Field of the law, like "E_t", "E_l" or "theta"; or "density".
         control_points: Where the values are.
-        start: Values before calibration, in SI units.
-        lower: Smallest values allowed.
-        upper: Largest values allowed.
-        scale: "log" for moduli, "linear" for angles.
-        S: For a linear scale, the size of a unit step of lambda_p; upper - lower by
-            default.
-        region: Tet group that the field is set in; the whole body by default.
-        unit: SI unit, for tables.
+        start: Values before calibration, one for all control points or one for each,
+            in SI units.
+        lower: Smallest values allowed, likewise.
+        upper: Largest values allowed, likewise.
         interpolation: How values are mixed; see above.
         sampling: Whether at the centroid of each tet or at its quadrature points.
         fixed: Known values, by control point.
         tied: Names of other parameters whose value is used, by control point, like
             {"upper 1": "E_t of lower 1"}.
-        max_step: Largest entry of lambda_p in one step [-].
-        prior_std: Standard deviation of what is known of each value before any data,
-            about its start; relative on a log scale, in SI units on a linear one.
         core: For the angle of an axis: rho below which the contrast of its moduli
             fades, like 0.1; with 0 it never fades [-].
+        periodic: Whether each value is an angle that may leave its bounds.
     """
 
     field: str = eqx.field(static=True)
     control_points: ControlPoints
-    start: Float[Array, " n_cp"]
-    lower: Float[Array, " n_cp"]
-    upper: Float[Array, " n_cp"]
-    scale: Literal["log", "linear"] = eqx.field(static=True)
-    S: Float[Array, ""] | None
-    region: str | None = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    interpolation: Interpolation = eqx.field(static=True)
-    sampling: Sampling = eqx.field(static=True)
-    fixed: dict[str, Float[Array, ""]]
-    tied: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    max_step: Float[Array, ""] | None
-    periodic: tuple[bool, ...] = eqx.field(static=True)
-    prior_std: Float[Array, ""] | None
-    core: float = eqx.field(static=True)
+    start: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
+    lower: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
+    upper: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
+    interpolation: Literal["linear", "log", "director"] = eqx.field(
+        static=True, default="linear"
+    )
+    sampling: Literal["centroids", "quadrature"] = eqx.field(
+        static=True, default="centroids"
+    )
+    fixed: dict[str, Float[Array, ""]] = eqx.field(default=None, converter=_known)
+    tied: tuple[tuple[str, str], ...] = eqx.field(
+        static=True, default=None, converter=_pairs
+    )
+    core: float = eqx.field(static=True, default=0.0, converter=float)
+    periodic: tuple[bool, ...] = eqx.field(static=True, init=False)
 
-    def __init__(
-        self,
-        field: str,
-        control_points: ControlPoints,
-        *,
-        start: Float[ArrayLike, "..."] | Sequence[float],
-        lower: Float[ArrayLike, "..."] | Sequence[float],
-        upper: Float[ArrayLike, "..."] | Sequence[float],
-        scale: Literal["log", "linear"] = "log",
-        S: Float[ArrayLike, ""] | None = None,
-        region: str | None = None,
-        unit: str = "",
-        interpolation: Interpolation = "linear",
-        sampling: Sampling = "centroids",
-        fixed: Mapping[str, Float[ArrayLike, ""]] | None = None,
-        tied: Mapping[str, str] | None = None,
-        max_step: Float[ArrayLike, ""] | None = None,
-        prior_std: Float[ArrayLike, ""] | None = None,
-        core: float = 0.0,
-    ):
-        """One unknown per control point that is neither fixed nor tied.
-
-        `start`, `lower` and `upper`: one for all control points, or one for each.
-
-        Raises:
-            ValueError: If a value has the wrong shape, an option is unknown, a fixed or
-                tied name is no control point, the bounds of an angle that is mixed as a
-                director span more than 180 degrees, or there is a core without a
-                director or out of [0, 1).
-        """
-        self.field, self.control_points = field, control_points
-        n_cp = len(control_points.names)
-        for name, value in (("start", start), ("lower", lower), ("upper", upper)):
-            value = jnp.asarray(value, float)
+    def __post_init__(self):
+        n_cp = len(self.control_points.names)
+        for name in ("start", "lower", "upper"):
+            value = jnp.asarray(getattr(self, name), float)
             if value.shape not in ((), (n_cp,)):
                 raise ValueError(
-                    f"{name} of {field} must be {PER_CONTROL_POINT} ({n_cp}), got "
-                    f"shape {value.shape}."
+                    f"{name} of {self.field} must be one for all control points or one "
+                    f"for each ({n_cp}), got shape {value.shape}."
                 )
             setattr(self, name, jnp.broadcast_to(value, (n_cp,)))
-        number = lambda value: None if value is None else jnp.asarray(value, float)
-        self.scale, self.S, self.region, self.unit = scale, number(S), region, unit
-        self.interpolation, self.sampling = interpolation, sampling
-        self.fixed = {k: jnp.asarray(v, float) for k, v in (fixed or {}).items()}
-        self.tied = tuple((tied or {}).items())
-        self.max_step, self.prior_std = number(max_step), number(prior_std)
-        self.core = float(core)
-        span = np.asarray(self.upper - self.lower)
-        director = interpolation == "director"
-        self.periodic = tuple(bool(director and np.isclose(v, np.pi)) for v in span)
-        self._check()
+        half_turns = np.isclose(self.upper - self.lower, np.pi)
+        director = self.interpolation == "director"
+        self.periodic = tuple(bool(director and half_turn) for half_turn in half_turns)
 
-    def _check(self) -> None:
-        known = self.control_points.names
-        for what, names in (("fixed", self.fixed), ("tied", dict(self.tied))):
+    def __check_init__(self):
+        known, tied = self.control_points.names, dict(self.tied)
+        for what, names in (("fixed", self.fixed), ("tied", tied)):
             for name in names:
                 if name not in known:
                     raise ValueError(
                         f"{what} of {self.field}: there is no control point {name!r}; "
                         f"there are {', '.join(known)}."
                     )
-        both = sorted(set(self.fixed) & set(dict(self.tied)))
+        both = sorted(set(self.fixed) & set(tied))
         if both:
             raise ValueError(
                 f"control point {both[0]!r} of {self.field} is both fixed and tied."
@@ -161,19 +129,23 @@ class ControlPointParameters(AbstractEntry):
             raise ValueError(
                 f'sampling must be "centroids" or "quadrature", got {self.sampling!r}.'
             )
-        span = np.asarray(self.upper - self.lower)
-        if self.interpolation == "director" and np.any(span > np.pi * (1 + 1e-9)):
-            raise ValueError(
-                f"the bounds of {self.field} span {np.rad2deg(span.max()):.0f} "
-                "degrees: an axis is the same again after 180, so give at most that, "
-                "like -90 to 90."
-            )
+        self._check_angle()
+
+    def _check_angle(self) -> None:
         if not 0.0 <= self.core < 1.0:
             raise ValueError(
                 f"core of {self.field} must lie in [0, 1), got {self.core:g}: it is a "
                 "share of the length that directions have which all agree."
             )
-        if self.core > 0.0 and self.interpolation != "director":
+        if self.interpolation == "director":
+            span = float(np.max(self.upper - self.lower))
+            if span > np.pi * (1 + 1e-9):
+                raise ValueError(
+                    f"the bounds of {self.field} span {np.rad2deg(span):.0f} degrees: "
+                    "an axis is the same again after 180, so give at most that, like "
+                    "-90 to 90."
+                )
+        elif self.core > 0.0:
             raise ValueError(
                 f"core of {self.field} is for an angle that is mixed as a director: "
                 f'take interpolation="director", got {self.interpolation!r}, or leave '
@@ -186,7 +158,9 @@ class ControlPointParameters(AbstractEntry):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The unknowns that it adds, in the order of the control points."""
+        """The unknowns at control points neither fixed nor tied, in their order."""
+        keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
+        options: dict[str, Any] = {key: getattr(self, key) for key in keys}
         return tuple(
             Parameter(
                 self.parameter_name(name),
@@ -194,32 +168,24 @@ class ControlPointParameters(AbstractEntry):
                 self.start[i],
                 self.lower[i],
                 self.upper[i],
-                scale=self.scale,
-                S=self.S,
-                region=self.region,
-                unit=self.unit,
-                max_step=self.max_step,
                 periodic=self.periodic[i],
-                prior_std=self.prior_std,
+                **options,
             )
             for i, name in enumerate(self.control_points.names)
             if name not in self.fixed and name not in dict(self.tied)
         )
 
-    def at_control_points(
-        self, values: Mapping[str, Float[Array, ""]]
-    ) -> Float[Array, " n_cp"]:
-        """Return the values at the control points, in SI units."""
-        return jnp.stack(
-            [
-                self.fixed[name]
-                if name in self.fixed
-                else values[self.parameter_name(name)]
-                for name in self.control_points.names
-            ]
-        )
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The field that it sets."""
+        return (self.field,)
 
-    def points(self, mesh: TetMesh) -> HostArray | Array:
+    @property
+    def label(self) -> str:
+        """Its field and control points."""
+        return f"{self.field} of {', '.join(self.control_points.names)}"
+
+    def _points(self, mesh: TetMesh) -> HostArray | Array:
         """Return the sampling points, (n_tets, 3) or (n_tets, n_qp, 3) [m]."""
         nodes = jnp.asarray(mesh.points)[jnp.asarray(mesh.tets)]
         if self.region is not None:
@@ -229,6 +195,17 @@ class ControlPointParameters(AbstractEntry):
         n_en = nodes.shape[1]
         rule = tet_rule(1 if n_en == 4 else 2)
         return jnp.einsum("qa,eai->eqi", shape_functions(rule.barycentric, n_en), nodes)
+
+    def _mixing(self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]):
+        """Return weights and values of the control points, and the field's shape."""
+        points = self._points(mesh)
+        weights = self.control_points.weights(points.reshape(-1, 3))
+        names = self.control_points.names
+        known = {
+            n: values[self.parameter_name(n)] for n in names if n not in self.fixed
+        }
+        at_points = jnp.stack([(known | self.fixed)[name] for name in names])
+        return weights, at_points, points.shape[:-1]
 
     def evaluate(
         self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]
@@ -242,9 +219,17 @@ class ControlPointParameters(AbstractEntry):
         Returns:
             One value per tet of the region, or per tet and quadrature point.
         """
-        weights, shape = self._weights(mesh)
-        field = _mix(weights, self.at_control_points(values), self.interpolation)
-        return field.reshape(shape)
+        weights, at_points, shape = self._mixing(mesh, values)
+        if self.interpolation == "log":
+            return jnp.exp(weights @ jnp.log(at_points)).reshape(shape)
+        if self.interpolation == "linear":
+            return (weights @ at_points).reshape(shape)
+        c, s = _direction(weights, at_points)
+        # Half way between perpendicular axes there is neither a mean direction nor its
+        # derivative: such a point gets the constant angle 0.
+        lost = c**2 + s**2 < _LOST
+        c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
+        return (0.5 * jnp.arctan2(s, c)).reshape(shape)
 
     def contrast(
         self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]
@@ -253,40 +238,13 @@ class ControlPointParameters(AbstractEntry):
 
         rho sqrt(1 + core^2) / sqrt(rho^2 + core^2): 1 where all directions agree, and
         0 where there is none. The tensor of the axis is then a smooth function of the
-        parameters.
-
-        Args:
-            mesh: The mesh [m].
-            values: Values of all parameters by name, in SI units.
-
-        Returns:
-            One value per tet of the region, or per tet and quadrature point.
+        parameters. Arguments and shape are those of `evaluate`.
         """
-        weights, shape = self._weights(mesh)
-        c, s = _direction(weights, self.at_control_points(values))
+        weights, at_points, shape = self._mixing(mesh, values)
+        c, s = _direction(weights, at_points)
         square = (c**2 + s**2).reshape(shape)
         rho = jnp.sqrt(jnp.maximum(square, _LOST))
         return rho * jnp.sqrt((1.0 + self.core**2) / (square + self.core**2))
-
-    def _weights(self, mesh: TetMesh):
-        """Return the weights of the control points, and the shape of the field."""
-        points = self.points(mesh)
-        return self.control_points.weights(points.reshape(-1, 3)), points.shape[:-1]
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """The field that it sets."""
-        return (self.field,)
-
-    @property
-    def tet_group(self) -> str | None:
-        """The region that it sets the field in."""
-        return self.region
-
-    @property
-    def label(self) -> str:
-        """Its field and control points."""
-        return f"{self.field} of {', '.join(self.control_points.names)}"
 
     def apply(
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
@@ -296,9 +254,8 @@ class ControlPointParameters(AbstractEntry):
 
     def set_on(self, model: Any, field: Float[Array, "..."]) -> Any:
         """Set values of this field, as from `evaluate`, in a model."""
-        if self.sampling == "quadrature":
-            return set_field(model, self.field, PointValues(field), self.region)
-        return set_field(model, self.field, field, self.region)
+        value = PointValues(field) if self.sampling == "quadrature" else field
+        return set_field(model, self.field, value, self.region)
 
     def check(self, model: Any) -> None:
         """Raise ValueError unless every control point lies near the body and acts."""
@@ -329,7 +286,7 @@ class ControlPointParameters(AbstractEntry):
     def _check_weights(self, mesh: TetMesh) -> None:
         """Raise unless every control point acts on some tet."""
         points = self.control_points
-        sampled = np.asarray(self.points(mesh)).reshape(-1, 3)
+        sampled = np.asarray(self._points(mesh)).reshape(-1, 3)
         strongest = np.asarray(points.weights(sampled)).max(axis=0)
         why = f"has others nearer, and nearest is {points.nearest}"
         remedy = "Raise `nearest`"
@@ -347,54 +304,16 @@ class ControlPointParameters(AbstractEntry):
         self, points: Mapping[str, str], names: Mapping[str, str]
     ) -> "ControlPointParameters":
         """Return the same field with other names, and without its unit."""
-        at = self.control_points
-        return ControlPointParameters(
-            self.field,
-            ControlPoints(
-                at.positions,
-                names=[points[name] for name in at.names],
-                power=at.power,
-                nearest=at.nearest,
-                axes=at.axes,
-                max_distance=at.max_distance,
-            ),
-            start=self.start,
-            lower=self.lower,
-            upper=self.upper,
-            scale=self.scale,
-            S=self.S,
-            region=self.region,
-            interpolation=self.interpolation,
-            sampling=self.sampling,
+        own = self.control_points
+        return replace(
+            self,
+            control_points=replace(own, names=[points[name] for name in own.names]),
+            unit="",
             fixed={points[name]: value for name, value in self.fixed.items()},
             tied={points[name]: names[other] for name, other in self.tied},
-            max_step=self.max_step,
-            prior_std=self.prior_std,
-            core=self.core,
         )
-
-
-_LOST = 1e-20
-"""Square of rho below which there is no direction [-]."""
 
 
 def _direction(weights, angles):
     """Mix directions: cosine and sine of twice the angle, times the length rho."""
     return weights @ jnp.cos(2.0 * angles), weights @ jnp.sin(2.0 * angles)
-
-
-def _mix(
-    weights: Float[Array, "n_points n_cp"],
-    values: Float[Array, " n_cp"],
-    interpolation: Interpolation,
-) -> Float[Array, " n_points"]:
-    if interpolation == "log":
-        return jnp.exp(weights @ jnp.log(values))
-    if interpolation == "linear":
-        return weights @ values
-    c, s = _direction(weights, values)
-    # Half way between perpendicular axes there is neither a mean direction nor its
-    # derivative: such a point gets the constant angle 0.
-    lost = c**2 + s**2 < _LOST
-    c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
-    return 0.5 * jnp.arctan2(s, c)

@@ -41,14 +41,12 @@ def check_parameters(
     for side, z in (("lower", space.lower()), ("upper", space.upper())):
         applied = space.model_at(model, z)
         try:
-            for law in _laws(applied.law):
-                _check_constants(law)
+            _check_constants(applied.law)
             if not bool(jnp.all(applied.density >= 0.0)):
                 raise ValueError("density must not be negative [kg/m3].")
         except ValueError as error:
-            raise ValueError(
-                f"with all parameters at their {side} bound: {error}"
-            ) from (error)
+            what = f"with all parameters at their {side} bound"
+            raise ValueError(f"{what}: {error}") from error
 
 
 def _check_overlaps(model: Any, space: ParameterSpace) -> None:
@@ -85,15 +83,7 @@ def _check_twice(space: ParameterSpace) -> None:
 
 
 def check_scopes(space: ParameterSpace, configurations: Sequence[Any]) -> None:
-    """Raise unless every unknown of a configuration or recording belongs to one.
-
-    Args:
-        space: The parameters.
-        configurations: The fitted ones, each with `name` and `recording`.
-
-    Raises:
-        ValueError: If a name in `each` is that of none of them.
-    """
+    """Raise ValueError unless each name in `each` is of a fitted configuration."""
     for entry in space.entries:
         if isinstance(entry, SetupParameter):
             known = {entry.member(c) for c in configurations}
@@ -129,33 +119,28 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
 
 def _differences(old: Any, new: Any) -> set[str]:
     """Return the paths of arrays that were replaced, with field values as a whole."""
-    paths = lambda tree: {
-        jax.tree_util.keystr(path): leaf
-        for path, leaf in jax.tree_util.tree_leaves_with_path(
-            tree, is_leaf=is_point_values
-        )
+    leaves = jax.tree_util.tree_leaves_with_path
+    before = dict(leaves(old, is_leaf=is_point_values))
+    after = dict(leaves(new, is_leaf=is_point_values))
+    return {
+        jax.tree_util.keystr(path)
+        for path, leaf in after.items()
+        if before.get(path) is not leaf
     }
-    before, after = paths(old), paths(new)
-    return {path for path, leaf in after.items() if before.get(path) is not leaf}
 
 
 def _check_order(space: ParameterSpace) -> None:
     """Raise unless the start keeps the order and the bounds leave room for it."""
     A, b = space.order_rows()
     excess = np.asarray(A @ space.start() - b)
-    best = np.asarray(
-        jnp.minimum(A * space.lower()[None], A * space.upper()[None]).sum(axis=1) - b
-    )
-    order = "order asks for {0} <= {1}: start with equal or ordered values"
-    axes = (
-        "axes names the smaller modulus first: swap the two there, or start with equal "
-        "or ordered values"
-    )
+    low, high = space.lower(), space.upper()
+    best = np.asarray(jnp.minimum(A * low[None], A * high[None]).sum(axis=1) - b)
+    order = "order asks for {0} <= {1}:"
+    axes = "axes names the smaller modulus first: swap the two there, or"
     given = zip(space.order_names(), excess, best, strict=True)
     pairs = [(*pair, order) for pair in given]
     if space.chart is not None:
         names, z = space.names, np.asarray(space.start())
-        low, high = np.asarray(space.lower()), np.asarray(space.upper())
         for s, l in zip(space.chart.small, space.chart.large, strict=True):
             # The two moduli must be able to differ.
             least = np.inf if low[s] >= high[l] else 0.0
@@ -168,29 +153,14 @@ def _check_order(space: ParameterSpace) -> None:
             )
         if over > 1e-12:
             raise ValueError(
-                f"the start has {small} above {large}, but {rule.format(small, large)}."
+                f"the start has {small} above {large}, but {rule.format(small, large)} "
+                "start with equal or ordered values."
             )
-
-
-def _laws(law: Any) -> list[Any]:
-    """Return the law, or one per quadrature point if it differs between them."""
-    leaves = jax.tree.leaves(law, is_leaf=is_point_values)
-    n_qp = max([v.values.shape[1] for v in leaves if is_point_values(v)], default=1)
-    return [
-        jax.tree.map(
-            lambda v, q=q: v.values[:, q] if is_point_values(v) else v,
-            law,
-            is_leaf=is_point_values,
-        )
-        for q in range(n_qp)
-    ]
 
 
 def _check_constants(module: eqx.Module) -> None:
     """Run the checks of a law, and of the modules in it, as at construction."""
-    check = getattr(module, "__check_init__", None)
-    if check is not None:
-        check()
+    getattr(module, "__check_init__", lambda: None)()
     for value in vars(module).values():
         if isinstance(value, eqx.Module):
             _check_constants(value)

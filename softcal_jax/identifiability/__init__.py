@@ -2,15 +2,22 @@
 
 from softcal_jax.identifiability._assessment import Assessment, assess
 from softcal_jax.identifiability._conditioning import Conditioning, conditioning
-from softcal_jax.identifiability._design import Design, greedy_design
-from softcal_jax.identifiability._directions import Direction
-from softcal_jax.identifiability._gains import Gain, Unranked
 from softcal_jax.identifiability._identify import identifiability, identify
-from softcal_jax.identifiability._ranking import Ranking, rank_configurations
-from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
+from softcal_jax.identifiability._ranking import (
+    Gain,
+    Ranking,
+    Unranked,
+    rank_configurations,
+)
+from softcal_jax.identifiability._result import (
+    Identifiability,
+    ParameterOutlook,
+    table,
+)
 from softcal_jax.identifiability._spread import (
     IDENTIFIABLE_BELOW,
     WEAK_BELOW,
+    Direction,
     Verdict,
 )
 
@@ -19,7 +26,6 @@ __all__ = [
     "WEAK_BELOW",
     "Assessment",
     "Conditioning",
-    "Design",
     "Direction",
     "Gain",
     "Identifiability",
@@ -29,8 +35,8 @@ __all__ = [
     "Verdict",
     "assess",
     "conditioning",
-    "greedy_design",
     "identifiability",
     "identify",
     "rank_configurations",
+    "table",
 ]

@@ -33,8 +33,7 @@ class Assessment(eqx.Module):
     def __str__(self) -> str:
         """The verdict and its reasons, then the identifiability report."""
         head = "Identified." if self.identified else "Not identified:"
-        reasons = [f"  {reason}" for reason in self.reasons]
-        return "\n".join([head, *reasons, str(self.identifiability)])
+        return "\n  ".join([head, *self.reasons]) + f"\n{self.identifiability}"
 
 
 def assess(result: CalibrationResult) -> Assessment:
@@ -44,12 +43,6 @@ def assess(result: CalibrationResult) -> Assessment:
     model, the sum of squared errors in noise units follows a chi-squared distribution
     whose degrees of freedom are measured coordinates minus parameters. Noise that is
     estimated from the residuals hides model error.
-
-    Args:
-        result: A finished calibration.
-
-    Returns:
-        The verdict, with its reasons.
     """
     spread = result.uncertainty
     # Data simulated with the model itself leave no noise to estimate.
@@ -71,9 +64,7 @@ def assess(result: CalibrationResult) -> Assessment:
             "freedom. Parameters of a wrong model are not properties of the material: "
             "change the law, the element, the control points or the stated noise."
         )
-    for estimate in result.parameters:
-        if estimate.at_bound:
-            reasons.append(f"{estimate.name} ended on a bound.")
+    reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
     for verdict, words in (
         ("not identifiable", "The data do not determine"),
         ("weakly identifiable", "The data determine only weakly"),

@@ -61,19 +61,19 @@ def conditioning(
         The decomposition. A condition number is infinite where a singular value is zero
         (to rounding): fewer data than parameters, or a blind direction.
     """
-    _check_finite(W)
+    if not np.all(np.isfinite(W)):
+        raise ValueError(
+            "W_ep has entries that are not finite: a configuration had no equilibrium."
+        )
     _, singular, Vt = np.linalg.svd(W)
     peak = np.argmax(np.abs(Vt), axis=1)
     signs = np.sign(Vt[np.arange(len(Vt)), peak])
-    per_joule = np.nan
-    if W_ep is not None and W_pp is not None:
-        per_joule = _condition_per_joule(W_ep, W_pp)
     return Conditioning(
         singular_values=np.pad(singular, (0, W.shape[1] - len(singular))),
         directions=(signs[:, None] * Vt).T,
         condition_weighted=_condition(W),
         condition_W_ep=np.nan if W_ep is None else _condition(W_ep),
-        condition_W_ep_W_pp=per_joule,
+        condition_W_ep_W_pp=_condition_per_joule(W_ep, W_pp),
     )
 
 
@@ -87,9 +87,11 @@ def _condition(W: Float[HostArray, "n_e n_p"]) -> float:
 
 
 def _condition_per_joule(
-    W_ep: Float[HostArray, "n_e n_p"], W_pp: Float[HostArray, "n_p n_p"]
+    W_ep: Float[HostArray, "n_e n_p"] | None, W_pp: Float[HostArray, "n_p n_p"] | None
 ) -> float:
     """Compute the condition number of W_ep W_pp^-1; infinite for a singular W_pp."""
+    if W_ep is None or W_pp is None:
+        return np.nan
     size = np.sqrt(np.maximum(np.diag(W_pp), 0.0))
     if not np.all(size > 0.0):
         return np.inf
@@ -98,10 +100,3 @@ def _condition_per_joule(
     if np.linalg.eigvalsh(unit)[0] <= len(size) * np.finfo(float).eps:
         return np.inf
     return _condition(np.linalg.solve(unit, (W_ep / size).T).T / size)
-
-
-def _check_finite(W: Float[HostArray, "n_e n_p"]) -> None:
-    if not np.all(np.isfinite(W)):
-        raise ValueError(
-            "W_ep has entries that are not finite: a configuration had no equilibrium."
-        )

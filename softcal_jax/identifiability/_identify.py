@@ -2,30 +2,56 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import ParameterSpace, Uncertain
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration import (
+    CalibrationProblem,
+    Evaluator,
+    as_sequence,
+    considered_errors,
+    first_guess,
+    simulate,
+    without_names,
+)
+from softcal_jax.configurations import (
+    Configuration,
+    configuration_arrays,
+    measured_at_rest,
+)
+from softcal_jax.equilibrium import (
+    RESULTS,
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    Workers,
+    check_converged,
+)
+from softcal_jax.fields import (
+    Entry,
+    ParameterSpace,
+    Uncertain,
+    as_space,
+    check_parameters,
+)
 from softcal_jax.identifiability._conditioning import conditioning
-from softcal_jax.identifiability._directions import named_directions
 from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
 from softcal_jax.identifiability._spread import (
     data_only_std,
     marginalised,
+    named_directions,
     posterior,
     prior_std,
     si_slope,
     verdict,
 )
-from softcal_jax.identifiability._survey import (
-    AnyVector,
-    Parameters,
-    as_sequence,
-    survey,
-)
+from softcal_jax.sensitivity import EnergyCompliance, energy_compliance
+
+Parameters = ParameterSpace | Entry | Sequence[Entry]
+AnyVector = Array | HostArray
 
 
 def identifiability(
@@ -60,9 +86,6 @@ def identifiability(
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
         W_c: Change of the data per standard deviation of what is held fixed and may be
             wrong, in units of the noise, such as `ErrorBudget.W_c`; none by default.
-
-    Returns:
-        The verdict and the numbers behind it.
 
     Raises:
         ValueError: If `W` is not finite or has not one column per parameter, or the
@@ -137,6 +160,8 @@ def identify(
 ) -> Identifiability:
     """Predict what markers in these configurations would tell, before measuring.
 
+    The verdict is that of `identifiability`.
+
     Args:
         model: The model.
         parameters: Parameters that would be calibrated, with start and bounds.
@@ -150,17 +175,15 @@ def identify(
         uncertain: How well everything is known that is not calibrated; the defaults of
             `Uncertain` by default.
 
-    Returns:
-        The verdict, see `identifiability`.
-
     Raises:
         ValueError: If an input is wrong.
         RuntimeError: If a configuration has no equilibrium; the text names it.
     """
+    measured = as_sequence(configurations)
     found = survey(
         model,
         parameters,
-        as_sequence(configurations),
+        measured,
         at=at,
         noise=noise,
         newton=newton,
@@ -170,8 +193,126 @@ def identify(
     none = np.zeros((0, n_p))
     W_ep = np.concatenate([none, *(s.W_ep for s in found.sensed)])
     W = np.concatenate([none, *(s.W for s in found.sensed)])
-    W_c = np.concatenate([s.W_c for s in found.sensed]) if found.sensed else None
     W_pp = sum((s.W_pp for s in found.sensed), np.zeros((n_p, n_p)))
+    W_c = np.concatenate([s.W_c for s in found.sensed]) if found.sensed else None
     return identifiability(
         W, found.space, found.z, n_data=len(W), W_ep=W_ep, W_pp=W_pp, W_c=W_c
     )
+
+
+class Sensed(eqx.Module):
+    """Compliances of one configuration [m], in units of the noise (W), and W_pp [J].
+
+    W_c is the change per standard deviation of each error that is considered, in units
+    of the noise too; see `considered_errors`.
+    `failure` says why there is no equilibrium; it is empty if there is one.
+    """
+
+    name: str
+    W_ep: Float[HostArray, "n_e n_p"]
+    W: Float[HostArray, "n_e n_p"]
+    W_c: Float[HostArray, "n_e n_errors"]
+    W_pp: Float[HostArray, "n_p n_p"]
+    failure: str
+
+
+class Survey(eqx.Module):
+    """Compliances of configurations at scaled values z of the parameters [-]."""
+
+    space: ParameterSpace
+    z: Float[Array, " n_p"]
+    sensed: tuple[Sensed, ...]
+
+
+@eqx.filter_jit
+def _solve(
+    problem: CalibrationProblem, z: Float[Array, " n_p"]
+) -> tuple[EquilibriumSolution, EnergyCompliance]:
+    posed, newton = problem.at(z), problem.newton
+    solution, _ = simulate(*posed, first_guess(*posed, newton), newton)
+    lane = lambda c, u: energy_compliance(problem.model, c, u, problem.space, z)
+    return solution, jax.vmap(lane)(problem.configurations, solution.displacement)
+
+
+def survey(
+    model: Model,
+    parameters: Parameters,
+    configurations: Sequence[Configuration],
+    *,
+    at: Float[AnyVector, " n_p"] | None = None,
+    noise: float | None = None,
+    newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
+    required: int | None = None,
+) -> Survey:
+    """Solve configurations at one value of the parameters and differentiate them.
+
+    Arguments and errors are those of `rank_configurations`. The first `required`
+    configurations, by default all, must have an equilibrium.
+    """
+    if noise is not None and not 0.0 < noise < np.inf:
+        raise ValueError(f"noise must be positive and finite [m], got {noise:g}.")
+    space = as_space(parameters)
+    z = _scaled_values(space, at)
+    if not configurations:
+        check_parameters(model, space)
+        return Survey(space, z, ())
+    mesh, mechanism = model.mesh, model.mechanism
+    # A configuration without effectors is no error: the verdict says it sees nothing.
+    posed = [
+        measured_at_rest(c, mesh, mechanism) if c.markers or c.effectors else c
+        for c in configurations
+    ]
+    arrays = configuration_arrays(mesh, posed, mechanism)
+    check_parameters(model, space, _lane(arrays, 0))
+    problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
+    solution, compliance = _solve(without_names(problem), z)
+    names = tuple(c.name for c in configurations)
+    required = len(names) if required is None else required
+    if required:
+        check_converged(jax.tree.map(lambda leaf: leaf[:required], solution), names)
+    weights = np.asarray(arrays.effectors.inverse_std).reshape(len(names), -1)
+    if noise is not None:
+        weights = np.where(weights > 0.0, 1.0 / noise, 0.0)
+    with Workers(model, len(names)) as workers:
+        causes = workers.end_of(
+            considered_errors(
+                Evaluator(problem),
+                configurations,
+                uncertain or Uncertain(),
+                z=z,
+                displacement=solution.displacement,
+            )
+        )
+    errors = [error for own in causes.values() for error in own.values()]
+    all_W_c = np.stack([np.zeros_like(weights), *errors], axis=2)[:, :, 1:]
+    sensed, compliance = [], jax.tree.map(np.asarray, compliance)
+    for i, name in enumerate(names):
+        W_ep, W_pp, ok = _lane(compliance, i)
+        seen, one = weights[i] > 0.0, _lane(solution, i)
+        outcome = one.result if not one.converged else RESULTS.singular
+        failure = "" if one.converged and ok else str(RESULTS[outcome])
+        if failure and i < required:
+            raise RuntimeError(f"configuration {name!r}: {failure}.")
+        W, W_c = (weights[i, seen, None] * own[seen] for own in (W_ep, all_W_c[i]))
+        sensed.append(Sensed(name, W_ep[seen], W, W_c, W_pp, failure))
+    return Survey(space, z, tuple(sensed))
+
+
+def _lane(batch, i: int):
+    """Pick one configuration of a batch."""
+    return jax.tree.map(lambda leaf: leaf[i], batch)
+
+
+def _scaled_values(
+    space: ParameterSpace, at: Float[AnyVector, " n_p"] | None
+) -> Float[Array, " n_p"]:
+    z = space.start() if at is None else jnp.asarray(at, float)
+    n_p = len(space.names)
+    if z.shape != (n_p,) or not bool(jnp.all(jnp.isfinite(z))):
+        raise ValueError(
+            f"`at` must be {n_p} finite scaled values, one per parameter "
+            f"({', '.join(space.names)}), got {np.asarray(z)}; "
+            "`space.to_scaled` makes them of SI values."
+        )
+    return z

@@ -8,9 +8,7 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.identifiability._conditioning import Conditioning
-from softcal_jax.identifiability._directions import Direction
-from softcal_jax.identifiability._display import number, quantity, table
-from softcal_jax.identifiability._spread import Verdict
+from softcal_jax.identifiability._spread import Direction, Verdict
 
 MOST_SHOWN = 8
 """Most blind directions that are listed; the others are only counted."""
@@ -87,71 +85,78 @@ class Identifiability(eqx.Module):
 
     def __str__(self) -> str:
         """Format the verdict, the parameters, blind directions and what to do."""
-        return _report(self)
-
-
-def _report(found: Identifiability) -> str:
-    """Format the verdict, the parameters, blind directions and what to do."""
-    n_data, n_p = found.n_data, found.n_parameters
-    lines = [
-        f"{found.verdict.capitalize()} at these values: {n_data} measured "
-        f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
-    ]
-    head = ("parameter", "value", "standard error", "from data alone", "verdict")
-    lines += table(head, [_row(p, found.known) for p in found.parameters])
-    if any(p.data_only > p.prior for p in found.parameters):
-        lines.append(
-            f"The standard error takes the {found.known} for knowledge; the verdict "
-            f"compares it with that of the {found.known} alone."
-        )
-    blind = found.blind
-    if blind:
-        lines.append(
-            f"The data hardly see {len(blind)} of {n_p} "
-            f"direction{'s' * (n_p != 1)} (standard error over that of the "
-            f"{found.known}):"
-        )
-        lines += [
-            f"  {d.words} ({100 * d.spread:.0f} %)"
-            for d in blind[: -MOST_SHOWN - 1 : -1]
+        n_data, n_p, known = self.n_data, self.n_parameters, self.known
+        lines = [
+            f"{self.verdict.capitalize()} at these values: {n_data} measured "
+            f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
         ]
-        if len(blind) > MOST_SHOWN:
-            lines.append(f"  and {len(blind) - MOST_SHOWN} more.")
-        lines.append(
-            f"They tell more than the {found.known} along {found.informed} of {n_p}."
-        )
-    if found.n_data:
-        lines += str(found.conditioning).splitlines()
-    return "\n".join(lines + _remedies(found))
+        head = ("parameter", "value", "standard error", "from data alone", "verdict")
+        lines += table(head, [_row(p, known) for p in self.parameters])
+        if any(p.data_only > p.prior for p in self.parameters):
+            lines.append(
+                f"The standard error takes the {known} for knowledge; the verdict "
+                f"compares it with that of the {known} alone."
+            )
+        blind = self.blind
+        if blind:
+            lines.append(
+                f"The data hardly see {len(blind)} of {n_p} "
+                f"direction{'s' * (n_p != 1)} (standard error over that of the "
+                f"{known}):"
+            )
+            lines += [
+                f"  {d.words} ({100 * d.spread:.0f} %)"
+                for d in blind[: -MOST_SHOWN - 1 : -1]
+            ]
+            if len(blind) > MOST_SHOWN:
+                lines.append(f"  and {len(blind) - MOST_SHOWN} more.")
+            lines.append(
+                f"They tell more than the {known} along {self.informed} of {n_p}."
+            )
+        if n_data:
+            lines += str(self.conditioning).splitlines()
+        return "\n".join(lines + _remedies(self))
 
 
 def _row(p: ParameterOutlook, known: str) -> tuple[str, ...]:
-    error = quantity(p.standard_error, p.unit, like=p.value)
+    factor, unit = readable_unit([p.value], p.unit)
+    with_unit = lambda v, digits: f"{number(v * factor, digits)} {unit}".rstrip()
+    error = with_unit(p.standard_error, 3)
     if p.relative is not None:
         error += f" ({number(100 * p.relative, 2)} %)"
-    alone = quantity(p.data_only, p.unit, like=p.value)
+    alone = with_unit(p.data_only, 3)
     if p.data_only > p.prior:
         alone = f"wider than {known}" if math.isfinite(p.data_only) else "blind"
-    factor, unit = readable_unit([p.value], p.unit)
-    value = f"{number(p.value * factor, 4)} {unit}".rstrip()
-    return (p.name, value, error, alone, p.verdict)
+    return (p.name, with_unit(p.value, 4), error, alone, p.verdict)
 
 
 def _remedies(found: Identifiability) -> list[str]:
     """Advise what to do, if anything."""
-    missing = found.n_parameters - found.n_data
     if found.n_data == 0:
         return ["Nothing is measured: give the configurations markers."]
     if found.verdict == "identifiable":
         return []
-    advice = (
-        "What to do: another configuration (load, orientation, other end clamped), "
-        "more markers, or less noise; ranking candidates tells which configuration "
-        "adds most. Or calibrate fewer parameters."
-    )
+    missing, first = found.n_parameters - found.n_data, ""
     if missing > 0:
         several = "s are" if missing > 1 else " is"
-        advice = (
-            f"At least {missing} more measured coordinate{several} needed. {advice}"
-        )
-    return [advice]
+        first = f"At least {missing} more measured coordinate{several} needed. "
+    return [
+        f"{first}What to do: another configuration (load, orientation, other end "
+        "clamped), more markers, or less noise; ranking candidates tells which "
+        "configuration adds most. Or calibrate fewer parameters."
+    ]
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Format a number with a few digits, without an exponent where none is needed."""
+    if 10.0**digits <= abs(value) < 1e6:
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}"
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    """Format the lines of a table, columns aligned on the left."""
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    return [
+        "  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in (head, *rows)
+    ]

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import numpy as np
 
-from softcal_jax.identifiability import Identifiability
+from softcal_jax.identifiability import Identifiability, table
 
 
 class FoldScore(eqx.Module):
@@ -58,14 +58,19 @@ class LayoutScore(eqx.Module):
         return tuple(fold for fold in self.folds if fold.failure)
 
     @property
+    def good(self) -> tuple[FoldScore, ...]:
+        """The other folds."""
+        return tuple(fold for fold in self.folds if not fold.failure)
+
+    @property
     def held_out_rms(self) -> float:
         """Root mean square over the good folds; nan if there is none [m]."""
-        return _root_mean([f.rms for f in self.folds if not f.failure])
+        return _root_mean([fold.rms for fold in self.good])
 
     @property
     def held_out_noise_rms(self) -> float:
         """The same in units of the noise, per measured coordinate [-]."""
-        return _root_mean([f.noise_rms for f in self.folds if not f.failure])
+        return _root_mean([fold.noise_rms for fold in self.good])
 
     @property
     def score(self) -> float:
@@ -78,7 +83,7 @@ class LayoutScore(eqx.Module):
 
         Infinite with fewer than two good folds.
         """
-        squares = np.array([f.noise_rms for f in self.folds if not f.failure]) ** 2
+        squares = np.array([fold.noise_rms for fold in self.good]) ** 2
         if len(squares) < 2:
             return np.inf
         return float(np.std(squares, ddof=1) / np.sqrt(len(squares)))
@@ -136,15 +141,12 @@ class LayoutComparison(eqx.Module):
         """Write the choice in words, a table, and the folds that failed."""
         lines = [*_conclusion(self), *_table(self.layouts)]
         for score in self.layouts:
-            good = len(score.folds) - len(score.failed)
             if score.failed:
                 lines.append(
-                    f"{score.name!r} is judged by {good} of {len(score.folds)} folds "
-                    "alone and ranks last:"
+                    f"{score.name!r} is judged by {len(score.good)} of "
+                    f"{len(score.folds)} folds alone and ranks last:"
                 )
-                lines += [
-                    f"  {f.held_out} held out: {f.failure}." for f in score.failed
-                ]
+            lines += [f"  {f.held_out} held out: {f.failure}." for f in score.failed]
             if score.fit_failure:
                 lines.append(
                     f"{score.name!r}, all configurations fitted: {score.fit_failure}."
@@ -205,18 +207,9 @@ def _blind(score: LayoutScore) -> str:
 
 
 def _table(scores: Sequence[LayoutScore]) -> list[str]:
-    """Write a table, one line per layout, columns aligned on the left."""
-    head = (
-        "layout",
-        "points",
-        "parameters",
-        "held-out [mm]",
-        "in noise",
-        "fit [mm]",
-        "blind",
-        "verdict",
-        "failed folds",
-    )
+    """Write a table, one line per layout."""
+    head = ("layout", "points", "parameters", "held-out [mm]", "in noise", "fit [mm]")
+    head += ("blind", "verdict", "failed folds")
     rows = [
         (
             s.name,
@@ -231,10 +224,7 @@ def _table(scores: Sequence[LayoutScore]) -> list[str]:
         )
         for s in scores
     ]
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    return [
-        "  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in (head, *rows)
-    ]
+    return table(head, rows)
 
 
 def _number(value: float, form: str) -> str:

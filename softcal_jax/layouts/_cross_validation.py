@@ -23,13 +23,8 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Job, Model, NewtonSettings, Workers
-from softcal_jax.fields import (
-    ControlPoints,
-    Entry,
-    ParameterSpace,
-    as_space,
-)
-from softcal_jax.identifiability import Identifiability, identifiability
+from softcal_jax.fields import ControlPoints, Entry, ParameterSpace, as_space
+from softcal_jax.identifiability import identifiability
 from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, LayoutScore
 
 MakeParameters = Callable[[ControlPoints], ParameterSpace | Entry | Sequence[Entry]]
@@ -44,14 +39,11 @@ such directions, so more steps are allowed.
 
 
 class _Fold(NamedTuple):
-    """Configurations of one fit: all but one, or in the last fold all.
+    """Configurations of one fit, and whether they count: all but one, in the last all.
 
-    Attributes:
-        lanes: Indices of the configurations that are fitted.
-        counts: Whether a lane's markers count. In place of the held-out configuration
-            another one is repeated with weight zero: so all fits share their shapes and
-            programs, and what is held out cannot affect the fit, not even by having no
-            equilibrium.
+    In place of the held-out configuration another one is repeated with weight zero: so
+    all fits share their shapes and programs, and what is held out cannot affect the
+    fit, not even by having no equilibrium.
     """
 
     lanes: Int[HostArray, " n_c"]
@@ -192,48 +184,43 @@ def _score(
 ) -> LayoutScore:
     """Score the folds of one layout and the fit to all configurations."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    error = np.stack([fit.after.delta_e for fit in fits])
     # Distances are of points; turns and forces count in units of the noise.
-    points_of = slice(0, problem.configurations.effectors.nodes.shape[-2])
-    every = range(len(names))
-    folds = []
-    for held_out, configuration in enumerate(names):
-        others = [i for i in every if i != held_out]
-        failure = _failure(fits[held_out], held_out)
+    n_points = problem.configurations.effectors.nodes.shape[-2]
+
+    def rms(fit: _Fit, failure: str, lanes: list[int]) -> tuple[float, float]:
+        """Return the distance of points [m], and coordinates over the noise [-]."""
         if failure:
-            folds.append(FoldScore(configuration, np.nan, np.nan, np.nan, failure))
-            continue
-        now = error[held_out]
-        folds.append(
-            FoldScore(
-                configuration,
-                _rms(now[:, points_of], weight[:, points_of], [held_out]),
-                _noise_rms(now, weight, [held_out]),
-                _rms(now[:, points_of], weight[:, points_of], others),
-            )
-        )
-    failure = _failure(fits[-1], None)
+            return np.nan, np.nan
+        error, of_lanes = np.asarray(fit.after.delta_e)[lanes], weight[lanes]
+        squares = np.sum(error[:, :n_points] ** 2, axis=2)
+        there = np.any(of_lanes[:, :n_points] > 0.0, axis=2)
+        over_noise = (of_lanes * error)[of_lanes > 0.0]
+        mean = lambda squares: float(np.sqrt(np.mean(squares)))
+        return mean(squares[there]), mean(over_noise**2)
+
+    every, folds = list(range(len(names))), []
+    for held_out, configuration in enumerate(names):
+        fit, failure = fits[held_out], _failure(fits[held_out], held_out)
+        others = [i for i in every if i != held_out]
+        distance, over_noise = rms(fit, failure, [held_out])
+        fitted, _ = rms(fit, failure, others)
+        folds.append(FoldScore(configuration, distance, over_noise, fitted, failure))
+    last, failure = fits[-1], _failure(fits[-1], None)
+    seen = None
+    if np.all(last.after.equilibrium.converged):
+        W, n_data = np.asarray(last.after.W_ep), int(np.sum(weight > 0.0))
+        seen = identifiability(W, problem.space, last.run.z, n_data=n_data)
+    distance, over_noise = rms(last, failure, every)
     return LayoutScore(
-        name,
-        len(points.names),
-        len(problem.space.names),
-        tuple(folds),
-        np.nan
-        if failure
-        else _rms(error[-1][:, points_of], weight[:, points_of], list(every)),
-        np.nan if failure else _noise_rms(error[-1], weight, list(every)),
-        failure,
-        _seen(problem, fits[-1]),
+        name=name,
+        n_points=len(points.names),
+        n_parameters=len(problem.space.names),
+        folds=tuple(folds),
+        fit_rms=distance,
+        fit_noise_rms=over_noise,
+        fit_failure=failure,
+        identifiability=seen,
     )
-
-
-def _seen(problem: CalibrationProblem, fit: _Fit) -> Identifiability | None:
-    """Judge identifiability at the end of the fit to all configurations."""
-    if not np.all(fit.after.equilibrium.converged):
-        return None
-    measured = int(np.sum(problem.configurations.effectors.inverse_std > 0.0))
-    W = np.asarray(fit.after.W_ep)
-    return identifiability(W, problem.space, fit.run.z, n_data=measured)
 
 
 def _failure(fit: _Fit, held_out: int | None) -> str:
@@ -248,24 +235,3 @@ def _failure(fit: _Fit, held_out: int | None) -> str:
     if held_out is None and not there.all():
         return "a configuration lost its equilibrium after the fit"
     return ""
-
-
-def _rms(
-    error: Float[HostArray, "n_c n_markers 3"],
-    weight: Float[HostArray, "n_c n_markers 3"],
-    lanes: list[int],
-) -> float:
-    """Return the root mean square distance of measured points [m]."""
-    there = np.any(weight[lanes] > 0.0, axis=2)
-    squares = np.sum(error[lanes] ** 2, axis=2)
-    return float(np.sqrt(np.mean(squares[there])))
-
-
-def _noise_rms(
-    error: Float[HostArray, "n_c n_markers 3"],
-    weight: Float[HostArray, "n_c n_markers 3"],
-    lanes: list[int],
-) -> float:
-    """Return the root mean square of measured coordinates, in units of the noise."""
-    measured = weight[lanes] > 0.0
-    return float(np.sqrt(np.mean((weight * error)[lanes][measured] ** 2)))

@@ -12,7 +12,7 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import ControlPoints
 from softcal_jax.layouts._tet_sensitivities import tet_sensitivities
-from softcal_jax.mesh import TetMesh
+from softcal_jax.mesh import TetMesh, volumes
 
 METHODS = ("farthest", "sensitivity")
 
@@ -43,13 +43,10 @@ class LayoutWarning(UserWarning):
 
 
 class _Places(NamedTuple):
-    """Where control points may stand: tets, those near the middle first.
+    """Where control points may stand: tets and centroids x, from the middle outwards.
 
-    Attributes:
-        tets: Indices of the tets.
-        x: Their centroids [m].
-        along: Coordinates of the centroids on the axes that count for distances [m].
-        size: Diagonal of their bounding box along these axes [m].
+    `along` holds the coordinates on the axes that count for distances, `size` is the
+    diagonal of their bounding box [m].
     """
 
     tets: Int[HostArray, " n"]
@@ -78,16 +75,13 @@ def place_control_points(
     "farthest" uses the shape alone. A single point goes to the centroid nearest to the
     middle of the region; of several, the first is the farthest from there, and each
     further one is farthest from those before (Gonzalez, Theoretical Computer Science
-    38, 1985), so a layout contains all smaller ones of two points and more. Ties go to
-    the place nearest to the middle, then to the smallest x, y, z, so that the order of
-    the tets does not matter.
+    38, 1985). Ties go to the place nearest to the middle, then to the smallest x, y, z.
 
     "sensitivity" uses the data: the sensitivities of the effectors to the fields in
     patches of tets (Eq. 9), per volume and in units of the noise, are the columns of a
     matrix. QR with column pivoting picks columns that are large and independent of
     those before: the orthogonal method for the parameters that data can estimate (Yao
-    et al., Polymer Reaction Engineering 11, 2003), also known for placing sensors
-    (Manohar et al., IEEE Control Systems 38, 2018). Deviations: a patch has one column
+    et al., Polymer Reaction Engineering 11, 2003). Deviations: a patch has one column
     per field, picked together, and points keep a distance. The result is local: it
     holds for the present fields of the model.
 
@@ -151,8 +145,8 @@ def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
             "control point needs one of its own."
         )
     x = mesh.points[mesh.tets[tets, :4]].mean(axis=1)
-    volumes = tet_volumes(mesh)[tets]
-    away = np.linalg.norm(x - np.average(x, axis=0, weights=volumes), axis=1)
+    middle = np.average(x, axis=0, weights=np.abs(volumes(mesh)[tets]))
+    away = np.linalg.norm(x - middle, axis=1)
     # Rounded, so that places that are alike by symmetry tie.
     step = 1e-9 * max(float(away.max()), mesh.size)
     keys = np.round(np.column_stack([away, x]) / step)
@@ -161,12 +155,6 @@ def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
     along = x[order][:, columns]
     size = float(np.linalg.norm(np.ptp(along, axis=0)))
     return _Places(tets[order], x[order], along, max(size, 1e-12 * mesh.size))
-
-
-def tet_volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
-    """Compute volumes of the tets from their corners [m3]."""
-    corners = mesh.points[mesh.tets[:, :4]]
-    return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
 
 
 def farthest_points(places: _Places, n: int) -> list[int]:
@@ -204,22 +192,17 @@ def _field_sizes(
     configurations: Configuration | Sequence[Configuration],
 ) -> dict[str, float]:
     """Check the arguments of "sensitivity"; return how far each field varies [SI]."""
-    one = isinstance(configurations, Configuration)
-    given = {
-        "model": model is not None,
-        "configurations": one or len(configurations) > 0,
-        "fields": bool(fields),
-    }
-    missing = [name for name, there in given.items() if not there]
+    single = isinstance(configurations, Configuration)
+    posed = single or len(configurations) > 0
+    given = {"model": model is not None, "configurations": posed, "fields": fields}
+    missing = [name for name, value in given.items() if not value]
     if missing or model is None or not fields:
         raise ValueError(
             f'method "sensitivity" needs {" and ".join(missing)}: it places points '
             "where the markers of these poses see the field."
         )
-    if not (
-        np.array_equal(model.mesh.points, mesh.points)
-        and np.array_equal(model.mesh.tets, mesh.tets)
-    ):
+    same = np.array_equal(model.mesh.points, mesh.points)
+    if not (same and np.array_equal(model.mesh.tets, mesh.tets)):
         raise ValueError("the model stands on another mesh: give `model.mesh`.")
     sizes = {fields: 1.0} if isinstance(fields, str) else dict(fields)
     for field, size in sizes.items():
@@ -238,15 +221,14 @@ def _well_seen(
     min_distance: float | None,
 ) -> list[int]:
     """Pick places of n patches that the data see well and independently."""
-    volumes = tet_volumes(mesh)[places.tets]
+    shares = np.abs(volumes(mesh)[places.tets])
     most = max(n, min(PATCHES_PER_POINT * n, len(places.tets) // TETS_PER_PATCH))
-    seeds, patches = _patches(places, volumes, most)
+    seeds, patches = _patches(places, shares, most)
     _check_room(len(seeds), n, "among the tets")
-    columns = []
-    for own in patches:
-        total = blocks[:, places.tets[own]].sum(axis=1)
-        columns.append(total / volumes[own].sum())
-    density = np.stack(columns, axis=1)
+    density = np.stack(
+        [blocks[:, places.tets[p]].sum(axis=1) / shares[p].sum() for p in patches],
+        axis=1,
+    )
     norms = np.linalg.norm(density, axis=(0, 2))
     if not norms.max() > 0.0:
         raise ValueError(
@@ -257,9 +239,7 @@ def _well_seen(
     _check_room(len(seen), n, "that the markers see")
     kept = [seeds[i] for i in seen]
     there = _Places(places.tets[kept], places.x[kept], places.along[kept], places.size)
-    distance = min_distance
-    if distance is None:
-        distance = 0.5 * _separation(there, n)
+    distance = 0.5 * _separation(there, n) if min_distance is None else min_distance
     chosen, rank = pivoted(there, density[:, seen] / norms.max(), n, distance)
     if len(chosen) < n:
         raise ValueError(
@@ -278,7 +258,7 @@ def _well_seen(
 
 
 def _patches(
-    places: _Places, volumes: Float[HostArray, " n"], most: int
+    places: _Places, shares: Float[HostArray, " n"], most: int
 ) -> tuple[list[int], list[Int[HostArray, " _"]]]:
     """Form compact patches of places: the middle one of each, and its members.
 
@@ -292,7 +272,7 @@ def _patches(
         patches = [np.flatnonzero(owner == patch) for patch in range(len(seeds))]
         seeds = []
         for own in patches:
-            middle = np.average(places.along[own], axis=0, weights=volumes[own])
+            middle = np.average(places.along[own], axis=0, weights=shares[own])
             away = np.linalg.norm(places.along[own] - middle, axis=1) / places.size
             seeds.append(int(own[np.argmin(np.round(away, 9))]))
     return seeds, patches
@@ -315,17 +295,11 @@ def pivoted(
     n: int,
     min_distance: float,
 ) -> tuple[list[int], int]:
-    """Pick blocks of columns by pivoted QR, with a distance between their patches.
+    """Pick blocks of columns by pivoted QR, with a distance between their patches [m].
 
-    Args:
-        places: Where the patches are.
-        blocks: Their sensitivities; the largest block has norm one [-].
-        n: Number of patches wanted.
-        min_distance: Smallest distance between two [m].
-
-    Returns:
-        The chosen patches, fewer if no room is left, and how many of them were
-        independent; the others are farthest from those before.
+    The largest block has norm one. Returns the chosen patches, fewer if no room is
+    left, and how many of them were independent; the others are farthest from those
+    before.
     """
     left = blocks.copy()
     free = np.ones(blocks.shape[1], bool)

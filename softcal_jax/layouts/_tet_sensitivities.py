@@ -102,7 +102,6 @@ def tet_sensitivities(
             )
     weight = np.asarray(arrays.effectors.inverse_std).ravel()
     seen = weight > 0.0
-    rows = np.moveaxis(np.asarray(found.rows), 1, 0).reshape(
-        len(names), len(weight), model.mesh.n_tets
-    )
-    return {f: weight[seen, None] * rows[i][seen] for i, f in enumerate(names)}
+    rows = np.moveaxis(np.asarray(found.rows), 1, 0)
+    rows = rows.reshape(len(names), len(weight), mesh.n_tets)[:, seen]
+    return dict(zip(names, weight[seen, None] * rows, strict=True))

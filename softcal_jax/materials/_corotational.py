@@ -17,8 +17,7 @@ from softcal_jax.elements import (
     sum_of,
     symmetric,
 )
-from softcal_jax.materials._elasticity import AbstractElasticity
-from softcal_jax.materials._law import AbstractLinearLaw
+from softcal_jax.materials._elasticity import AbstractElasticity, AbstractLinearLaw
 from softcal_jax.materials._products import outer, turned
 
 # hat(e_1), hat(e_2), hat(e_3): minus the permutation symbol.
@@ -60,13 +59,20 @@ def _symmetric(X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
     return 0.5 * (X + X.transpose(0, 2, 1))
 
 
-def _energy(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """Energy 1/2 (S - I) : C : (S - I) [J/m3]."""
-    strain = symmetric(matmul(rotation(F).T, F)) - jnp.eye(3)
-    return 0.5 * jnp.sum(strain * elasticity.stress(strain))
+def _barred(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> _Polar:
+    """Keep XLA from computing a factor again for each of a tangent's 81 entries."""
+    return _Polar(*jax.lax.optimization_barrier(_polar(elasticity, F)))
 
 
-class Corotational(AbstractLinearLaw):
+class _AbstractStretchLaw(AbstractLinearLaw):
+    """A law that is linear in the stretch of F = R S."""
+
+    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Stretch less the identity, S - I [-]."""
+        return symmetric(matmul(rotation(F).T, F)) - jnp.eye(3)
+
+
+class Corotational(_AbstractStretchLaw):
     """Linear law in the stretch of the polar decomposition F = R S.
 
     psi = 1/2 (S - I) : C : (S - I). With sigma = C : (S - I), the exact gradient is
@@ -78,12 +84,6 @@ class Corotational(AbstractLinearLaw):
     Attributes:
         elasticity: The tensor C, in the axes of the rest shape.
     """
-
-    elasticity: AbstractElasticity
-
-    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy 1/2 (S - I) : C : (S - I) [J/m3]."""
-        return _energy(self.elasticity, F)
 
     def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """First Piola-Kirchhoff stress R (sigma - hat(c)) [Pa]."""
@@ -117,9 +117,7 @@ class Corotational(AbstractLinearLaw):
             K = (tr(p) I / 2 - p / 2 + N : Q) M^-1    hat_r : R^T dP / 4 for A = hat_s
             Y = N - K hat / 2
         """
-        # Barriers keep XLA from computing a factor again for each of the 81 entries.
-        polar = _Polar(*jax.lax.optimization_barrier(_polar(self.elasticity, F)))
-        R, S, sigma, M_inverse = polar
+        R, S, sigma, M_inverse = _barred(self.elasticity, F)
         p = sigma - skew(_times(M_inverse, axial(matmul(sigma, S))))
         hat = jnp.asarray(_HAT)
         p, Q = jax.lax.optimization_barrier((p, _symmetric(_right(hat, S))))
@@ -155,25 +153,20 @@ def _less_spins(
     ).reshape(3, 3, 3, 3)
 
 
-class ClassicalCorotational(AbstractLinearLaw):
+class ClassicalCorotational(_AbstractStretchLaw):
     """The corotational force of the classical codes, P = R sigma, for parity only.
 
     It drops the term hat(c) of `Corotational`. For an isotropic C nothing changes. For
     an anisotropic C the force has no potential, the moments do not balance (P F^T is
     not symmetric) and the tangent has no major symmetry; a solver that relies on any of
-    these cannot be used. Take it to compare with SOFA, otherwise `Corotational`.
+    these cannot be used, and `energy_density` is not the potential of P. Take it to
+    compare with SOFA, otherwise `Corotational`.
 
     Attributes:
         elasticity: The tensor C, in the axes of the rest shape.
     """
 
     conservative: ClassVar[bool] = False
-
-    elasticity: AbstractElasticity
-
-    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy 1/2 (S - I) : C : (S - I), not the potential of P [J/m3]."""
-        return _energy(self.elasticity, F)
 
     def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """First Piola-Kirchhoff stress R sigma [Pa]."""
@@ -182,8 +175,7 @@ class ClassicalCorotational(AbstractLinearLaw):
 
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
         """Derivative of this stress, R^T dP = hat(omega) sigma + C : dS [Pa]."""
-        polar = _Polar(*jax.lax.optimization_barrier(_polar(self.elasticity, F)))
-        R, S, sigma, M_inverse = polar
+        R, S, sigma, M_inverse = _barred(self.elasticity, F)
         hat = jnp.asarray(_HAT)
         # Rates for the unit spins A = hat_s: omega = 2 M^-1 e_s, dS = -sym(omega S).
         omega = 2.0 * sum_of(

@@ -1,4 +1,4 @@
-"""Linear elasticity tensors, shared by the laws that are linear in a strain measure."""
+"""Linear elasticity tensors, and laws that are linear in a strain measure."""
 
 from abc import abstractmethod
 from typing import Any
@@ -10,14 +10,17 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._checks import (
+from softcal_jax.elements import matmul
+from softcal_jax.materials._constants import (
     MODULUS,
     RATIO,
+    PointValues,
     as_field,
-    check_modulus,
-    check_poisson_ratio,
+    check_constants,
+    is_point_values,
 )
-from softcal_jax.materials._point_values import PointValues, is_point_values
+from softcal_jax.materials._law import AbstractLaw
+from softcal_jax.materials._products import paired, turned
 
 _UNIT = np.eye(9).reshape(3, 3, 3, 3)
 _SYMMETRIC_UNIT = 0.5 * (_UNIT + _UNIT.transpose(1, 0, 2, 3))
@@ -104,17 +107,10 @@ def lame(
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Convert Young's modulus and Poisson's ratio to Lame constants (lambda, mu) [Pa].
 
-    Args:
-        E: Young's modulus [Pa].
-        nu: Poisson's ratio [-].
-
-    Returns:
-        lambda = E nu / ((1 + nu)(1 - 2 nu)) and mu = E / (2 (1 + nu)).
+    lambda = E nu / ((1 + nu)(1 - 2 nu)) and mu = E / (2 (1 + nu)).
     """
-    return (
-        jnp.asarray(E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))),
-        jnp.asarray(E / (2.0 * (1.0 + nu))),
-    )
+    lam = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    return jnp.asarray(lam), jnp.asarray(E / (2.0 * (1.0 + nu)))
 
 
 class Isotropic(AbstractElasticity):
@@ -129,10 +125,55 @@ class Isotropic(AbstractElasticity):
     nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
 
     def __check_init__(self):
-        check_modulus("E", self.E)
-        check_poisson_ratio("nu", self.nu)
+        check_constants(self)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress lambda tr(strain) I + 2 mu strain [Pa]."""
         lam, mu = lame(self.E, self.nu)
         return lam * jnp.trace(strain) * jnp.eye(3) + 2.0 * mu * strain
+
+
+class AbstractLinearLaw(AbstractLaw):
+    """A law that is linear in a strain measure.
+
+    Attributes:
+        elasticity: The tensor C, in the axes of the rest shape.
+    """
+
+    elasticity: AbstractElasticity
+
+    @abstractmethod
+    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Strain that the stress C : strain is linear in [-]."""
+
+    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+        """Energy 1/2 strain : C : strain [J/m3]."""
+        strain = self.strain(F)
+        return 0.5 * jnp.sum(strain * self.elasticity.stress(strain))
+
+    def tabulated(self) -> "AbstractLaw":
+        """Compute the entries of the tensor C once."""
+        return eqx.tree_at(
+            lambda law: law.elasticity, self, self.elasticity.tabulated()
+        )
+
+
+class StVenantKirchhoff(AbstractLinearLaw):
+    """Linear law in the Green strain E = (F^T F - I) / 2: psi = 1/2 E : C : E.
+
+    Softens under compression: a bar is unstable below the stretch 1/sqrt(3). Good for
+    large rotation at small strain. `elasticity` is C in the axes of the rest shape.
+    """
+
+    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Green strain (F^T F - I) / 2 [-]."""
+        return 0.5 * (matmul(F.T, F) - jnp.eye(3))
+
+    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """First Piola-Kirchhoff stress F (C : E) [Pa]."""
+        return matmul(F, self.elasticity.stress(self.strain(F)))
+
+    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        """Tangent delta_ik T_JL + F_iM C_MJNL F_kN with T = C : E [Pa]."""
+        T = self.elasticity.stress(self.strain(F))
+        return turned(self.elasticity.tensor(), F) + paired(jnp.eye(3), T)

@@ -8,19 +8,18 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul
-from softcal_jax.materials._checks import (
+from softcal_jax.materials._constants import (
     ACROSS,
     ALONG,
     SHEAR,
     as_field,
-    check_modulus,
+    check_constants,
     check_shared_ratio,
     constant,
 )
-from softcal_jax.materials._fibre import Fibre
 from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._products import crossed, outer, paired
-from softcal_jax.materials._transverse import PlaneStiffness, plane_stiffness
+from softcal_jax.materials._transverse import Fibre, PlaneStiffness, plane_stiffness
 
 
 def _outer(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -117,9 +116,7 @@ class FibreReinforced(AbstractLaw):
     fibre: Fibre
 
     def __check_init__(self):
-        check_modulus("E_t", self.E_t)
-        check_modulus("E_l", self.E_l)
-        check_modulus("mu_l", self.mu_l)
+        check_constants(self)
         check_shared_ratio(self.E_t, self.E_l, self.nu)
 
     def _constants(self) -> tuple[PlaneStiffness, Float[Array, ""]]:
@@ -146,9 +143,8 @@ class FibreReinforced(AbstractLaw):
         area = C.C13 * s.a + 0.5 * (C.C11 + C.C12) * s.w
         shear_along = s.I4 * (jnp.sum(s.h * s.h) * s.da - s.b)
         shear_across = s.z * (s.d_section - s.section * s.dw)
-        return (
-            along * s.da + area * s.dw + self.mu_l * shear_along + (mu_t * shear_across)
-        )
+        normal = along * s.da + area * s.dw
+        return normal + self.mu_l * shear_along + mu_t * shear_across
 
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
         """Tangent, from the second derivatives of I4, I5, J and u . C^-1 u [Pa].

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._elasticity import AbstractElasticity
 
 
 class AbstractLaw(eqx.Module):
@@ -75,19 +74,3 @@ class AbstractLaw(eqx.Module):
         Fields may be those of a whole body: one value, one per tet, or `PointValues`.
         """
         return self
-
-
-class AbstractLinearLaw(AbstractLaw):
-    """A law that is linear in a strain measure.
-
-    Attributes:
-        elasticity: The tensor C, in the axes of the rest shape.
-    """
-
-    elasticity: eqx.AbstractVar[AbstractElasticity]
-
-    def tabulated(self) -> "AbstractLaw":
-        """Compute the entries of the tensor C once."""
-        return eqx.tree_at(
-            lambda law: law.elasticity, self, self.elasticity.tabulated()
-        )

@@ -5,15 +5,10 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant
-from softcal_jax.materials._checks import (
-    MODULUS,
-    RATIO,
-    as_field,
-    check_modulus,
-    check_poisson_ratio,
-)
+from softcal_jax.materials._constants import MODULUS, RATIO, as_field, check_constants
 from softcal_jax.materials._elasticity import lame
 from softcal_jax.materials._law import AbstractLaw
+from softcal_jax.materials._products import crossed, outer, paired
 
 
 class NeoHookean(AbstractLaw):
@@ -32,8 +27,7 @@ class NeoHookean(AbstractLaw):
     nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
 
     def __check_init__(self):
-        check_modulus("E", self.E)
-        check_poisson_ratio("nu", self.nu)
+        check_constants(self)
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
         """Energy mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2 [J/m3]."""
@@ -52,9 +46,5 @@ class NeoHookean(AbstractLaw):
         lam, mu = lame(self.E, self.nu)
         J = determinant(F)
         G = cofactor(F) / J
-        identity = jnp.eye(3)
-        return (
-            mu * identity[:, None, :, None] * identity[None, :, None, :]
-            + lam * G[:, :, None, None] * G[None, None]
-            + (mu - lam * jnp.log(J)) * G[:, None, None, :] * G.T[None, :, :, None]
-        )
+        across = (mu - lam * jnp.log(J)) * crossed(G, G)
+        return mu * paired(jnp.eye(3), jnp.eye(3)) + lam * outer(G, G) + across

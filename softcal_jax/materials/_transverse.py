@@ -1,36 +1,73 @@
 """Linear elasticity with one fibre axis (transverse isotropy)."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._checks import (
+from softcal_jax.materials._constants import (
     ACROSS,
     ALONG,
+    PLANE_RATIO,
     RATIO,
     SHEAR,
     as_field,
+    check_constants,
     check_fibre_ratio,
-    check_modulus,
-    check_plane_ratio,
-    check_poisson_ratio,
     constant,
 )
 from softcal_jax.materials._elasticity import AbstractElasticity, Tabulated
-from softcal_jax.materials._fibre import Fibre
+
+Plane = Literal["xy", "xz", "yz"]
+
+
+class Fibre(eqx.Module):
+    """Axis of transverse isotropy in the rest shape, by its angles.
+
+    u = cos(phi) (cos(theta) a + sin(theta) b) + sin(phi) n, with a and b the axes that
+    `plane` names, in this order, and n the third axis (not a x b: for "xz" n is +y).
+    The paper (Vanneste, Goury, Duriez, RA-L 2022, Sec. IV.A) has phi = 0. Laws depend
+    on u u^T only, so u and -u mean the same material.
+
+    Attributes:
+        theta: Angle from a towards b [rad], one value or one per tet.
+        phi: Elevation out of the plane towards n [rad], one value or one per tet.
+        plane: The print plane: "xy", "xz" or "yz".
+    """
+
+    theta: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        metadata=constant("rad", 'angle of the fibre in its print plane: "20 deg"'),
+    )
+    phi: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        default=0.0,
+        metadata=constant("rad", 'angle of the fibre out of its plane: "10 deg"'),
+    )
+    plane: Plane = eqx.field(static=True, default="xz", metadata={"key": "print_plane"})
+
+    def __check_init__(self):
+        if self.plane not in ("xy", "xz", "yz"):
+            raise ValueError(
+                f'plane must be "xy", "xz" or "yz", got {self.plane!r}; '
+                "theta counts from its first axis towards its second."
+            )
+        check_constants(self)
+
+    def direction(self) -> Float[Array, "3"]:
+        """Unit vector u along the fibre [-]."""
+        a, b = ("xyz".index(letter) for letter in self.plane)
+        parts = {
+            a: jnp.cos(self.phi) * jnp.cos(self.theta),
+            b: jnp.cos(self.phi) * jnp.sin(self.theta),
+            3 - a - b: jnp.sin(self.phi) * jnp.ones_like(self.theta),
+        }
+        return jnp.stack([parts[axis] for axis in range(3)])
 
 
 class PlaneStiffness(NamedTuple):
-    """Stiffnesses of normal strains, with the fibre along axis 3 [Pa].
-
-    Attributes:
-        C11: Across the fibre.
-        C12: Between two directions across the fibre.
-        C13: Between directions across and along the fibre.
-        C33: Along the fibre.
-    """
+    """Stiffnesses of normal strains, with the fibre along axis 3 [Pa]."""
 
     C11: Float[Array, ""]
     C12: Float[Array, ""]
@@ -44,16 +81,9 @@ def plane_stiffness(
     nu_t: Float[Array, ""],
     nu_tl: Float[Array, ""],
 ) -> PlaneStiffness:
-    """Invert the compliance S11 = 1/E_t, S12 = -nu_t/E_t, S13 = -nu_tl/E_t, S33.
+    """Invert the compliance of moduli [Pa] and ratios [-] of `TransverseIsotropic`.
 
-    Args:
-        E_t: Young's modulus across the fibre [Pa].
-        E_l: Young's modulus along the fibre [Pa].
-        nu_t: Poisson's ratio in the transverse plane [-].
-        nu_tl: Contraction along the fibre for stress across it [-].
-
-    Returns:
-        The stiffnesses, with S33 = 1/E_l.
+    S11 = 1/E_t, S12 = -nu_t/E_t, S13 = -nu_tl/E_t, S33 = 1/E_l.
     """
     coupling = nu_tl * nu_tl * E_l / E_t
     m = 1.0 - nu_t - 2.0 * coupling
@@ -115,10 +145,7 @@ class TransverseIsotropic(AbstractElasticity):
 
     E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
     E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu_t: Float[Array, "..."] = eqx.field(
-        converter=as_field,
-        metadata=constant("", "Poisson's ratio in the plane across the fibre: 0.3"),
-    )
+    nu_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=PLANE_RATIO)
     nu_tl: Float[Array, "..."] = eqx.field(
         converter=as_field,
         metadata=constant("", "contraction along the fibre for stress across it: 0.3"),
@@ -127,10 +154,7 @@ class TransverseIsotropic(AbstractElasticity):
     fibre: Fibre
 
     def __check_init__(self):
-        check_modulus("E_t", self.E_t)
-        check_modulus("E_l", self.E_l)
-        check_modulus("mu_l", self.mu_l)
-        check_plane_ratio("nu_t", self.nu_t)
+        check_constants(self)
         check_fibre_ratio(self.E_t, self.E_l, self.nu_t, self.nu_tl)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -177,9 +201,7 @@ class ReducedTransverseIsotropic(AbstractElasticity):
     fibre: Fibre
 
     def __check_init__(self):
-        check_modulus("E_t", self.E_t)
-        check_modulus("E_l", self.E_l)
-        check_poisson_ratio("nu", self.nu)
+        check_constants(self)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress (B strain B + nu/(1-2 nu) (B : strain) B) / (1 + nu) [Pa]."""

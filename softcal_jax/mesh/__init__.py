@@ -5,18 +5,21 @@ metres.
 """
 
 from softcal_jax.mesh._checks import check_mesh
+from softcal_jax.mesh._conversion import merge, to_linear, to_quadratic
 from softcal_jax.mesh._generators import beam
 from softcal_jax.mesh._location import MaterialPoints, locate
-from softcal_jax.mesh._merge import merge
 from softcal_jax.mesh._meshio import MeshWarning
-from softcal_jax.mesh._nodes import named_nodes, node_indices
-from softcal_jax.mesh._order import to_linear, to_quadratic
-from softcal_jax.mesh._quality import QualityReport, Spread, quality_report
 from softcal_jax.mesh._reading import read_mesh
-from softcal_jax.mesh._selection import Box, Plane, Sphere, select_faces, select_nodes
-from softcal_jax.mesh._surfaces import surface_shares
+from softcal_jax.mesh._selection import (
+    Box,
+    Plane,
+    Sphere,
+    node_indices,
+    select_faces,
+    select_nodes,
+)
 from softcal_jax.mesh._tet_mesh import TetMesh
-from softcal_jax.mesh._topology import boundary_faces, volumes
+from softcal_jax.mesh._topology import boundary_faces, surface_shares, volumes
 from softcal_jax.mesh._tripod import tripod
 
 __all__ = [
@@ -24,18 +27,14 @@ __all__ = [
     "MaterialPoints",
     "MeshWarning",
     "Plane",
-    "QualityReport",
     "Sphere",
-    "Spread",
     "TetMesh",
     "beam",
     "boundary_faces",
     "check_mesh",
     "locate",
     "merge",
-    "named_nodes",
     "node_indices",
-    "quality_report",
     "read_mesh",
     "select_faces",
     "select_nodes",

@@ -1,6 +1,6 @@
 """Checks that a mesh can be simulated."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -45,7 +45,7 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
         raise ValueError("bad mesh:\n- " + "\n- ".join(problems))
 
 
-def shape_volumes(mesh: TetMesh) -> HostArray:
+def _shape_volumes(mesh: TetMesh) -> HostArray:
     """Divide signed volumes by that of the regular tet with the same rms edge [-]."""
     corners = mesh.points[mesh.tets[:, :4]]
     edges = np.array(TET_EDGES)
@@ -66,69 +66,60 @@ def _listed(mesh: TetMesh, tets: HostArray) -> str:
     return ", ".join(shown) + ", ..." * (len(tets) > 5) + " [m]"
 
 
-def _unused(mesh: TetMesh) -> list[str]:
+def _unused(mesh: TetMesh) -> Iterator[str]:
     unused = np.setdiff1d(np.arange(mesh.n_nodes), mesh.tets)
-    if not unused.size:
-        return []
-    return [
-        f"{unused.size} of {mesh.n_nodes} nodes are unused (in no tet): "
-        f"{unused[:5].tolist()}{', ...' * (unused.size > 5)}. Remove them."
-    ]
+    if unused.size:
+        yield (
+            f"{unused.size} of {mesh.n_nodes} nodes are unused (in no tet): "
+            f"{unused[:5].tolist()}{', ...' * (unused.size > 5)}. Remove them."
+        )
 
 
-def _bad_shapes(mesh: TetMesh) -> list[str]:
-    shape = shape_volumes(mesh)
+def _bad_shapes(mesh: TetMesh) -> Iterator[str]:
+    shape = _shape_volumes(mesh)
     flat = np.abs(shape) < FLAT
     inverted = (shape < 0) & ~flat
-    problems = []
-    if flat.any():
-        problems.append(
-            f"{flat.sum()} of {mesh.n_tets} tets are degenerate (flat): "
-            f"{_listed(mesh, np.flatnonzero(flat))}. Remesh them."
-        )
-    if inverted.any():
-        problems.append(
-            f"{inverted.sum()} of {mesh.n_tets} tets are inverted (negative volume): "
-            f"{_listed(mesh, np.flatnonzero(inverted))}. Swap two corners of each (and "
-            "their mid nodes), or remesh where the body folds."
-        )
+    folded = np.zeros_like(flat)
     if mesh.order == 2:
-        det = jacobian_determinants(mesh, _sample_points())
-        folded = (det <= 0).any(axis=1) & ~flat & ~inverted
-        if folded.any():
-            problems.append(
-                f"{folded.sum()} of {mesh.n_tets} curved tets are inverted (folded by "
-                f"their mid nodes): {_listed(mesh, np.flatnonzero(folded))}. Move the "
-                "mid nodes towards the middle of their edges."
-            )
-    return problems
+        corners = np.eye(4)
+        mids = corners[np.array(TET_EDGES)].mean(axis=1)
+        samples = np.vstack([corners, mids, tet_rule(4).barycentric])
+        folded = (jacobian_determinants(mesh, samples) <= 0).any(axis=1)
+    for bad, what, remedy in (
+        (flat, "tets are degenerate (flat)", "Remesh them."),
+        (
+            inverted,
+            "tets are inverted (negative volume)",
+            "Swap two corners of each (and their mid nodes), or remesh where the body "
+            "folds.",
+        ),
+        (
+            folded & ~flat & ~inverted,
+            "curved tets are inverted (folded by their mid nodes)",
+            "Move the mid nodes towards the middle of their edges.",
+        ),
+    ):
+        if bad.any():
+            listed = _listed(mesh, np.flatnonzero(bad))
+            yield f"{bad.sum()} of {mesh.n_tets} {what}: {listed}. {remedy}"
 
 
-def _sample_points() -> HostArray:
-    corners = np.eye(4)
-    mids = corners[np.array(TET_EDGES)].mean(axis=1)
-    return np.vstack([corners, mids, tet_rule(4).barycentric])
-
-
-def _repeated(mesh: TetMesh, table: FaceTable) -> list[str]:
+def _repeated(mesh: TetMesh, table: FaceTable) -> Iterator[str]:
     corners = np.sort(mesh.tets[:, :4], axis=1)
     _, first = np.unique(corners, axis=0, return_index=True)
     again = np.setdiff1d(np.arange(mesh.n_tets), first)
-    if again.size:
-        return [
-            f"{again.size} tets repeat another one: {_listed(mesh, again)}. "
-            "Remove the copies."
-        ]
     crowded = np.unique(np.flatnonzero(table.counts[table.inverse] > 2) // 4)
-    if crowded.size:
-        return [
+    if again.size:
+        listed = _listed(mesh, again)
+        yield f"{again.size} tets repeat another one: {listed}. Remove the copies."
+    elif crowded.size:
+        yield (
             f"{crowded.size} tets overlap (a face belongs to more than two): "
             f"{_listed(mesh, crowded)}. Remesh them."
-        ]
-    return []
+        )
 
 
-def _disconnected(mesh: TetMesh, table: FaceTable, linked) -> list[str]:
+def _disconnected(mesh: TetMesh, table: FaceTable, linked) -> Iterator[str]:
     tet = np.repeat(np.arange(mesh.n_tets), 4)
     shape = (mesh.n_tets, len(table.counts))
     on_face = coo_array((np.ones(len(tet)), (tet, table.inverse)), shape).tocsr()
@@ -139,7 +130,7 @@ def _disconnected(mesh: TetMesh, table: FaceTable, linked) -> list[str]:
     part = np.unique(part, return_inverse=True)[1]
     n_parts = int(part.max()) + 1
     if n_parts == 1:
-        return []
+        return
     sizes = sorted(np.bincount(part).tolist(), reverse=True)
     listed = ", ".join(map(str, sizes[:5])) + ", ..." * (n_parts > 5)
     pairs = KDTree(mesh.points).query_pairs(1e-9 * mesh.size, output_type="ndarray")
@@ -148,7 +139,7 @@ def _disconnected(mesh: TetMesh, table: FaceTable, linked) -> list[str]:
         if len(pairs)
         else "Join them, keep one, or link them by a rigid body"
     )
-    return [
+    yield (
         f"it is disconnected: {n_parts} parts of {listed} tets that share no face. "
         f"{remedy}."
-    ]
+    )

@@ -6,22 +6,22 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import HostArray
-from softcal_jax.mesh._order import to_quadratic
+from softcal_jax.mesh._conversion import check_order, to_quadratic
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
 _PATTERNS = ("mirrored", "centred")
 
 
-def _oriented(corners: HostArray) -> HostArray:
-    """Swap the last two corners of tets with a negative volume."""
-    edges = (corners[:, 1:] - corners[:, :1]).astype(float)
-    inverted = np.linalg.det(edges) < 0
-    corners[inverted] = corners[inverted][:, [0, 1, 3, 2]]
-    return corners
+def oriented(tets: HostArray, corners: HostArray) -> HostArray:
+    """Swap the last two nodes of linear tets whose corners give a negative volume."""
+    inverted = np.linalg.det((corners[:, 1:] - corners[:, :1]).astype(float)) < 0
+    tets = tets.copy()
+    tets[inverted] = tets[inverted][:, [0, 1, 3, 2]]
+    return tets
 
 
-def kuhn_cell(parity: tuple[int, ...]) -> HostArray:
+def _kuhn_cell(parity: tuple[int, ...]) -> HostArray:
     """Cut a cell into six tets, the paths from its even to its odd corner (Kuhn, 1960).
 
     Corners are indices of the lattice with half the step of the cells.
@@ -34,7 +34,16 @@ def kuhn_cell(parity: tuple[int, ...]) -> HostArray:
         ]
     )
     flip = np.array(parity)
-    return _oriented(2 * (flip + (1 - 2 * flip) * paths))
+    corners = 2 * (flip + (1 - 2 * flip) * paths)
+    return oriented(corners, corners)
+
+
+_KUHN_CELLS = np.array([_kuhn_cell(parity) for parity in product((0, 1), repeat=3)])
+
+
+def kuhn_tets(cells: HostArray) -> HostArray:
+    """Choose the cut of each cell by its indices, mirrored from cell to cell."""
+    return _KUHN_CELLS[cells % 2 @ np.array([4, 2, 1])]
 
 
 def _centred_cell() -> HostArray:
@@ -47,20 +56,16 @@ def _centred_cell() -> HostArray:
         ring[:, (axis + 1) % 3] = [0, 2, 2, 0]
         ring[:, (axis + 2) % 3] = [0, 0, 2, 2]
         tets += [[np.ones(3, int), face, ring[k], ring[(k + 1) % 4]] for k in range(4)]
-    return _oriented(np.array(tets))
+    corners = np.array(tets)
+    return oriented(corners, corners)
 
 
 def _lattice_tets(cells: HostArray, pattern: str) -> HostArray:
     """Cut all cells into tets of nodes of the lattice with half their step."""
     grid = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), -1)
     grid = grid.reshape(-1, 3)
-    if pattern == "centred":
-        table = _centred_cell()[None]
-        kind = np.zeros(len(grid), int)
-    else:
-        table = np.array([kuhn_cell(parity) for parity in product((0, 1), repeat=3)])
-        kind = grid % 2 @ np.array([4, 2, 1])
-    nodes = 2 * grid[:, None, None] + table[kind]
+    corners = _centred_cell() if pattern == "centred" else kuhn_tets(grid)
+    nodes = 2 * grid[:, None, None] + corners
     return np.ravel_multi_index(
         tuple(np.moveaxis(nodes, -1, 0)), tuple(2 * cells + 1)
     ).reshape(-1, 4)
@@ -80,12 +85,10 @@ def beam(
 
     "mirrored" cuts each cell into Kuhn's six tets and mirrors the cut from cell to
     cell, so linear tets have (nx+1)(ny+1)(nz+1) nodes. The mesh is symmetric about a
-    mid-plane whose cell count is even, and a beam loaded in that plane stays in it to
-    rounding. With an odd count across, no mesh on the grid nodes alone is symmetric (an
-    edge that crosses the mid-plane would have to be perpendicular to it), and a beam
-    under its own weight drifts sideways, most with a single linear cell across and
-    little with several or with quadratic tets. "centred" adds a node in each cell and
-    face and cuts the cell into 24 tets: symmetric for every count.
+    mid-plane whose cell count is even. With an odd count across it cannot be, and a
+    beam under its own weight drifts sideways, most with a single linear cell across.
+    "centred" adds a node in each cell and face and cuts the cell into 24 tets:
+    symmetric for every count.
 
     The node and surface groups "x_min", "x_max", ..., "z_max" are the six sides.
 
@@ -97,9 +100,6 @@ def beam(
         origin: Corner with the smallest coordinates [m].
         order: 1 for linear tets, 2 for quadratic ones.
         pattern: How a cell is cut into tets: "mirrored" or "centred".
-
-    Returns:
-        The mesh.
 
     Raises:
         ValueError: If an extent is not positive and finite, a cell count is not a
@@ -116,20 +116,17 @@ def beam(
     lower = np.asarray(origin, dtype=float)
     if lower.shape != (3,) or not np.isfinite(lower).all():
         raise ValueError(f"origin must be three finite numbers [m], got {origin}.")
-    if order not in (1, 2):
-        raise ValueError(f"order must be 1 (linear) or 2 (quadratic), got {order}.")
+    check_order(order)
     if pattern not in _PATTERNS:
         raise unknown_name("pattern", pattern, _PATTERNS)
 
-    lattice = _lattice_tets(counts, pattern)
-    used, tets = np.unique(lattice, return_inverse=True)
+    used, tets = np.unique(_lattice_tets(counts, pattern), return_inverse=True)
     upper = lower + extent
     axes = [
         np.linspace(a, b, 2 * n + 1)
         for a, b, n in zip(lower, upper, counts, strict=True)
     ]
-    lattice_points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    points = lattice_points[used]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)[used]
     mesh = _with_sides(TetMesh(points, tets.reshape(-1, 4)), lower, upper)
     return mesh if order == 1 else to_quadratic(mesh)
 

@@ -14,13 +14,10 @@ _STEP = 1e-12
 def bounds(
     X: Float[HostArray, "n_cells n_en 3"],
 ) -> tuple[Float[HostArray, "n_cells 3"], Float[HostArray, "n_cells 3"]]:
-    """Boxes that hold curved cells entirely.
+    """Find boxes that hold curved tets or triangles entirely.
 
     A quadratic cell lies in the hull of its Bezier points, not of its nodes: the
     Bezier point of an edge is 2 m - (a + b) / 2 for ends a, b and mid node m.
-
-    Args:
-        X: Node positions of tets or triangles, linear or quadratic [m].
     """
     n_corners = {3: 3, 4: 4, 6: 3, 10: 4}[X.shape[1]]
     hull = X
@@ -34,15 +31,10 @@ def bounds(
 def barycentric_in_tets(
     X: Float[HostArray, "n n_en 3"], points: Float[HostArray, "n 3"]
 ) -> Float[HostArray, "n 4"]:
-    """Find the barycentric coordinates of points in tets by Newton's method.
+    """Find the barycentric coordinates of one point per tet by Newton's method.
 
-    Args:
-        X: Node positions of the tets [m].
-        points: The point that goes with each tet [m].
-
-    Returns:
-        The coordinates; NaN where Newton's method does not converge, which on a
-        valid tet happens for points outside it only.
+    They are NaN where it does not converge, which on a valid tet happens for points
+    outside it only.
     """
     corners = X[:, 1:4] - X[:, :1]
     start = np.linalg.solve(np.swapaxes(corners, 1, 2), (points - X[:, 0])[..., None])
@@ -78,17 +70,9 @@ def nearest_on_triangles(
     """Find the barycentric coordinates of the nearest point of each flat triangle.
 
     It is the foot on the plane if that lies inside, else the best of the three edges.
-
-    Args:
-        corners: Corner positions [m].
-        point: The point [m].
     """
-    a, u, v = (
-        corners[:, 0],
-        corners[:, 1] - corners[:, 0],
-        corners[:, 2] - corners[:, 0],
-    )
-    w = point - a
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    w = point - corners[:, 0]
     uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
     wu, wv = (w * u).sum(1), (w * v).sum(1)
     det = np.maximum(uu * vv - uv * uv, np.finfo(float).tiny)
@@ -108,10 +92,7 @@ def nearest_on_triangles(
     return best
 
 
-_STARTS = np.array(
-    [(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)], dtype=float
-)
-_STARTS /= 4.0
+_STARTS = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4.0
 
 
 def nearest_on_face(
@@ -122,10 +103,6 @@ def nearest_on_face(
     On a curved face: the nearest of 15 points of a grid starts a Gauss-Newton
     iteration, each step of which is the nearest point of the tangent triangle, halved
     until the distance falls.
-
-    Args:
-        X: Node positions of the face [m].
-        point: The point [m].
     """
     if len(X) == 3:
         return nearest_on_triangles(X[None], point)[0]

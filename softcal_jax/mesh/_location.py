@@ -5,11 +5,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import shape_functions, shape_gradients
-from softcal_jax.mesh._inverse_map import (
-    barycentric_in_tets,
-    bounds,
-    nearest_on_face,
-)
+from softcal_jax.mesh._inverse_map import barycentric_in_tets, bounds, nearest_on_face
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
 from softcal_jax.mesh._topology import LOCAL_FACES, boundary_face_indices, tet_faces
 
@@ -41,11 +37,7 @@ class MaterialPoints(eqx.Module):
     def interpolate(
         self, field: Float[Array | HostArray, "n_nodes ..."]
     ) -> Float[Array | HostArray, "n ..."]:
-        """Interpolate a nodal field at the points, in its own unit.
-
-        Args:
-            field: One value per node, of any shape.
-        """
+        """Interpolate a nodal field of any shape at the points, in its own unit."""
         weights = self.weights.reshape(self.weights.shape + (1,) * (field.ndim - 1))
         return (weights * field[self.nodes]).sum(axis=1)
 
@@ -53,19 +45,15 @@ class MaterialPoints(eqx.Module):
 def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> MaterialPoints:
     """Find the tet that carries each point, and the weights of its nodes.
 
-    Inside the mesh the weights are the shape functions (for a curved tet, after
-    Newton's method on its map). A point outside, such as a marker on a post, is
-    extrapolated linearly from the nearest point xi0 of the boundary:
-    N(xi0) + dN/dxi(xi0) (xi - xi0). The shape functions themselves would grow
-    quadratically with the distance. Linear fields are exact in both cases.
+    Inside the mesh the weights are the shape functions. A point outside, such as a
+    marker on a post, is extrapolated linearly from the nearest point xi0 of the
+    boundary, N(xi0) + dN/dxi(xi0) (xi - xi0), since the shape functions themselves
+    would grow quadratically with the distance. Linear fields are exact in both cases.
 
     Args:
         mesh: The mesh, in its reference state.
         points: Positions [m].
         max_distance: How far outside the mesh a point may lie [m].
-
-    Returns:
-        The points, in the order given.
 
     Raises:
         ValueError: If a point is not finite or lies too far outside, or
@@ -135,9 +123,8 @@ class _Boundary:
 
     def nearest(self, point: HostArray) -> tuple[int, HostArray, float]:
         """Find the nearest boundary point: its tet, coordinates and distance."""
-        at_least = np.linalg.norm(
-            point - np.clip(point, self.lower, self.upper), axis=1
-        )
+        boxed = np.clip(point, self.lower, self.upper)
+        at_least = np.linalg.norm(point - boxed, axis=1)
         reached = np.linalg.norm(self.X - point, axis=2).min()
         found, best, nearest = -1, np.zeros(3), np.inf
         # By distance of the bounding boxes, so that most faces are never tried.

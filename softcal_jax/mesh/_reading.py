@@ -11,9 +11,8 @@ import numpy as np
 from softcal_jax._names import METRES, unknown_name
 from softcal_jax._typing import HostArray
 from softcal_jax.mesh._checks import check_mesh
-from softcal_jax.mesh._groups import RawGroups, raw_groups
-from softcal_jax.mesh._meshio import MeshWarning, read_raw
-from softcal_jax.mesh._order import to_linear, to_quadratic
+from softcal_jax.mesh._conversion import to_linear, to_quadratic
+from softcal_jax.mesh._meshio import MeshWarning, RawGroups, raw_groups, read_raw
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import tet_faces, volumes
 
@@ -48,9 +47,6 @@ def read_mesh(
         length_unit: Unit of its coordinates: "m", "cm", "mm", "um" or "inch".
         order: 1 or 2 to convert to that order; None keeps the order of the file.
         unused: What to do with nodes that no cell uses: "error" or "drop".
-
-    Returns:
-        The mesh, in metres.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -187,7 +183,9 @@ def _with_groups(
     notes: list[str],
 ) -> TetMesh:
     node_groups, surface_groups, tet_groups = {}, {}, {}
-    match = _FaceMatch(mesh)
+    all_faces = tet_faces(mesh.tets)
+    corners = np.sort(all_faces[:, :3], axis=1).tolist()
+    position = {tuple(key): where for where, key in enumerate(corners)}
     for name in {**groups.cells, **groups.points}:
         own = {
             k: members
@@ -208,33 +206,16 @@ def _with_groups(
         triangles = [
             c[:, :3] for k, c in cells.items() if raw.cells[k].type in _TRIANGLES
         ]
-        faces = match.faces(name, triangles, notes)
-        if len(faces):
-            surface_groups[name] = faces
+        if triangles:
+            # In either orientation; the faces have mid nodes and outward normals.
+            corners = np.sort(np.concatenate(triangles), axis=1).tolist()
+            keys = dict.fromkeys(map(tuple, corners))
+            found = [position[key] for key in keys if key in position]
+            if found:
+                surface_groups[name] = all_faces[found]
+            if lost := len(corners) - len(found):
+                notes.append(
+                    f"left out: {lost} of the {len(corners)} triangles of group "
+                    f"{name!r}, which repeat or are not faces of a tet."
+                )
     return TetMesh(mesh.points, mesh.tets, node_groups, surface_groups, tet_groups)
-
-
-class _FaceMatch:
-    """Finds triangles among the faces of the tets, in either orientation."""
-
-    def __init__(self, mesh: TetMesh):
-        self.all = tet_faces(mesh.tets)
-        corners = np.sort(self.all[:, :3], axis=1).tolist()
-        self.position = {tuple(key): where for where, key in enumerate(corners)}
-
-    def faces(
-        self, name: str, triangles: list[HostArray], notes: list[str]
-    ) -> HostArray:
-        """Find the faces with these corners, with mid nodes and outward normals."""
-        if not triangles:
-            return self.all[:0]
-        corners = np.sort(np.concatenate(triangles), axis=1)
-        keys = dict.fromkeys(map(tuple, corners.tolist()))
-        found = [self.position[key] for key in keys if key in self.position]
-        if len(found) < len(corners):
-            lost = len(corners) - len(found)
-            notes.append(
-                f"left out: {lost} of the {len(corners)} triangles of group {name!r}, "
-                "which repeat or are not faces of a tet."
-            )
-        return self.all[found]

@@ -1,4 +1,4 @@
-"""Selection of nodes and faces by position.
+"""Selection of nodes and faces by name, index or position.
 
 A predicate is any callable that takes points (n, 3) [m] and gives n booleans, so
 regions combine by a lambda: `lambda x: box(x) & ~sphere(x)`.
@@ -24,28 +24,26 @@ def _as_vector(vector) -> HostArray:
     return np.asarray(vector, dtype=float)
 
 
-def _check_vectors(region: "AbstractRegion", *names: str):
-    for name in names:
-        value = getattr(region, name)
-        if value.shape != (3,) or not np.isfinite(value).all():
-            raise ValueError(f"{name} must be three finite numbers, got {value}.")
-
-
 class AbstractRegion(eqx.Module):
     """A part of space with a distance to points."""
 
     tolerance: eqx.AbstractVar[float]
+
+    def _check(self, names: tuple[str, ...], *, infinite: bool = False):
+        """Check that attributes are vectors of three numbers."""
+        for name in names:
+            value = getattr(self, name)
+            bad = np.isnan(value) if infinite else ~np.isfinite(value)
+            if value.shape != (3,) or bad.any():
+                what = "three numbers" if infinite else "three finite numbers"
+                raise ValueError(f"{name} must be {what}, got {value}.")
 
     @abc.abstractmethod
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
         """Compute the distance of points from the region [m], zero inside."""
 
     def __call__(self, points: Float[HostArray, "n 3"]) -> Bool[HostArray, " n"]:
-        """Say which points lie in the region, within its tolerance.
-
-        Args:
-            points: Positions [m].
-        """
+        """Say which points [m] lie in the region, within its tolerance."""
         return self.distance(points) <= self.tolerance
 
 
@@ -64,10 +62,7 @@ class Box(AbstractRegion):
 
     def __check_init__(self):
         # Infinite sides are allowed: they select half-spaces and slabs.
-        for name in ("lower", "upper"):
-            value = getattr(self, name)
-            if value.shape != (3,) or np.isnan(value).any():
-                raise ValueError(f"{name} must be three numbers, got {value}.")
+        self._check(("lower", "upper"), infinite=True)
         if (self.lower > self.upper).any():
             raise ValueError(
                 f"the box is crossed: lower {self.lower} exceeds upper {self.upper}."
@@ -92,7 +87,7 @@ class Plane(AbstractRegion):
     tolerance: float = _ROUNDING
 
     def __check_init__(self):
-        _check_vectors(self, "point", "normal")
+        self._check(("point", "normal"))
         if not np.linalg.norm(self.normal) > 0:
             raise ValueError("the normal of a plane must not be zero.")
 
@@ -116,7 +111,7 @@ class Sphere(AbstractRegion):
     tolerance: float = _ROUNDING
 
     def __check_init__(self):
-        _check_vectors(self, "centre")
+        self._check(("centre",))
         if not self.radius > 0:
             raise ValueError(f"radius must be positive [m], got {self.radius}.")
 
@@ -127,14 +122,11 @@ class Sphere(AbstractRegion):
 
 
 def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
-    """Select the nodes whose position satisfies a predicate.
+    """Select the nodes whose position satisfies a predicate, sorted.
 
     Args:
         mesh: The mesh.
         where: `Box`, `Plane`, `Sphere` or any callable from points [m] to booleans.
-
-    Returns:
-        Node indices, sorted.
 
     Raises:
         ValueError: If no node satisfies it, or it does not give one boolean per point.
@@ -146,14 +138,11 @@ def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
 
 
 def select_faces(mesh: TetMesh, where: Predicate) -> Int[HostArray, "n n_fn"]:
-    """Select the boundary faces whose nodes all satisfy a predicate.
+    """Select the boundary faces whose nodes all satisfy a predicate, normals outwards.
 
     Args:
         mesh: The mesh.
         where: `Box`, `Plane`, `Sphere` or any callable from points [m] to booleans.
-
-    Returns:
-        3 or 6 nodes of each face, normals outwards.
 
     Raises:
         ValueError: If no face satisfies it, or it does not give one boolean per point.
@@ -167,6 +156,41 @@ def select_faces(mesh: TetMesh, where: Predicate) -> Int[HostArray, "n n_fn"]:
             f"it. {_whereabouts(mesh, where)}"
         )
     return faces
+
+
+def node_indices(
+    mesh: TetMesh, where: str | Int[HostArray, " n"], owner: str
+) -> Int[HostArray, " _"]:
+    """Return the indices of the nodes of a group, or check given ones.
+
+    Args:
+        mesh: The mesh.
+        where: Name of a group, or node indices.
+        owner: What acts on the nodes, for messages.
+
+    Raises:
+        ValueError: If the group is unknown, or the indices are no list of integers
+            from 0 to the number of nodes.
+    """
+    if isinstance(where, str):
+        try:
+            return mesh.nodes(where)
+        except ValueError as error:
+            raise ValueError(f"{owner}: {error}") from error
+    nodes = np.asarray(where)
+    if nodes.ndim != 1 or nodes.dtype.kind not in "iu":
+        remedy = " (np.flatnonzero turns a mask into indices)" * (nodes.dtype == bool)
+        raise ValueError(
+            f"{owner} needs the name of a group or a list of integer node indices"
+            f"{remedy}, got {nodes.dtype} of shape {nodes.shape}."
+        )
+    outside = nodes[(nodes < 0) | (nodes >= mesh.n_nodes)]
+    if outside.size:
+        raise ValueError(
+            f"{owner}: node {outside[0]} is not in the mesh, whose nodes are 0 to "
+            f"{mesh.n_nodes - 1}."
+        )
+    return nodes
 
 
 def _mask(mesh: TetMesh, where: Predicate) -> HostArray:

@@ -15,8 +15,8 @@ ArrayData = HostArray | Sequence
 FACE_NODES_OF_TET = {4: 3, 10: 6}
 """Nodes of a face, by the nodes of its tet."""
 
-
 _FAR = 1e12
+"""Bound on coordinates, which keeps the cubes of lengths far from overflow [m]."""
 
 
 def _as_points(points: ArrayData) -> HostArray:
@@ -69,7 +69,6 @@ class TetMesh(eqx.Module):
             raise ValueError(
                 f"points must have the shape (n_nodes, 3), got {self.points.shape}."
             )
-        # The bound also keeps the cubes of lengths far from overflow.
         bad = np.flatnonzero(~(np.abs(self.points) < _FAR).all(axis=1))
         if bad.size:
             where = self.points[bad[0]].tolist()
@@ -126,16 +125,12 @@ class TetMesh(eqx.Module):
     def nodes(self, name: str) -> Int[HostArray, " _"]:
         """Return the nodes of a node group, else those of its faces or tets, sorted.
 
-        Args:
-            name: Group name.
-
         Raises:
             ValueError: If no group has the name.
         """
-        if name in self.node_groups:
-            return np.unique(self.node_groups[name])
-        if name in self.surface_groups:
-            return np.unique(self.surface_groups[name])
+        for groups in (self.node_groups, self.surface_groups):
+            if name in groups:
+                return np.unique(groups[name])
         if name in self.tet_groups:
             return np.unique(self.tets[self.tet_groups[name]])
         known = {**self.node_groups, **self.surface_groups, **self.tet_groups}
@@ -143,9 +138,6 @@ class TetMesh(eqx.Module):
 
     def faces(self, name: str) -> Int[HostArray, "_ n_fn"]:
         """Return the faces of a surface group.
-
-        Args:
-            name: Group name.
 
         Raises:
             ValueError: If no surface group has the name.
@@ -157,9 +149,6 @@ class TetMesh(eqx.Module):
     def tets_of(self, name: str) -> Int[Array | HostArray, " _"]:
         """Return the tet indices of a tet group.
 
-        Args:
-            name: Group name.
-
         Raises:
             ValueError: If no tet group has the name.
         """
@@ -168,11 +157,7 @@ class TetMesh(eqx.Module):
         return self.tet_groups[name]
 
     def with_node_group(self, name: str, nodes: ArrayData) -> "TetMesh":
-        """Add a node group.
-
-        Args:
-            name: Name that no node group has yet.
-            nodes: Node indices; repeats are merged.
+        """Add a node group, given by node indices; repeats are merged.
 
         Raises:
             ValueError: If the name is taken, or the nodes are none or not in the mesh.
@@ -180,11 +165,7 @@ class TetMesh(eqx.Module):
         return self._with_group("node", name, np.unique(_as_indices(nodes)))
 
     def with_surface_group(self, name: str, faces: ArrayData) -> "TetMesh":
-        """Add a surface group.
-
-        Args:
-            name: Name that no surface group has yet.
-            faces: Nodes of each face, as `boundary_faces` and `select_faces` give them.
+        """Add a surface group, given by faces like those of `select_faces`.
 
         Raises:
             ValueError: If the name is taken, or the faces are none or not in the mesh.
@@ -192,11 +173,7 @@ class TetMesh(eqx.Module):
         return self._with_group("surface", name, _as_indices(faces))
 
     def with_tet_group(self, name: str, tets: ArrayData) -> "TetMesh":
-        """Add a tet group.
-
-        Args:
-            name: Name that no tet group has yet.
-            tets: Tet indices; repeats are merged.
+        """Add a tet group, given by tet indices; repeats are merged.
 
         Raises:
             ValueError: If the name is taken, or the tets are none or not in the mesh.

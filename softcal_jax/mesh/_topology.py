@@ -1,11 +1,18 @@
-"""Faces, edges and volumes of the tets."""
+"""Faces, edges, areas and volumes of the tets."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.elements import TET_EDGES, TET_FACES, shape_gradients, tet_rule
+from softcal_jax.elements import (
+    TET_EDGES,
+    TET_FACES,
+    shape_functions,
+    shape_gradients,
+    tet_rule,
+    triangle_rule,
+)
 from softcal_jax.mesh._tet_mesh import TetMesh
 
 
@@ -56,11 +63,7 @@ def boundary_face_indices(tets: Int[HostArray, "n_tets n_en"]) -> HostArray:
 def boundary_faces(mesh: TetMesh) -> Int[HostArray, "n_faces n_fn"]:
     """List the faces that belong to one tet only, normals outwards.
 
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        3 or 6 nodes of each face: corners, then mid nodes.
+    Each has 3 or 6 nodes: corners, then mid nodes.
     """
     return tet_faces(mesh.tets)[boundary_face_indices(mesh.tets)]
 
@@ -83,9 +86,20 @@ def volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
     """Compute the volume of each tet [m^3], negative if it is inverted.
 
     The volume is exact: det dX/dxi of a curved tet has degree 3, and so has the rule.
-
-    Args:
-        mesh: The mesh.
     """
     rule = tet_rule(1 if mesh.order == 1 else 3)
     return jacobian_determinants(mesh, rule.barycentric) @ rule.weights / 6.0
+
+
+def surface_shares(
+    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
+) -> Float[HostArray, " n_nodes"]:
+    """Integrate every shape function over faces at rest [m2]; the sum is their area."""
+    rule, n_fn = triangle_rule(4), faces.shape[1]
+    dN = shape_gradients(rule.barycentric, n_fn)
+    tangents = np.einsum("fai,qaj->fqji", mesh.points[faces], dN)
+    area = 0.5 * np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
+    out = np.zeros(mesh.n_nodes)
+    N = shape_functions(rule.barycentric, n_fn)
+    np.add.at(out, faces, (area * rule.weights) @ N)
+    return out

@@ -1,14 +1,13 @@
 """Mesh of the flat sheet with branches and a hole of the parallel robot, Sec. VI."""
 
 import math
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.mesh._generators import kuhn_cell
-from softcal_jax.mesh._order import to_quadratic
+from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax.mesh._conversion import check_order, to_quadratic
+from softcal_jax.mesh._generators import kuhn_tets, oriented
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
@@ -91,27 +90,36 @@ def tripod(
         order: 2 for quadratic tets; 1 for linear ones, which are far too stiff in
             bending.
 
-    Returns:
-        The mesh.
-
     Raises:
         ValueError: If a length is not positive and finite, a number is out of its
             range, the centre does not fit between the branches, or a branch is too
             short for its end.
     """
-    shape = _Shape(
-        length=length,
-        width=width,
-        hole_radius=hole_radius,
-        centre_radius=centre_radius,
-        end_length=end_length,
-        branches=branches,
-    )
-    _check_numbers(shape, thickness, y, size, layers, order)
+    lengths = {
+        "length": length,
+        "width": width,
+        "hole_radius": hole_radius,
+        "centre_radius": centre_radius,
+        "end_length": end_length,
+    }
+    for name, value in {**lengths, "thickness": thickness, "size": size}.items():
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be positive and finite [m], got {value}.")
+    if not np.isfinite(y):
+        raise ValueError(f"y must be finite [m], got {y}.")
+    for name, value, least in (("branches", branches, 2), ("layers", layers, 1)):
+        if value < least:
+            raise ValueError(f"{name} must be {least} or more, got {value}.")
+    check_order(order)
+    shape = _Shape(**lengths, branches=branches)
     _check_fit(shape, size)
     sector = _sector(shape, size)
     levels = y + thickness * (np.arange(layers + 1) / layers - 0.5)
-    mesh = _with_sides(_extruded(sector, branches, levels), levels)
+    mesh = _extruded(sector, branches, levels)
+    faces = boundary_faces(mesh)
+    for name, side in (("top", levels[-1]), ("bottom", levels[0])):
+        on_side = (mesh.points[:, 1][faces] == side).all(axis=1)
+        mesh = mesh.with_surface_group(name, faces[on_side])
     return mesh if order == 1 else to_quadratic(mesh)
 
 
@@ -179,18 +187,26 @@ def _extruded(
     n_rows, n_columns = sector.points.shape[:2]
     around = branches * (n_columns - 1)
     cells = np.argwhere(np.tile(sector.used, (len(levels) - 1, 1, branches)))
-    table = np.array([kuhn_cell(parity) for parity in product((0, 1), repeat=3)]) // 2
     # Seen from the notch, so that its wide cells are cut through the notch.
-    parity = (cells + np.array([0, sector.n_fan, 0])) % 2 @ np.array([4, 2, 1])
-    nodes = cells[:, None, None] + table[parity]
+    seen = cells + np.array([0, sector.n_fan, 0])
+    nodes = cells[:, None, None] + kuhn_tets(seen) // 2
     nodes[..., 2] %= around
     grid = (len(levels), n_rows, around)
     indices = np.ravel_multi_index(tuple(np.moveaxis(nodes, -1, 0)), grid)
     used, tets = np.unique(indices, return_inverse=True)
     level, row, column = np.unravel_index(used, grid)
-    points = _placed(sector, branches, row, column, levels[level])
-    tets = _upright(points, tets.reshape(-1, 4))
-    groups = _cell_groups(sector, branches, cells)
+    branch, column = np.divmod(column, n_columns - 1)
+    x, z = sector.points[row, column].T
+    azimuth = 2.0 * np.pi * branch / branches
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    points = np.column_stack([c * x - s * z, levels[level], s * x + c * z])
+    # Rows, columns and levels form a left-handed frame.
+    tets = tets.reshape(-1, 4)
+    tets = oriented(tets, points[tets])
+    row, branch = cells[:, 1], cells[:, 2] // (n_columns - 1)
+    at_end = row >= n_rows - 1 - sector.n_end
+    groups = {f"end {k + 1}": at_end & (branch == k) for k in range(branches)}
+    groups["centre"] = row < sector.n_centre
     members = {name: np.flatnonzero(np.repeat(w, 6)) for name, w in groups.items()}
     return TetMesh(
         points=points,
@@ -198,68 +214,6 @@ def _extruded(
         node_groups={name: np.unique(tets[chosen]) for name, chosen in members.items()},
         tet_groups=members,
     )
-
-
-def _placed(
-    sector: _Sector,
-    branches: int,
-    row: Int[HostArray, " n"],
-    column: Int[HostArray, " n"],
-    y: Float[HostArray, " n"],
-) -> Float[HostArray, "n 3"]:
-    """Compute the positions of nodes of the grid of all branches [m]."""
-    branch, column = np.divmod(column, sector.used.shape[1])
-    x, z = sector.points[row, column].T
-    azimuth = 2.0 * np.pi * branch / branches
-    c, s = np.cos(azimuth), np.sin(azimuth)
-    return np.column_stack([c * x - s * z, y, s * x + c * z])
-
-
-def _upright(
-    points: Float[HostArray, "n_nodes 3"], tets: Int[HostArray, "n_tets 4"]
-) -> Int[HostArray, "n_tets 4"]:
-    """Orient the tets: rows, columns and levels form a left-handed frame."""
-    corners = points[tets]
-    inverted = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
-    return np.where(inverted[:, None], tets[:, [0, 1, 3, 2]], tets)
-
-
-def _cell_groups(
-    sector: _Sector, branches: int, cells: Int[HostArray, "n_cells 3"]
-) -> dict[str, Bool[HostArray, " n_cells"]]:
-    """Find the cells of the centre and of the end of each branch."""
-    n_rows, n_columns = sector.used.shape
-    row, branch = cells[:, 1], cells[:, 2] // n_columns
-    at_end = row >= n_rows - sector.n_end
-    ends = {f"end {k + 1}": at_end & (branch == k) for k in range(branches)}
-    return {**ends, "centre": row < sector.n_centre}
-
-
-def _with_sides(mesh: TetMesh, levels: Float[HostArray, " n_levels"]) -> TetMesh:
-    """Add top and bottom as surface groups."""
-    faces = boundary_faces(mesh)
-    y = mesh.points[:, 1][faces]
-    for name, level in (("top", levels[-1]), ("bottom", levels[0])):
-        mesh = mesh.with_surface_group(name, faces[(y == level).all(axis=1)])
-    return mesh
-
-
-def _check_numbers(
-    shape: _Shape, thickness: float, y: float, size: float, layers: int, order: int
-) -> None:
-    lengths = {**shape._asdict(), "thickness": thickness, "size": size}
-    branches = lengths.pop("branches")
-    for name, value in lengths.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} must be positive and finite [m], got {value}.")
-    if not np.isfinite(y):
-        raise ValueError(f"y must be finite [m], got {y}.")
-    if branches < 2:
-        raise ValueError(f"branches must be 2 or more, got {branches}.")
-    if layers < 1:
-        raise ValueError(f"layers must be 1 or more, got {layers}.")
-    if order not in (1, 2):
-        raise ValueError(f"order must be 1 (linear) or 2 (quadratic), got {order}.")
 
 
 def _check_fit(shape: _Shape, size: float) -> None:

@@ -2,11 +2,10 @@
 
 from softcal_jax.plotting._budget import plot_budget
 from softcal_jax.plotting._configuration import render_body, render_configuration
-from softcal_jax.plotting._convergence import plot_convergence
+from softcal_jax.plotting._diagrams import plot_convergence, plot_trials
 from softcal_jax.plotting._fibres import plot_fibres
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 from softcal_jax.plotting._robot import SensorFrame
-from softcal_jax.plotting._trials import plot_trials
 
 __all__ = [
     "RenderingError",

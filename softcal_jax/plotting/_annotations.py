@@ -38,6 +38,13 @@ def halo(width: float):
     return [patheffects.withStroke(linewidth=width, foreground="white")]
 
 
+def draw_name(axes: "matplotlib.axes.Axes", text: str, place, offset, **style) -> None:
+    """Write a name beside a place, so many points off."""
+    style = {"fontsize": 15, "color": TEXT, "path_effects": halo(4.0), **style}
+    where = {"xytext": offset, "textcoords": "offset points"}
+    axes.annotate(text, place, **where, **style, parse_math=False)
+
+
 def draw_markers(
     axes: "matplotlib.axes.Axes",
     measured: Float[HostArray, "n_markers 2"] | None,
@@ -56,16 +63,7 @@ def draw_markers(
         return
     for name, place in zip(names, places, strict=False):
         if np.isfinite(place).all():
-            axes.annotate(
-                name,
-                place,
-                xytext=(13, 10),
-                textcoords="offset points",
-                fontsize=15,
-                color=TEXT,
-                path_effects=halo(4.0),
-                parse_math=False,
-            )
+            draw_name(axes, name, place, (13, 10))
 
 
 def draw_title(
@@ -120,33 +118,14 @@ def draw_triad(axes: "matplotlib.axes.Axes", view: View) -> None:
     axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
     axes.set_axis_off()
     for i in np.argsort(view.towards):  # draw what points away first
-        tip = tips[i]
-        colour = ("#c0392b", "#1e8449", "#1f4fa0")[i]
-        axes.annotate(
-            "",
-            (float(tip[0]), float(tip[1])),
-            (0.0, 0.0),
-            arrowprops={
-                "arrowstyle": "-|>",
-                "color": colour,
-                "lw": 2.5,
-                "shrinkA": 0,
-                "shrinkB": 0,
-                "mutation_scale": 14,
-            },
-        )
+        tip, colour = tips[i], ("#c0392b", "#1e8449", "#1f4fa0")[i]
+        arrow = {"arrowstyle": "-|>", "lw": 2.5, "mutation_scale": 14, "color": colour}
+        arrow |= {"shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", (tip[0], tip[1]), (0.0, 0.0), arrowprops=arrow)
         length = np.linalg.norm(tip)
         away = tip / length * (length + 0.28) if length > 0.1 else np.full(2, 0.2)
-        axes.text(
-            float(away[0]),
-            float(away[1]),
-            "xyz"[i],
-            fontsize=15,
-            color=colour,
-            weight="bold",
-            ha="center",
-            va="center",
-        )
+        style = {"fontsize": 15, "color": colour, "weight": "bold"}
+        axes.text(away[0], away[1], "xyz"[i], ha="center", va="center", **style)
 
 
 def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
@@ -159,14 +138,8 @@ def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
     axes.plot([right - length, right], [0.25, 0.25], color=TEXT, lw=3)
     for x in (right - length, right):
         axes.plot([x, x], [0.12, 0.38], color=TEXT, lw=3)
-    axes.text(
-        right - 0.5 * length,
-        0.5,
-        f"{1e3 * length:g} mm",
-        fontsize=15,
-        color=TEXT,
-        ha="center",
-    )
+    middle, text = right - 0.5 * length, f"{1e3 * length:g} mm"
+    axes.text(middle, 0.5, text, fontsize=15, color=TEXT, ha="center")
 
 
 def draw_legend(
@@ -175,14 +148,7 @@ def draw_legend(
     height: float,
     more: Sequence[Any] = (),
 ) -> None:
-    """Draw the legend of the symbols.
-
-    Args:
-        figure: The picture.
-        groups: Which kinds of markers are drawn.
-        height: Height of the middle of the legend from the bottom [-].
-        more: Handles of further symbols.
-    """
+    """Draw the legend of markers and more symbols, its middle at a height [-]."""
     from matplotlib.lines import Line2D
 
     none = {"ls": "none", "path_effects": halo(5.0)}

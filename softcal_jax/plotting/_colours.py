@@ -13,11 +13,6 @@ SERIES = ("#0b5fa5", "#d95f02", "#1b9e77", "#7570b3", "#a6761d", "#e7298a", "#44
 DISPLACEMENT_MAP = "viridis"
 """Colour map that is perceptually uniform and avoids the markers' black and red."""
 
-CABLE, WALL, MOTOR, FORCE, RIGID = (
-    "#d95f02",
-    "#0b5fa5",
-    "#7b3294",
-    "#1b7837",
-    "#b4b4b4",
-)
-"""Colours of what is drawn beside the soft body."""
+# What is drawn beside the soft body.
+CABLE, WALL, MOTOR = "#d95f02", "#0b5fa5", "#7b3294"
+FORCE, RIGID = "#1b7837", "#b4b4b4"

@@ -15,14 +15,8 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _annotations as annotations
-from softcal_jax.plotting._robot import (
-    SensorFrame,
-    draw_robot,
-    draw_sensors,
-    legend_handles,
-    robot_picture,
-    sensor_frames,
-)
+from softcal_jax.plotting import _robot as robots
+from softcal_jax.plotting._robot import SensorFrame
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._view import choose_view
 
@@ -63,18 +57,19 @@ def render_configuration(
         for p in points
     ]
     fitted = result.role != "simulation"
+    motion = f"simulated; moves by up to {1e3 * result.largest_displacement:.2f} mm"
     render_body(
         model,
         result.displacement,
         path,
         title=result.name + _ROLES[result.role],
-        subtitle=_distances(result) if fitted else _motion(result),
+        subtitle=_distances(result) if fitted else motion,
         measured=np.array(measured) if points and fitted else None,
         simulated=np.array([p.simulated for p in points]) if points else None,
         marker_names=[p.name for p in points],
         warning="" if converged else "NOT CONVERGED: do not use these values",
         robot=result.robot,
-        sensors=sensor_frames(result),
+        sensors=robots.sensor_frames(result),
     )
 
 
@@ -83,10 +78,6 @@ _ROLES = {
     "validation": " - validation (predicted, not fitted)",
     "simulation": "",
 }
-
-
-def _motion(result: ConfigurationResult) -> str:
-    return f"simulated; moves by up to {1e3 * result.largest_displacement:.2f} mm"
 
 
 def _distances(fit: ConfigurationResult) -> str:
@@ -138,10 +129,15 @@ def render_body(
     from matplotlib.figure import Figure
 
     u = np.asarray(displacement, float)
-    groups = {"measured": _finite(measured), "simulated": _finite(simulated)}
-    picture = robot_picture(model, robot)
+    given = {"measured": measured, "simulated": simulated}
+    groups = {
+        name: points[np.isfinite(points).all(axis=1)]
+        for name, points in given.items()
+        if points is not None
+    }
+    picture = None if robot is None else robots.robot_picture(model, robot)
     more = [*groups.values()] + ([] if picture is None else [picture.points])
-    view = choose_view(model.mesh.points, u, np.concatenate(more))
+    view = choose_view(model.mesh.points, u, np.concatenate([np.zeros((0, 3)), *more]))
     width = _WIDTH - _SIDE
     scale, height = _fit_body(view.width, view.height, width)
     largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
@@ -165,14 +161,10 @@ def render_body(
     body.set(xlim=(-w, w), ylim=(-h, h))
     body.set_axis_off()
     if picture is not None:
-        draw_robot(body, view, picture)
-    draw_sensors(body, view, sensors)
-    annotations.draw_markers(
-        body,
-        None if measured is None else view.project(measured),
-        None if simulated is None else view.project(simulated),
-        marker_names,
-    )
+        robots.draw_robot(body, view, picture)
+    robots.draw_sensors(body, view, sensors)
+    flat = {k: None if p is None else view.project(p) for k, p in given.items()}
+    annotations.draw_markers(body, **flat, names=marker_names)
     heading = axes(0, total - top, _WIDTH, top)
     annotations.draw_title(heading, title, subtitle, warning)
     bar = axes(_WIDTH - _SIDE + 20, _BOTTOM + 0.06 * height, 28, 0.88 * height)
@@ -180,7 +172,7 @@ def render_body(
     annotations.draw_triad(axes(20, 5, _BOTTOM - 10, _BOTTOM - 10), view)
     annotations.draw_length_scale(axes(_WIDTH - 420, 20, 400, 70), 400 / scale)
     names = [name for name, points in groups.items() if len(points)]
-    drawn = legend_handles(
+    drawn = robots.legend_handles(
         [] if picture is None else picture.kinds,
         bodies=model.mechanism.bodies.n_bodies > 0,
         sensors=len(sensors) > 0,
@@ -195,9 +187,3 @@ def _fit_body(w: float, h: float, width: int) -> tuple[float, int]:
     scale = room / w
     height = int(np.clip(h * scale + 2 * _MARGIN, _LOWEST, _HIGHEST))
     return min(scale, (height - 2 * _MARGIN) / h), height
-
-
-def _finite(points: Float[HostArray, "n_markers 3"] | None):
-    if points is None:
-        return np.zeros((0, 3))
-    return points[np.isfinite(points).all(axis=1)]

@@ -52,16 +52,13 @@ def plot_fibres(
     Raises:
         ValueError: If there is no panel, or a panel lacks one angle per tet.
     """
-    figure = fibre_figure(
-        mesh, panels, plane=plane, control_points=control_points, title=title
-    )
+    figure = fibre_figure(mesh, panels, plane, control_points, title)
     figure.savefig(path, dpi=_DPI, format="png")
 
 
 def fibre_figure(
     mesh: TetMesh,
     panels: Mapping[str, Float[HostArray, " n_tets"]],
-    *,
     plane: Literal["xy", "xz"],
     control_points: Float[HostArray, "n_cp 3"] | None = None,
     title: str = "",
@@ -72,7 +69,14 @@ def fibre_figure(
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
-    _check(mesh, panels)
+    if not panels:
+        raise ValueError("panels is empty: give at least one field of angles.")
+    for name, theta in panels.items():
+        if theta.shape != (len(mesh.tets),):
+            raise ValueError(
+                f"panel {name!r} needs one angle for each of the {len(mesh.tets)} "
+                f"tets, got shape {theta.shape}."
+            )
     columns = [0, "xyz".index(plane[1])]
     layer = middle_layer(mesh, 3 - sum(columns))
     largest = max(float(np.abs(theta).max()) for theta in panels.values())
@@ -104,29 +108,13 @@ def fibre_figure(
 
 
 def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:
-    """Find the tets that the middle plane of the mesh cuts.
-
-    Args:
-        mesh: The mesh.
-        normal: Index of the axis normal to the plane.
-    """
+    """Find the tets that the middle plane of the mesh cuts, normal to an axis."""
     heights = mesh.points[mesh.tets[:, :4], normal]
     low, high = mesh.points[:, normal].min(), mesh.points[:, normal].max()
     # A little off the middle, since faces of tets may lie exactly there.
     plane = 0.5 * (low + high) + 1e-6 * (high - low)
     cut = (heights.min(axis=1) < plane) & (heights.max(axis=1) > plane)
     return np.flatnonzero(cut)
-
-
-def _check(mesh: TetMesh, panels: Mapping[str, Float[HostArray, " n_tets"]]) -> None:
-    if not panels:
-        raise ValueError("panels is empty: give at least one field of angles.")
-    for name, theta in panels.items():
-        if theta.shape != (len(mesh.tets),):
-            raise ValueError(
-                f"panel {name!r} needs one angle for each of the {len(mesh.tets)} "
-                f"tets, got shape {theta.shape}."
-            )
 
 
 def _draw_layer(
@@ -162,16 +150,8 @@ def _draw_layer(
 def _draw_control_points(
     axes: "matplotlib.axes.Axes", points: Float[HostArray, "n_cp 2"]
 ) -> None:
-    axes.plot(
-        *(1e3 * points.T),
-        "o",
-        ms=12,
-        mfc="white",
-        mec=TEXT,
-        mew=2.5,
-        zorder=5,
-        clip_on=False,
-    )
+    look = {"ms": 12, "mfc": "white", "mec": TEXT, "mew": 2.5}
+    axes.plot(*(1e3 * points.T), "o", zorder=5, clip_on=False, **look)
     for i, (x, y) in enumerate(1e3 * points):
         axes.text(x, y, str(i + 1), ha="center", va="center", fontsize=9, zorder=6)
 

@@ -11,7 +11,7 @@ from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.export import readable_values
-from softcal_jax.plotting._annotations import halo
+from softcal_jax.plotting._annotations import draw_name, halo
 from softcal_jax.plotting._colours import (
     CABLE,
     FORCE,
@@ -19,7 +19,6 @@ from softcal_jax.plotting._colours import (
     MOTOR,
     RIGID,
     SIMULATED,
-    TEXT,
     WALL,
 )
 from softcal_jax.plotting._view import View
@@ -72,13 +71,7 @@ def sensor_frames(result: ConfigurationResult) -> list[SensorFrame]:
 
 
 class RobotPicture(NamedTuple):
-    """What is drawn beside the soft body.
-
-    Attributes:
-        geometry: Geometry of the actuators.
-        state: Their forces.
-        x: Positions of all nodes [m].
-    """
+    """Actuators and their forces, drawn beside the soft body; nodes are at x [m]."""
 
     geometry: ActuatorGeometry
     state: RobotState
@@ -87,9 +80,7 @@ class RobotPicture(NamedTuple):
     @property
     def points(self) -> Float[HostArray, "n 3"]:
         """Points that must be visible in addition to the body [m]."""
-        return np.concatenate(
-            [self.geometry.segments.reshape(-1, 3), self.geometry.points]
-        )
+        return np.vstack([self.geometry.segments.reshape(-1, 3), self.geometry.points])
 
     @property
     def kinds(self) -> list[str]:
@@ -106,10 +97,8 @@ class RobotPicture(NamedTuple):
         return [kind for kind, there in present.items() if there]
 
 
-def robot_picture(model: Model, state: RobotState | None) -> RobotPicture | None:
-    """Collect what is drawn beside the soft body; None if there is nothing."""
-    if state is None:
-        return None
+def robot_picture(model: Model, state: RobotState) -> RobotPicture:
+    """Collect what is drawn beside the soft body."""
     x = np.asarray(model.mechanism.points) + state.displacement
     geometry = actuator_geometry(model.mechanism.actuators, x)
     return RobotPicture(geometry, state, x)
@@ -128,17 +117,8 @@ def draw_robot(axes: "matplotlib.axes.Axes", view: View, picture: RobotPicture) 
         ]
         place = next((p for p in places if p is not None), None)
         if place is not None:
-            axes.annotate(
-                f"{actuator.name}: {_force(actuator)}",
-                place,
-                xytext=(0, 12),
-                textcoords="offset points",
-                fontsize=15,
-                ha="center",
-                color=TEXT,
-                path_effects=halo(4.0),
-                parse_math=False,
-            )
+            text = f"{actuator.name}: {_force(actuator)}"
+            draw_name(axes, text, place, (0, 12), ha="center")
 
 
 def _is_seen(actuator: ActuatorState) -> bool:
@@ -208,17 +188,12 @@ def draw_sensors(
     for frame in frames:
         if not np.isfinite(frame.position).all():
             continue
+        style = {"color": MEASURED if frame.is_measured else SIMULATED, "lw": 2.2}
+        style["solid_capstyle"] = "round"
         for axis in frame.rotation.T:
-            ends = np.stack(
-                [frame.position, frame.position + _FRAME * view.width * axis]
-            )
-            axes.plot(
-                *view.project(ends).T,
-                color=MEASURED if frame.is_measured else SIMULATED,
-                lw=2.2,
-                path_effects=halo(4.0),
-                solid_capstyle="round",
-            )
+            tip = frame.position + _FRAME * view.width * axis
+            ends = view.project(np.stack([frame.position, tip]))
+            axes.plot(*ends.T, path_effects=halo(4.0), **style)
 
 
 def legend_handles(kinds: Sequence[str], *, bodies: bool, sensors: bool) -> list[Any]:

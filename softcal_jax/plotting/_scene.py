@@ -1,22 +1,90 @@
 """Draw the body in three dimensions, by VTK, into an array of pixels."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax.elements import shape_functions
 from softcal_jax.equilibrium import Model
+from softcal_jax.mesh import TetMesh, boundary_faces
 from softcal_jax.plotting._colours import DISPLACEMENT_MAP, OUTLINE, RIGID
 from softcal_jax.plotting._offscreen import offscreen
-from softcal_jax.plotting._surface import Tessellation, tessellate
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
     import pyvista
 
+_PARTS = 4
+"""Number of parts of every edge of a quadratic face."""
+
 _SUPERSAMPLING = 2
 _GHOST = "#ececec"
 """Colour of the body at rest."""
+
+
+class Tessellation(NamedTuple):
+    """Triangles on the boundary, and the interpolation of nodal values to them.
+
+    A point lies on a face, with nodes and their shape functions as weights. Triangles
+    have outward normals; `faces` holds the nodes of the face that contains each.
+    """
+
+    nodes: Int[HostArray, "n_points n_fn"]
+    weights: Float[HostArray, "n_points n_fn"]
+    triangles: Int[HostArray, "n_triangles 3"]
+    faces: Int[HostArray, "n_triangles n_fn"]
+
+    def interpolate(
+        self, values: Float[HostArray, "n_nodes 3"]
+    ) -> Float[HostArray, "n_points 3"]:
+        """Interpolate nodal vectors to the points."""
+        return np.einsum("pn,pni->pi", self.weights, values[self.nodes])
+
+
+def tessellate(mesh: TetMesh) -> Tessellation:
+    """Cut quadratic boundary faces into triangles that share their points."""
+    faces = boundary_faces(mesh)
+    parts = _PARTS if mesh.order == 2 else 1
+    grid = np.array(
+        [(parts - i - j, i, j) for j in range(parts + 1) for i in range(parts + 1 - j)]
+    )
+    weights = shape_functions(grid / parts, faces.shape[1])
+    # Two faces share a point if it has the same weights at the same corners. This is
+    # exact, whereas comparing coordinates would need a tolerance.
+    corner = np.where(grid > 0, faces[:, None, :3], -1)
+    weight = np.broadcast_to(grid, corner.shape)
+    order = np.argsort(corner, axis=-1)
+    key = np.concatenate(
+        [np.take_along_axis(a, order, axis=-1) for a in (corner, weight)], axis=-1
+    )
+    _, first, point = np.unique(
+        key.reshape(-1, 6), axis=0, return_index=True, return_inverse=True
+    )
+    face, local = np.divmod(first, len(grid))
+    points = point.reshape(len(faces), len(grid))
+    cut = points[:, _triangles(grid)]
+    return Tessellation(
+        faces[face],
+        weights[local],
+        cut.reshape(-1, 3),
+        np.repeat(faces, cut.shape[1], axis=0),
+    )
+
+
+def _triangles(grid: Int[HostArray, "n_grid 3"]) -> Int[HostArray, "n_local 3"]:
+    """List the triangles between the grid points of one face."""
+    index = {(int(i), int(j)): k for k, (_, i, j) in enumerate(grid)}
+    found = []
+    for i, j in index:
+        upright = ((i, j), (i + 1, j), (i, j + 1))
+        turned = ((i + 1, j), (i + 1, j + 1), (i, j + 1))
+        found += [
+            [index[c] for c in corners]
+            for corners in (upright, turned)
+            if all(c in index for c in corners)
+        ]
+    return np.array(found)
 
 
 def body_image(
@@ -30,28 +98,20 @@ def body_image(
 ) -> Int[HostArray, "height width 3"]:
     """Draw the deformed body, coloured by displacement, over the outline at rest.
 
-    Args:
-        model: The model.
-        displacement: Nodal displacement [m].
-        view: The projection.
-        size: Width and height in pixels.
-        scale: Pixels per metre.
-        largest_mm: Displacement at the top of the colours [mm].
-
-    Returns:
-        Pixels, 0 to 255.
-
-    Raises:
-        RenderingError: If the machine has no suitable OpenGL.
+    The size is in pixels, the scale in pixels per metre.
     """
     import pyvista
 
     width, height = size
-    tessellation = tessellate(model.mesh)
-    rest = _surface(tessellation, model.mesh.points, np.zeros_like(displacement))
-    deformed = _surface(tessellation, model.mesh.points, displacement)
-    rigid = _rigid(model, tessellation)
-    soft = _surface(tessellation, model.mesh.points, displacement, chosen=~rigid)
+    tessellation, points = tessellate(model.mesh), model.mesh.points
+    # Triangles whose nodes all belong to one rigid body.
+    bodies, body = model.mechanism.bodies, np.full(model.mesh.n_nodes, -1)
+    body[bodies.attached] = bodies.body
+    own = body[tessellation.faces]
+    rigid = (own[:, 0] >= 0) & np.all(own == own[:, :1], axis=1)
+    whole = np.ones_like(rigid)
+    rest = _surface(tessellation, points, np.zeros_like(displacement), whole)
+    deformed = lambda chosen: _surface(tessellation, points, displacement, chosen)
     fine = _SUPERSAMPLING
     with offscreen():
         plotter = pyvista.Plotter(
@@ -65,7 +125,7 @@ def body_image(
             ]
             body = [
                 plotter.add_mesh(
-                    soft,
+                    deformed(~rigid),
                     scalars="displacement",
                     cmap=DISPLACEMENT_MAP,
                     clim=[0.0, largest_mm or 1.0],
@@ -77,14 +137,14 @@ def body_image(
                     show_scalar_bar=False,
                 ),
                 plotter.add_mesh(
-                    _edges(deformed), color="black", opacity=0.55, line_width=1.2 * fine
+                    _edges(deformed(whole)),
+                    color="black",
+                    opacity=0.55,
+                    line_width=1.2 * fine,
                 ),
             ]
             if rigid.any():
-                part = _surface(
-                    tessellation, model.mesh.points, displacement, chosen=rigid
-                )
-                body.append(plotter.add_mesh(part, color=RIGID, ambient=0.4))
+                body.append(plotter.add_mesh(deformed(rigid), color=RIGID, ambient=0.4))
             camera = plotter.camera
             distance = 10.0 * (model.mesh.size + view.width + view.height)
             camera.focal_point = tuple(view.centre)
@@ -115,50 +175,31 @@ def _layer(plotter: "pyvista.Plotter", shown: list, actors: list):
     rgba = plotter.screenshot(None, transparent_background=True, return_img=True)
     rgba = np.asarray(rgba, np.float32)
     cover = rgba[..., 3:] / 255.0
-    return _shrink(rgba[..., :3] * cover), _shrink(cover)
-
-
-def _shrink(image: Float[HostArray, "rows columns n"]):
-    """Average the samples of each pixel."""
+    # Average the samples of each pixel.
     n = _SUPERSAMPLING
-    return sum(image[i::n, j::n] for i in range(n) for j in range(n)) / n**2
+    mean = lambda a: sum(a[i::n, j::n] for i in range(n) for j in range(n)) / n**2
+    return mean(rgba[..., :3] * cover), mean(cover)
 
 
 def _surface(
     tessellation: Tessellation,
     points: Float[HostArray, "n_nodes 3"],
     displacement: Float[HostArray, "n_nodes 3"],
-    *,
-    chosen: Bool[HostArray, " n_triangles"] | None = None,
+    chosen: Bool[HostArray, " n_triangles"],
 ) -> "pyvista.PolyData":
     import pyvista
 
-    triangles = tessellation.triangles
-    triangles = triangles if chosen is None else triangles[chosen]
-
     moved = tessellation.interpolate(displacement)
-    surface = pyvista.PolyData.from_regular_faces(
-        tessellation.interpolate(points) + moved, triangles
-    )
+    x = tessellation.interpolate(points) + moved
+    triangles = tessellation.triangles[chosen]
+    surface = pyvista.PolyData.from_regular_faces(x, triangles)
     surface.point_data["displacement"] = 1e3 * np.linalg.norm(moved, axis=1)
     return surface
 
 
-def _rigid(model: Model, tessellation: Tessellation) -> Bool[HostArray, " n_triangles"]:
-    """Find the triangles whose nodes all belong to one rigid body."""
-    bodies = model.mechanism.bodies
-    body = np.full(model.mesh.n_nodes, -1)
-    body[bodies.attached] = bodies.body
-    own = body[tessellation.faces]
-    return (own[:, 0] >= 0) & np.all(own == own[:, :1], axis=1)
-
-
 def _edges(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     edges: Any = surface.extract_feature_edges(
-        30.0,
-        boundary_edges=False,
-        non_manifold_edges=False,
-        manifold_edges=False,
+        30.0, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
     )
     # A round body has no sharp edges; show its triangles instead.
     if edges.n_cells == 0:

@@ -12,13 +12,8 @@ _AZIMUTH, _ELEVATION = np.radians(20.0), np.radians(18.0)
 class View(NamedTuple):
     """A parallel projection.
 
-    Attributes:
-        right: Unit vector that points right in the picture.
-        up: Unit vector that points up in the picture.
-        towards: Unit vector from the body to the viewer.
-        centre: Point in the middle of the picture [m].
-        width: Width of what must be visible [m].
-        height: Height of what must be visible [m].
+    The unit vectors point right and up in the picture, and towards the viewer. Width
+    and height are those of what must be visible [m].
     """
 
     right: Float[HostArray, "3"]
@@ -40,18 +35,15 @@ def choose_view(
 ) -> View:
     """Look across the plane of longest axis and motion, slightly from above.
 
-    Args:
-        points: Nodes at rest [m].
-        displacement: Their displacement [m].
-        more: Other points that must be visible, like markers [m].
-
-    Returns:
-        The view, with the part that moves most on the right, nearer to the viewer.
+    The part that moves most is on the right, nearer to the viewer. Other points, like
+    markers, are visible too.
     """
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False)
     axis, across = axes[0], axes[1]
-    motion = _main_direction(displacement, 1e-9 * np.ptp(points, axis=0).max())
+    motion = np.zeros(3)
+    if np.abs(displacement).max() > 1e-9 * np.ptp(points, axis=0).max():
+        motion = np.linalg.svd(displacement, full_matrices=False)[2][0]
     motion = motion - (motion @ axis) * axis
     if np.linalg.norm(motion) < 0.3:  # no motion, or along the axis
         motion = across if abs(axis[2]) > 0.9 else np.eye(3)[2] - axis[2] * axis
@@ -69,24 +61,13 @@ def choose_view(
     right = _unit(np.cross(vertical, towards))
     up = np.cross(towards, right)
     seen = np.concatenate([points, points + displacement, more])
-    flat = seen @ np.stack([right, up, towards], axis=1)
+    frame = np.stack([right, up, towards], axis=1)
+    flat = seen @ frame
     low, high = flat.min(axis=0), flat.max(axis=0)
-    middle = np.stack([right, up, towards], axis=1) @ (0.5 * (low + high))
+    middle = frame @ (0.5 * (low + high))
     width, height, _ = high - low
-    return View(
-        right=right,
-        up=up,
-        towards=towards,
-        centre=middle,
-        width=float(width),
-        height=float(height),
-    )
-
-
-def _main_direction(u: Float[HostArray, "n 3"], negligible: float):
-    if np.abs(u).max() <= negligible:
-        return np.zeros(3)
-    return np.linalg.svd(u, full_matrices=False)[2][0]
+    size = {"width": float(width), "height": float(height)}
+    return View(right=right, up=up, towards=towards, centre=middle, **size)
 
 
 def _unit(v: Float[HostArray, "3"]) -> Float[HostArray, "3"]:

@@ -4,6 +4,7 @@ To add an actuator, write one table with the keys of its class and list it in
 `AnyActuator`.
 """
 
+import contextlib
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -26,31 +27,23 @@ from softcal_jax.configurations import (
     Mechanism,
     actuation_arrays,
 )
-from softcal_jax.project._problems import known_name, shown, under
-from softcal_jax.project._quantities import dimension_of, parse_either
-from softcal_jax.project._table import Direction, Maker, Position
+from softcal_jax.project._problems import known_name, under
+from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
+from softcal_jax.project._table import Direction, Maker, Position, Surface
 
-_SURFACE = Field(description='name of a surface group: "z_max"')
-_DIRECTION = Field(description='direction of a positive force: "-z", or [0, 0, -1]')
+Positive = Annotated[
+    Direction, Field(description='direction of a positive force: "-z", or [0, 0, -1]')
+]
 
 
 class ActuatorTable(Maker):
-    """An actuator.
-
-    Attributes:
-        makes: The class that it makes.
-        asked: What may be imposed on it, with an example of each.
-    """
+    """An actuator; `asked` says what may be imposed on it, with an example of each."""
 
     makes: ClassVar[type[AbstractActuator]]
     asked: ClassVar[str] = 'its force, like "2 N", or its displacement, like "5 mm"'
 
     def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
-        """Parse an imposed force or displacement; the unit tells which it is.
-
-        Raises:
-            ValueError: If it is neither.
-        """
+        """Parse an imposed force or displacement; the unit tells which it is."""
         releasing = False
         if isinstance(value, dict):  # a cable with friction: which way it last moved
             unknown = set(value) - {"value", "releasing"}
@@ -61,30 +54,28 @@ class ActuatorTable(Maker):
                 )
             releasing, value = value.get("releasing", False), value.get("value")
         kind = self.makes.kind
-        units = [unit for unit in (kind.force_unit, kind.displacement_unit) if unit]
-        dimensions = list(map(dimension_of, units))
-        what = f"of a {kind.noun}, {self.asked}"
-        number, dimension = parse_either(value, dimensions, what)
-        if dimension is dimensions[0]:
-            return ImposedForce(number, releasing)
-        return ImposedDisplacement(number, releasing)
+        forms = {
+            ImposedForce: kind.force_unit,
+            ImposedDisplacement: kind.displacement_unit,
+        }
+        for impose, unit in forms.items():
+            with contextlib.suppress(ValueError):  # of the other dimension, or neither
+                if unit is not None:
+                    return impose(parse_scalar(value, dimension_of(unit)), releasing)
+        raise ValueError(
+            f"got {shown(value)}; expected of a {kind.noun}, {self.asked}."
+        )
 
 
 class GuideTable(Maker):
-    """A point that a cable runs through."""
-
     makes = Guide
-
     point: Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
     on: str = "mesh"
 
 
 class CableTable(ActuatorTable):
-    """A cable, which pulls along its guides."""
-
     makes = Cable
     asked = 'its tension, like "2 N", or its shortening, like "5 mm"'
-
     type: Literal["cable"]
     guides: tuple[GuideTable, ...] = Field(
         description="the points that it runs through, both ends included: "
@@ -100,39 +91,24 @@ class CableTable(ActuatorTable):
             return value
         return [g if isinstance(g, dict) else {"point": g} for g in value]
 
-    def build(self, *first: Any) -> Cable:
-        """Build the cable."""
-        guides = [guide.build() for guide in self.guides]
-        options = {"friction": self.friction, "pulled_from": self.pulled_from}
-        return Cable(*first, guides=guides, **options)
-
 
 class ChamberTable(ActuatorTable):
-    """A chamber, which inflates a cavity."""
-
     makes = Chamber
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
-
     type: Literal["chamber"]
     surface: str = Field(description='the surface group of its whole wall: "cavity"')
 
 
 class SurfacePressureTable(ActuatorTable):
-    """A pressure on a surface."""
-
     makes = SurfacePressure
     asked = 'its pressure, like "10 kPa"'
-
     type: Literal["surface-pressure"]
-    surface: str = _SURFACE
+    surface: Surface
 
 
 class MotorTable(ActuatorTable):
-    """A motor, which turns a rigid body."""
-
     makes = Motor
     asked = 'its torque, like "50 N*mm", or its angle, like "30 deg"'
-
     type: Literal["motor"]
     body: str = Field(description='the rigid body that it turns, with a hinge: "arm"')
 
@@ -148,23 +124,17 @@ class MotorTable(ActuatorTable):
 
 
 class ForceActuatorTable(ActuatorTable):
-    """An actuator that pushes at a point."""
-
     makes = ForceActuator
-
     type: Literal["point-force"]
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
-    direction: Direction = _DIRECTION
+    direction: Positive
 
 
 class SurfaceForceActuatorTable(ActuatorTable):
-    """An actuator that pushes on a surface."""
-
     makes = SurfaceForceActuator
-
     type: Literal["surface-force"]
-    surface: str = _SURFACE
-    direction: Direction = _DIRECTION
+    surface: Surface
+    direction: Positive
 
 
 AnyActuator = Annotated[
@@ -177,27 +147,15 @@ AnyActuator = Annotated[
     Field(discriminator="type"),
 ]
 
-Actuation = dict[str, ImposedForce | ImposedDisplacement]
-
 
 def build_actuation(
     asked: Mapping[str, Any],
     tables: Mapping[str, ActuatorTable],
     mechanism: Mechanism,
     name: str,
-) -> Actuation:
-    """Parse imposed forces and displacements; the unit of a value tells which it is.
-
-    Args:
-        asked: Imposed values as the file has them, by the names of actuators.
-        tables: The actuators, by name.
-        mechanism: The same actuators attached to the mesh.
-        name: Name of the configuration, for messages.
-
-    Raises:
-        WrongKeyError: If an actuator is unknown, or cannot have such a value imposed.
-    """
-    imposed: Actuation = {}
+) -> dict[str, ImposedForce | ImposedDisplacement]:
+    """Parse the forces and displacements that a configuration imposes, by actuator."""
+    imposed: dict[str, ImposedForce | ImposedDisplacement] = {}
     for actuator, value in asked.items():
         with under(actuator):
             known_name("actuator", actuator, tables, "actuators")

@@ -1,10 +1,10 @@
 """Tables of a project file that make rigid bodies and their states."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, model_validator
 
 from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import Mechanism
@@ -16,7 +16,7 @@ from softcal_jax.project._table import (
     Position,
     RotationVector,
     Table,
-    table_or_vector,
+    TableOr,
 )
 
 
@@ -54,11 +54,7 @@ class BodyTable(Table):
         return self
 
     def build(self, name: str) -> RigidBody:
-        """Build the rigid body.
-
-        Raises:
-            ValueError: If its axes are not orthogonal.
-        """
+        """Build the rigid body."""
         axes = None if self.axes is None else np.array(self.axes)
         return RigidBody(
             name=name,
@@ -66,9 +62,7 @@ class BodyTable(Table):
             origin=self.origin,
             axes=axes if self.hinge is None else hinge_axes(self.hinge),
             mounting=self.mounting.pose,
-            tied_to=self.tied_to,
-            mass=self.mass,
-            centre_of_mass=self.centre_of_mass,
+            **self.model_dump(include={"tied_to", "mass", "centre_of_mass"}),
         )
 
 
@@ -91,21 +85,13 @@ class BodyStateTable(MotionTable):
         return self
 
 
-State = Annotated[
-    Annotated[BodyStateTable, Tag("(table)")]
-    | Annotated[Literal["held", "hinged", "free"], Tag("(vector)")],
-    Discriminator(table_or_vector),
-]
+State = TableOr[BodyStateTable, Literal["held", "hinged", "free"]]
 
 
 def build_states(
     table: Mapping[str, Any], mechanism: Mechanism
 ) -> dict[str, BodyState | Pose | str]:
-    """Build the states of rigid bodies, by their names.
-
-    Raises:
-        WrongKeyError: If a body is unknown.
-    """
+    """Build the states of rigid bodies, by their names."""
     states: dict[str, BodyState | Pose | str] = {}
     for body, own in table.items():
         with under(body):

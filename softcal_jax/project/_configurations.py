@@ -1,43 +1,94 @@
-"""Tables of a project file that make configurations."""
+"""Tables of a project file that make configurations, their supports and loads.
+
+To add a load, write one table and list it in `AnyLoad`.
+"""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator
+from pydantic import Field, field_validator
 
 from softcal_jax.configurations import (
-    AbstractLoad,
     Configuration,
+    EdgeForce,
+    PointForce,
     Registration,
     Support,
+    SurfaceForce,
+    SurfaceTraction,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.mesh import TetMesh
 from softcal_jax.project._actuators import build_actuation
 from softcal_jax.project._bodies import State, build_states
 from softcal_jax.project._effectors import Effectors, with_measured
-from softcal_jax.project._loads import AnyLoad, SupportTable
 from softcal_jax.project._markers import MeasuredTable
-from softcal_jax.project._problems import known_name, shown, under
-from softcal_jax.project._quantities import ACCELERATION, scalar
+from softcal_jax.project._problems import known_name, under
+from softcal_jax.project._quantities import shown
 from softcal_jax.project._table import (
     Acceleration,
+    AccelerationSize,
+    ByKeys,
     Direction,
+    Force,
+    Maker,
+    Position,
+    Stiffness,
+    Surface,
     Table,
+    TableOr,
+    Traction,
     Triple,
-    table_or_vector,
 )
 
 if TYPE_CHECKING:
-    from softcal_jax.project._schema import ProjectTable
+    from softcal_jax.project._reading import ProjectTable
+
+
+class SupportTable(Maker):
+    makes = Support
+    group: str = Field(description="name of a group of the mesh")
+    axes: str = "xyz"
+    displacement: Position = (0.0, 0.0, 0.0)
+    stiffness: Stiffness | None = None
+
+
+TotalForce = Annotated[Force, Field(description='the total force: "(0, 0, -1) N"')]
+
+
+class PointForceTable(Maker):
+    makes = PointForce
+    point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
+    force: TotalForce
+
+
+class EdgeForceTable(Maker):
+    makes = EdgeForce
+    edge: str = Field(description="name of the node group of an edge")
+    force: TotalForce
+
+
+class SurfaceForceTable(Maker):
+    makes = SurfaceForce
+    surface: Surface
+    force: TotalForce
+
+
+class SurfaceTractionTable(Maker):
+    makes = SurfaceTraction
+    surface: Surface
+    traction: Traction = Field(description='force per area: "(0, 0, -1) kPa"')
+
+
+AnyLoad = Annotated[
+    PointForceTable | EdgeForceTable | SurfaceForceTable | SurfaceTractionTable,
+    ByKeys(),
+]
 
 
 class GravityTable(Table):
     """Gravity as size and direction."""
 
-    size: Annotated[float, BeforeValidator(scalar(ACCELERATION))] = Field(
-        description='"9.81 m/s^2"'
-    )
+    size: AccelerationSize = Field(description='"9.81 m/s^2"')
     direction: Direction = Field(description='"-z", or [0, 0, -1]')
 
 
@@ -45,11 +96,9 @@ class CandidateTable(Table):
     """A configuration that might be measured."""
 
     name: str = Field(description="name in results, tables and pictures")
-    gravity: Annotated[
-        Annotated[GravityTable, Tag("(table)")]
-        | Annotated[Acceleration, Tag("(vector)")],
-        Discriminator(table_or_vector),
-    ] = Field(description='"(0, 0, -9.81) m/s^2", here or for all in [shared]')
+    gravity: TableOr[GravityTable, Acceleration] = Field(
+        description='"(0, 0, -9.81) m/s^2", here or for all in [shared]'
+    )
     supports: tuple[SupportTable, ...] = ()
     loads: tuple[AnyLoad, ...] = ()
     markers: tuple[str, ...] | None = None
@@ -66,6 +115,16 @@ class CandidateTable(Table):
         names = ", ".join(f"{{ group = {shown(group)} }}" for group in groups)
         raise ValueError(
             f"got {shown(value)}; expected a list of tables, like [{names}]."
+        )
+
+    @classmethod
+    def foreign(cls, key: str) -> str | None:
+        """Say where measured values belong."""
+        if key != "measured":
+            return None
+        return (
+            "a candidate is what might be measured; once it is, make it one of "
+            "[[configurations]]."
         )
 
     @property
@@ -85,21 +144,14 @@ class ConfigurationTable(CandidateTable):
     measured: MeasuredTable | None = None
 
 
-class Pose(NamedTuple):
-    """A configuration, and how its camera frame was registered, if it was."""
-
-    configuration: Configuration
-    registration: Registration | None
-
-
-def build_pose(
+def build_configuration(
     folder: Path,
     table: CandidateTable,
     project: "ProjectTable",
     model: Model,
     effectors: Effectors,
-) -> Pose:
-    """Build a configuration, with its measurement if it has one.
+) -> tuple[Configuration, Registration | None]:
+    """Build a configuration, and the registration of its camera frame, if any.
 
     Args:
         folder: Folder that relative paths start from.
@@ -107,17 +159,24 @@ def build_pose(
         project: The whole file.
         model: The model.
         effectors: The effectors of the project, without measured values.
-
-    Raises:
-        WrongKeyError: If a group, a marker, a file or a value in it is wrong.
     """
-    mechanism, markers = model.mechanism, None
-    supports, loads = _held_and_loaded(table, model.mesh)
+    mesh, mechanism = model.mesh, model.mechanism
+    supports, loads = [], []
+    for i, support in enumerate(table.supports, start=1):
+        with under(f"supports[{i}]"):
+            mesh.nodes(support.group)  # raises if there is no such group
+            supports.append(support.build())
+    for i, load in enumerate(table.loads, start=1):
+        with under(f"loads[{i}]"):
+            loads.append(load.build())
+            loads[-1].nodal_forces(mesh)  # raises if there is no such place
+    no_markers = ValueError("the project has no markers; add a table [markers].")
+    markers = positions = registration = None
     with under("markers"):
         if project.markers is not None:
             markers = project.markers.build(table.markers)
         elif table.markers is not None:
-            raise ValueError("the project has no markers; add a table [markers].")
+            raise no_markers
     with under("effectors"):
         chosen = effectors if table.effectors is None else table.effectors
         for name in chosen:
@@ -129,11 +188,10 @@ def build_pose(
     with under("bodies"):
         states = build_states(table.bodies, mechanism)
     own = table.measured if isinstance(table, ConfigurationTable) else None
-    positions = registration = None
     if own is not None and own.file is not None:
         with under("measured"):
             if project.markers is None or markers is None:
-                raise ValueError("the project has no markers; add a table [markers].")
+                raise no_markers
             positions, registration = own.build(folder, project.markers, markers)
     with under("measured.effectors"):
         followed = with_measured(
@@ -141,7 +199,7 @@ def build_pose(
             measured={} if own is None else own.effectors,
             tables=project.effectors,
             folder=folder,
-            mechanism=mechanism,
+            model=model,
         )
     configuration = Configuration(
         name=table.name,
@@ -155,19 +213,4 @@ def build_pose(
         actuation=actuation,
         recording=getattr(table, "recording", None),
     )
-    return Pose(configuration, registration)
-
-
-def _held_and_loaded(
-    table: CandidateTable, mesh: TetMesh
-) -> tuple[list[Support], list[AbstractLoad]]:
-    supports, loads = [], []
-    for i, support in enumerate(table.supports, start=1):
-        with under(f"supports[{i}]"):
-            mesh.nodes(support.group)  # raises if there is no such group
-            supports.append(support.build())
-    for i, load in enumerate(table.loads, start=1):
-        with under(f"loads[{i}]"):
-            loads.append(load.build())
-            loads[-1].nodal_forces(mesh)  # raises if there is no such place
-    return supports, loads
+    return configuration, registration

@@ -24,6 +24,7 @@ from softcal_jax.materials import (
     constant,
 )
 from softcal_jax.mesh import TetMesh
+from softcal_jax.project._problems import one_of
 from softcal_jax.project._quantities import dimension_of, scalar
 from softcal_jax.project._table import Density, Number, Table
 
@@ -50,14 +51,9 @@ class Constant(NamedTuple):
         return self.unit == "rad"
 
     @property
-    def is_modulus(self) -> bool:
-        """Whether it is positive, so that its steps are ratios."""
-        return self.unit not in ("", "rad")
-
-    @property
     def scale(self) -> Literal["log", "linear"]:
-        """Scale on which it is calibrated by default."""
-        return "log" if self.is_modulus else "linear"
+        """Default scale: moduli are positive, so that their steps are ratios."""
+        return "linear" if self.unit in ("", "rad") else "log"
 
     @property
     def type(self) -> Any:
@@ -71,12 +67,9 @@ DENSITY = Constant(**constant("kg/m3", 'mass density: "1070 kg/m^3"'))
 
 
 class _OfLaw(Table):
-    """A table of constants.
+    """A table of the constants of a law, including the density.
 
-    Attributes:
-        choice: How a file chooses the law, for messages.
-        constants: Its constants, including the density.
-        listed: Keys of the law, for messages.
+    Messages say how a file makes the `choice` of the law, and its keys `listed`.
     """
 
     choice: ClassVar[str]
@@ -99,8 +92,7 @@ class _OfLaw(Table):
 class Material(_OfLaw):
     """The law and its constants before calibration; `material_table` adds their keys.
 
-    Attributes:
-        makes: Makes the law from a function that returns the value of a key.
+    `makes` makes the law from a function that returns the value of a key.
     """
 
     makes: ClassVar[Callable[[Callable[[str], Any]], AbstractLaw]]
@@ -116,11 +108,7 @@ class Material(_OfLaw):
         return getattr(self, key) if own is None else own
 
     def values(self, key: str, mesh: TetMesh) -> Float[HostArray, "..."]:
-        """Return a constant, as one value per tet where regions differ [SI].
-
-        Raises:
-            ValueError: If a region is not a tet group.
-        """
+        """Return a constant, as one value per tet where regions differ [SI]."""
         base = np.asarray(getattr(self, key), float)
         for name, region in self.regions.items():
             tets = mesh.tets_of(name)
@@ -130,11 +118,7 @@ class Material(_OfLaw):
         return base
 
     def build(self, mesh: TetMesh) -> AbstractLaw:
-        """Build the law.
-
-        Raises:
-            ValueError: If a constant is out of its range or a region is no tet group.
-        """
+        """Build the law."""
         own = self.constants
         return type(self).makes(
             lambda key: self.values(key, mesh) if key in own else getattr(self, key)
@@ -150,23 +134,15 @@ class _Undecided(Material):
 
 
 def material_table(raw: Any) -> type[Material]:
-    """Build the schema of [material] for the law that a file names.
+    """Build the schema of [material], read as `raw`, for the law that it names.
 
-    Args:
-        raw: The table [material], as it was read.
-
-    Returns:
-        A schema with the keys of the law; for an unknown law, one whose error lists the
-        known names.
-
-    Raises:
-        ValueError: If the law is of an installed package and cannot be used.
+    For an unknown law it is one whose error lists the known names.
     """
     named = raw if isinstance(raw, dict) else {}
-    law, elasticity = named.get("law"), named.get("elasticity", "isotropic")
-    if law in LAWS:
-        found = LAWS[law]
-    else:
+    # Anything else than a text is no name: the schema says so.
+    law, elasticity = str(named.get("law")), str(named.get("elasticity", "isotropic"))
+    found = LAWS.get(law)
+    if found is None:
         plug_ins = entry_points(group=GROUP)
         if law not in plug_ins.names:
             return _undecided("law", {**LAWS, **dict.fromkeys(sorted(plug_ins.names))})
@@ -179,8 +155,7 @@ def material_table(raw: Any) -> type[Material]:
 
 
 def _undecided(key: str, names: Iterable[str]) -> type[Material]:
-    words = f"one of {', '.join(f'{chr(34)}{name}{chr(34)}' for name in names)}"
-    choice: Any = (Literal[*names], Field(description=words))
+    choice: Any = (Literal[*names], Field(description=one_of("", names).rstrip(".")))
     table = create_model("Material", __base__=_Undecided, **{key: choice})
     table.constants = {"density": DENSITY}
     for kind in _without_parts().values():
@@ -215,11 +190,9 @@ def _table(name: str, law: type[AbstractLaw], elasticity: str) -> type[Material]
 
 
 class _Recipe(NamedTuple):
-    """How to make an object from keys of a file.
+    """How to make an object from a function that returns the value of a key.
 
-    Attributes:
-        keys: Field of the class (or of a part's class) and type, by key.
-        make: Makes the object from a function that returns the value of a key.
+    `keys` have the field of the class, or of a part's class, and its type.
     """
 
     keys: dict[str, tuple[dataclasses.Field, Any]]
@@ -228,11 +201,7 @@ class _Recipe(NamedTuple):
 
 @functools.cache
 def _recipe(kind: type[eqx.Module], elasticity: str) -> _Recipe:
-    """Derive the recipe of a class from its fields.
-
-    Raises:
-        ValueError: If a field is a number without a unit.
-    """
+    """Derive the recipe of a class from its fields."""
     keys, arguments = {}, {}
     hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
@@ -268,11 +237,13 @@ def _takes_elasticity(law: type[AbstractLaw]) -> bool:
 
 def _without_parts() -> dict[str, type[eqx.Module]]:
     """Return elasticities and laws with constants of their own, by their choice."""
-    kinds: dict[str, type[eqx.Module]] = {
-        f'elasticity = "{name}"': kind for name, kind in ELASTICITIES.items()
-    }
     plain = {name: law for name, law in LAWS.items() if not _takes_elasticity(law)}
-    return kinds | {f'law = "{name}"': law for name, law in plain.items()}
+    kinds = {"elasticity": ELASTICITIES, "law": plain}
+    return {
+        f'{key} = "{name}"': kind
+        for key, own in kinds.items()
+        for name, kind in own.items()
+    }
 
 
 def _owners(key: str) -> list[str]:
@@ -285,11 +256,7 @@ def _owners(key: str) -> list[str]:
 
 
 def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
-    """Load the law of an installed package.
-
-    Raises:
-        ValueError: If it cannot be loaded or is no law, or two packages share its name.
-    """
+    """Load the law of an installed package."""
     packages = [entry.dist.name if entry.dist else entry.value for entry in found]
     if len(packages) > 1:
         raise ValueError(

@@ -10,17 +10,21 @@ import jax
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings
-from softcal_jax.configurations import build_mechanism, configuration_arrays
+from softcal_jax.configurations import (
+    Configuration,
+    Registration,
+    build_mechanism,
+    configuration_arrays,
+)
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
 from softcal_jax.fields import check_parameters
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._configurations import Pose, build_pose
+from softcal_jax.project._configurations import build_configuration
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
 from softcal_jax.project._problems import WrongKeyError, in_file, under
 from softcal_jax.project._project import Project
-from softcal_jax.project._reading import read_tables
-from softcal_jax.project._schema import ProjectTable
+from softcal_jax.project._reading import ProjectTable, read_tables
 
 
 def load_project(
@@ -36,9 +40,6 @@ def load_project(
         changes: Values that replace those of the file, written as there, by key:
             {"material.E": "200 kPa"}. An entry of a list goes by its name,
             "parameters.E.lower"; None removes a key.
-
-    Returns:
-        The project, ready for `calibrate` or `simulate`.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -64,11 +65,12 @@ def _built(path: Path, table: ProjectTable) -> Project:
         with under("parameters"):
             check_parameters(model, space)
             model = space.model_at(model, space.start())
-    poses, candidates = _poses(path.parent, table, model)
+    found = _configurations(path.parent, table, model)
+    posed = found["configurations"]
     of_role = lambda role: tuple(
-        pose.configuration
-        for pose, c in zip(poses, table.configurations, strict=True)
-        if c.role == role
+        configuration
+        for (configuration, _), own in zip(posed, table.configurations, strict=True)
+        if own.role == role
     )
     own = {"noise", "starts", "seed", "intervals"}
     with under("settings"):
@@ -84,17 +86,13 @@ def _built(path: Path, table: ProjectTable) -> Project:
         space=space,
         calibration=of_role("calibration"),
         validation=of_role("validation"),
-        candidates=tuple(pose.configuration for pose in candidates),
+        candidates=tuple(candidate for candidate, _ in found["candidates"]),
         **table.settings.model_dump(include=own),
         uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
         files=_files(path, table),
-        registrations={
-            pose.configuration.name: pose.registration
-            for pose in poses
-            if pose.registration is not None
-        },
+        registrations={c.name: fitted for c, fitted in posed if fitted is not None},
     )
 
 
@@ -140,21 +138,21 @@ def _parts(
     return bodies, actuators
 
 
-def _poses(
+def _configurations(
     folder: Path, table: ProjectTable, model: Model
-) -> tuple[list[Pose], list[Pose]]:
-    """Build the configurations and the candidates."""
+) -> dict[str, list[tuple[Configuration, Registration | None]]]:
+    """Build the configurations and the candidates, by their keys."""
     with under("effectors"):
         effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
-    found: dict[str, list[Pose]] = {"configurations": [], "candidates": []}
-    for key, poses in found.items():
+    found = {"configurations": [], "candidates": []}
+    for key, built in found.items():
         for own in getattr(table, key):
             with under(f"{key}.{own.name}"):
-                poses.append(build_pose(folder, own, table, model, effectors))
-    for key, poses in found.items():
+                built.append(build_configuration(folder, own, table, model, effectors))
+    for key, built in found.items():
         with under(key):
-            posed = [pose.configuration for pose in poses]
-            if posed:
+            if built:
+                posed = [configuration for configuration, _ in built]
                 configuration_arrays(model.mesh, posed, model.mechanism)
     names = {own.name for own in table.configurations}
     for candidate in table.candidates:
@@ -164,16 +162,12 @@ def _poses(
                 f"{candidate.name!r} is a configuration already; give the candidate a "
                 "name of its own.",
             )
-    return found["configurations"], found["candidates"]
+    return found
 
 
 def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
     """List the file and those that it names."""
-    names = [getattr(table.mesh, "file", None)]
-    for configuration in table.configurations:
-        measured = configuration.measured
-        if measured is not None:
-            readings = measured.effectors.values()
-            names += [measured.file, *(getattr(r, "file", None) for r in readings)]
-    named = dict.fromkeys(name for name in names if name is not None)
-    return (path, *(path.parent / name for name in named))
+    measured = [c.measured for c in table.configurations if c.measured is not None]
+    readings = [own for m in measured for own in (m, *m.effectors.values())]
+    files = dict.fromkeys(getattr(own, "file", None) for own in (table.mesh, *readings))
+    return (path, *(path.parent / name for name in files if name is not None))

@@ -2,18 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, model_validator
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Markers, Registration, read_markers, register
 from softcal_jax.project._effectors import Measured
 from softcal_jax.project._mesh import LengthUnit
-from softcal_jax.project._problems import suggestion
+from softcal_jax.project._problems import known_here
 from softcal_jax.project._sensors import Selection
-from softcal_jax.project._table import Length, Position, Table, table_or_vector
+from softcal_jax.project._table import Length, Position, Table, TableOr
 
 
 class MarkerEntry(Table):
@@ -26,34 +25,16 @@ class MarkerEntry(Table):
 class MarkersTable(Table):
     """Positions of the markers at rest, in the frame of the mesh."""
 
-    positions: dict[
-        str,
-        Annotated[
-            Annotated[MarkerEntry, Tag("(table)")]
-            | Annotated[Position, Tag("(vector)")],
-            Discriminator(table_or_vector),
-        ],
-    ] = Field(description="names and positions of the markers")
+    positions: dict[str, TableOr[MarkerEntry, Position]] = Field(
+        description="names and positions of the markers"
+    )
     std: Length = 1e-3
     axes: str = "xyz"
     max_distance: Length = 0.01
     base_radius: Length = 0.0
 
-    def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_markers 3"]:
-        """Return the positions of some markers at rest [m].
-
-        Raises:
-            ValueError: If a marker is unknown.
-        """
-        entries = map(self._entry, names)
-        return np.array([entry.position for entry in entries], float).reshape(-1, 3)
-
     def build(self, names: Sequence[str] | None) -> Markers:
-        """Build the named markers, or all if `names` is None.
-
-        Raises:
-            ValueError: If a marker is unknown, or a standard deviation is not positive.
-        """
+        """Build the named markers, or all if `names` is None."""
         names = tuple(self.positions) if names is None else tuple(names)
         if not names:
             raise ValueError("the list of markers is empty; leave it out to use all.")
@@ -61,21 +42,21 @@ class MarkersTable(Table):
             names=names,
             positions=self.positions_of(names),
             std=np.array([self._entry(name).std or self.std for name in names]),
-            axes=self.axes,
-            max_distance=self.max_distance,
-            base_radius=self.base_radius,
+            **self.model_dump(include={"axes", "max_distance", "base_radius"}),
         )
+
+    def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_markers 3"]:
+        """Return positions of some markers at rest [m]."""
+        entries = map(self._entry, names)
+        return np.array([entry.position for entry in entries], float).reshape(-1, 3)
 
     def _entry(self, name: str) -> MarkerEntry:
         if name not in self.positions:
-            raise ValueError(
-                f"unknown marker {name!r}.{suggestion(name, self.positions)} "
-                f"Known: {', '.join(self.positions)}."
-            )
-        entry = self.positions[name]
-        if isinstance(entry, MarkerEntry):
-            return entry
-        return MarkerEntry.model_construct(position=entry)
+            known = known_here(name, self.positions)
+            raise ValueError(f"unknown marker {name!r}.{known}")
+        own = self.positions[name]
+        full = isinstance(own, MarkerEntry)
+        return own if full else MarkerEntry.model_construct(position=own)
 
 
 class RegistrationTable(Table):
@@ -112,46 +93,29 @@ class MeasuredTable(Table):
 
     def build(
         self, folder: Path, nominal: MarkersTable, markers: Markers
-    ) -> "MeasuredMarkers":
-        """Read measured positions in the frame of the mesh.
+    ) -> tuple[Float[HostArray, "n_markers 3"], Registration | None]:
+        """Read positions of `markers` in the frame of the mesh; `nominal` are all [m].
 
         With `displacement_from` they are the nominal positions plus the motion between
         the two states, so that it does not matter exactly where a marker was glued.
-
-        Args:
-            folder: Folder that relative paths start from.
-            nominal: All markers of the project.
-            markers: Those that are measured.
-
-        Raises:
-            ValueError: If the file is wrong, or lacks a marker.
         """
 
-        def read(select: Selection):
+        def read(select: Selection, names: Sequence[str]):
             return read_markers(
                 folder / str(self.file),
                 length_unit=self.length_unit,
                 select={**self.recording, **select},
-            )
+            ).positions_of(names)
 
-        loaded = read(self.select).positions_of(markers.names)
-        start = None
+        loaded, start, registration = read(self.select, markers.names), None, None
         if self.displacement_from is not None:
-            start = read(self.displacement_from).positions_of(markers.names)
-        registration = None
+            start = read(self.displacement_from, markers.names)
         if self.registration is not None:
             names = self.registration.markers
-            seen = read(self.registration.select).positions_of(names)
+            seen = read(self.registration.select, names)
             registration = register(seen, nominal.positions_of(names))
             loaded = registration.apply(loaded)
             start = None if start is None else registration.apply(start)
         if start is not None:
             loaded = markers.positions + (loaded - start)
-        return MeasuredMarkers(loaded, registration)
-
-
-class MeasuredMarkers(NamedTuple):
-    """Measured positions [m], and the registration of the camera frame, if any."""
-
-    positions: Float[HostArray, "n_markers 3"]
-    registration: Registration | None
+        return loaded, registration

@@ -74,42 +74,27 @@ class BeamMeshTable(_MeshTable):
     def build(self, folder: Path) -> TetMesh:
         """Build the mesh."""
         del folder
-        made = self.beam
-        return beam(
-            *made.size,
-            made.cells,
-            origin=made.origin,
-            order=self.order,
-            pattern=made.pattern,
-        )
+        options = self.beam.model_dump(exclude={"size"})
+        return beam(*self.beam.size, order=self.order, **options)
 
 
 MeshTable = Annotated[MeshFileTable | BeamMeshTable, ByKeys()]
 
 
 class BoxTable(Maker):
-    """The box between two corners."""
-
     makes = Box
-
     lower: Position = Field(description='a corner: "(0, 0, 0) mm"')
     upper: Position = Field(description='a corner: "(0, 30, 30) mm"')
 
 
 class PlaneTable(Maker):
-    """A plane."""
-
     makes = Plane
-
     point: Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
     normal: tuple[Number, Number, Number] = Field(description="[0, 0, 1]")
 
 
 class SphereTable(Maker):
-    """A ball."""
-
     makes = Sphere
-
     centre: Position = Field(description='its centre: "(0, 0, 0) mm"')
     radius: Length = Field(description='its radius: "5 mm"')
 
@@ -121,11 +106,7 @@ class _GroupTable(Table):
     tolerance: Length | None = None
 
     def add(self, mesh: TetMesh, name: str) -> TetMesh:
-        """Add the group to the mesh.
-
-        Raises:
-            ValueError: If nothing is there, or the mesh has a group of this name.
-        """
+        """Add the group to the mesh; raise if nothing is there or the name is taken."""
         (where,) = (own for _, own in self if isinstance(own, Maker))
         # A millionth of the mesh: far below a cell, far above the rounding of a file.
         rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance
@@ -142,20 +123,14 @@ class _GroupTable(Table):
 
 
 class BoxGroupTable(_GroupTable):
-    """A group in a box."""
-
     box: BoxTable
 
 
 class PlaneGroupTable(_GroupTable):
-    """A group on a plane."""
-
     plane: PlaneTable
 
 
 class SphereGroupTable(_GroupTable):
-    """A group in a ball."""
-
     sphere: SphereTable
 
 

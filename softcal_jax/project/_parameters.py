@@ -1,15 +1,9 @@
 """Tables of a project file that make parameters and control points."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import (
-    Discriminator,
-    Field,
-    Tag,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, field_validator, model_validator
 
 from softcal_jax._units import readable
 from softcal_jax.fields import (
@@ -21,19 +15,12 @@ from softcal_jax.fields import (
     check_names,
 )
 from softcal_jax.project._laws import Constant
-from softcal_jax.project._problems import one_of, shown, suggestion, under
-from softcal_jax.project._quantities import parse_in_si
-from softcal_jax.project._table import (
-    Integer,
-    Length,
-    Number,
-    Position,
-    Table,
-    table_or_vector,
-)
+from softcal_jax.project._problems import known_here, one_of, under
+from softcal_jax.project._quantities import is_number, parse_in_si, shown
+from softcal_jax.project._table import Integer, Length, Number, Position, Table, TableOr
 
 if TYPE_CHECKING:
-    from softcal_jax.project._schema import ProjectTable
+    from softcal_jax.project._reading import ProjectTable
 
 PerPoint = float | dict[str, float]
 """One value for all control points, or one for each by name."""
@@ -42,11 +29,7 @@ PerPoint = float | dict[str, float]
 class ControlPointsTable(Table):
     """Control points, where fields of the law have values of their own."""
 
-    positions: Annotated[
-        Annotated[dict[str, Position], Tag("(table)")]
-        | Annotated[tuple[Position, ...], Tag("(vector)")],
-        Discriminator(table_or_vector),
-    ] = Field(
+    positions: TableOr[dict[str, Position], tuple[Position, ...]] = Field(
         description='names and positions, { "CP 1" = "(0, 7.5, 7.5) mm" }, or a list '
         "of positions"
     )
@@ -66,11 +49,7 @@ class ControlPointsTable(Table):
         return self
 
     def build(self) -> ControlPoints:
-        """Build the control points.
-
-        Raises:
-            ValueError: If two coincide, or an option is out of its range.
-        """
+        """Build the control points."""
         positions = self.positions
         if not isinstance(positions, dict):
             positions = np.array(positions, float).reshape(-1, 3)
@@ -80,8 +59,7 @@ class ControlPointsTable(Table):
 class ParameterTable(Table):
     """One unknown constant of the material, or one per control point.
 
-    The material of the file, passed as the validation context, says which constants
-    there are and in which units.
+    The validation context is the schema of the material, which has its constants.
     """
 
     field: str = Field(description='a constant of the material, like "E" or "density"')
@@ -112,9 +90,8 @@ class ParameterTable(Table):
     def _check_field(cls, value: str, info: Any) -> str:
         material = info.context
         if value not in material.constants:
-            unknown = (
-                f"got {shown(value)}; expected {one_of(value, material.constants)}"
-            )
+            known = one_of(value, material.constants)
+            unknown = f"got {shown(value)}; expected {known}"
             raise ValueError(material.foreign(value) or unknown)
         return value
 
@@ -130,9 +107,15 @@ class ParameterTable(Table):
             )
         if constant is None:
             return {} if info.field_name == "fixed" else 0.0
-        if isinstance(value, dict) and info.field_name != "S":
-            return {name: _at_point(name, v, constant) for name, v in value.items()}
-        return parse_in_si(value, constant.unit)
+        if not isinstance(value, dict) or info.field_name == "S":
+            return parse_in_si(value, constant.unit)
+        found = {}
+        for name, own in value.items():
+            try:
+                found[name] = parse_in_si(own, constant.unit)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from error
+        return found
 
     @field_validator("prior_std", mode="before")
     @classmethod
@@ -142,7 +125,7 @@ class ParameterTable(Table):
             return None
         if (info.data.get("scale") or constant.scale) == "linear":
             return parse_in_si(value, constant.unit)
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not is_number(value):
             raise ValueError(
                 f"got {shown(value)}; on a log scale it is relative: expected a "
                 "number, like 0.3 for 30 %."
@@ -182,22 +165,11 @@ class ParameterTable(Table):
             )
         return self
 
-    def build(self, project: "ProjectTable") -> list[Entry]:
-        """Build the parameter, or those at control points.
-
-        Raises:
-            ValueError: If bounds, start or scale do not fit, or the set of control
-                points is unknown.
-        """
+    def build(self, project: "ProjectTable") -> Entry:
+        """Build the parameter, or those at control points."""
         constant = type(project.material).constants[self.field]
-        common = {
-            "scale": self.scale or constant.scale,
-            "S": self.S,
-            "region": self.region,
-            "unit": constant.unit,
-            "max_step": self.max_step,
-            "prior_std": self.prior_std,
-        }
+        common = self.model_dump(include={"S", "region", "max_step", "prior_std"})
+        common |= {"scale": self.scale or constant.scale, "unit": constant.unit}
         nominal = project.material.constant(self.field, self.region)
         span: dict[str, Any] = {
             "start": nominal if self.start is None else self.start,
@@ -225,13 +197,11 @@ class ParameterTable(Table):
                 interpolation=self.interpolation
                 or ("director" if constant.is_angle else "linear"),
                 sampling=self.sampling or "centroids",
-                fixed=self.fixed,
-                tied=self.tied,
-                core=self.core,
+                **self.model_dump(include={"fixed", "tied", "core"}),
             )
         for parameter in entry.parameters:
             _check_within(parameter, constant.within)
-        return [entry]
+        return entry
 
 
 class ParameterSpaceTable(Table):
@@ -242,24 +212,16 @@ class ParameterSpaceTable(Table):
 
 
 def build_space(table: "ProjectTable") -> ParameterSpace | None:
-    """Build the parameter space; a missing start is the constant of the material.
-
-    Returns:
-        The space; None if nothing is to be calibrated.
-
-    Raises:
-        WrongKeyError: If bounds, start or scale do not fit, something is unknown, or
-            constraints between parameters cannot hold.
-    """
+    """Build the parameter space; None if nothing is to be calibrated."""
     for name, points in table.control_points.items():
         with under(f"control_points.{name}"):
             points.build()
     entries: list[Entry] = []
-    keyed = [(f"parameters.{own.label}", own) for own in table.parameters]
-    setups = enumerate(table.setup, start=1)
-    keyed += [(f"setup[{i}].{own.label}", own) for i, own in setups]
-    for key, own in keyed:
-        with under(key):
+    for own in table.parameters:
+        with under(f"parameters.{own.label}"):
+            entries.append(own.build(table))
+    for i, own in enumerate(table.setup, start=1):
+        with under(f"setup[{i}].{own.label}"):
             entries += own.build(table)
     if not entries:
         return None
@@ -275,39 +237,24 @@ def _constant(info: Any) -> Constant | None:
     return info.context.constants.get(info.data.get("field"))
 
 
-def _at_point(name: str, value: Any, constant: Constant) -> float:
-    try:
-        return parse_in_si(value, constant.unit)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
-
-
 def _set_of(name: str, sets: dict[str, ControlPointsTable]) -> ControlPoints:
     if name in sets:
         return sets[name].build()
-    known = f"Known: {', '.join(sets)}." if sets else "Add a table"
-    known += "" if sets else f" [control_points.{name}]."
-    raise ValueError(
-        f"there are no control points {name!r}.{suggestion(name, sets)} {known}"
-    )
+    add = f" Add a table [control_points.{name}]."
+    known = known_here(name, sets) if sets else add
+    raise ValueError(f"there are no control points {name!r}.{known}")
 
 
 def _each(
-    key: str,
-    value: PerPoint,
-    names: tuple[str, ...],
-    free: list[str],
-    nominal: float,
+    key: str, value: PerPoint, names: tuple[str, ...], free: list[str], nominal: float
 ) -> list[float]:
     """Return one value per control point; fixed and tied ones get a placeholder."""
     if not isinstance(value, dict):
         return [value] * len(names)
     for name in value:
         if name not in names:
-            raise ValueError(
-                f"{key} names {name!r}, which is no control point."
-                f"{suggestion(name, names)} Known: {', '.join(names)}."
-            )
+            known = known_here(name, names)
+            raise ValueError(f"{key} names {name!r}, which is no control point.{known}")
     missing = [name for name in free if name not in value]
     if missing and key != "start":
         raise ValueError(f"{key} has no value for {', '.join(missing)}.")

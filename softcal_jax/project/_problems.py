@@ -1,6 +1,7 @@
 """Errors of a project file in words: the key, what it needs, the closest match."""
 
 import contextlib
+import functools
 import re
 import typing
 from collections.abc import Iterable, Iterator
@@ -12,6 +13,7 @@ from pydantic import BaseModel, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
 from softcal_jax import _names
+from softcal_jax.project._quantities import shown
 from softcal_jax.project._table import own_keys
 
 _UNIONS = (typing.Union, UnionType)
@@ -22,6 +24,7 @@ _EXPECTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "bool_type": "true or false",
+    "greater_than_equal": "at least {ge}",
     "tuple_type": "a list in [ ]",
     "dict_type": "a table",
     "model_type": "a table",
@@ -43,12 +46,7 @@ def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
 
 
 class WrongKeyError(ValueError):
-    """Something is wrong at a key of a file.
-
-    Attributes:
-        key: The key, relative to the table being read.
-        problem: What is wrong.
-    """
+    """Something is wrong at a key, relative to the table being read."""
 
     def __init__(self, key: str, problem: object):
         """Join key and problem in the message."""
@@ -88,15 +86,9 @@ def at(path: Path, key: str) -> Iterator[None]:
 def describe(
     error: ValidationError, schema: type[BaseModel], raw: dict[str, Any]
 ) -> list[str]:
-    """Write one message for each problem that pydantic found.
+    """Write one message, with the path of its key, for each problem pydantic found.
 
-    Args:
-        error: The error of pydantic.
-        schema: Model of the whole file.
-        raw: The file as it was read, before [shared] is merged.
-
-    Returns:
-        Messages that start with the path of a key.
+    `raw` is the file as it was read, before [shared] is merged.
     """
     return [_message(details, schema, raw) for details in error.errors()]
 
@@ -110,24 +102,20 @@ def _message(
         known = list(place.table.model_fields)
         if len(place.keys) == 1 and "configurations" in known:
             known.append("shared")
-        return f"{where}: " + (
-            _belonging(key, place)
-            or f"unknown key.{suggestion(key, known)} Known here: {', '.join(known)}."
-        )
+        unknown = f"unknown key.{known_here(key, known, 'Known here')}"
+        return f"{where}: {_belonging(key, place) or unknown}"
     if kind == "missing" and isinstance(place.keys[-1], int):
         return f"{where}: missing; the list is too short."
     if kind == "missing":
         field = place.table.model_fields.get(key)
         what = f" Expected {field.description}." if field and field.description else ""
         return f"{where}: missing.{what}"
+    types = map(type_of, place.kinds)
     if kind == "union_tag_not_found":
-        return (
-            f"{where}.type: missing. Expected {one_of('', map(_type_of, place.kinds))}"
-        )
+        return f"{where}.type: missing. Expected {one_of('', types)}"
     if kind == "union_tag_invalid":
         tag = details.get("ctx", {})["tag"]
-        known = map(_type_of, place.kinds)
-        return f'{where}.type: got "{tag}"; expected {one_of(tag, known)}'
+        return f'{where}.type: got "{tag}"; expected {one_of(tag, types)}'
     return f"{where or 'file'}: {_wrong_value(details)}"
 
 
@@ -141,17 +129,15 @@ def one_of(value: str, known: Iterable[str]) -> str:
 def _belonging(key: str, place: "_Place") -> str | None:
     """Say which other kinds of table have a key; None if there are none."""
     owners = [_choice(k, place.kinds) for k in place.kinds if key in k.model_fields]
-    if owners:
-        has = ", ".join(k for k in place.table.model_fields if k != "type")
-        this = _choice(place.table, place.kinds)
-        return (
-            f"{key} belongs to {' or '.join(owners)}. This is {this}, which has {has}."
-        )
-    foreign = getattr(place.table, "foreign", lambda key: None)
-    return foreign(key)
+    if not owners:
+        return getattr(place.table, "foreign", lambda key: None)(key)
+    has = ", ".join(k for k in place.table.model_fields if k != "type")
+    this = _choice(place.table, place.kinds)
+    return f"{key} belongs to {' or '.join(owners)}. This is {this}, which has {has}."
 
 
-def _type_of(kind: type[BaseModel]) -> str:
+def type_of(kind: type[BaseModel]) -> str:
+    """Return the `type` by which a file chooses a table."""
     (name,) = get_args(kind.model_fields["type"].annotation)
     return name
 
@@ -159,14 +145,14 @@ def _type_of(kind: type[BaseModel]) -> str:
 def _choice(kind: type[BaseModel], kinds: tuple[type[BaseModel], ...]) -> str:
     """Describe how a file chooses one of several kinds of tables."""
     if "type" in kind.model_fields:
-        return f'type = "{_type_of(kind)}"'
+        return f'type = "{type_of(kind)}"'
     return " and ".join(own_keys(kinds)[kinds.index(kind)])
 
 
 def _wrong_value(details: ErrorDetails) -> str:
     kind, value, context = details["type"], details["input"], details.get("ctx", {})
-    if kind in ("quantity", "value_error"):
-        return str(context.get("problem") or context.get("error"))
+    if kind == "value_error":
+        return str(context["error"])
     got = f"got {shown(value)}; expected "
     if kind == "literal_error":
         # pydantic writes them as 'a', 'b' or 'c'.
@@ -175,13 +161,8 @@ def _wrong_value(details: ErrorDetails) -> str:
     if kind == "too_long":
         return f"expected {context['max_length']} values, got {len(value)}."
     if kind in _EXPECTED:
-        return f"{got}{_EXPECTED[kind]}."
+        return f"{got}{_EXPECTED[kind].format(**context)}."
     return f"{got}{details['msg'].removeprefix('Input should be ')}."
-
-
-def shown(value: Any) -> str:
-    """Format a value as a project file writes it."""
-    return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
@@ -189,18 +170,13 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     return _names.suggestion(name, known, quote='"')
 
 
+def known_here(name: str, known: Iterable[str], words: str = "Known") -> str:
+    """Suggest the closest known name, and list all, in sentences after a space."""
+    return f"{suggestion(name, known)} {words}: {', '.join(known)}."
+
+
 def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
-    """Check that a name is among the known ones.
-
-    Args:
-        kind: What it is, for messages.
-        name: The name.
-        known: The known names.
-        section: Table of the file that defines them.
-
-    Raises:
-        ValueError: If it is not among them.
-    """
+    """Raise ValueError unless a name is known; `section` of the file defines them."""
     known = list(known)
     if name in known:
         return
@@ -209,18 +185,15 @@ def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None
             f'there is no {kind} "{name}"; the project has none: add a table '
             f"[{section}.{name}]."
         )
-    raise ValueError(
-        f'there is no {kind} "{name}".{suggestion(name, known)} '
-        f"Known: {', '.join(known)}."
-    )
+    raise ValueError(f'there is no {kind} "{name}".{known_here(name, known)}')
 
 
 def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
     """Join keys to a path; an entry of a list goes by its name, or counts from 1."""
     posed = keys[:1] in (("configurations",), ("candidates",))
-    if posed and len(keys) > 2 and not _has(raw, keys):
-        if _has(raw, ("shared", *keys[2:])):
-            keys = ("shared", *keys[2:])
+    if posed and len(keys) > 2 and functools.reduce(_step, keys, raw) is None:
+        shared = ("shared", *keys[2:])
+        keys = keys if functools.reduce(_step, shared, raw) is None else shared
     out, here = "", raw
     for key in keys:
         here = _step(here, key)
@@ -234,6 +207,7 @@ def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
 
 
 def _step(here: Any, key: str | int) -> Any:
+    """Return what a table or a list has at a key; None if nothing."""
     if isinstance(here, dict):
         return here.get(key)
     if isinstance(here, list) and isinstance(key, int) and key < len(here):
@@ -241,19 +215,11 @@ def _step(here: Any, key: str | int) -> Any:
     return None
 
 
-def _has(raw: Any, keys: tuple[str | int, ...]) -> bool:
-    for key in keys:
-        raw = _step(raw, key)
-    return raw is not None
-
-
 class _Place(NamedTuple):
     """Where in a file something is wrong.
 
-    Attributes:
-        keys: Keys that lead there, without the tags of pydantic's unions.
-        table: The table that has, or should have, the last key.
-        kinds: All kinds that this table could be; empty if it is not one of a union.
+    `keys` lead there, without the tags of pydantic's unions, from a table that has, or
+    should have, the last of them. `kinds` are all that this table could be in a union.
     """
 
     keys: tuple[str | int, ...]
@@ -312,7 +278,7 @@ def _tag(arm: Any) -> str:
         if isinstance(option, Tag):
             return option.tag
     if _is_table(arm) and "type" in arm.model_fields:
-        return _type_of(arm)
+        return type_of(arm)
     return getattr(arm, "__name__", str(arm))
 
 

@@ -19,11 +19,7 @@ from softcal_jax.calibration import (
     calibrate,
     profile_intervals,
 )
-from softcal_jax.configurations import (
-    Configuration,
-    Registration,
-    configuration_arrays,
-)
+from softcal_jax.configurations import Configuration, Registration, configuration_arrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
@@ -59,8 +55,7 @@ class Project(eqx.Module):
         uncertain: How well everything is known that is not calibrated.
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
-        registrations: Registrations of the camera frames by configuration, with the
-            `rms` that each leaves.
+        registrations: Registrations of the camera frames by configuration.
     """
 
     name: str
@@ -97,9 +92,7 @@ class Project(eqx.Module):
             ProjectError: If parameters, fitted configurations or measurements are
                 missing.
         """
-        problems = []
-        if self.space is None:
-            problems.append("parameters: nothing to calibrate; add [[parameters]].")
+        problems = self._no_parameters()
         if not self.calibration:
             problems.append(
                 'configurations: none has role = "calibration", so there is nothing '
@@ -113,6 +106,10 @@ class Project(eqx.Module):
         if problems:
             raise one_by_one(self.path, problems)
 
+    def _no_parameters(self) -> list[str]:
+        missing = "parameters: nothing to calibrate; add [[parameters]]."
+        return [missing] if self.space is None else []
+
     def calibrate(
         self,
         *,
@@ -123,15 +120,14 @@ class Project(eqx.Module):
     ) -> CalibrationResult:
         """Find the parameters, then predict the validation configurations.
 
+        `converged` of the result says whether lambda_p vanished, and its notes how well
+        the camera frames were registered.
+
         Args:
             start: Scaled parameters to start from, instead of those of the file [-].
             checkpoint: File in which the state is kept, and from which it is resumed.
             progress: Called after the first evaluation and after each step.
             search_progress: Called after each run of a search from many starts.
-
-        Returns:
-            The result; `result.converged` says whether lambda_p vanished. Its notes
-            say how well the camera frames were registered.
 
         Raises:
             ProjectError: If there is nothing to calibrate.
@@ -158,19 +154,13 @@ class Project(eqx.Module):
         )
         if not self.registrations:
             return result
-        listed = ", ".join(
-            f"{name} {1e3 * registration.rms:.2f} mm"
-            for name, registration in self.registrations.items()
-        )
+        fitted = self.registrations.items()
+        listed = ", ".join(f"{name} {1e3 * own.rms:.2f} mm" for name, own in fitted)
         note = f"Camera frames registered to the mesh with an rms of: {listed}."
         return dataclasses.replace(result, notes=(*result.notes, note))
 
     def with_intervals(self, result: CalibrationResult) -> CalibrationResult:
-        """Add the intervals that the file asks for, or a note on why there are none.
-
-        Args:
-            result: Result of `calibrate`.
-        """
+        """Add the intervals that the file asks for, or a note on why there are none."""
         if self.intervals is None or not result.converged:
             return result
         try:
@@ -186,9 +176,7 @@ class Project(eqx.Module):
         Raises:
             ProjectError: If parameters, configurations or effectors are missing.
         """
-        problems = []
-        if self.space is None:
-            problems.append("parameters: nothing to calibrate; add [[parameters]].")
+        problems = self._no_parameters()
         posed = (*self.calibration, *self.candidates)
         if not posed:
             problems.append(
@@ -205,9 +193,7 @@ class Project(eqx.Module):
     def identify(self) -> Identifiability:
         """Judge what the calibration configurations would tell, measured or not.
 
-        Returns:
-            The verdict at the start values, with the stated noise of markers and other
-            effectors.
+        The verdict is at the start values, with the stated noise of all effectors.
 
         Raises:
             ProjectError: If there are no parameters, configurations or markers.
@@ -224,10 +210,7 @@ class Project(eqx.Module):
         )
 
     def rank_candidates(self) -> Ranking:
-        """Rank the candidates by what they add to the calibration configurations.
-
-        Returns:
-            The candidates, the best first.
+        """Rank the candidates, best first, by what they add to the configurations.
 
         Raises:
             ProjectError: If there are no parameters, candidates or markers.
@@ -239,21 +222,19 @@ class Project(eqx.Module):
             raise ProjectError(
                 f"{self.path}: candidates: there are none; add [[candidates]]."
             )
+        posed = self.calibration, self.candidates
         return rank_configurations(
             self.model,
             self.space,
-            self.calibration,
-            self.candidates,
+            *posed,
             newton=self.newton,
             uncertain=self.uncertain,
         )
 
     def simulate(self) -> EquilibriumSolution:
-        """Solve the equilibria of all configurations at the start values.
+        """Solve the equilibria of all `configurations`, a lane each, at the start.
 
-        Returns:
-            One lane per configuration, in the order of `configurations`;
-            `check_converged` raises where one has no equilibrium.
+        `check_converged` raises where one has no equilibrium.
 
         Raises:
             ProjectError: If there are no configurations.
@@ -263,9 +244,8 @@ class Project(eqx.Module):
                 f"{self.path}: configurations: there is none to simulate; add "
                 "[[configurations]]."
             )
-        lanes = configuration_arrays(
-            self.model.mesh, self.configurations, self.model.mechanism
-        )
+        mesh, mechanism = self.model.mesh, self.model.mechanism
+        lanes = configuration_arrays(mesh, self.configurations, mechanism)
         return _simulate(self.model, lanes, self.newton)
 
 

@@ -3,11 +3,10 @@
 import functools
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pint
-from pydantic_core import PydanticCustomError
 
 from softcal_jax._names import METRES, suggestion
 
@@ -29,19 +28,13 @@ class Dimension(NamedTuple):
 
 
 LENGTH = Dimension("a length", "m", "100 mm", tuple(METRES))
-PRESSURE = Dimension(
-    "a pressure or modulus",
-    "Pa",
-    "200 kPa",
-    ("Pa", "kPa", "MPa", "GPa", "N/m^2", "N/mm^2"),
-)
-DENSITY = Dimension(
-    "a density", "kg/m^3", "1070 kg/m^3", ("kg/m^3", "g/cm^3", "kg/dm^3")
-)
+_MODULI = ("Pa", "kPa", "MPa", "GPa", "N/m^2", "N/mm^2")
+PRESSURE = Dimension("a pressure or modulus", "Pa", "200 kPa", _MODULI)
+_DENSITIES = ("kg/m^3", "g/cm^3", "kg/dm^3")
+DENSITY = Dimension("a density", "kg/m^3", "1070 kg/m^3", _DENSITIES)
 FORCE = Dimension("a force", "N", "0.51 N", ("N", "mN", "kN", "kgf"))
 ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2", ("m/s^2", "mm/s^2"))
 ANGLE = Dimension("an angle", "rad", "20 deg", ("deg", "rad", "mrad"))
-
 MASS = Dimension("a mass", "kg", "10 g", ("kg", "g", "mg"))
 VOLUME = Dimension("a volume", "m^3", "2 ml", ("ml", "mm^3", "cm^3", "l", "m^3"))
 TORQUE = Dimension("a torque", "N*m", "50 N*mm", ("N*m", "N*mm", "mN*m"))
@@ -83,158 +76,97 @@ def _registry() -> pint.UnitRegistry:
     return pint.UnitRegistry()
 
 
-def _wrong(problem: str, **context: Any) -> PydanticCustomError:
-    return PydanticCustomError("quantity", "{problem}", {"problem": problem, **context})
-
-
 def _spelt(unit: str) -> str:
     """Spell a unit as pint reads it: people write "m3" for "m^3"."""
     return re.sub(r"(?<=[A-Za-zµμ])(-?\d)", r"^\1", unit).replace("·", "*")
 
 
-@functools.cache
-def unit_factor(unit: str, dimension: Dimension) -> float:
-    """Compute the value of one `unit` in SI.
-
-    Raises:
-        PydanticCustomError: If the unit is unknown or measures something else.
-    """
+def _factor(unit: str, dimension: Dimension, value: str) -> float:
+    """Compute one `unit` in SI; `value` is what it is part of, for messages."""
     expected = f'expected {dimension.name}, like "{dimension.example}"'
     if not _UNIT.fullmatch(unit):
-        raise _wrong(f'cannot read the unit "{unit}"; {expected}.')
+        raise ValueError(f'"{value}": cannot read the unit "{unit}"; {expected}.')
     registry = _registry()
     try:
         one = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
     except pint.UndefinedUnitError as error:
         hint = suggestion(unit, dimension.usual, quote='"')
-        raise _wrong(f'unknown unit "{unit}"; {expected}.{hint}') from error
+        raise ValueError(
+            f'"{value}": unknown unit "{unit}"; {expected}.{hint}'
+        ) from error
     fits = one.is_compatible_with(dimension.si)
     if not fits or (dimension is ANGLE and str(one.units) not in _ANGLES):
-        raise _wrong(f'"{unit}" is not {dimension.name}; {expected}.')
+        raise ValueError(f'"{value}": "{unit}" is not {dimension.name}; {expected}.')
     return float(one.to(dimension.si).magnitude)
 
 
-def _bare(value: Any, dimension: Dimension) -> PydanticCustomError:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return _wrong(
-            f"{value} has no unit; expected {dimension.name}, in quotes and with its "
-            f'unit, like "{dimension.example}".'
-        )
-    return _wrong(
-        f"got {_shown(value)}; expected {dimension.name} in quotes, like "
-        f'"{dimension.example}".'
-    )
+def shown(value: Any) -> str:
+    """Format a value as a project file writes it."""
+    return f'"{value}"' if isinstance(value, str) else str(value)
 
 
-def _shown(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+def is_number(value: Any) -> bool:
+    """Return whether a value of a file is a number without a unit."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def parse_scalar(value: Any, dimension: Dimension) -> float:
-    """Parse a quantity like "200 kPa" into SI units.
-
-    Args:
-        value: The value in the file.
-        dimension: Its dimension.
-
-    Raises:
-        PydanticCustomError: If it is not such a quantity; the text shows an example.
-    """
+    """Parse a quantity like "200 kPa" into SI; errors show an example."""
     match = _SCALAR.fullmatch(value) if isinstance(value, str) else None
-    if match is None or not match[2]:
-        number = float(match[1]) if match else value
-        raise _bare(int(number) if _is_whole(number) else number, dimension)
-    try:
-        return float(match[1]) * unit_factor(match[2], dimension)
-    except PydanticCustomError as error:
-        raise _wrong(f'"{value}": {error.message()}') from error
+    if match is not None and match[2]:
+        return float(match[1]) * _factor(match[2], dimension, value)
+    number = float(match[1]) if match else value
+    if not is_number(number):
+        raise ValueError(
+            f"got {shown(value)}; expected {dimension.name} in quotes, like "
+            f'"{dimension.example}".'
+        )
+    number = int(number) if float(number).is_integer() else number
+    raise ValueError(
+        f"{number} has no unit; expected {dimension.name}, in quotes and with its "
+        f'unit, like "{dimension.example}".'
+    )
+
+
+def parse_number(value: Any, example: str = "0.45") -> float:
+    """Parse a number without a unit."""
+    if not is_number(value):
+        raise ValueError(f"got {shown(value)}; expected a number, like {example}.")
+    return float(value)
 
 
 def parse_in_si(value: Any, unit: str) -> float:
-    """Parse a value of a project file into SI.
-
-    Args:
-        value: "200 kPa", or a plain number where there is no unit.
-        unit: SI unit; empty for a plain number.
+    """Parse "200 kPa", or a plain number where `unit` is empty, into the SI unit.
 
     Raises:
         ValueError: If it is not such a value; the text shows an example.
     """
-    if unit:
-        try:
-            return parse_scalar(value, dimension_of(unit))
-        except PydanticCustomError as error:
-            raise ValueError(error.message()) from error
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"got {value!r}; expected a number, like 0.45.")
-    return float(value)
-
-
-def parse_either(
-    value: Any, dimensions: Sequence[Dimension], what: str
-) -> tuple[float, Dimension]:
-    """Parse a quantity of one of several dimensions into SI, and tell which it is.
-
-    Args:
-        value: The value in the file.
-        dimensions: Possible dimensions.
-        what: What is expected, for messages.
-
-    Raises:
-        PydanticCustomError: If it has none of the dimensions.
-    """
-    for dimension in dimensions:
-        try:
-            return parse_scalar(value, dimension), dimension
-        except PydanticCustomError:
-            continue
-    raise _wrong(f"got {_shown(value)}; expected {what}.")
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, float) and value.is_integer()
+    return parse_scalar(value, dimension_of(unit)) if unit else parse_number(value)
 
 
 def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]:
-    """Parse three quantities: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"].
-
-    Args:
-        value: The value in the file.
-        dimension: Dimension of each component.
-
-    Raises:
-        PydanticCustomError: If it is not such a vector; the text shows an example.
-    """
+    """Parse three quantities: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"]."""
     unit = dimension.example.split()[-1]
     example = f'"(0, 0, -1) {unit}"'
     expected = f"expected three numbers with a unit, like {example}"
     if isinstance(value, list):
         parts = [parse_scalar(part, dimension) for part in value]
-    elif isinstance(value, str):
-        parts = _vector_of_text(value, dimension, expected)
     else:
-        raise _wrong(f"got {_shown(value)}; {expected}.")
+        match = _VECTOR.fullmatch(value) if isinstance(value, str) else None
+        if match is None:
+            raise ValueError(f"got {shown(value)}; {expected}.")
+        if not match[2]:
+            raise ValueError(f'"{value}" has no unit; {expected}.')
+        numbers = [part.strip() for part in match[1].split(",")]
+        for number in numbers:
+            if not re.fullmatch(_NUMBER, number):
+                raise ValueError(f'"{value}": "{number}" is not a number; {expected}.')
+        factor = _factor(match[2], dimension, value)
+        parts = [float(number) * factor for number in numbers]
     if len(parts) != 3:
-        raise _wrong(f"got {len(parts)} numbers; {expected}.")
+        raise ValueError(f"got {len(parts)} numbers; {expected}.")
     x, y, z = parts
     return x, y, z
-
-
-def _vector_of_text(value: str, dimension: Dimension, expected: str) -> list[float]:
-    match = _VECTOR.fullmatch(value)
-    if match is None:
-        raise _wrong(f'got "{value}"; {expected}.')
-    if not match[2]:
-        raise _wrong(f'"{value}" has no unit; {expected}.')
-    numbers = [part.strip() for part in match[1].split(",")]
-    for number in numbers:
-        if not re.fullmatch(_NUMBER, number):
-            raise _wrong(f'"{value}": "{number}" is not a number; {expected}.')
-    try:
-        factor = unit_factor(match[2], dimension)
-    except PydanticCustomError as error:
-        raise _wrong(f'"{value}": {error.message()}') from error
-    return [float(number) * factor for number in numbers]
 
 
 def scalar(dimension: Dimension) -> Callable[[Any], float]:
@@ -248,11 +180,7 @@ def vector(dimension: Dimension) -> Callable[[Any], tuple[float, float, float]]:
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:
-    """Parse a unit vector from "-z" or [0, 0, -1].
-
-    Raises:
-        ValueError: If it has no direction.
-    """
+    """Parse a unit vector from "-z" or [0, 0, -1]."""
     if isinstance(value, str):
         axis = re.fullmatch(r"([+-]?)([xyz])", value.strip())
         if axis is None:
@@ -261,7 +189,7 @@ def parse_direction(value: Any) -> tuple[float, float, float]:
         x, y, z = (sign * (letter == axis[2]) for letter in "xyz")
         return x, y, z
     numbers = value if isinstance(value, list) else []
-    if len(numbers) != 3 or not all(type(v) in (int, float) for v in numbers):
+    if len(numbers) != 3 or not all(map(is_number, numbers)):
         raise ValueError(f'got {value}; expected "-z" or [0, 0, -1].')
     length = math.hypot(*numbers)
     if not 0.0 < length < math.inf:

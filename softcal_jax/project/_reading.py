@@ -1,44 +1,140 @@
-"""Read files into tables, and report everything that is wrong in them."""
+"""Read files into tables, and report everything that is wrong in them.
+
+The description of a key is also the text of the message if the key is missing.
+"""
 
 import tomllib
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError, field_validator
 
-from softcal_jax.project._changes import with_changes
+from softcal_jax.project._actuators import AnyActuator
+from softcal_jax.project._bodies import BodyTable
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
-from softcal_jax.project._laws import material_table
+from softcal_jax.project._effectors import AnyEffector
+from softcal_jax.project._laws import Material, material_table
+from softcal_jax.project._markers import MarkersTable
+from softcal_jax.project._mesh import GroupTable, MeshTable
+from softcal_jax.project._parameters import (
+    ControlPointsTable,
+    ParameterSpaceTable,
+    ParameterTable,
+)
 from softcal_jax.project._problems import (
     ProjectError,
     at,
     describe,
+    known_here,
     one_by_one,
-    suggestion,
 )
-from softcal_jax.project._schema import ProjectTable
+from softcal_jax.project._quantities import shown
+from softcal_jax.project._setup import AnySetup
+from softcal_jax.project._table import Flag, Integer, Number, Table
+from softcal_jax.project._uncertain import UncertainTable
 
-_OF_CONFIGURATIONS = tuple(
-    key
-    for key in ConfigurationTable.model_fields
-    if key not in CandidateTable.model_fields
-)
+T = TypeVar("T", bound=BaseModel)
+M = TypeVar("M", bound=Material)
+
+
+class SettingsTable(Table):
+    """Settings of the calibration; missing ones keep their defaults."""
+
+    noise: Literal["estimated", "stated"] = "estimated"
+    tol: Number | None = None
+    max_steps: Integer | None = None
+    step_bound: Number | None = None
+    max_step_bound: Number | None = None
+    damping: Number | None = None
+    starts: Annotated[Integer, Field(ge=1)] = 1
+    seed: Integer = 0
+    intervals: Number | None = None
+    adapt: Flag | None = None
+
+    @field_validator("intervals")
+    @classmethod
+    def _check_intervals(cls, value: float | None) -> float | None:
+        if value is not None and not 0.0 < value < 1.0:
+            raise ValueError(f"got {value:g}; expected a level like 0.95.")
+        return value
+
+
+class NewtonTable(Table):
+    """Settings of the equilibrium; missing ones keep their defaults.
+
+    Attributes:
+        solver: Sparse solver of its linear systems, see `build_model`.
+    """
+
+    rtol: Number | None = None
+    max_steps: Integer | None = None
+    max_steps_per_load: Integer | None = None
+    smallest_load_step: Number | None = None
+    solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
+
+    @field_validator("solver", mode="before")
+    @classmethod
+    def _check_solver(cls, name: str | None) -> str | None:
+        if name in ("auto", "multigrid"):
+            raise ValueError(f"{name!r} was removed: leave solver out.")
+        return name
+
+
+class ProjectTable(Table, Generic[M]):
+    """A whole project file, with the schema of its law as parameter."""
+
+    name: str = Field(description="name of the project")
+    mesh: MeshTable = Field(description="a table [mesh]")
+    groups: dict[str, GroupTable] = Field(default_factory=dict)
+    material: M = Field(description="a table [material]")
+    bodies: dict[str, BodyTable] = Field(default_factory=dict)
+    actuators: dict[str, AnyActuator] = Field(default_factory=dict)
+    control_points: dict[str, ControlPointsTable] = Field(default_factory=dict)
+    parameters: tuple[ParameterTable, ...] = ()
+    setup: tuple[AnySetup, ...] = ()
+    parameter_space: ParameterSpaceTable = ParameterSpaceTable()
+    markers: MarkersTable | None = None
+    effectors: dict[str, AnyEffector] = Field(default_factory=dict)
+    configurations: tuple[ConfigurationTable, ...] = ()
+    candidates: tuple[CandidateTable, ...] = ()
+    uncertain: UncertainTable = UncertainTable()
+    settings: SettingsTable = SettingsTable()
+    newton: NewtonTable = NewtonTable()
+
+    @field_validator("control_points", mode="before")
+    @classmethod
+    def _check_named(cls, sets: Any) -> Any:
+        if not isinstance(sets, dict):
+            return sets
+        known = ControlPointsTable.model_fields
+        for name, points in sets.items():
+            if name not in known and not isinstance(points, dict):
+                own = f'"{name}" = {shown(points)}'
+                raise ValueError(
+                    f"got {own}; expected sets of control points, each with a name: "
+                    f"write [control_points.ends] and below positions = {{ {own} }}, "
+                    'and control_points = "ends" in [[parameters]].'
+                )
+        if "positions" in sets and set(sets) <= set(known):
+            raise ValueError(
+                "a set of control points needs a name: write [control_points.ends], "
+                'and control_points = "ends" in [[parameters]].'
+            )
+        return sets
+
+
+_OF_CONFIGURATIONS = {*ConfigurationTable.model_fields} - {*CandidateTable.model_fields}
 """Keys of [shared] that do not apply to candidates."""
 
 
 def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:
     """Read a project file into tables, with [shared] merged into each configuration.
 
-    Args:
-        path: The file.
-        changes: Values that replace those of the file, see `with_changes`.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ProjectError: If it is not TOML, or keys or values in it are wrong.
+    `changes` replace values of the file, see `load_project`.
     """
-    raw = with_changes(path, read_toml(path, "project file"), changes or {})
+    raw = _with_changes(path, read_toml(path, "project file"), changes)
     shared = raw.get("shared", {})
     problems = _shared_problems(shared)
     if problems:
@@ -51,7 +147,6 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
         table = schema.model_validate(merged, context=material)
     except ValidationError as error:
         problems = describe(error, schema, raw)
-    problems += _measured_candidates(raw)
     if not (raw.get("configurations") or raw.get("candidates")):
         problems.append(
             "configurations: missing. Expected at least one table [[configurations]]."
@@ -61,16 +156,8 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     return table
 
 
-T = TypeVar("T", bound=BaseModel)
-
-
 def read_schema(path: Path, schema: type[T], what: str) -> T:
-    """Read another kind of file that is written like a project file.
-
-    Args:
-        path: A TOML file.
-        schema: Its keys.
-        what: What it is, for messages, like "sweep file".
+    """Read another kind of TOML file; `what` says which, like "sweep file".
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -84,11 +171,7 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file, unchecked.
-
-    Args:
-        path: The file.
-        what: What it is, for messages.
+    """Read a TOML file, unchecked; `what` it is stands in messages.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -99,10 +182,46 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     if not path.is_file():
         raise ProjectError(f"{what} {path} is a directory; name the file in it.")
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error
+
+
+def _with_changes(
+    path: Path, raw: dict[str, Any], changes: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Replace some values of a file, see `load_project`, creating missing tables."""
+    for key, value in (changes or {}).items():
+        *way, last = key.split(".")
+        here: Any = raw
+        for i, part in enumerate(way):
+            where = ".".join(way[: i + 1])
+            here = _entry_of(path, here, part, where=where, key=key)
+        if not isinstance(here, dict):
+            raise _no_table(path, ".".join(way), key)
+        if value is None:
+            here.pop(last, None)
+        else:
+            here[last] = deepcopy(value)
     return raw
+
+
+def _entry_of(path: Path, here: Any, part: str, *, where: str, key: str) -> Any:
+    """Return the part of a table, or the entry of a list by its name."""
+    if isinstance(here, list):
+        entries = [e for e in here if isinstance(e, dict)]
+        named = {str(e.get("name", e.get("field"))): e for e in entries}
+        if part not in named:
+            known = known_here(part, named)
+            raise ProjectError(f"{path}: {key}: there is no {where}.{known}")
+        return named[part]
+    if not isinstance(here, dict):
+        raise _no_table(path, where, key)
+    return here.setdefault(part, {})
+
+
+def _no_table(path: Path, where: str, key: str) -> ProjectError:
+    return ProjectError(f"{path}: {key}: {where} is no table of the project file.")
 
 
 def _with_shared(raw: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:
@@ -114,8 +233,6 @@ def _with_shared(raw: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:
             merged[key] = [
                 _merged(base, own) if isinstance(own, dict) else own for own in raw[key]
             ]
-    for own in _tables(merged, "candidates"):
-        own.pop("measured", None)  # `_measured_candidates` has a better message
     return merged
 
 
@@ -125,26 +242,9 @@ def _shared_problems(shared: Any) -> list[str]:
         return [f"shared: got {shared!r}; expected a table [shared]."]
     known = [key for key in ConfigurationTable.model_fields if key != "name"]
     return [
-        f"shared.{key}: unknown key.{suggestion(key, known)} Known here: "
-        f"{', '.join(known)}."
+        f"shared.{key}: unknown key.{known_here(key, known, 'Known here')}"
         for key in shared
         if key not in known
-    ]
-
-
-def _tables(raw: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    entries = raw.get(key)
-    return (
-        [e for e in entries if isinstance(e, dict)] if isinstance(entries, list) else []
-    )
-
-
-def _measured_candidates(raw: dict[str, Any]) -> list[str]:
-    return [
-        f"candidates.{own.get('name', i)}.measured: a candidate is what might be "
-        "measured; once it is, make it one of [[configurations]]."
-        for i, own in enumerate(_tables(raw, "candidates"), start=1)
-        if "measured" in own
     ]
 
 

@@ -29,7 +29,6 @@ from softcal_jax.project._table import (
 Selection = dict[str, str]
 """Values that the selected rows of a file of readings have, by column."""
 
-
 _UNIT_LENGTH = 1e-3
 """Tolerance on the length of a quaternion, above the rounding of four digits."""
 
@@ -44,16 +43,11 @@ class OrientationTable(Table):
     rotation_vector: RotationVector | None = None
 
     @property
-    def forms(self) -> tuple[str, ...]:
+    def forms(self) -> list[str]:
         """One key for each form that is given."""
-        angles = ("azimuth", "elevation", "roll")
-        found = [key for key in angles if getattr(self, key) is not None]
-        others = [
-            key
-            for key in ("quaternion", "rotation_vector")
-            if getattr(self, key) is not None
-        ]
-        return (*found[:1], *others)
+        given = {key for key, value in self if value is not None}
+        angles = [key for key in ("azimuth", "elevation", "roll") if key in given]
+        return angles[:1] + [k for k in ("quaternion", "rotation_vector") if k in given]
 
     @model_validator(mode="after")
     def _check_form(self) -> "OrientationTable":
@@ -69,9 +63,6 @@ class OrientationTable(Table):
         """Rotation matrix from the frame's own axes to those it is given in [-].
 
         The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll).
-
-        Raises:
-            ValueError: If a quaternion is not of unit length.
         """
         if self.quaternion is not None:
             w, *xyz = self.quaternion
@@ -115,16 +106,17 @@ class MeasuredPoseTable(OrientationTable):
     @model_validator(mode="after")
     def _check(self) -> "MeasuredPoseTable":
         given = self.model_fields_set - {"position", *OrientationTable.model_fields}
-        if self.file is None and self.position is None:
-            raise ValueError(
-                "expected the pose, { position = ..., azimuth = ..., elevation = ..., "
-                'roll = ... }, or where it was read, { file = "tracker.csv" }.'
-            )
-        if self.file is None and given:
-            raise ValueError(
-                f"{sorted(given)[0]} belongs to a file, which is not there; add `file`."
-            )
         if self.file is None:
+            if self.position is None:
+                raise ValueError(
+                    "expected the pose, { position = ..., azimuth = ..., elevation = "
+                    '..., roll = ... }, or where it was read, { file = "tracker.csv" }.'
+                )
+            if given:
+                raise ValueError(
+                    f"{sorted(given)[0]} belongs to a file, which is not there; add "
+                    "`file`."
+                )
             return self
         if self.position is not None or self.forms:
             raise ValueError("got a pose and a file; give one of them.")
@@ -164,12 +156,6 @@ class MeasuredPoseTable(OrientationTable):
             base: Frame of the tracker's base.
             mounted: Orientation of the sensor on the mesh at rest.
             rest: Position of the sensor at rest [m].
-
-        Returns:
-            Translation of the point `rest` [m], and rotation.
-
-        Raises:
-            ValueError: If a file or value is wrong, or readings are not of one pose.
         """
         position, rotation = self._mean(folder, base, self.select)
         before, mounting = rest, mounted.rotation
@@ -195,10 +181,8 @@ class MeasuredPoseTable(OrientationTable):
 
     def _readings(self, folder: Path, select: Selection) -> PoseTable:
         if self.file is None:
-            position = np.array([self.position], float)
-            return PoseTable(
-                ("sensor",), position, self.rotation[None], (1,), "the pose"
-            )
+            p, R = np.array([self.position], float), self.rotation[None]
+            return PoseTable(("sensor",), p, R, (1,), "the pose")
         path = folder / self.file
         if self.format == "table":
             return read_poses(path, length_unit=self.length_unit, select=select)

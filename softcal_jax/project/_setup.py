@@ -1,11 +1,10 @@
 """The kinds of [[setup]]: what is calibrated beside the material.
 
-To add a kind, write one table with a key of its own and a `build`, and list it in
-`AnySetup`.
+To add a kind, write one table with a key of its own, named like the function of
+`softcal_jax.fields` that makes it, and list it in `AnySetup`.
 """
 
-from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
@@ -21,25 +20,36 @@ from softcal_jax.fields import (
     mounting,
     recording_offset,
 )
-from softcal_jax.project._actuators import CableTable
-from softcal_jax.project._problems import known_name, shown
-from softcal_jax.project._quantities import ANGLE, LENGTH, Dimension, parse_scalar
+from softcal_jax.project._actuators import CableTable, MotorTable
+from softcal_jax.project._problems import known_name
+from softcal_jax.project._quantities import (
+    ANGLE,
+    LENGTH,
+    Dimension,
+    parse_number,
+    parse_scalar,
+)
 from softcal_jax.project._table import Angle, ByKeys, Names, Table
 
 if TYPE_CHECKING:
-    from softcal_jax.project._schema import ProjectTable
+    from softcal_jax.project._reading import ProjectTable
 
 
 class SetupTable(Table):
     """An error of the setup that is known up to a limit.
 
     Attributes:
-        label: Its key.
+        makes: Makes the parameters from limit and prior, and from the name and nominal
+            value of what the error belongs to. Its name is the key of the table.
         measures: Dimension of `limit` and `prior_std`; None for plain numbers.
+        noun: What the error belongs to, for messages; None if the robot as a whole.
+        section: Table of the file that defines it.
     """
 
-    label: ClassVar[str]
-    measures: ClassVar[Dimension | None]
+    makes: ClassVar[Callable[..., Entry | Sequence[Entry]]]
+    measures: ClassVar[Dimension | None] = None
+    noun: ClassVar[str | None] = None
+    section: ClassVar[str] = "actuators"
 
     limit: float = Field(description='largest error looked for: "3 deg", "2 mm"')
     prior_std: float | None = None
@@ -47,62 +57,82 @@ class SetupTable(Table):
     @field_validator("limit", "prior_std", mode="before")
     @classmethod
     def _parse(cls, value: Any) -> float:
-        if cls.measures is not None:
-            number = parse_scalar(value, cls.measures)
-        elif isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"got {shown(value)}; expected a number, like 0.05.")
+        if cls.measures is None:
+            number = parse_number(value, "0.05")
         else:
-            number = float(value)
+            number = parse_scalar(value, cls.measures)
         if not number > 0.0:
             raise ValueError(f'got "{value}"; expected more than zero.')
         return number
 
-    @abstractmethod
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build the parameters.
+    @property
+    def label(self) -> str:
+        """Its key."""
+        return type(self).makes.__name__
 
-        Args:
-            project: The whole file.
+    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+        """List what such an error can belong to, with its nominal value, if any."""
+        raise NotImplementedError
 
-        Raises:
-            ValueError: If something that they refer to is unknown.
-        """
+    def known(self, project: "ProjectTable") -> dict[str, Any]:
+        """Return limit, prior and scope, as arguments of `makes`."""
+        del project
+        return self.model_dump(exclude={self.label, "each"})
+
+    def build(self, project: "ProjectTable") -> list[Entry]:
+        """Build the parameters."""
+        known, of = self.known(project), [()]
+        if self.noun is not None:
+            subjects, names = self.subjects(project), getattr(self, self.label)
+            for name in names:
+                known_name(self.noun, name, subjects, self.section)
+            of = [(name, *subjects[name]) for name in names]
+        made = [type(self).makes(*own, **known) for own in of]
+        several = ([m] if isinstance(m, Entry) else m for m in made)
+        return [entry for entries in several for entry in entries]
 
 
 class MotorZeroTable(SetupTable):
-    """Zero errors of motors."""
+    """Zero errors of motors, one parameter each."""
 
-    label = "motor_zero"
+    makes = motor_zero
     measures = ANGLE
-
+    noun = "motor"
     motor_zero: Names
 
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build one parameter per motor."""
-        motors = [k for k, own in project.actuators.items() if own.type == "motor"]
-        for motor in self.motor_zero:
-            known_name("motor", motor, motors, "actuators")
-        known = {"limit": self.limit, "prior_std": self.prior_std}
-        return [motor_zero(motor, **known) for motor in self.motor_zero]
+    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+        """List the motors."""
+        tables = project.actuators.items()
+        return {name: () for name, own in tables if isinstance(own, MotorTable)}
 
 
 class MountingTable(SetupTable):
-    """Translations of rigid bodies from where they should be mounted."""
+    """Translations of rigid bodies from where they should be mounted, three each."""
 
-    label = "mounting"
+    makes = mounting
     measures = LENGTH
-
+    noun = "rigid body"
+    section = "bodies"
     mounting: Names
 
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build three parameters per body."""
-        entries: list[Entry] = []
-        for body in self.mounting:
-            known_name("rigid body", body, project.bodies, "bodies")
-            nominal = project.bodies[body].mounting.translation
-            limits = {"limit": self.limit, "prior_std": self.prior_std}
-            entries += mounting(body, nominal, **limits)
-        return entries
+    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+        """List the bodies, with their nominal mounting."""
+        tables = project.bodies.items()
+        return {name: (own.mounting.translation,) for name, own in tables}
+
+
+class FrictionTable(SetupTable):
+    """Friction coefficients of cables, one parameter each."""
+
+    makes = friction
+    noun = "cable with friction"
+    friction: Names
+
+    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+        """List the cables with friction, and their coefficients."""
+        tables = project.actuators.items()
+        cables = {name: own for name, own in tables if isinstance(own, CableTable)}
+        return {k: (own.friction,) for k, own in cables.items() if own.friction}
 
 
 class ScopedTable(SetupTable):
@@ -110,144 +140,91 @@ class ScopedTable(SetupTable):
 
     each: Literal["configuration", "recording"] | tuple[str, ...] | None = None
 
-    def scope(self, project: "ProjectTable") -> dict[str, Any]:
-        """Return the scope, as arguments of the functions of `fields`.
-
-        Raises:
-            ValueError: If a recording is unknown.
-        """
+    def known(self, project: "ProjectTable") -> dict[str, Any]:
+        """Add the configurations or recordings that have an error of their own."""
+        known = super().known(project)
         fitted = [c for c in project.configurations if c.role == "calibration"]
         recordings = list(dict.fromkeys(c.recording or c.name for c in fitted))
         if self.each is None:
-            return {}
+            return known
         if self.each == "configuration":
-            return {"each": [c.name for c in fitted], "by": "configuration"}
+            return known | {"each": [c.name for c in fitted], "by": "configuration"}
         if self.each == "recording":
-            return {"each": recordings}
+            return known | {"each": recordings}
         for name in self.each:
             known_name("recording", name, recordings, "configurations")
-        return {"each": self.each}
+        return known | {"each": self.each}
 
 
 class GravityTiltTable(ScopedTable):
     """Two error angles of the direction of gravity."""
 
-    label = "gravity_tilt"
+    makes = gravity_tilt
     measures = ANGLE
-
     gravity_tilt: Literal[True]
-
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build two parameters, for all or for each recording."""
-        known = {"limit": self.limit, "prior_std": self.prior_std}
-        return gravity_tilt(**known, **self.scope(project))
 
 
 class RecordingOffsetTable(ScopedTable):
-    """Offset of the frame of a recording, or of the base of a tracker."""
+    """Offset of the frame of a recording, or of the base of a tracker.
 
-    label = "recording_offset"
+    Three parameters, or six with the turn of the frame.
+    """
+
+    makes = recording_offset
     measures = LENGTH
-
     recording_offset: Literal[True]
     turn_limit: Angle | None = None
     turn_prior_std: Angle | None = None
-
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build three parameters, six with turns, for all or for each recording."""
-        return recording_offset(
-            limit=self.limit,
-            prior_std=self.prior_std,
-            turn_limit=self.turn_limit,
-            turn_prior_std=self.turn_prior_std,
-            **self.scope(project),
-        )
 
 
 class FactorTable(ScopedTable):
     """A factor: `limit` is its largest value, `prior_std` is relative."""
 
-    measures = None
     limit: float = 2.0
-
-    def known(self, project: "ProjectTable") -> dict[str, Any]:
-        """Return limit, prior and scope, as arguments of the functions of `fields`."""
-        own = {"limit": self.limit, "prior_std": self.prior_std}
-        return own | self.scope(project)
 
 
 class LoadFactorTable(FactorTable):
     """A factor on the dead loads."""
 
-    label = "load_factor"
-
+    makes = load_factor
     load_factor: Literal[True]
-
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build one parameter, for all or for each recording."""
-        return [load_factor(**self.known(project))]
 
 
 class ActuatorFactorTable(FactorTable):
-    """A factor on the imposed forces of actuators."""
+    """Factors on the imposed forces of actuators, one parameter each."""
 
-    label = "actuator_factor"
-
+    makes = actuator_factor
+    noun = "actuator"
     actuator_factor: Names
 
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build one parameter per actuator, for all or for each recording."""
-        for name in self.actuator_factor:
-            known_name("actuator", name, project.actuators, "actuators")
-        known = self.known(project)
-        return [actuator_factor(name, **known) for name in self.actuator_factor]
+    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+        """List the actuators."""
+        return dict.fromkeys(project.actuators, ())
 
 
 class ClampStiffnessTable(FactorTable):
-    """Stiffness of elastic supports; `limit` is a factor, `prior_std` is relative."""
+    """Stiffnesses of elastic supports; `limit` is a factor, `prior_std` is relative."""
 
-    label = "clamp_stiffness"
+    makes = clamp_stiffness
+    noun = "support with a stiffness"
+    section = "supports"
     limit: float = 1e3
 
     clamp_stiffness: Names
 
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build one parameter per group, for all or for each recording."""
-        nominal: dict[str, float] = {}
-        for c in project.configurations:
-            for own in c.supports:
-                if own.stiffness is None:
-                    continue
-                if nominal.setdefault(own.group, own.stiffness) != own.stiffness:
-                    raise ValueError(
-                        f"configurations state several stiffnesses for {own.group!r}; "
-                        "state one, about which it is calibrated."
-                    )
-        for group in self.clamp_stiffness:
-            known_name("support with a stiffness", group, nominal, "supports")
-        known = self.known(project)
-        return [clamp_stiffness(g, nominal[g], **known) for g in self.clamp_stiffness]
-
-
-class FrictionTable(SetupTable):
-    """Friction coefficients of cables."""
-
-    label = "friction"
-    measures = None
-
-    friction: Names
-
-    def build(self, project: "ProjectTable") -> Sequence[Entry]:
-        """Build one parameter per cable."""
-        nominal = {
-            name: own.friction
-            for name, own in project.actuators.items()
-            if isinstance(own, CableTable) and own.friction
-        }
-        for name in self.friction:
-            known_name("cable with friction", name, nominal, "actuators")
-        known = {"limit": self.limit, "prior_std": self.prior_std}
-        return [friction(name, nominal[name], **known) for name in self.friction]
+    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+        """List the groups of elastic supports, with their nominal stiffness."""
+        nominal: dict[str, tuple[float]] = {}
+        supports = [own for c in project.configurations for own in c.supports]
+        for own in supports:
+            if own.stiffness is None:
+                continue
+            if nominal.setdefault(own.group, (own.stiffness,)) != (own.stiffness,):
+                raise ValueError(
+                    f"configurations state several stiffnesses for {own.group!r}; "
+                    "state one, about which it is calibrated."
+                )
+        return dict(nominal)
 
 
 AnySetup = Annotated[

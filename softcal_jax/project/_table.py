@@ -1,20 +1,24 @@
 """What all tables of a project file share; parsed values are in SI units."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
+    Field,
     GetCoreSchemaHandler,
     Strict,
+    Tag,
 )
 from pydantic_core import PydanticKnownError, core_schema
 
 from softcal_jax.project._quantities import (
     ACCELERATION,
     ANGLE,
+    BEDDING,
     DENSITY,
     FORCE,
     LENGTH,
@@ -34,7 +38,8 @@ Length = Annotated[float, BeforeValidator(scalar(LENGTH))]
 Density = Annotated[float, BeforeValidator(scalar(DENSITY))]
 Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
 Mass = Annotated[float, BeforeValidator(scalar(MASS))]
-Newtons = Annotated[float, BeforeValidator(scalar(FORCE))]
+Stiffness = Annotated[float, BeforeValidator(scalar(BEDDING))]
+AccelerationSize = Annotated[float, BeforeValidator(scalar(ACCELERATION))]
 Position = Annotated[Triple, BeforeValidator(vector(LENGTH))]
 Acceleration = Annotated[Triple, BeforeValidator(vector(ACCELERATION))]
 Force = Annotated[Triple, BeforeValidator(vector(FORCE))]
@@ -47,6 +52,17 @@ Names = Annotated[
     BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
 ]
 """One name, or a list of them."""
+
+Surface = Annotated[str, Field(description='name of a surface group: "z_max"')]
+
+T = TypeVar("T")
+V = TypeVar("V")
+
+TableOr = Annotated[
+    Annotated[T, Tag("(table)")] | Annotated[V, Tag("(vector)")],
+    Discriminator(lambda v: "(table)" if isinstance(v, dict) else "(vector)"),
+]
+"""A table, or else a list or text."""
 
 
 class Table(BaseModel):
@@ -63,28 +79,27 @@ class Table(BaseModel):
 class Maker(Table):
     """A table that makes an object; its keys except `type` are the arguments in order.
 
-    Attributes:
-        makes: The class of the object.
+    What the table is for stands in the class that it `makes`.
     """
 
     makes: ClassVar[type[Any]]
 
     def build(self, *first: Any) -> Any:
-        """Build the object.
+        """Build the object; `first` are arguments before those of the table."""
+        return self.makes(*first, *(_built(own) for key, own in self if key != "type"))
 
-        Args:
-            first: Arguments before those of the table, like a name.
-        """
-        keys = [key for key in type(self).model_fields if key != "type"]
-        return self.makes(*first, *(getattr(self, key) for key in keys))
+
+def _built(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_built, value))
+    return value.build() if isinstance(value, Maker) else value
 
 
 class ByKeys:
     """Mark a union of tables that are distinguished by their required keys.
 
     The kind with most of its own keys present is chosen, and among equals one with all
-    of them; if several remain, the error lists the choices. Tables with a `type` use
-    `Field(discriminator="type")` instead.
+    of them; if several remain, the error lists the choices.
     """
 
     def __get_pydantic_core_schema__(
@@ -124,8 +139,3 @@ def own_keys(kinds: Sequence[type[BaseModel]]) -> list[list[str]]:
     ]
     shared = set.intersection(*(set(kind.model_fields) for kind in kinds))
     return [[key for key in keys if key not in shared] for keys in needed]
-
-
-def table_or_vector(value: Any) -> str:
-    """Tag a value as a table, or else as a list or text."""
-    return "(table)" if isinstance(value, dict) else "(vector)"

@@ -6,8 +6,13 @@ from typing import Any
 from pydantic import field_validator
 
 from softcal_jax.fields import Uncertain
-from softcal_jax.project._problems import shown
-from softcal_jax.project._quantities import ANGLE, LENGTH, Dimension, parse_scalar
+from softcal_jax.project._quantities import (
+    ANGLE,
+    LENGTH,
+    Dimension,
+    parse_scalar,
+    shown,
+)
 from softcal_jax.project._table import Number, Table
 
 _OF_KEY = {

@@ -1,10 +1,19 @@
 """Tables of results for a terminal, to be printed by `rich`."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from softcal_jax.calibration import CalibrationResult, SimulationResult
-from softcal_jax.export import readable_estimate, readable_unit
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import (
+    CalibrationResult,
+    ConfigurationResult,
+    SimulationResult,
+)
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.export import readable_estimate, readable_unit, readable_values
 from softcal_jax.identifiability import (
     IDENTIFIABLE_BELOW,
     WEAK_BELOW,
@@ -12,8 +21,6 @@ from softcal_jax.identifiability import (
     Identifiability,
     assess,
 )
-from softcal_jax.report._cells import add_row, start_table
-from softcal_jax.report._robot_tables import effector_table, robot_tables
 
 if TYPE_CHECKING:
     import rich.console
@@ -27,6 +34,12 @@ _STYLE = {
     "weakly identifiable": "yellow",
     "not identifiable": "bold red",
 }
+
+_WORDS = {"role", "effector", "actuator", "rigid body", "state", "of"}
+_WORDS |= {"outcome", "verdict", "share of the value"}
+"""Columns of words, aligned on the left; numbers are on the right."""
+
+Configurations = Sequence[ConfigurationResult]
 
 
 def summary_table(
@@ -51,29 +64,27 @@ def summary_table(
         text = f"NOT CONVERGED after {steps} steps: do not use these values."
         head = Text(text, style="bold white on red")
     elif verdict.identified:
-        text = f"Converged in {steps} steps."
-        head = Text(text, style="bold green")
+        head = Text(f"Converged in {steps} steps.", style="bold green")
     else:
         # The tables above and the notes below say why.
         text = f"Converged in {steps} steps, but take the values with care."
         head = Text(text, style="bold yellow")
     shown = result.configurations
-    parts: list[Any] = [_parameter_table(result, found), _budget_table(result)]
-    parts += _interval_table(result)
-    parts += _configuration_tables(result)
-    parts += [*effector_table(shown), *robot_tables(shown)]
-    parts += [*_outlook(found), head]
-    if result.starts is not None:
-        parts.append(Text(str(result.starts)))
-    parts += [Text(f"Note: {note}", style="yellow") for note in result.notes]
-    return Group(*parts)
+    return Group(
+        _parameter_table(result, found),
+        _budget_table(result),
+        *_interval_table(result),
+        *_configuration_tables(shown),
+        *_robot_tables(shown),
+        *_outlook(found),
+        head,
+        *([] if result.starts is None else [Text(str(result.starts))]),
+        *(Text(f"Note: {note}", style="yellow") for note in result.notes),
+    )
 
 
 def simulation_table(result: SimulationResult) -> "rich.console.Group":
     """Tabulate a forward simulation for the terminal.
-
-    Args:
-        result: The simulation.
 
     Returns:
         One line per configuration, with the reason if it has no equilibrium; then
@@ -81,26 +92,21 @@ def simulation_table(result: SimulationResult) -> "rich.console.Group":
     """
     from rich.console import Group
 
-    table = start_table(
-        "Simulation", "configuration", ["largest displacement", "Newton steps"]
-    )
-    table.add_column("outcome")
-    shown = result.configurations
-    for own in shown:
+    columns = ["largest displacement", "Newton steps", "outcome"]
+    table = _start_table("Simulation", "configuration", columns)
+    for own in result.configurations:
         largest = own.largest_displacement if own.converged else math.nan
-        style = "green" if own.converged else "bold red"
-        steps = str(own.newton_steps)
-        add_row(table, own.name, _distance(largest), steps, (own.outcome, style))
-    return Group(table, *effector_table(shown), *robot_tables(shown))
+        outcome = (own.outcome, "green" if own.converged else "bold red")
+        _add_row(table, own.name, _distance(largest), str(own.newton_steps), outcome)
+    return Group(table, *_robot_tables(result.configurations))
 
 
 def _parameter_table(
     result: CalibrationResult, found: Identifiability
 ) -> "rich.table.Table":
     blind = {p.name for p in found.parameters if p.verdict == "not identifiable"}
-    table = start_table(
-        "Parameters", "parameter", ["value ± std. error", "start", "bounds"]
-    )
+    columns = ["value ± std. error", "start", "bounds"]
+    table = _start_table("Parameters", "parameter", columns)
     for q in result.parameters:
         text = readable_estimate(q.value, q.standard_error, q.unit)
         if q.at_bound:
@@ -110,16 +116,16 @@ def _parameter_table(
         sound = result.converged and not q.at_bound and q.name not in blind
         style = "bold" if sound else "bold red"
         start = f"{q.start * factor:.4g} {unit}".rstrip()
-        add_row(table, q.name, (text, style), start, bounds.rstrip())
+        _add_row(table, q.name, (text, style), start, bounds.rstrip())
     return table
 
 
 def _budget_table(result: CalibrationResult) -> "rich.table.Table":
     """Tabulate what the standard errors come from."""
-    table = start_table("Standard errors by cause", "parameter", [])
-    table.add_column("of its value")
+    columns = ["share of the value"]
+    table = _start_table("Standard errors by cause", "parameter", columns)
     for name in result.budget.names:
-        add_row(table, name, result.budget.sentence(name))
+        _add_row(table, name, result.budget.sentence(name))
     return table
 
 
@@ -128,42 +134,87 @@ def _interval_table(result: CalibrationResult) -> list["rich.table.Table"]:
     if not result.intervals:
         return []
     level = f"{100.0 * result.intervals[0].level:g} %"
-    table = start_table("By profile likelihood", "parameter", [f"{level} interval"])
+    table = _start_table("By profile likelihood", "parameter", [f"{level} interval"])
     for interval in result.intervals:
         ends = (interval.lower_end, interval.upper_end)
         style = "bold red" if "not found" in ends else ""
-        add_row(table, interval.name, (str(interval), style))
+        _add_row(table, interval.name, (str(interval), style))
     return [table]
 
 
-def _configuration_tables(result: CalibrationResult) -> list["rich.table.Table"]:
+def _configuration_tables(fits: Configurations) -> list["rich.table.Table"]:
     """Tabulate the errors of points and of orientations."""
     columns = ["role", "before", "after", "moved", "after/moved"]
-    points = start_table("Rms distance of the markers", "configuration", columns)
-    columns = ["role", "before", "after"]
-    turns = start_table("Rms angle of the orientations", "configuration", columns)
-    for fit in result.configurations:
+    points = _start_table("Rms distance of the markers", "configuration", columns)
+    turns = _start_table("Rms angle of the orientations", "configuration", columns[:3])
+    for fit in fits:
         before, after, moved = map(
             _distance, (fit.rms_before, fit.rms_after, fit.motion)
         )
         share = "-" if math.isnan(fit.rms_share) else f"{100.0 * fit.rms_share:.1f} %"
-        add_row(points, fit.name, fit.role, before, (after, "bold"), moved, share)
+        _add_row(points, fit.name, fit.role, before, (after, "bold"), moved, share)
         if math.isfinite(fit.turn_after):
             before, after = _angle(fit.turn_before), _angle(fit.turn_after)
-            add_row(turns, fit.name, fit.role, before, (after, "bold"))
-    sees_points = any(fit.points for fit in result.configurations)
-    shown = [points] if sees_points else []
+            _add_row(turns, fit.name, fit.role, before, (after, "bold"))
+    shown = [points] if any(fit.points for fit in fits) else []
     return shown + ([turns] if turns.row_count else [])
+
+
+def _robot_tables(configurations: Configurations) -> list["rich.table.Table"]:
+    """Tabulate effectors that are not points, actuators, rigid bodies and reactions.
+
+    There is no table for what is missing.
+    """
+    fitted = any(result.role != "simulation" for result in configurations)
+    values = ["measured", "before", "after"] if fitted else ["simulated"]
+    titles = {
+        "Other effectors": ["effector", *values],
+        "Actuators": ["actuator", "force", "displacement"],
+        "Rigid bodies": ["rigid body", "state", "moved by", "turned by"],
+        "Reactions": ["of", "force of the ground (x, y, z)"],
+    }
+    tables = [_start_table(t, "configuration", names) for t, names in titles.items()]
+    effectors, actuators, bodies, reactions = tables
+    for result in configurations:
+        for own in result.others:
+            if own.is_turn and fitted:
+                continue  # another table shows the errors of turns
+            name = f"{own.name}{' (turn)' if own.is_turn else ''}"
+            found = [own.measured, own.simulated_before, own.simulated][-len(values) :]
+            _add_row(effectors, result.name, name, *(_cell(own, v) for v in found))
+        robot = result.robot
+        if robot is None:
+            continue
+        for own in robot.actuators:
+            shown = [readable_values([own.force], own.force_unit), "-"]
+            if own.displacement is not None and own.displacement_unit is not None:
+                shown[1] = readable_values([own.displacement], own.displacement_unit)
+            shown[own.imposed == "displacement"] += " (imposed)"
+            _add_row(actuators, result.name, own.name, *shown)
+        for body in robot.bodies:
+            moved = readable_values([_length(body.translation)], "m")
+            turned = readable_values([_length(body.rotation_vector)], "rad")
+            _add_row(bodies, result.name, body.name, body.state, moved, turned)
+        for reaction in robot.reactions:
+            force = readable_values(list(reaction.force), "N")
+            _add_row(reactions, result.name, reaction.name, force)
+    return [table for table in tables if table.row_count]
+
+
+def _cell(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:
+    if np.isnan(values).any():
+        return "-"
+    return readable_values([_length(values)] if own.is_turn else list(values), own.unit)
 
 
 def _outlook(found: Identifiability) -> list[Any]:
     """Tabulate what the data tell about each parameter, and what they are blind to."""
     from rich.text import Text
 
-    table = start_table("What the data tell", "parameter", ["spread left"])
-    table.add_column("verdict")
+    columns = ["spread left", "verdict"]
+    table = _start_table("What the data tell", "parameter", columns)
     for p in found.parameters:
-        add_row(table, p.name, _percent(p.spread), (p.verdict, _STYLE[p.verdict]))
+        _add_row(table, p.name, _percent(p.spread), (p.verdict, _STYLE[p.verdict]))
     legend = (
         f"Spread left by the data, over that of the {found.known}: below "
         f"{_percent(IDENTIFIABLE_BELOW)} identifiable, above {_percent(WEAK_BELOW)} "
@@ -178,19 +229,40 @@ def _blindness(found: Identifiability) -> str:
     if not blind:
         how = "well" if found.verdict == "identifiable" else "only weakly in part"
         return f"The data determine the parameters {how}."
-    several = "s" if found.n_parameters > 1 else ""
+    n, informed = found.n_parameters, found.informed
+    several = "s" if n > 1 else ""
     lines = [
-        f"The data hardly see {len(blind)} of {found.n_parameters} direction{several}; "
+        f"The data hardly see {len(blind)} of {n} direction{several}; "
         f"along these the {found.known} and the start decide, not the data:"
     ]
     lines += [f"  {d.words} ({_percent(d.spread)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:
         lines.append(f"  and {len(blind) - MOST_DIRECTIONS} more.")
-    lines.append(
-        f"They tell more than the {found.known} along {found.informed} of "
-        f"{found.n_parameters}."
-    )
+    lines.append(f"They tell more than the {found.known} along {informed} of {n}.")
     return "\n".join(lines)
+
+
+def _start_table(title: str, first: str, columns: Sequence[str]) -> "rich.table.Table":
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold")
+    table.add_column(first)
+    for column in columns:
+        table.add_column(column, justify="left" if column in _WORDS else "right")
+    return table
+
+
+def _add_row(table: "rich.table.Table", *cells: str | tuple[str, str]) -> None:
+    """Add a row of texts to a table, some with a style: (text, style)."""
+    from rich.text import Text
+
+    pairs = [(cell, "") if isinstance(cell, str) else cell for cell in cells]
+    # Text, not str, which would read a name like "[a]" as markup.
+    table.add_row(*(Text(text, style=style) for text, style in pairs))
+
+
+def _length(vector: Float[HostArray, "3"]) -> float:
+    return float(np.linalg.norm(vector))
 
 
 def _percent(share: float) -> str:

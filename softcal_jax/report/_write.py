@@ -1,16 +1,11 @@
 """Write a results folder, whole or not at all."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from softcal_jax.calibration import (
-    CalibrationResult,
-    ConfigurationResult,
-    SimulationResult,
-)
-from softcal_jax.equilibrium import Model
+from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.export import (
     file_stems,
     outlook_dict,
@@ -71,29 +66,7 @@ def write_results(
             results folder.
     """
     data = result_dict(result, name=name, assessment=assessment, timing_s=timing_s)
-    shown, problem = result.configurations, _picture_problem()
-    with results_folder(directory, force=force) as folder:
-        plot_convergence(result, folder / "convergence.png", name=name)
-        plot_budget(result, folder / "budget.png", name=name)
-        files = ["convergence.png", "budget.png"]
-        if any(fit.points for fit in shown):
-            write_markers_csv(folder / "markers.csv", shown)
-            files.append("markers.csv")
-        if any(fit.others for fit in shown):
-            write_effectors_csv(folder / "effectors.csv", shown)
-            files.append("effectors.csv")
-        files += _write_robot(folder, shown)
-        files += _write_bodies(
-            folder,
-            result.model,
-            shown,
-            data["configurations"],
-            pictures=problem is None,
-            trusted=result.converged,
-        )
-        data["notes"] += [problem] if problem else []
-        write_json(folder / "result.json", {**data, "files": files})
-    return Path(directory)
+    return _write(result, data, Path(directory), "result.json", force=force)
 
 
 def write_simulation(
@@ -108,32 +81,11 @@ def write_simulation(
 
     The folder holds `simulation.json` (see `simulation_dict`) and, for each
     configuration with an equilibrium, a .vtu and a .png; the others are listed with
-    the reason. For a robot with rigid bodies or actuators also `robot.csv`.
-
-    Args:
-        result: The simulation.
-        directory: The folder, as `write_results` takes it; it raises the same.
-        name: Name of the simulation.
-        force: Replace earlier results; files that a user added stay.
-        timing_s: Wall time per part [s].
-
-    Returns:
-        The folder.
+    the reason. For a robot with rigid bodies or actuators also `robot.csv`. Arguments
+    and errors are those of `write_results`; returns the folder.
     """
     data = simulation_dict(result, name=name, timing_s=timing_s)
-    shown, problem = result.configurations, _picture_problem()
-    with results_folder(directory, force=force) as folder:
-        files = _write_bodies(
-            folder,
-            result.model,
-            shown,
-            data["configurations"],
-            pictures=problem is None,
-        )
-        data["notes"] = [problem] if problem else []
-        data["files"] = [*files, *_write_robot(folder, shown)]
-        write_json(folder / "simulation.json", data)
-    return Path(directory)
+    return _write(result, data, Path(directory), "simulation.json", force=force)
 
 
 def write_identifiability(
@@ -148,18 +100,16 @@ def write_identifiability(
     """Write an identifiability result to a folder, whole or not at all.
 
     The folder holds `identifiability.json` (see `outlook_dict`) and the same in words,
-    `identifiability.txt`.
+    `identifiability.txt`. Further arguments and errors are those of `write_results`;
+    returns the folder.
 
     Args:
         found: Result of the configurations; None if there are none.
         ranking: Ranking of the candidates; None if there are none.
-        directory: The folder, as `write_results` takes it; it raises the same.
+        directory: The folder.
         name: Name of the project.
-        force: Replace earlier results; files that a user added stay.
+        force: Replace earlier results.
         timing_s: Wall time per part [s].
-
-    Returns:
-        The folder.
     """
     data = outlook_dict(found, ranking, name=name, timing_s=timing_s)
     text = "\n\n".join(str(part) for part in (found, ranking) if part is not None)
@@ -170,38 +120,55 @@ def write_identifiability(
     return Path(directory)
 
 
-def _write_robot(folder: Path, shown: Sequence[ConfigurationResult]) -> list[str]:
-    """Write rigid bodies, actuators and reactions, if there are any."""
-    if all(own.robot is None for own in shown):
-        return []
-    write_robot_csv(folder / "robot.csv", shown)
-    return ["robot.csv"]
+Result = CalibrationResult | SimulationResult
+
+
+def _write(
+    result: Result, data: dict[str, Any], directory: Path, index: str, *, force: bool
+) -> Path:
+    """Write all files, and last the index, which lists them."""
+    problem = rendering_problem()
+    if problem is not None:  # warn before the work is done
+        warnings.warn(problem, PictureWarning, stacklevel=3)
+    with results_folder(directory, force=force) as folder:
+        files = _write_tables(folder, result, data["name"])
+        files += _write_bodies(folder, result, data, pictures=problem is None)
+        data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
+        write_json(folder / index, {**data, "files": files})
+    return directory
+
+
+def _write_tables(folder: Path, result: Result, name: str) -> list[str]:
+    """Write what shows all configurations, and return the names of the files."""
+    shown = result.configurations
+    files = []
+    if isinstance(result, CalibrationResult):
+        plot_convergence(result, folder / "convergence.png", name=name)
+        plot_budget(result, folder / "budget.png", name=name)
+        files += ["convergence.png", "budget.png"]
+        if any(fit.points for fit in shown):
+            write_markers_csv(folder / "markers.csv", shown)
+            files.append("markers.csv")
+        if any(fit.others for fit in shown):
+            write_effectors_csv(folder / "effectors.csv", shown)
+            files.append("effectors.csv")
+    if any(own.robot is not None for own in shown):
+        write_robot_csv(folder / "robot.csv", shown)
+        files.append("robot.csv")
+    return files
 
 
 def _write_bodies(
-    folder: Path,
-    model: Model,
-    shown: Sequence[ConfigurationResult],
-    entries: Sequence[dict[str, Any]],
-    *,
-    pictures: bool,
-    trusted: bool = True,
+    folder: Path, result: Result, data: dict[str, Any], *, pictures: bool
 ) -> list[str]:
-    """Write .vtu and .png of every equilibrium, and list them in its entry.
+    """Write .vtu and .png of every equilibrium, and list them in its entry of `data`.
 
-    Args:
-        folder: The folder to write into.
-        model: The model.
-        shown: The configurations.
-        entries: Their dictionaries for JSON, to which `files` is added.
-        pictures: Whether this machine can draw.
-        trusted: Whether the calibration converged; if not, the pictures say so.
-
-    Returns:
-        All files.
+    The pictures of a calibration that did not converge say so.
     """
+    model, shown = result.model, result.configurations
+    trusted = isinstance(result, SimulationResult) or result.converged
     stems = file_stems([own.name for own in shown])
-    for own, entry, stem in zip(shown, entries, stems, strict=True):
+    for own, entry, stem in zip(shown, data["configurations"], stems, strict=True):
         files = entry["files"] = []
         if not own.converged:
             continue
@@ -213,12 +180,4 @@ def _write_bodies(
         if pictures:
             files.append(f"{stem}.png")
             render_configuration(model, own, folder / files[-1], converged=trusted)
-    return [file for entry in entries for file in entry["files"]]
-
-
-def _picture_problem() -> str | None:
-    """Find out why there will be no pictures, and warn before the work is done."""
-    problem = rendering_problem()
-    if problem is not None:
-        warnings.warn(problem, PictureWarning, stacklevel=3)
-    return problem
+    return [file for entry in data["configurations"] for file in entry["files"]]

@@ -16,7 +16,6 @@ from softcal_jax.robots._printed_robot import (
     PrintingErrors,
     printed_robot,
     read_poses_of,
-    with_stated,
 )
 from softcal_jax.robots._silicone_beam import silicone_beam_path
 
@@ -37,5 +36,4 @@ __all__ = [
     "printed_robot",
     "read_poses_of",
     "silicone_beam_path",
-    "with_stated",
 ]

@@ -8,11 +8,7 @@ import numpy as np
 
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import Model, build_model
-from softcal_jax.fields import (
-    ControlPointParameters,
-    ControlPoints,
-    ParameterSpace,
-)
+from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam
 
@@ -117,22 +113,9 @@ def anisotropic_beam(
     )
     density = MASS / (length * width * height)
     model = build_model(mesh, law, density=density)
-    space = _space(
-        start or START,
-        interpolation=interpolation,
-        scaling=scaling,
-        ordered=ordered,
-        tensor_steps=tensor_steps,
-    )
-    configurations = tuple(_pose(number, n_effectors, std) for number in poses)
-    return AnisotropicBeam(model, space, configurations, dict(TARGET))
-
-
-def _space(start, *, interpolation, scaling, ordered, tensor_steps) -> ParameterSpace:
-    length, width, height = SIZE
     centre = (width / 2, height / 2)
     points = ControlPoints([(0.0, *centre), (length, *centre)])
-    paper, log = scaling == "paper", scaling == "log"
+    start, paper, log = start or START, scaling == "paper", scaling == "log"
     moduli = [
         ControlPointParameters(
             field,
@@ -159,9 +142,13 @@ def _space(start, *, interpolation, scaling, ordered, tensor_steps) -> Parameter
         interpolation=interpolation,
         max_step=0.005 if paper else None,
     )
-    axes = [("E_l", "E_t", "theta")] if tensor_steps else ()
-    order = [("E_l", "E_t")] if ordered and not tensor_steps else ()
-    return ParameterSpace((*moduli, theta), order=order, axes=axes)
+    space = ParameterSpace(
+        (*moduli, theta),
+        order=[("E_l", "E_t")] if ordered and not tensor_steps else (),
+        axes=[("E_l", "E_t", "theta")] if tensor_steps else (),
+    )
+    configurations = tuple(_pose(number, n_effectors, std) for number in poses)
+    return AnisotropicBeam(model, space, configurations, dict(TARGET))
 
 
 def _pose(number: int, n_effectors: int, std: float) -> Configuration:
@@ -173,21 +160,14 @@ def _pose(number: int, n_effectors: int, std: float) -> Configuration:
     # The beam turns, gravity stays: in the frame of the mesh it is gravity that turns.
     angle = np.deg2rad(turn)
     gravity = (0.0, -GRAVITY * float(np.cos(angle)), GRAVITY * float(np.sin(angle)))
-    return Configuration(
-        f"pose {number}",
-        held,
-        gravity=gravity,
-        markers=_effectors(held, n_effectors, std),
-    )
-
-
-def _effectors(held: str, n_effectors: int, std: float) -> Markers:
     length, width, height = SIZE
     if n_effectors == 1:
         free = length if held == "x_min" else 0.0
-        return Markers(["tip"], [(free, width / 2, height / 2)], std)
-    if n_effectors == 4:
-        places = (0.0525, 0.0675, 0.0825, 0.0975)
-        names = [f"x {1e3 * x:g} mm" for x in places]
-        return Markers(names, [(x, 0.0, height / 2) for x in places], std)
-    raise ValueError(f"n_effectors must be 1 or 4, got {n_effectors}.")
+        places = {"tip": (free, width / 2, height / 2)}
+    elif n_effectors == 4:
+        along = (0.0525, 0.0675, 0.0825, 0.0975)
+        places = {f"x {1e3 * x:g} mm": (x, 0.0, height / 2) for x in along}
+    else:
+        raise ValueError(f"n_effectors must be 1 or 4, got {n_effectors}.")
+    markers = Markers([*places], [*places.values()], std)
+    return Configuration(f"pose {number}", held, gravity=gravity, markers=markers)

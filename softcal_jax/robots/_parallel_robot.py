@@ -9,11 +9,7 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
-from softcal_jax.configurations import (
-    BodyFrame,
-    Configuration,
-    ImposedDisplacement,
-)
+from softcal_jax.configurations import BodyFrame, Configuration, ImposedDisplacement
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import (
     ControlPointParameters,
@@ -43,16 +39,14 @@ SETUP = {"motor_zero": float(np.deg2rad(0.5)), "mounting": 0.5e-3}
 BOUNDS = {"E_t": (200e3, 6e6), "E_l": (50e3, 3e6)}
 """Bounds of the moduli [Pa]."""
 
-_WORK, _LOW, _HIGH = 45.0, 25.0, 65.0
-
 CALIBRATION_ANGLES = (
-    (_WORK, _WORK, _WORK, _WORK, _WORK, _WORK),
-    (_LOW, _WORK, _WORK, _WORK, _WORK, _WORK),
-    (_WORK, _HIGH, _WORK, _WORK, _WORK, _WORK),
-    (_WORK, _WORK, _LOW, _WORK, _WORK, _WORK),
-    (_WORK, _WORK, _WORK, _HIGH, _WORK, _WORK),
-    (_WORK, _WORK, _WORK, _WORK, _LOW, _WORK),
-    (_WORK, _WORK, _WORK, _WORK, _WORK, _HIGH),
+    (45.0, 45.0, 45.0, 45.0, 45.0, 45.0),
+    (25.0, 45.0, 45.0, 45.0, 45.0, 45.0),
+    (45.0, 65.0, 45.0, 45.0, 45.0, 45.0),
+    (45.0, 45.0, 25.0, 45.0, 45.0, 45.0),
+    (45.0, 45.0, 45.0, 65.0, 45.0, 45.0),
+    (45.0, 45.0, 45.0, 45.0, 25.0, 45.0),
+    (45.0, 45.0, 45.0, 45.0, 45.0, 65.0),
 )
 """Angles of the six motors in the seven calibration poses, ours [degrees].
 
@@ -60,11 +54,11 @@ The working point, then each motor in turn at an end of its range.
 """
 
 VALIDATION_ANGLES = (
-    (_HIGH, _WORK, _WORK, _WORK, _WORK, _WORK),
-    (_WORK, _WORK, _HIGH, _WORK, _WORK, _WORK),
-    (_WORK, _WORK, _WORK, _WORK, _HIGH, _WORK),
-    (30.0, _WORK, _WORK, 60.0, _WORK, _WORK),
-    (_WORK, 60.0, _WORK, _WORK, 30.0, _WORK),
+    (65.0, 45.0, 45.0, 45.0, 45.0, 45.0),
+    (45.0, 45.0, 65.0, 45.0, 45.0, 45.0),
+    (45.0, 45.0, 45.0, 45.0, 65.0, 45.0),
+    (30.0, 45.0, 45.0, 60.0, 45.0, 45.0),
+    (45.0, 60.0, 45.0, 45.0, 30.0, 45.0),
     (30.0, 30.0, 30.0, 55.0, 55.0, 55.0),
     (55.0, 40.0, 50.0, 35.0, 50.0, 40.0),
 )
@@ -135,10 +129,9 @@ def parallel_robot(
         pose(geometry, f"{name} {k}", row, std=std, std_angle=std_angle)
         for k, row in enumerate(angles, start=1)
     )
-    space = control_space(geometry, prior, setup)
-    start = space.model_at(model, space.start())
+    space = _space(geometry, prior or {}, setup or {})
     return ParallelRobot(
-        model=start,
+        model=space.model_at(model, space.start()),
         space=space,
         configurations=poses("pose", CALIBRATION_ANGLES),
         validation=poses("test", VALIDATION_ANGLES),
@@ -153,9 +146,6 @@ def mechanism(
 
     The rod is the body of the lower centre, with its frame at the middle of the rod.
     The upper centre is tied to it one rod length above; this pulls the sheets together.
-
-    Args:
-        geometry: Dimensions of the robot.
     """
     arms = tuple(
         RigidBody(
@@ -170,34 +160,18 @@ def mechanism(
     # The middle of the rod, on the flat sheets.
     middle = np.array([0.0, -geometry.rod_pull, 0.0])
     rod = RigidBody(EFFECTOR, "lower/centre", origin=middle)
-    cap = RigidBody(
-        "cap",
-        "upper/centre",
-        origin=-middle,
-        tied_to=EFFECTOR,
-        mounting=Pose(2.0 * middle),
-    )
+    tie = {"tied_to": EFFECTOR, "mounting": Pose(2.0 * middle)}
+    cap = RigidBody("cap", "upper/centre", origin=-middle, **tie)
     return (*arms, rod, cap), tuple(Motor(arm.name, arm.name) for arm in arms)
 
 
-def control_space(
+def _space(
     geometry: ParallelRobotGeometry,
-    prior: Mapping[str, float] | None,
-    setup: Mapping[str, float] | None = None,
+    prior: Mapping[str, float],
+    setup: Mapping[str, float],
 ) -> ParameterSpace:
-    """Build {E_t, E_l, theta} at the twelve control points, as tensors, with prior.
-
-    Args:
-        geometry: Dimensions of the robot, and the start field.
-        prior: Standard deviations by field, or None.
-        setup: Standard deviations of errors of the setup, "motor_zero" and "mounting",
-            which come after the material.
-
-    Raises:
-        ValueError: If an error of the setup has another name.
-    """
+    """Build {E_t, E_l, theta} as tensors with prior, then the errors of the setup."""
     points, start = geometry.control_points(), geometry.start_field()
-    known = prior or {}
     moduli = [
         ControlPointParameters(
             field,
@@ -207,7 +181,7 @@ def control_space(
             upper=BOUNDS[field][1],
             unit="Pa",
             interpolation="log",
-            prior_std=known.get(field),
+            prior_std=prior.get(field),
         )
         for field in ("E_t", "E_l")
     ]
@@ -222,33 +196,25 @@ def control_space(
         scale="linear",
         S=1.0,
         interpolation="director",
-        prior_std=known.get("theta"),
+        prior_std=prior.get("theta"),
         core=CORE,
     )
-    errors = _setup_parameters(geometry, setup or {})
-    return ParameterSpace((*moduli, theta, *errors), axes=[("E_l", "E_t", "theta")])
-
-
-def _setup_parameters(
-    geometry: ParallelRobotGeometry, stds: Mapping[str, float]
-) -> list[SetupParameter]:
-    """Build the errors of all six motors, bounded by six standard deviations."""
-    unknown = set(stds) - {"motor_zero", "mounting"}
+    unknown = set(setup) - {"motor_zero", "mounting"}
     if unknown:
         raise ValueError(
             f'setup knows "motor_zero" and "mounting", got {sorted(unknown)}.'
         )
-    found: list[SetupParameter] = []
-    if (std := stds.get("motor_zero")) is not None:
-        found += [
-            motor_zero(arm.name, limit=6.0 * std, prior_std=std)
-            for arm in geometry.arms()
-        ]
-    if (std := stds.get("mounting")) is not None:
+    errors: list[SetupParameter] = []
+    for kind in ("motor_zero", "mounting"):
+        if (std := setup.get(kind)) is None:
+            continue
+        known = {"limit": 6.0 * std, "prior_std": std}
         for arm in geometry.arms():
-            place = arm.mounting.translation
-            found += mounting(arm.name, place, limit=6.0 * std, prior_std=std)
-    return found
+            if kind == "motor_zero":
+                errors.append(motor_zero(arm.name, **known))
+            else:
+                errors += mounting(arm.name, arm.mounting.translation, **known)
+    return ParameterSpace((*moduli, theta, *errors), axes=[("E_l", "E_t", "theta")])
 
 
 def pose(
@@ -268,13 +234,12 @@ def pose(
         std: Standard deviation of the sensor's position [m].
         std_angle: Standard deviation of its orientation [rad].
     """
-    names = [arm.name for arm in geometry.arms()]
     return Configuration(
         name,
         gravity=(0.0, 0.0, -geometry.gravity),
         effectors=(BodyFrame(EFFECTOR, EFFECTOR, std=std, std_angle=std_angle),),
         actuation={
-            motor: ImposedDisplacement(float(np.deg2rad(angle)))
-            for motor, angle in zip(names, angles, strict=True)
+            arm.name: ImposedDisplacement(float(np.deg2rad(angle)))
+            for arm, angle in zip(geometry.arms(), angles, strict=True)
         },
     )

@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+from functools import partial
+from itertools import product
 
 import equinox as eqx
 import numpy as np
@@ -23,15 +25,13 @@ class Arm(eqx.Module):
 
     The end moves from the flat sheet in two steps: `mounting` shifts it onto the arm at
     angle zero, where the arm points at the robot's axis; then the motor turns it by its
-    angle about the fixed line through `axis_point`.
-
-    Poses refer to the rest frame at `origin`, the middle of the end at s = 58.5 mm on
-    the mid-surface of the flat sheet, with the axes of the robot.
+    angle about the fixed line through `axis_point`. Poses refer to the rest frame at
+    `origin`, with the axes of the robot.
 
     Attributes:
         name: "lower 1" to "upper 3".
         end: Group of the mesh that the arm carries.
-        origin: Middle of the branch end at rest [m].
+        origin: Middle of the branch end at rest, on the mid-surface of the sheet [m].
         axis_point: Point of the motor axis [m].
         axis_direction: Unit vector along the motor axis [-]: a positive angle turns the
             inward direction of the branch, -e_r, towards the robot's middle, e_a.
@@ -87,8 +87,6 @@ class ParallelRobotGeometry(eqx.Module):
         axis_radius: Distance of the motor axes from the robot's axis [m].
         axis_height: Distance of the motor axes from the middle along y [m].
         arm_length: From the motor axis to the middle of the branch end [m].
-        working_angle: Of the arms in the working point [rad].
-        single_range: Angles of a motor while the others are at work [rad].
         joint_range: Angles of all six motors together that do not stretch the
             branches [rad].
         inner_radius: Where the inner control point of a branch lies [m].
@@ -113,8 +111,6 @@ class ParallelRobotGeometry(eqx.Module):
     axis_radius: float = 0.066
     axis_height: float = 0.090
     arm_length: float = 0.030
-    working_angle: float = math.radians(45.0)
-    single_range: tuple[float, float] = (math.radians(25.0), math.radians(65.0))
     joint_range: tuple[float, float] = (math.radians(21.0), math.radians(60.0))
     inner_radius: float = 0.026
     outer_radius: float = 0.042
@@ -126,7 +122,7 @@ class ParallelRobotGeometry(eqx.Module):
     gravity: float = 9.81
 
     def __check_init__(self):
-        angles = {"single_range", "joint_range", "working_angle", "spiral_angle", "nu"}
+        angles = {"joint_range", "spiral_angle", "nu"}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if field.name not in angles and not (np.isfinite(value) and value > 0.0):
@@ -170,22 +166,13 @@ class ParallelRobotGeometry(eqx.Module):
         Raises:
             ValueError: If `tripod` refuses the dimensions.
         """
-        sheet = lambda y: self.sheet(y, size=size, layers=layers, order=order)
+        sheet = partial(self.sheet, size=size, layers=layers, order=order)
         return merge(
             {name: sheet(side * self.sheet_height) for name, side in SHEETS.items()}
         )
 
-    def sheet(
-        self, y: float = 0.0, *, size: float = 0.005, layers: int = 1, order: int = 2
-    ) -> TetMesh:
-        """Mesh one flat sheet, with groups like "end 1" and "centre"; see `mesh`.
-
-        Args:
-            y: Height of its mid-surface [m].
-            size: Edge length in its plane [m].
-            layers: Number of layers of tets through the thickness.
-            order: 2 for quadratic tets.
-        """
+    def sheet(self, y: float = 0.0, **options) -> TetMesh:
+        """Mesh one flat sheet at a height y [m]; the options are those of `mesh`."""
         return tripod(
             self.branch_length,
             self.branch_width,
@@ -195,9 +182,7 @@ class ParallelRobotGeometry(eqx.Module):
             end_length=self.end_length,
             branches=N_BRANCHES,
             y=y,
-            size=size,
-            layers=layers,
-            order=order,
+            **options,
         )
 
     def control_points(self) -> ControlPoints:
@@ -207,14 +192,11 @@ class ParallelRobotGeometry(eqx.Module):
         (x, z) plane: "CP branch 1 inner", "CP branch 1 outer", ..., "CP ring 30 deg",
         "CP ring 90 deg", ...
         """
-        places = self._control_point_places()
-        return ControlPoints(
-            {
-                name: (radius * math.cos(azimuth), 0.0, radius * math.sin(azimuth))
-                for name, (radius, azimuth) in places.items()
-            },
-            axes="xz",
-        )
+        places = {
+            name: (radius * math.cos(azimuth), 0.0, radius * math.sin(azimuth))
+            for name, (radius, azimuth) in self._control_point_places().items()
+        }
+        return ControlPoints(places, axes="xz")
 
     def start_field(self) -> dict[str, Float[HostArray, " n_cp"]]:
         """Compute E_t, E_l [Pa] and theta [rad] at the control points at the start.
@@ -231,13 +213,11 @@ class ParallelRobotGeometry(eqx.Module):
 
     def _control_point_places(self) -> dict[str, tuple[float, float]]:
         """Radius [m] and azimuth [rad] of each control point."""
+        radii = {"inner": self.inner_radius, "outer": self.outer_radius}
         on_branches = {
             f"CP branch {k} {name}": (radius, float(azimuth))
             for k, azimuth in enumerate(self.azimuths, start=1)
-            for name, radius in (
-                ("inner", self.inner_radius),
-                ("outer", self.outer_radius),
-            )
+            for name, radius in radii.items()
         }
         ring = {
             f"CP ring {degrees} deg": (self.ring_radius, math.radians(degrees))
@@ -247,28 +227,22 @@ class ParallelRobotGeometry(eqx.Module):
 
     def arms(self) -> tuple[Arm, ...]:
         """Build the six arms: "lower 1", "lower 2", "lower 3", "upper 1", ..."""
-        return tuple(
-            self._arm(sheet, branch)
-            for sheet in SHEETS
-            for branch in range(1, N_BRANCHES + 1)
-        )
-
-    def _arm(self, sheet: str, branch: int) -> Arm:
-        side = SHEETS[sheet]
-        azimuth = self.azimuths[branch - 1]
-        e_r = np.array([np.cos(azimuth), 0.0, np.sin(azimuth)])
-        e_y = np.array([0.0, 1.0, 0.0])
+        found, e_y = [], np.array([0.0, 1.0, 0.0])
         middle_of_end = self.branch_length - self.end_length / 2.0
-        origin = middle_of_end * e_r + side * self.sheet_height * e_y
-        axis_point = self.axis_radius * e_r + side * self.axis_height * e_y
-        # axis x (-e_r) = e_a, the direction along y towards the middle.
-        axis_direction = np.cross(-side * e_y, e_r)
-        on_arm = axis_point - self.arm_length * e_r
-        return Arm(
-            name=f"{sheet} {branch}",
-            end=f"{sheet}/end {branch}",
-            origin=origin,
-            axis_point=axis_point,
-            axis_direction=axis_direction,
-            mounting=Pose(on_arm - origin, np.zeros(3)),
-        )
+        for (sheet, side), branch in product(SHEETS.items(), range(N_BRANCHES)):
+            azimuth = self.azimuths[branch]
+            e_r = np.array([np.cos(azimuth), 0.0, np.sin(azimuth)])
+            origin = middle_of_end * e_r + side * self.sheet_height * e_y
+            axis_point = self.axis_radius * e_r + side * self.axis_height * e_y
+            on_arm = axis_point - self.arm_length * e_r
+            arm = Arm(
+                name=f"{sheet} {branch + 1}",
+                end=f"{sheet}/end {branch + 1}",
+                origin=origin,
+                axis_point=axis_point,
+                # axis x (-e_r) = e_a, the direction along y towards the middle.
+                axis_direction=np.cross(-side * e_y, e_r),
+                mounting=Pose(on_arm - origin, np.zeros(3)),
+            )
+            found.append(arm)
+        return tuple(found)

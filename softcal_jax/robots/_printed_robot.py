@@ -163,36 +163,25 @@ def read_poses_of(
     if readings < 1:
         raise ValueError(f"readings must be at least 1, got {readings}.")
     errors, share = robot.errors, 1.0 / np.sqrt(readings)
-    std, std_angle = share * errors.position, share * errors.orientation
-    as_read = [with_stated(c, std=std, std_angle=std_angle) for c in configurations]
+    tracker = BodyFrame(
+        "", "", std=share * errors.position, std_angle=share * errors.orientation
+    )
+    as_read = [_with_stds(c, [tracker] * len(c.effectors)) for c in configurations]
     measured = simulated_measurements(
         robot.model, as_read, noise=True, seed=seed, first=robot.first
     )
-    return tuple(
-        replace(m, effectors=tuple(map(_as_stated, m.effectors, c.effectors)))
-        for c, m in zip(configurations, measured, strict=True)
-    )
+    pairs = zip(measured, configurations, strict=True)
+    return tuple(_with_stds(read, stated.effectors) for read, stated in pairs)
 
 
-def _as_stated(read: AbstractEffector, stated: AbstractEffector) -> AbstractEffector:
-    """Give a reading the standard deviations assumed in the calibration."""
-    if isinstance(read, BodyFrame) and isinstance(stated, BodyFrame):
-        return replace(read, std=stated.std, std_angle=stated.std_angle)
-    return read
-
-
-def with_stated(
-    configuration: Configuration, *, std: float, std_angle: float
+def _with_stds(
+    configuration: Configuration, stated: Sequence[AbstractEffector]
 ) -> Configuration:
-    """Replace the standard deviations of the frames of a configuration.
-
-    Args:
-        configuration: The configuration.
-        std: Of the positions [m].
-        std_angle: Of the orientations [rad].
-    """
+    """Give the frames of a configuration the standard deviations of other ones."""
     effectors = [
-        replace(e, std=std, std_angle=std_angle) if isinstance(e, BodyFrame) else e
-        for e in configuration.effectors
+        replace(own, std=other.std, std_angle=other.std_angle)
+        if isinstance(own, BodyFrame) and isinstance(other, BodyFrame)
+        else own
+        for own, other in zip(configuration.effectors, stated, strict=True)
     ]
     return replace(configuration, effectors=tuple(effectors))

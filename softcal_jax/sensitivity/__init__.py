@@ -2,25 +2,22 @@
 
 from softcal_jax.sensitivity._clamp_row import clamp_row
 from softcal_jax.sensitivity._compliance import (
-    Compliance,
     EnergyCompliance,
+    Response,
     energy_compliance,
+    equilibrium_response,
     parameter_compliance,
 )
-from softcal_jax.sensitivity._derivative_check import (
-    DerivativeCheck,
-    check_parameter_derivatives,
-)
-from softcal_jax.sensitivity._response import Response, equilibrium_response
 from softcal_jax.sensitivity._rows import (
+    DerivativeCheck,
     adjoint_of_tets,
+    check_parameter_derivatives,
     parameter_forces,
     parameter_rows,
     readings_of_forces,
 )
 
 __all__ = [
-    "Compliance",
     "DerivativeCheck",
     "EnergyCompliance",
     "Response",

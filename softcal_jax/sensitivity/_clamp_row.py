@@ -34,7 +34,7 @@ def clamp_row(
         One row, per metre of depth.
     """
     lin = linearisation
-    model, bodies = lin.model, lin.model.mechanism.bodies
+    model, bodies = lin.posed.model, lin.posed.model.mechanism.bodies
     n_nodes = model.mesh.n_nodes
     follow = jnp.zeros((model.n_points, 3)).at[:n_nodes].set(motion)
     turned = jnp.zeros_like(follow)
@@ -49,7 +49,7 @@ def clamp_row(
 
     def force(depth: Float[Array, ""]) -> Float[Array, "n_points 3"]:
         longer = _stretched(model, depth * motion)
-        weight = gravity_load(longer, lin.configuration.acceleration)
+        weight = gravity_load(longer, lin.posed.configuration.acceleration)
         return weight - internal_force(longer, lin.u + depth * turned)
 
     _, row = jax.jvp(force, (jnp.zeros(()),), (jnp.ones(()),))

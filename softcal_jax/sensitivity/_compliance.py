@@ -1,19 +1,22 @@
-"""Compliances of parameters: W_ep (Eq. 9) and W_pp (Sec. V-C)."""
+"""Compliances of parameters: W_ep (Eq. 9), with equilibria too, and W_pp (Sec. V-C)."""
 
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
+    EquilibriumSolution,
     InputRows,
     Linearisation,
     Model,
+    NewtonSettings,
     Sensitivity,
+    continue_equilibrium,
     effector_values,
+    lane_by_lane,
     linearise,
     residual,
     sensitivity,
@@ -21,19 +24,12 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.sensitivity._rows import Derivative, parameter_rows
 
+FEW_PARAMETERS = 12
+"""Number of parameters up to which the direct method is always used.
 
-class Compliance(NamedTuple):
-    """W_ep of one configuration, with the displacements behind it.
-
-    Attributes:
-        W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
-        displacement: dx/dz by rows, for warm starts [m]; None if adjoint.
-        ok: False if the tangent could not be factorized; W_ep is then zero.
-    """
-
-    W_ep: Float[Array, "n_e n_p"]
-    displacement: Float[Array, "n_p n_points 3"] | None
-    ok: Bool[Array, ""]
+It also yields dx/dp, from which the next equilibria start, and a dozen right-hand sides
+cost only about as much as one factorization.
+"""
 
 
 def parameter_compliance(
@@ -45,8 +41,10 @@ def parameter_compliance(
     *,
     method: Literal["auto", "direct", "adjoint"] = "auto",
     derivative: Derivative = "autodiff",
-) -> Compliance:
+) -> Sensitivity:
     """Compute W_ep = H_e K^-1 H_p^T at an equilibrium, with one factorization; Eq. (9).
+
+    Effector coordinates are in the order effector, axis.
 
     Args:
         model: The model.
@@ -57,16 +55,12 @@ def parameter_compliance(
         method: "direct" solves for the n_p columns of H_p^T, "adjoint" for the n_e rows
             of H_e; "auto" chooses the fewer right-hand sides.
         derivative: How H_p is computed, see `parameter_forces`.
-
-    Returns:
-        W_ep, with effector coordinates in the order effector, axis.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z, derivative=derivative)
     fewer = z.shape[0] > configuration.effectors.measured.size
     adjoint = method == "adjoint" or (method == "auto" and fewer)
-    found = sensitivity(lin, rows, effector_values, adjoint=adjoint)
-    return Compliance(found.W_ep, found.displacement, found.ok)
+    return sensitivity(lin, rows, effector_values, adjoint=adjoint)
 
 
 class EnergyCompliance(NamedTuple):
@@ -96,41 +90,102 @@ def energy_compliance(
     unit of lambda_p,i, and the rows h_i of H_p^T are the forces that cause it (sign as
     in `parameter_forces`). So W_pp,ij = h_i . u'_j = u'_i . K u'_j is positive definite
     if K is. With m(z) = min_u Pi(u; z), it is the curvature of the energy lost by
-    relaxation: W_pp = d2 Pi/dz2 at fixed u minus d2 m/dz2.
-
-    Args:
-        model: The model.
-        configuration: One configuration with its effectors.
-        u: Displacement at its equilibrium with the parameters of `z` [m].
-        space: The parameters.
-        z: Their scaled values [-].
-
-    Returns:
-        Both compliances, effector coordinates in the order effector, axis.
+    relaxation: W_pp = d2 Pi/dz2 at fixed u minus d2 m/dz2. Arguments as for
+    `parameter_compliance`.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z)
     found = sensitivity(lin, rows, effector_values)
-    W_pp = _relaxation(lin, rows, found, np.asarray(space.sets_fields))
+    W = _relaxation(lin, rows, found, still=all(space.sets_fields))
+    W_pp = 0.5 * (W + W.T)  # symmetric up to the rounding of the factorization
     ok = found.ok & jnp.all(jnp.isfinite(W_pp)) & jnp.all(jnp.isfinite(found.W_ep))
     return EnergyCompliance(found.W_ep, W_pp, ok)
 
 
 def _relaxation(
-    lin: Linearisation, rows: InputRows, found: Sensitivity, fields: HostArray
+    lin: Linearisation, rows: InputRows, found: Sensitivity, *, still: bool
 ) -> Float[Array, "n_p n_p"]:
-    """Compute W_pp = u'_i . K u'_j, with the motion of held nodes where they move.
+    """Compute u'_i . K u'_j, with the motion of held nodes unless they stay `still`.
 
-    Parameters that set `fields` of the law move nothing that is held.
+    Without it the result would depend on the mesh: beside a moved support, only the
+    tets that touch it would be strained.
     """
-    moved, unknowns = found.displacement, found.unknowns
-    assert moved is not None
-    assert unknowns is not None
-    W = rows.force @ unknowns.T  # the force is K u' on the free unknowns
-    if not np.all(fields):
-        force = lambda u: residual(lin.model, lin.configuration, u, lin.lambda_a)
-        stiff = jax.vmap(lambda du: jax.jvp(force, (lin.u,), (du,))[1])(moved)
-        whole = jnp.einsum("ink,jnk->ij", moved, stiff)
-        W = jnp.where(fields[:, None] & fields[None], W, whole)
-    # Symmetric up to the rounding of the factorization.
-    return 0.5 * (W + W.T)
+    assert found.displacement is not None
+    assert found.unknowns is not None
+    if still:
+        return rows.force @ found.unknowns.T  # the force is K u' on the free unknowns
+
+    posed = lin.posed
+
+    def forces(u):
+        on_nodes = residual(posed.model, posed.configuration, u, lin.lambda_a)
+        # The moments of forces on a body change as it turns.
+        return on_nodes, posed.gather(u, on_nodes)
+
+    along = jax.vmap(lambda du: jax.jvp(forces, (lin.u,), (du,))[1])
+    on_nodes, on_unknowns = along(found.displacement)
+    held = jnp.einsum("ink,jnk->ij", rows.held, on_nodes)
+    return found.unknowns @ on_unknowns.T + held
+
+
+class Response(NamedTuple):
+    """Equilibrium of one configuration, with its effectors and their compliance.
+
+    Attributes:
+        equilibrium: The equilibrium.
+        effectors: Effector coordinates there.
+        W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
+        displacement: dx/dz by rows [m]; None if adjoint.
+        ok: False if there is no equilibrium or no tangent; W_ep is then zero.
+    """
+
+    equilibrium: EquilibriumSolution
+    effectors: Float[Array, "*batch n_rows 3"]
+    W_ep: Float[Array, "*batch n_e n_p"]
+    displacement: Float[Array, "*batch n_p n_points 3"] | None
+    ok: Bool[Array, "*batch"]
+
+
+def equilibrium_response(
+    model: Model,
+    configuration: ConfigurationArrays,
+    guess: Float[Array, "n_points 3"],
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    *,
+    newton: NewtonSettings,
+    before: Float[Array, "n_points 3"] | None = None,
+    precise: bool | Bool[Array, ""] = False,
+) -> Response:
+    """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
+
+    Combines `solve_equilibrium` and `parameter_compliance` and saves a factorization:
+    W_ep reuses the factor of the last Newton step, and is exact only if `precise`.
+    `vmap` runs configurations sequentially, each to its own convergence. Arguments as
+    for `continue_equilibrium`, with the settings of `newton`, and
+    `parameter_compliance`.
+    """
+
+    @lane_by_lane
+    def lane(model, configuration, guess, before, precise, space, z):
+        model, configuration = space.apply(model, configuration, z)
+        equilibrium, linearisation = continue_equilibrium(
+            model, configuration, guess, settings=newton, before=before, precise=precise
+        )
+        rows = parameter_rows(linearisation, space, z)
+        most = max(configuration.effectors.measured.size, FEW_PARAMETERS)
+        adjoint = z.shape[0] > most
+        found = sensitivity(linearisation, rows, effector_values, adjoint=adjoint)
+        ok = found.ok & equilibrium.converged
+        or_zero = lambda a: jnp.where(ok, a, 0.0)
+        u, multipliers = equilibrium.displacement, equilibrium.multipliers
+        return Response(
+            equilibrium=equilibrium,
+            effectors=effector_values(model, configuration, u, multipliers),
+            W_ep=or_zero(found.W_ep),
+            displacement=jax.tree.map(or_zero, found.displacement),
+            ok=ok,
+        )
+
+    before = guess if before is None else before
+    return lane(model, configuration, guess, before, jnp.asarray(precise), space, z)

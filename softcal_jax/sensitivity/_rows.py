@@ -7,7 +7,9 @@ Sign: Eqs. (1) and (7) of the paper give K dx = ... - (df/dp) S lambda_p, Eq. (8
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -47,24 +49,12 @@ def parameter_forces(
     derivative: Derivative = "autodiff",
     step: float | Float[Array, ""] = FINITE_DIFFERENCE_STEP,
 ) -> Float[Array, "n_p n_points 3"]:
-    """Compute H_p^T by rows: the force on the nodes per unit step of each parameter.
+    """Compute H_p^T by rows: the force on the nodes per unit of each parameter [N].
 
-    H_p^T = -(d R / d p) S at fixed displacement, by autodiff or by the paper's finite
-    differences of the internal force (Sec. III; central here, hence of second order).
-    Parameters that only move held nodes or bodies, such as the zero of a motor, exert
-    no force on a fixed state.
-
-    Args:
-        model: The model.
-        configuration: One configuration.
-        u: Displacement [m].
-        space: The parameters.
-        z: Their scaled values [-].
-        derivative: "autodiff" or "finite-difference".
-        step: Step of the finite difference, in scaled units [-].
-
-    Returns:
-        Forces per unit of lambda_p [N].
+    H_p^T = -(d R / d p) S at fixed displacement u [m], by autodiff or by the paper's
+    finite differences of the internal force (Sec. III; central here, hence of second
+    order) with a step in scaled units [-]. Parameters that only move held nodes or
+    bodies, such as the zero of a motor, exert no force on a fixed state.
     """
     lambda_a = solved_forces(*space.apply(model, configuration, z), u)
     force = lambda model, configuration: -residual(model, configuration, u, lambda_a)
@@ -74,12 +64,12 @@ def parameter_forces(
             lambda d: (at(z + step * d) - at(z - step * d)) / (2.0 * step),
             jnp.eye(z.shape[0]),
         )
-    forces = field_rows(*space.apply(model, configuration, z), u, space, z)
+    forces = _field_rows(*space.apply(model, configuration, z), u, space, z)
     others = _others(space)
     if others.size == 0:
         return forces
-    along = _along(model, configuration, space, z)
-    return forces.at[others].set(jax.vmap(lambda d: along(d, force))(_unit(others)))
+    found = _by_others(model, configuration, space, z, lambda along: along(force))
+    return forces.at[others].set(found)
 
 
 def parameter_rows(
@@ -92,25 +82,16 @@ def parameter_rows(
     """Compute the rows of all parameters at an equilibrium, per unit of lambda_p.
 
     Whatever the kind of parameter, they follow from `space.apply`. Parameters that set
-    fields of the law need one pass over the tets per field and move nothing held.
-
-    Args:
-        linearisation: The equilibrium, with the parameters applied.
-        space: The parameters.
-        z: Their scaled values [-].
-        derivative: How the forces of fields are computed, see `parameter_forces`.
-
-    Returns:
-        Rows for `sensitivity`, with the effectors as readings.
+    fields of the law need one pass over the tets per field and move nothing held. The
+    parameters of `z` are applied in the linearisation already.
     """
     lin = linearisation
-    model, configuration, u = lin.model, lin.configuration, lin.u
+    model, configuration, u = lin.posed.model, lin.posed.configuration, lin.u
+    at = (model, configuration, u, space, z)
     if derivative == "autodiff":
-        forces = field_rows(model, configuration, u, space, z)
+        forces = _field_rows(*at)
     else:
-        forces = parameter_forces(
-            model, configuration, u, space, z, derivative=derivative
-        )
+        forces = parameter_forces(*at, derivative=derivative)
     n_p, n_m = z.shape[0], lin.system.active.size
     rows = InputRows(
         force=jax.vmap(lin.free)(forces),
@@ -121,17 +102,9 @@ def parameter_rows(
     others = _others(space)
     if others.size == 0:
         return rows
-    along = _along(model, configuration, space, z)
-    found = jax.vmap(
-        lambda d: input_rows(
-            model,
-            configuration,
-            u,
-            lin.lambda_a,
-            lambda function: along(d, function),
-            effector_values,
-        )
-    )(_unit(others))
+    at = (model, configuration, u, lin.lambda_a)
+    rows_along = lambda along: input_rows(*at, along, effector_values)
+    found = _by_others(model, configuration, space, z, rows_along)
     return jax.tree.map(lambda all_, own: all_.at[others].set(own), rows, found)
 
 
@@ -140,51 +113,46 @@ def _others(space: ParameterSpace) -> Int[HostArray, " n_other"]:
     return np.flatnonzero(~np.asarray(space.sets_fields))
 
 
-def _unit(columns: Int[HostArray, " n"]) -> Float[Array, "n n"]:
-    return jnp.eye(columns.size)
-
-
-def _along(
+def _by_others(
     model: Model,
     configuration: ConfigurationArrays,
     space: ParameterSpace,
     z: Float[Array, " n_p"],
+    rows: Callable,
 ):
-    """Return a differentiator of functions of (model, configuration).
+    """Stack `rows` of a derivative along each parameter that sets more than fields.
 
-    Only parameters that set no fields vary, so autodiff does not pass through fields.
+    Only these parameters vary, so autodiff does not pass through fields.
     """
     others = _others(space)
 
-    def derivative(direction: Float[Array, " n_other"], function: Callable):
-        at = lambda w: function(*space.apply_partly(model, configuration, z, others, w))
-        return jax.jvp(at, (z[others],), (direction,))[1]
+    def one(direction: Float[Array, " n_other"]):
+        def along(function: Callable):
+            at = lambda w: function(*space.apply(model, configuration, z, others, w))
+            return jax.jvp(at, (z[others],), (direction,))[1]
 
-    return derivative
+        return rows(along)
+
+    return jax.vmap(one)(jnp.eye(others.size))
 
 
 def readings_of_forces(
     lin: Linearisation, forces: Float[Array, "n_p n_points 3"]
 ) -> Float[Array, "n_p n_e"]:
-    """Compute the direct change of readings by forces on the nodes, at a fixed state.
+    """Compute the direct change of readings by forces on the nodes, one row each [N].
 
-    Args:
-        lin: The equilibrium.
-        forces: Rows of forces on all nodes [N].
-
-    Returns:
-        One row each; only readings of forces change.
+    The state is fixed, so only readings of forces change.
     """
-    effectors = lin.configuration.effectors
+    effectors = lin.posed.configuration.effectors
     if not effectors.has_forces:
         return jnp.zeros((forces.shape[0], effectors.measured.size))
-    state = (lin.model, lin.configuration, lin.u, lin.lambda_a)
+    state = (lin.posed.model, lin.posed.configuration, lin.u, lin.lambda_a)
     read = lambda unbalanced: effector_values(*state, unbalanced).ravel()
     unbalanced = residual(*state)
     return jax.vmap(lambda f: jax.jvp(read, (unbalanced,), (-f,))[1])(forces)
 
 
-def field_rows(
+def _field_rows(
     model: Model,
     configuration: ConfigurationArrays,
     u: Float[Array, "n_points 3"],
@@ -195,16 +163,10 @@ def field_rows(
 
     Autodiff in two factors: force by the field in each tet, and field by z, so that all
     control points of one field share one pass over the tets. Rows of other parameters
-    are zero.
-
-    Args:
-        model: The model with the parameters of `z` applied.
-        configuration: One configuration, likewise.
-        u: Displacement [m].
-        space: The parameters.
-        z: Their scaled values [-].
+    are zero. The model has the parameters of `z` applied.
     """
     wheres = {name: find_field(model, name) for name in space.field_names}
+    in_law = {name: _InLaw(at) for name, at in wheres.items() if name != "density"}
     fields = lambda z: {
         name: _one_per_tet(model, where(space.model_at(model, z)))
         for name, where in wheres.items()
@@ -217,14 +179,9 @@ def field_rows(
         bare = eqx.tree_at(
             lambda m: m.mechanism.bodies.mass, model, replace_fn=jnp.zeros_like
         )
-        weight = lambda slope: gravity_load(
-            eqx.tree_at(wheres["density"], bare, slope[:, 0]),
-            configuration.acceleration,
-        )
+        of_slope = lambda slope: eqx.tree_at(wheres["density"], bare, slope[:, 0])
+        weight = lambda slope: gravity_load(of_slope(slope), configuration.acceleration)
         total = total + jax.vmap(weight)(slopes["density"])
-    in_law = {
-        name: _InLaw(where) for name, where in wheres.items() if name != "density"
-    }
     if in_law:
         forces = field_forces(model, u, in_law)
         total = total - add_weighted(model, forces, slopes)
@@ -236,21 +193,14 @@ def adjoint_of_tets(
     fields: tuple[str, ...],
     adjoint: Float[Array, "n_e n_dof"],
 ) -> Float[Array, "n_fields n_e n_tets"]:
-    """Compute the derivatives of readings by the values of fields in each tet.
+    """Compute the change of readings per SI unit of fields in each tet.
 
-    Args:
-        linearisation: The equilibrium.
-        fields: Names of fields of the law, or "density".
-        adjoint: Rows K^-T H_e^T of the readings, see `adjoint_rows`.
-
-    Returns:
-        Change of each reading per SI unit of each field in each tet.
+    `fields` are those of the law, or "density"; for `adjoint` see `adjoint_rows`.
     """
-    model, configuration = linearisation.model, linearisation.configuration
-    u = linearisation.u
+    model, configuration = linearisation.posed.model, linearisation.posed.configuration
     moved = linearisation.scatter(adjoint)
     law = {f: _InLaw(find_field(model, f)) for f in fields if f != "density"}
-    forces = field_forces(model, u, law) if law else {}
+    forces = field_forces(model, linearisation.u, law) if law else {}
 
     def of_law(field: str, row: Float[Array, "n_points 3"]) -> Float[Array, " n_tets"]:
         at = jnp.moveaxis(row[model.nodes], -1, 2)
@@ -274,13 +224,7 @@ class _InLaw:
     where: Callable[[Any], Any]
 
     def __call__(self, law: Any) -> Any:
-        return self.where(_Holder(law))
-
-
-class _Holder(NamedTuple):
-    """A stand-in for a model that only holds the law."""
-
-    law: Any
+        return self.where(SimpleNamespace(law=law))
 
 
 def _one_per_tet(model: Model, value: Any) -> Float[Array, "n_tets m"]:
@@ -288,3 +232,72 @@ def _one_per_tet(model: Model, value: Any) -> Float[Array, "n_tets m"]:
     if is_point_values(value):
         return value.values
     return jnp.broadcast_to(value, (model.n_tets,))[:, None]
+
+
+class DerivativeCheck(eqx.Module):
+    """Error of the finite-difference H_p against autodiff, per step and parameter.
+
+    Attributes:
+        names: Names of the parameters.
+        steps: Steps, in scaled units [-].
+        errors: Largest difference over the nodes, relative to the largest force [-].
+        orders: Order of each error, from steps above rounding [-]; 2 is expected.
+    """
+
+    names: tuple[str, ...]
+    steps: Float[HostArray, " n_steps"]
+    errors: Float[HostArray, "n_steps n_p"]
+    orders: Float[HostArray, " n_p"]
+
+    def __str__(self) -> str:
+        """Format a table with one row per step."""
+        lines = ["step      " + "  ".join(f"{name:>12}" for name in self.names)]
+        for step, row in zip(self.steps, self.errors, strict=True):
+            lines.append(f"{step:8.1e}  " + "  ".join(f"{e:12.3e}" for e in row))
+        lines.append("order     " + "  ".join(f"{o:12.2f}" for o in self.orders))
+        return "\n".join(lines)
+
+
+def check_parameter_derivatives(
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_nodes 3"],
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    *,
+    steps: tuple[float, ...] = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3),
+) -> DerivativeCheck:
+    """Compare the paper's finite-difference H_p with autodiff over a sweep of steps.
+
+    If the force is linear in a parameter, like a modulus on a linear scale, there is
+    only rounding and the order is nan.
+
+    Args:
+        model: The model.
+        configuration: One configuration.
+        u: Displacement at which forces are compared, not all zero [m].
+        space: The parameters.
+        z: Their scaled values [-].
+        steps: Decreasing steps in scaled units [-].
+
+    Raises:
+        ValueError: If fewer than two steps are given, or they do not decrease.
+    """
+    if len(steps) < 2 or np.any(np.diff(steps) >= 0):
+        raise ValueError(f"steps must be at least two falling numbers, got {steps}.")
+    forces = partial(eqx.filter_jit(parameter_forces), model, configuration, u, space)
+    exact = np.asarray(forces(z))
+    largest = lambda rows: np.max(np.abs(rows), axis=(1, 2))
+    rows = [
+        np.asarray(forces(z, derivative="finite-difference", step=jnp.asarray(step)))
+        for step in steps
+    ]
+    with np.errstate(invalid="ignore"):  # a parameter without effect here: nan
+        errors = np.stack([largest(row - exact) for row in rows]) / largest(exact)
+    orders = np.full(len(space.names), np.nan)
+    for i, column in enumerate(errors.T):
+        clear = column > 1e-9  # above the rounding of the difference
+        if clear.sum() >= 2:
+            h, e = np.log(np.asarray(steps)[clear]), np.log(column[clear])
+            orders[i] = np.polyfit(h, e, 1)[0]
+    return DerivativeCheck(tuple(space.names), np.asarray(steps), errors, orders)

@@ -4,15 +4,14 @@
 """
 
 from softcal_jax.sweeps._calibration import CalibrationTrial
+from softcal_jax.sweeps._database import read_sweep
 from softcal_jax.sweeps._file import Sweep, load_sweep
-from softcal_jax.sweeps._picture import plot_sweep
-from softcal_jax.sweeps._points import Range, grid, sample
 from softcal_jax.sweeps._progress import Progress
-from softcal_jax.sweeps._result import Group, SweepResult, read_sweep
+from softcal_jax.sweeps._result import Group, SweepResult
 from softcal_jax.sweeps._row import Outcome, TrialRow
 from softcal_jax.sweeps._run import run_sweep
-from softcal_jax.sweeps._tables import sweep_table, write_sweep_csv
-from softcal_jax.sweeps._trial import Trial
+from softcal_jax.sweeps._tables import plot_sweep, sweep_table, write_sweep_csv
+from softcal_jax.sweeps._trial import Range, Trial, grid, sample
 
 __all__ = [
     "CalibrationTrial",

@@ -80,11 +80,7 @@ class CalibrationTrial:
             figures["distance to truth [-]"] = float(
                 jnp.max(space.distance(result.z, z))
             )
-        most = project.settings.max_steps
-        reason = f"lambda_p did not vanish within max_steps = {most}"
-        if len(result.history) - 1 < most:
-            reason = "every step was refused, but the fit is at no optimum"
-        return Outcome(figures, result.converged, reason, result.notes)
+        return Outcome(figures, result.converged, why_not(result), result.notes)
 
     def variant(self, point: Mapping[str, Any]) -> Project:
         """Load the project with the control points and keys of a point.
@@ -98,7 +94,7 @@ class CalibrationTrial:
                 _EXACT.clear()
             _make_room()
             self._check_files()
-            keys = _keys(point)
+            keys = file_keys(point)
             if "layout" in point:
                 keys |= self._layout(point)
             _KEPT[name] = load_project(self.project, changes=keys)
@@ -108,7 +104,7 @@ class CalibrationTrial:
         """Return a key that is unique among the variants of all sweeps."""
         layout = point.get("layout")
         own = None if layout is None else [self.replaces, self.layouts[layout]]
-        return json.dumps([str(self.project), dict(self.files), own, _keys(point)])
+        return json.dumps([str(self.project), dict(self.files), own, file_keys(point)])
 
     def _exact(self, point: Mapping[str, Any]) -> tuple[Configuration, ...]:
         """Simulate all poses with the truth and the file's own control points."""
@@ -132,15 +128,12 @@ class CalibrationTrial:
         if not own:
             return {}
         if "place" in own:
-            mesh = self.variant(_keys(point)).model.mesh
+            mesh = self.variant(file_keys(point)).model.mesh
             options = {key: own[key] for key in ("power", "nearest") if key in own}
             points = place_control_points(mesh, own.pop("place"), **options)
-            own["positions"] = {
-                cp: f"({x:.9g}, {y:.9g}, {z:.9g}) m"
-                for cp, (x, y, z) in zip(
-                    points.names, np.asarray(points.positions).tolist(), strict=True
-                )
-            }
+            text = "({:.9g}, {:.9g}, {:.9g}) m".format
+            places = map(text, *np.asarray(points.positions).T)
+            own["positions"] = dict(zip(points.names, places, strict=True))
         own = {"names": None, **own}  # the names in the file are of its own positions
         return {f"control_points.{self.replaces}.{key}": v for key, v in own.items()}
 
@@ -169,9 +162,21 @@ class CalibrationTrial:
         )
 
 
-def _keys(point: Mapping[str, Any]) -> dict[str, Any]:
+def file_keys(point: Mapping[str, Any]) -> dict[str, Any]:
     """Pick the axes of a point that are keys of the project file."""
     return {axis: value for axis, value in point.items() if axis not in OWN_AXES}
+
+
+def why_not(result: CalibrationResult) -> str:
+    """Say how a calibration that did not converge ended, without numbers of its own.
+
+    Tables count the trials of one reason together; the notes of a row say more.
+    """
+    if len(result.history) > result.settings.max_steps:
+        return f"lambda_p did not vanish within max_steps = {result.settings.max_steps}"
+    if not result.history[-1].accepted:
+        return "its last steps were refused, down to the shortest, away from an optimum"
+    return "no step could be computed: the sensitivities are not finite"
 
 
 def _make_room() -> None:

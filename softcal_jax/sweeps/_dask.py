@@ -15,9 +15,8 @@ if TYPE_CHECKING:
 CONNECT_S = 20
 """How long the scheduler may take to answer [s]."""
 
-# Threads of a worker share compiled programs, and with them sparse solvers that keep
-# their factors from one call to the next.
 _ONE_AT_A_TIME = threading.Lock()
+"""Held by a trial: threads share compiled programs, and so the factors of solvers."""
 
 
 def dask_rows(
@@ -26,15 +25,8 @@ def dask_rows(
     """Run trials on a Dask cluster, and yield their rows in the order of their ends.
 
     A trial whose worker dies is retried on another one, as often as Dask allows
-    (`distributed.scheduler.allowed-failures`).
-
-    Args:
-        function: The function of the sweep; workers must be able to import it.
-        trials: The trials.
-        address: Address of the scheduler, like "tcp://10.0.0.1:8786".
-
-    Yields:
-        A row as soon as its trial has ended. Closing the generator cancels the others.
+    (`distributed.scheduler.allowed-failures`). Closing the generator cancels those that
+    have not ended.
 
     Raises:
         ValueError: If Dask is not installed, or the function cannot be sent.

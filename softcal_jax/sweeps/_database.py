@@ -6,13 +6,15 @@ systems too, and it survives kill -9.
 """
 
 import json
+import os
 import sqlite3
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import TrialRow
 from softcal_jax.sweeps._trial import Trial
 
@@ -39,90 +41,61 @@ _COLUMNS = tuple(TrialRow.__dataclass_fields__)
 _AS_JSON = ("point", "figures", "notes")
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What a sweep is to do.
-
-    Attributes:
-        name: Its name.
-        trials: All of its trials, in the order in which they begin.
-        repeats: Axes whose values are mere repetitions.
-        definitions: What rows depend on besides their points, by name.
-    """
-
-    name: str
-    trials: tuple[Trial, ...]
-    repeats: tuple[str, ...]
-    definitions: Mapping[str, str]
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return tuple(self.trials[0].point)
+@contextmanager
+def sweep_database(path: Path) -> Iterator["SweepDatabase"]:
+    """Open or make a database, to which no other sweep writes meanwhile."""
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder; name a database in it.")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(
+            f"the folder {path.parent} of the database does not exist."
+        )
+    with _locked(path):
+        with _told(path):
+            file = _open(path, WAIT_S)
+        with closing(file):
+            yield SweepDatabase(path, file)
 
 
-class SweepDatabase:
-    """Context in which only one sweep writes to a database.
-
-    Attributes:
-        path: The file.
-    """
-
-    def __init__(self, path: Path):
-        """Name a database, which is opened or made on entering the context.
-
-        Args:
-            path: The file.
-        """
-        self.path = path
-        self._lock_path = path.with_name(path.name + ".lock")
-
-    def __enter__(self) -> "SweepDatabase":
-        if self.path.is_dir():
-            raise IsADirectoryError(f"{self.path} is a folder; name a database in it.")
-        if not self.path.parent.is_dir():
-            raise FileNotFoundError(
-                f"the folder {self.path.parent} of the database does not exist."
-            )
-        self._lock = self._locked()
-        try:
-            with _told(self.path):
-                self._file = sqlite3.connect(
-                    self.path, timeout=WAIT_S, isolation_level=None
-                )
-        except BaseException:
-            self._unlock()
-            raise
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._file.close()
-        self._unlock()
-
-    def _locked(self) -> sqlite3.Connection:
-        # An SQLite lock on a separate file is portable, ends with the process, and does
-        # not block readers of the database itself.
-        lock = sqlite3.connect(self._lock_path, timeout=0.0, isolation_level=None)
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    # An SQLite lock on a separate file is portable, ends with the process, and does
+    # not block readers of the database itself.
+    lock_path = path.with_name(path.name + ".lock")
+    with closing(_open(lock_path, 0.0)) as lock:
         try:
             lock.execute("BEGIN EXCLUSIVE")
         except sqlite3.OperationalError as error:
-            lock.close()
             raise BlockingIOError(
-                f"another sweep is writing to {self.path}: wait until it has ended, or "
-                "give another file."
+                f"another sweep is writing to {path}: wait until it has ended, or give "
+                "another file."
             ) from error
-        return lock
+        try:
+            yield
+        finally:
+            with suppress(PermissionError):  # Windows removes no open file
+                lock_path.unlink(missing_ok=True)
 
-    def _unlock(self) -> None:
-        with suppress(PermissionError):  # Windows removes no open file
-            self._lock_path.unlink(missing_ok=True)
-        self._lock.close()
 
-    def begin(self, plan: Plan) -> dict[str, str]:
+@dataclass(frozen=True)
+class SweepDatabase:
+    """The database of the sweep that runs."""
+
+    path: Path
+    file: sqlite3.Connection
+
+    def begin(
+        self,
+        trials: Sequence[Trial],
+        about: Mapping[str, Any],
+        definitions: Mapping[str, str],
+    ) -> dict[str, str]:
         """Write what is planned; rows of earlier runs stay.
 
         Args:
-            plan: The sweep.
+            trials: All trials of the sweep, in the order in which they begin.
+            about: Its name, and the axes whose values are mere repetitions.
+            definitions: What rows depend on besides their points, by name.
 
         Returns:
             The state of each trial that has ended, by its key.
@@ -131,54 +104,42 @@ class SweepDatabase:
             ValueError: If the file is no database of a sweep, or of another one.
             BlockingIOError: If another program keeps it locked.
         """
-        with _told(self.path):
-            self._file.execute("BEGIN IMMEDIATE")
-            try:
-                self._prepare()
-                self._check_definitions(plan)
-                self._write(plan)
-                rows = self._file.execute("SELECT key, state FROM trials").fetchall()
-                self._file.execute("COMMIT")
-            except BaseException:
-                self._file.execute("ROLLBACK")
-                raise
-        return dict(rows)
+        about = {**about, "axes": tuple(trials[0].point)}
+        words = [(what, json.dumps(value)) for what, value in about.items()]
+        plan = [(i, t.key, json.dumps(t.point)) for i, t in enumerate(trials)]
+        with _told(self.path), self.file:  # rolled back if anything is wrong
+            self.file.execute("BEGIN IMMEDIATE")
+            self._prepare()
+            self._check_definitions(definitions)
+            self._write("definitions", list(definitions.items()))
+            self._write("sweep", words)
+            self.file.execute("DELETE FROM plan")
+            self._write("plan", plan)
+            return dict(self.file.execute("SELECT key, state FROM trials"))
 
     def _prepare(self) -> None:
         """Make the tables in a new file; refuse a file that is something else."""
-        if self._file.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            check_format(self._file, self.path)
+        if self.file.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+            _check_format(self.file, self.path)
             return
         for statement in _TABLES.split(";\n"):
-            self._file.execute(statement)
-        self._file.execute(f"PRAGMA application_id = {APPLICATION}")
-        self._file.execute(f"PRAGMA user_version = {FORMAT}")
+            self.file.execute(statement)
+        self.file.execute(f"PRAGMA application_id = {APPLICATION}")
+        self.file.execute(f"PRAGMA user_version = {FORMAT}")
 
-    def _check_definitions(self, plan: Plan) -> None:
+    def _check_definitions(self, definitions: Mapping[str, str]) -> None:
         """Raise if what rows depend on has changed; new definitions may be added."""
-        known = dict(self._file.execute("SELECT what, value FROM definitions"))
-        for what, value in plan.definitions.items():
+        known = dict(self.file.execute("SELECT what, value FROM definitions"))
+        for what, value in definitions.items():
             if known.get(what, value) != value:
                 raise ValueError(
                     f"{self.path} holds another sweep: its {what} is {known[what]}, "
                     f"that of this one is {value}. Give another file, or remove it."
                 )
-        self._file.executemany(
-            "INSERT OR REPLACE INTO definitions VALUES (?, ?)",
-            plan.definitions.items(),
-        )
 
-    def _write(self, plan: Plan) -> None:
-        about = {"name": plan.name, "axes": plan.axes, "repeats": plan.repeats}
-        self._file.executemany(
-            "INSERT OR REPLACE INTO sweep VALUES (?, ?)",
-            [(what, json.dumps(value)) for what, value in about.items()],
-        )
-        self._file.execute("DELETE FROM plan")
-        self._file.executemany(
-            "INSERT INTO plan VALUES (?, ?, ?)",
-            [(i, t.key, json.dumps(t.point)) for i, t in enumerate(plan.trials)],
-        )
+    def _write(self, table: str, rows: Sequence[tuple[Any, ...]]) -> None:
+        marks = ", ".join("?" * len(rows[0]))
+        self.file.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({marks})", rows)
 
     def add(self, row: TrialRow) -> None:
         """Write a row, and return once it is on disk.
@@ -186,65 +147,49 @@ class SweepDatabase:
         Raises:
             BlockingIOError: If another program keeps the database locked.
         """
-        values = [
-            json.dumps(value) if name in _AS_JSON else value
-            for name, value in ((name, getattr(row, name)) for name in _COLUMNS)
-        ]
-        marks = ", ".join("?" * len(_COLUMNS))
+        named = vars(row) | {name: json.dumps(getattr(row, name)) for name in _AS_JSON}
         with _told(self.path):
-            self._file.execute(
-                f"INSERT OR REPLACE INTO trials ({', '.join(_COLUMNS)}) "
-                f"VALUES ({marks})",
-                values,
-            )
+            self._write("trials", [tuple(named[name] for name in _COLUMNS)])
 
 
-@dataclass(frozen=True)
-class Content:
-    """What a database holds.
-
-    Attributes:
-        about: Name, axes and repeated axes.
-        planned: Points that are planned, by key, in their order.
-        rows: Trials that have ended, in the order of the plan, then any others.
-    """
-
-    about: Mapping[str, Any]
-    planned: Mapping[str, Mapping[str, Any]]
-    rows: tuple[TrialRow, ...]
-
-
-def read_content(path: Path) -> Content:
-    """Read a database, even while a sweep writes to it.
+def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
+    """Read the rows of a sweep, even while it runs.
 
     Args:
-        path: The file.
+        database: The SQLite file.
 
     Raises:
         FileNotFoundError: If it does not exist.
         ValueError: If it is no database of a sweep.
         BlockingIOError: If another program keeps it locked.
     """
+    path = Path(database)
     if not path.is_file():
         raise FileNotFoundError(f"there is no sweep database {path}.")
     # Not read-only, since a reader rolls back what a killed run left half done.
     uri = f"{path.resolve().as_uri()}?mode=rw"
-    with _told(path):
-        file = sqlite3.connect(uri, uri=True, timeout=WAIT_S, isolation_level=None)
-        try:
-            file.execute("BEGIN")
-            check_format(file, path)
-            about = {w: json.loads(v) for w, v in file.execute("SELECT * FROM sweep")}
-            plan = file.execute("SELECT key, point FROM plan ORDER BY number")
-            planned = {key: json.loads(point) for key, point in plan}
-            rows = file.execute(
-                f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
-                "FROM trials LEFT JOIN plan ON plan.key = trials.key "
-                "ORDER BY plan.number IS NULL, plan.number, trials.ended"
-            ).fetchall()
-        finally:
-            file.close()
-    return Content(about, planned, tuple(map(_row, rows)))
+    with _told(path), closing(_open(uri, WAIT_S, uri=True)) as file:
+        file.execute("BEGIN")
+        _check_format(file, path)
+        about = {w: json.loads(v) for w, v in file.execute("SELECT * FROM sweep")}
+        plan = file.execute("SELECT key, point FROM plan ORDER BY number")
+        planned = {key: json.loads(point) for key, point in plan}
+        rows = file.execute(
+            f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
+            "FROM trials LEFT JOIN plan ON plan.key = trials.key "
+            "ORDER BY plan.number IS NULL, plan.number, trials.ended"
+        ).fetchall()
+    return SweepResult(
+        about["name"],
+        tuple(about["axes"]),
+        tuple(about["repeats"]),
+        planned,
+        tuple(map(_row, rows)),
+    )
+
+
+def _open(database: str | Path, wait: float, **options: Any) -> sqlite3.Connection:
+    return sqlite3.connect(database, timeout=wait, isolation_level=None, **options)
 
 
 def _row(values: tuple[Any, ...]) -> TrialRow:
@@ -253,7 +198,7 @@ def _row(values: tuple[Any, ...]) -> TrialRow:
     return TrialRow(**{**named, "notes": tuple(named["notes"])})
 
 
-def check_format(file: sqlite3.Connection, path: Path) -> None:
+def _check_format(file: sqlite3.Connection, path: Path) -> None:
     """Raise ValueError unless an open file is a database of a sweep."""
     (application,) = file.execute("PRAGMA application_id").fetchone()
     (version,) = file.execute("PRAGMA user_version").fetchone()

@@ -4,7 +4,7 @@ import itertools
 import json
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,12 @@ from softcal_jax.project import (
     read_toml,
     suggestion,
 )
-from softcal_jax.sweeps._calibration import CalibrationTrial, digest_of, truth_in_si
-from softcal_jax.sweeps._points import Point, Range, grid, sample
-from softcal_jax.sweeps._progress import Progress
+from softcal_jax.sweeps._calibration import (
+    CalibrationTrial,
+    digest_of,
+    file_keys,
+    truth_in_si,
+)
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._run import run_sweep
 from softcal_jax.sweeps._schema import (
@@ -31,6 +34,7 @@ from softcal_jax.sweeps._schema import (
     RangeTable,
     SweepTable,
 )
+from softcal_jax.sweeps._trial import Point, Range, grid, is_number, sample
 
 _QUANTITY = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
@@ -61,25 +65,15 @@ class Sweep:
         return self.path.with_suffix(".sqlite")
 
     def run(
-        self,
-        database: str | os.PathLike[str] | None = None,
-        *,
-        workers: int | None = None,
-        cores_per_worker: int = 1,
-        scheduler: str | None = None,
-        retry_failed: bool = False,
-        progress: Callable[[Progress], None] | None = None,
+        self, database: str | os.PathLike[str] | None = None, **options: Any
     ) -> SweepResult:
         """Run all trials that are not in the database yet, see `run_sweep`.
 
         Args:
             database: SQLite file; by default that beside the sweep file.
-            workers: Number of worker processes; by default one per core.
-            cores_per_worker: Threads of each.
-            scheduler: Address of a Dask scheduler, to use its workers instead. They
-                must find the project file under the same path.
-            retry_failed: Whether to retry trials that failed.
-            progress: Called at the beginning and after each trial.
+            options: `workers`, `cores_per_worker`, `scheduler`, `retry_failed` and
+                `progress` of `run_sweep`. Workers of a Dask scheduler must find the
+                project file under the same path.
 
         Returns:
             All rows of the database.
@@ -97,11 +91,7 @@ class Sweep:
             seed=self.seed,
             repeats=[axis for axis in REPEATS if axis in self.points[0]],
             definitions=self.definitions,
-            workers=workers,
-            cores_per_worker=cores_per_worker,
-            scheduler=scheduler,
-            retry_failed=retry_failed,
-            progress=progress,
+            **options,
         )
 
 
@@ -138,14 +128,11 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
         for axis, values in table.axes.items()
     }
     # Trials of one shape stand next to each other, so that a worker compiles less.
-    ordered = {a: axes[a] for a in (*_keys(axes), *OWN_AXES) if a in axes}
+    ordered = {a: axes[a] for a in (*file_keys(axes), *OWN_AXES) if a in axes}
     _check_variants(path, function, ordered)
     with at(path, "axes"):
-        points = (
-            grid(ordered)
-            if table.sample is None
-            else sample(ordered, table.sample, seed=table.seed)
-        )
+        n, seed = table.sample, table.seed
+        points = grid(ordered) if n is None else sample(ordered, n, seed=seed)
     definitions = {
         f"content of {os.path.relpath(file, source.resolve().parent)}": digest
         for file, digest in files.items()
@@ -156,29 +143,24 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
     return Sweep(name, path, function, tuple(points), table.seed, definitions)
 
 
-def _keys(axes: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(axis for axis in axes if axis not in OWN_AXES)
-
-
 def _replaced(path: Path, table: SweepTable) -> str:
     """Find the set of control points that layouts replace."""
     if not table.layouts:
         return ""
     sets = list(read_toml(path.parent / table.project, "").get("control_points", {}))
-    if table.replaces is None and len(sets) == 1:
+    name = table.replaces
+    if name is None and len(sets) == 1:
         return sets[0]
-    if table.replaces is not None and table.replaces in sets:
-        return table.replaces
-    known = f"It has {', '.join(sets)}." if sets else "It has none."
-    if table.replaces is None:
-        raise ProjectError(
-            f"{path}: replaces: missing. Expected the set of control points of the "
-            f"project that the layouts take the place of. {known}"
-        )
-    raise ProjectError(
-        f"{path}: replaces: the project has no control points "
-        f'"{table.replaces}".{suggestion(table.replaces, sets)} {known}'
+    if name is not None and name in sets:
+        return name
+    what = (
+        "missing. Expected the set of control points of the project that the layouts "
+        "take the place of."
+        if name is None
+        else f'the project has no control points "{name}".{suggestion(name, sets)}'
     )
+    known = ", ".join(sets) or "none"
+    raise ProjectError(f"{path}: replaces: {what} It has {known}.")
 
 
 def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:
@@ -189,17 +171,19 @@ def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:
     project.check_identify()
     assert project.space is not None
     names = project.space.names
-    for name in table.truth:
-        if name not in names:
-            raise ProjectError(
-                f"{path}: truth: there is no parameter {name!r}."
-                f"{suggestion(name, names)} Known: {', '.join(names)}."
-            )
-    missing = [name for name in names if name not in table.truth]
-    if missing:
-        raise ProjectError(f"{path}: truth: it has no value for {', '.join(missing)}.")
     with at(path, "truth"):
+        for name in table.truth:
+            _check_known(f"parameter {name!r}", name, names)
+        missing = [name for name in names if name not in table.truth]
+        if missing:
+            raise ValueError(f"it has no value for {', '.join(missing)}.")
         truth_in_si(project.space, table.truth)
+
+
+def _check_known(what: str, name: Any, known: Collection[str]) -> None:
+    if name not in known:
+        hint = suggestion(str(name), known)
+        raise ValueError(f"there is no {what}.{hint} Known: {', '.join(known)}.")
 
 
 def _values(
@@ -213,12 +197,7 @@ def _values(
             return _range(given)
         if axis == "layout":
             for name in given:
-                if name not in table.layouts:
-                    hint = suggestion(str(name), table.layouts)
-                    raise ValueError(
-                        f"there is no [layouts.{name}].{hint} Known: "
-                        f"{', '.join(table.layouts)}."
-                    )
+                _check_known(f"[layouts.{name}]", name, table.layouts)
         if axis == "configurations":
             return _subsets(given, [c.name for c in project.calibration])
     return given
@@ -240,18 +219,15 @@ def _subsets(given: Any, names: list[str]) -> list[list[str]]:
                 'together, like [["pose 1"], ["pose 1", "pose 2"]].'
             )
         for name in subset:
-            if name not in names:
-                raise ValueError(
-                    f"there is no configuration {name!r} with the role calibration."
-                    f"{suggestion(str(name), names)} Known: {', '.join(names)}."
-                )
+            what = f"configuration {name!r} with the role calibration"
+            _check_known(what, name, names)
     # In the project's order, so that [a, b] and [b, a] are the same trial.
     return [[name for name in names if name in subset] for subset in given]
 
 
 def _range(table: RangeTable) -> Range:
     ends = [table.low, table.high]
-    if all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends):
+    if all(map(is_number, ends)):
         return Range(float(table.low), float(table.high), table.scale)
     parts = [_QUANTITY.fullmatch(str(end)) for end in ends]
     if parts[0] is None or parts[1] is None or parts[0][2] != parts[1][2]:
@@ -267,8 +243,11 @@ def _check_variants(
     path: Path, function: CalibrationTrial, axes: Mapping[str, Sequence[Any] | Range]
 ) -> None:
     """Load the project with each layout and each value of a key once."""
-    shaping = [axis for axis in axes if axis == "layout" or axis not in OWN_AXES]
-    tried = {axis: _some(axes[axis]) for axis in shaping}
+    tried = {
+        axis: [values.at(0.0), values.at(1.0)] if isinstance(values, Range) else values
+        for axis, values in axes.items()
+        if axis == "layout" or axis not in OWN_AXES
+    }
     first = {axis: values[0] for axis, values in tried.items()}
     for axis, values in tried.items():
         for value in values:
@@ -277,7 +256,3 @@ def _check_variants(
                     function.variant({**first, axis: value})
                 except ProjectError as error:
                     raise ValueError(str(error)) from error
-
-
-def _some(values: Sequence[Any] | Range) -> Sequence[Any]:
-    return [values.at(0.0), values.at(1.0)] if isinstance(values, Range) else values

@@ -40,14 +40,8 @@ class Progress:
 
     def __str__(self) -> str:
         """Write one line for a terminal."""
-        bad = [
-            f"{n} {what}"
-            for n, what in (
-                (self.failed, "failed"),
-                (self.not_converged, "not converged"),
-            )
-            if n
-        ]
+        counts = {"failed": self.failed, "not converged": self.not_converged}
+        bad = [f"{n} {what}" for what, n in counts.items() if n]
         text = f"{self.ended} of {self.total} trials"
         text += f" ({', '.join(bad)})" if bad else ""
         if self.rate is None or self.seconds_left is None:
@@ -60,12 +54,7 @@ class Tally:
     """Counter of the trials of a run."""
 
     def __init__(self, total: int, states: list[str]):
-        """Begin a run.
-
-        Args:
-            total: Trials of the sweep.
-            states: States of those that have ended.
-        """
+        """Begin a run, of so many trials, some of which have ended in these states."""
         self._total, self._before = total, len(states)
         self._states = list(states)
         self._workers: dict[str, int] = {}
@@ -83,13 +72,13 @@ class Tally:
             self._ends.append(time.monotonic())
         count = self._states.count
         return Progress(
-            self._total,
-            len(self._states),
-            self._before,
-            count("not converged"),
-            count("failed"),
-            self._rate(),
-            row,
+            total=self._total,
+            ended=len(self._states),
+            before=self._before,
+            not_converged=count("not converged"),
+            failed=count("failed"),
+            rate=self._rate(),
+            row=row,
         )
 
     def _rate(self) -> float | None:

@@ -1,32 +1,22 @@
 """Rows of a sweep so far, and their groups."""
 
-import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.sweeps._database import read_content
 from softcal_jax.sweeps._row import State, TrialRow
-from softcal_jax.sweeps._trial import describe, shown
+from softcal_jax.sweeps._trial import describe, is_number
 
 
-class FigureName(NamedTuple):
-    """Name of a figure in two parts: "fit rms [m]" is "fit rms" and "m"."""
-
-    words: str
-    unit: str
-
-
-def figure_name(name: str) -> FigureName:
-    """Split the name of a figure; the unit is empty where there is none."""
+def figure_name(name: str) -> tuple[str, str]:
+    """Split "fit rms [m]" into "fit rms" and its unit; a name without one has ""."""
     match = re.fullmatch(r"(.+?) \[(.+)\]", name)
-    return FigureName(match[1], match[2]) if match else FigureName(name, "")
+    return (match[1], match[2]) if match else (name, "")
 
 
 @dataclass(frozen=True)
@@ -42,11 +32,6 @@ class Group:
     values: Mapping[str, Any]
     rows: tuple[TrialRow, ...]
     missing: int
-
-    @property
-    def label(self) -> str:
-        """The values in one line."""
-        return ", ".join(shown(value) for value in self.values.values()) or "all"
 
     def count(self, state: State) -> int:
         """Count the trials that ended in a state."""
@@ -95,68 +80,59 @@ class SweepResult:
     def numbers(self, figure: str) -> Float[HostArray, " n"]:
         """Collect a figure of the trials that converged, where it is a number, in SI.
 
-        Args:
-            figure: Its name.
-
         Raises:
             ValueError: If no row has a figure of that name.
         """
         return _numbers(self.rows, self.figure(figure))
 
     def figure(self, name: str) -> str:
-        """Return the full name of a figure, whose unit may be left out.
-
-        Args:
-            name: "fit rms [m]" or "fit rms".
+        """Return the full name of a figure, "fit rms [m]", given that or "fit rms".
 
         Raises:
             ValueError: If no row has a figure of that name.
         """
-        by_words = {figure_name(figure).words: figure for figure in self.figure_names}
+        by_words = {figure_name(figure)[0]: figure for figure in self.figure_names}
         if name in self.figure_names:
             return name
         if name in by_words:
             return by_words[name]
         raise unknown_name("figure", name, self.figure_names)
 
-    @property
-    def default_axes(self) -> tuple[str, ...]:
-        """Axes that trials are grouped by: all but repetitions."""
-        return tuple(axis for axis in self.axes if axis not in self.repeats)
-
-    def groups(self, by: Sequence[str] | None = None) -> tuple[Group, ...]:
-        """Group trials by their values on some axes.
-
-        Args:
-            by: The axes; by default all but repetitions.
-
-        Returns:
-            The groups, in the order of the plan.
+    def grouping(self, by: Sequence[str] | None = None) -> tuple[str, ...]:
+        """Return the axes that trials are grouped by: by default all but repetitions.
 
         Raises:
             ValueError: If the sweep has no such axis.
         """
-        by = self.default_axes if by is None else by
-        for axis in by:
+        for axis in by or ():
             if axis not in self.axes:
                 raise unknown_name("axis", axis, self.axes)
-        rows: dict[str, list[TrialRow]] = {}
-        missing: dict[str, int] = {}
-        values: dict[str, dict[str, Any]] = {}
-        of = lambda point: {axis: point[axis] for axis in by}
+        if by is not None:
+            return tuple(by)
+        return tuple(axis for axis in self.axes if axis not in self.repeats)
+
+    def groups(self, by: Sequence[str] | None = None) -> tuple[Group, ...]:
+        """Group trials by their values on some axes, in the order of the plan.
+
+        Args:
+            by: The axes; by default all but repetitions.
+
+        Raises:
+            ValueError: If the sweep has no such axis.
+        """
+        by = self.grouping(by)
         ended = {row.key: row for row in self.rows}
-        for key, point in {
-            **self.planned,
-            **{r.key: r.point for r in self.rows},
-        }.items():
-            own = of(point)
-            group = repr(own)
-            values[group] = own
-            rows.setdefault(group, []).extend([ended[key]] if key in ended else [])
-            missing[group] = missing.get(group, 0) + (key not in ended)
+        points = {**self.planned, **{row.key: row.point for row in self.rows}}
+        groups: dict[str, list[str]] = {}
+        for key, point in points.items():
+            groups.setdefault(repr([point[axis] for axis in by]), []).append(key)
         return tuple(
-            Group(own, tuple(rows[group]), missing[group])
-            for group, own in values.items()
+            Group(
+                values={axis: points[keys[0]][axis] for axis in by},
+                rows=tuple(ended[key] for key in keys if key in ended),
+                missing=sum(key not in ended for key in keys),
+            )
+            for keys in groups.values()
         )
 
     def __str__(self) -> str:
@@ -173,28 +149,13 @@ class SweepResult:
         return "\n".join(lines)
 
 
+def figure_values(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
+    """Return a figure of each row; nan where it is no number, or did not converge."""
+    own = lambda row: row.figures.get(figure) if row.state == "converged" else None
+    found = map(own, rows)
+    return np.array([v if is_number(v) else np.nan for v in found], float)
+
+
 def _numbers(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
-    found = [row.figures.get(figure) for row in rows if row.state == "converged"]
-    kept = [v for v in found if isinstance(v, int | float) and not isinstance(v, bool)]
-    return np.array(kept, float)
-
-
-def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
-    """Read the rows of a sweep, even while it runs.
-
-    Args:
-        database: The SQLite file.
-
-    Raises:
-        FileNotFoundError: If it does not exist.
-        ValueError: If it is no database of a sweep.
-        BlockingIOError: If another program keeps it locked.
-    """
-    content = read_content(Path(database))
-    return SweepResult(
-        content.about["name"],
-        tuple(content.about["axes"]),
-        tuple(content.about["repeats"]),
-        content.planned,
-        content.rows,
-    )
+    values = figure_values(rows, figure)
+    return values[~np.isnan(values)]

@@ -21,9 +21,6 @@ State = Literal["converged", "not converged", "failed"]
 
 Figure = float | int | str | None
 
-_CACHE_WARNING = "persistent compilation cache"
-"""Words of JAX's warning that it cannot read or write a compiled program."""
-
 
 @dataclass(frozen=True)
 class Outcome:
@@ -80,41 +77,31 @@ class TrialRow:
 
 
 def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
-    """Run a trial, and return a row even if it raises.
-
-    Args:
-        function: The function of the sweep.
-        trial: The trial.
-    """
-    outcome, reason, trace = None, "", ""
-    with warnings.catch_warnings(record=True) as caught:
+    """Run a trial, and return a row even if it raises."""
+    outcome, reason, trace = Outcome({}), "", ""
+    with warnings.catch_warnings(record=True) as caught, Clock() as clock:
         warnings.simplefilter("always")
-        with Clock() as clock:
-            try:
-                outcome = _as_outcome(function(trial))
-            except Exception as error:  # a trial that fails is a row with its reason
-                reason = f"{type(error).__name__}: {error}"
-                trace = traceback.format_exc()
+        try:
+            outcome = _as_outcome(function(trial))
+        except Exception as error:  # a trial that fails is a row with its reason
+            reason = f"{type(error).__name__}: {error}"
+            trace = traceback.format_exc()
     warned = [text for w in caught if not _of_the_cache(text := str(w.message))]
-    times = clock.seconds
-    shared = {
-        "key": trial.key,
-        "point": trial.point,
-        "seconds": times["compile"] + times["solve"],
-        "compile_seconds": times["compile"],
-        **_here_and_now(),
-    }
-    if outcome is None:
-        notes = tuple(dict.fromkeys(warned))
-        return TrialRow(
-            state="failed", reason=reason, notes=notes, traceback=trace, **shared
-        )
+    state: State = "converged" if outcome.converged else "not converged"
+    if not outcome.converged:
+        reason = outcome.reason or "it did not converge"
     return TrialRow(
-        state="converged" if outcome.converged else "not converged",
-        reason="" if outcome.converged else outcome.reason or "it did not converge",
+        key=trial.key,
+        point=trial.point,
+        state="failed" if trace else state,
+        reason=reason,
         figures=outcome.figures,
         notes=tuple(dict.fromkeys([*outcome.notes, *warned])),
-        **shared,
+        seconds=sum(clock.seconds.values()),
+        compile_seconds=clock.seconds["compile"],
+        worker=f"{socket.gethostname()} {os.getpid()}",
+        ended=_now(),
+        traceback=trace,
     )
 
 
@@ -125,26 +112,16 @@ def _of_the_cache(warning: str) -> bool:
     compiles again; the half is removed, so that the next worker finds a whole one.
     """
     throw_away_damaged(warning)
-    return _CACHE_WARNING in warning
+    return "persistent compilation cache" in warning
 
 
-def failed_row(trial: Trial, reason: str, trace: str = "") -> TrialRow:
+def failed_row(trial: Trial, reason: str) -> TrialRow:
     """Return the row of a trial whose worker could not report its end."""
-    return TrialRow(
-        trial.key,
-        trial.point,
-        "failed",
-        reason,
-        traceback=trace,
-        ended=_here_and_now()["ended"],
-    )
+    return TrialRow(trial.key, trial.point, "failed", reason, ended=_now())
 
 
-def _here_and_now() -> dict[str, str]:
-    return {
-        "worker": f"{socket.gethostname()} {os.getpid()}",
-        "ended": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _as_outcome(returned: Any) -> Outcome:

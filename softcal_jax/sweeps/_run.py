@@ -9,12 +9,12 @@ from typing import Any
 from softcal_jax._names import unknown_name
 from softcal_jax.equilibrium import usable_cores
 from softcal_jax.sweeps._dask import dask_rows
-from softcal_jax.sweeps._database import Plan, SweepDatabase
-from softcal_jax.sweeps._local import local_rows
+from softcal_jax.sweeps._database import read_sweep, sweep_database
 from softcal_jax.sweeps._progress import Progress, Tally
-from softcal_jax.sweeps._result import SweepResult, read_sweep
+from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import TrialFunction, TrialRow, run_trial
 from softcal_jax.sweeps._trial import Trial, as_trials
+from softcal_jax.sweeps._worker import local_rows
 
 
 def run_sweep(
@@ -83,21 +83,17 @@ def run_sweep(
         if axis not in trials[0].point:
             raise unknown_name("axis", axis, trials[0].point)
     what = getattr(function, "__qualname__", type(function).__qualname__)
-    plan = Plan(
-        name or what,
-        trials,
-        tuple(repeats),
-        {
-            "function": what,
-            "set of axes": ", ".join(sorted(trials[0].point)),
-            "seed": str(seed),
-            **(definitions or {}),
-        },
-    )
+    about = {"name": name or what, "repeats": tuple(repeats)}
+    rests_on = {
+        "function": what,
+        "set of axes": ", ".join(sorted(trials[0].point)),
+        "seed": str(seed),
+        **(definitions or {}),
+    }
     source = _source(function, workers, cores_per_worker, scheduler)
     tell = progress or (lambda _: None)
-    with SweepDatabase(Path(database)) as file:
-        ended = file.begin(plan)
+    with sweep_database(Path(database)) as file:
+        ended = file.begin(trials, about, rests_on)
         if retry_failed:
             ended = {key: s for key, s in ended.items() if s != "failed"}
         left = [trial for trial in trials if trial.key not in ended]

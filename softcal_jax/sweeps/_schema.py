@@ -17,14 +17,7 @@ REPEATS = ("start", "noise")
 class CountTable(Table):
     """Numbers from 1 to `count`."""
 
-    count: Integer = Field(description="how many, like 20")
-
-    @field_validator("count")
-    @classmethod
-    def _check(cls, value: int) -> int:
-        if value < 1:
-            raise ValueError(f"got {value}; expected at least 1.")
-        return value
+    count: Integer = Field(ge=1, description="how many, like 20")
 
 
 class ChooseTable(Table):
@@ -45,6 +38,12 @@ _TABLE_OF: dict[str, type[Table]] = {
     "start": CountTable,
     "noise": CountTable,
     "configurations": ChooseTable,
+}
+_EXPECTED = {
+    "start": "{ count = 10 } or a list of numbers",
+    "noise": "{ count = 20 } or a list of numbers",
+    "configurations": '{ choose = 2 } or a list of lists, like [["pose 1"]]',
+    "layout": 'a list of names, like ["ends"]',
 }
 
 
@@ -97,15 +96,15 @@ def _axis(axis: str, values: Any) -> Sequence[Any] | Table:
             f"unknown axis {axis}.{suggestion(axis, OWN_AXES)} Known: "
             f'{", ".join(OWN_AXES)}, or a key of the project file, like "material.nu".'
         )
-    if isinstance(values, dict):
-        if axis == "layout":
-            raise ValueError('axis layout: expected a list of names, like ["ends"].')
+    usual = "a list of values, or { low = 1, high = 2 }"
+    expected = f"expected {_EXPECTED.get(axis, usual)}."
+    if isinstance(values, dict) and axis != "layout":
         try:
             return _TABLE_OF.get(axis, RangeTable).model_validate(values)
         except ValueError as error:
-            raise ValueError(f"axis {axis}: {_table_text(axis)}") from error
+            raise ValueError(f"axis {axis}: {expected}") from error
     if not isinstance(values, list):
-        raise ValueError(f"axis {axis}: got {values}; {_table_text(axis)}")
+        raise ValueError(f"axis {axis}: got {values}; {expected}")
     if not values:
         raise ValueError(
             f"axis {axis} has no values, so the sweep has no trials: give it at least "
@@ -119,15 +118,3 @@ def _axis(axis: str, values: Any) -> Sequence[Any] | Table:
                     "1, 2, ..."
                 )
     return values
-
-
-def _table_text(axis: str) -> str:
-    example = {
-        "start": "{ count = 10 } or a list of numbers",
-        "noise": "{ count = 20 } or a list of numbers",
-        "configurations": '{ choose = 2 } or a list of lists, like [["pose 1"]]',
-        "layout": 'a list of names, like ["ends"]',
-    }
-    return (
-        f"expected {example.get(axis, 'a list of values, or { low = 1, high = 2 }')}."
-    )

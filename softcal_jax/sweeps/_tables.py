@@ -1,6 +1,7 @@
-"""A sweep as tables for a terminal, and as CSV."""
+"""A sweep as tables for a terminal, as CSV, and as a picture."""
 
 import csv
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -9,22 +10,23 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_estimate, readable_unit
-from softcal_jax.sweeps._result import Group, SweepResult, figure_name
+from softcal_jax.plotting import plot_trials
+from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
 from softcal_jax.sweeps._row import TrialRow
-from softcal_jax.sweeps._trial import describe, shown
+from softcal_jax.sweeps._trial import describe, is_number, shown
 
 if TYPE_CHECKING:
     import rich.console
     import rich.table
-
-WIDTH = 100
-"""Default number of characters in a line."""
 
 ROUNDING = 1e-9
 """Standard deviation over the mean below which values differ by rounding alone."""
 
 MOST_NAMES = 8
 """Number of figures named below a table; further ones are only counted."""
+
+MOST_PANELS = 4
+"""Largest number of figures in a picture by default."""
 
 _NARROW = 24
 """Characters to which a cell with spaces may be wrapped."""
@@ -42,11 +44,9 @@ class _Column(NamedTuple):
     @property
     def width(self) -> int:
         """Width in characters, with its borders."""
-        words = [len(word) for word in self.head.split()]
-        cells = [
-            _NARROW if " " in c and len(c) > _NARROW else len(c) for c in self.cells
-        ]
-        return 3 + max([*words, *cells, 1])
+        widths = [len(word) for word in self.head.split()]
+        widths += [min(len(c), _NARROW) if " " in c else len(c) for c in self.cells]
+        return 3 + max([*widths, 1])
 
 
 def default_figures(result: SweepResult) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ def sweep_table(
     by: Sequence[str] | None = None,
     figures: Sequence[str] | None = None,
     every: bool = False,
-    width: int = WIDTH,
+    width: int = 100,
 ) -> "rich.console.Group":
     """Make a table of a sweep for the terminal, to be printed by `rich`.
 
@@ -87,48 +87,39 @@ def sweep_table(
     if not result.rows:
         return Printed(*parts)
     styles = [_STYLE[row.state] if every else "" for row in result.rows]
-    fixed = _trial_columns(result) if every else _group_columns(groups)
-    column = _trial_figure if every else _group_figure
-    possible = default_figures(result) if asked is None else asked
-    columns = {f: column(result, groups, f) for f in possible}
-    room = width - 1 - sum(c.width for c in fixed)
-    if asked is None:
-        columns = _fitting(columns, room)
-    parts.append(_table([*fixed, *columns.values()], styles, width))
+    columns = _trial_columns(result) if every else _group_columns(groups)
+    room = width - 1 - sum(c.width for c in columns)
+    kept = []
+    for figure in default_figures(result) if asked is None else asked:
+        factor, head = readable_figure(result, figure)
+        if every:
+            cells = [_trial_cell(row, figure, factor) for row in result.rows]
+        else:
+            cells = [_mean(factor * group.numbers(figure)) for group in groups]
+        column = _Column(head, cells)
+        room -= column.width
+        if asked is None and kept and room < 0:
+            break
+        columns.append(column)
+        kept.append(figure)
+    parts.append(_table(columns, styles, width))
     if not every and any(group.count("converged") > 1 for group in groups):
         parts.append(Text("Mean ± standard deviation over the trials that converged."))
-    others = [name for name in result.figure_names if name not in columns]
+    others = [name for name in result.figure_names if name not in kept]
     if others:
-        parts.append(Text(f"Also kept: {_listed(others)} (--figure NAME)."))
+        more = len(others) - MOST_NAMES
+        listed = ", ".join(others[:MOST_NAMES])
+        listed += f" and {more} more" if more > 0 else ""
+        parts.append(Text(f"Also kept: {listed} (--figure NAME)."))
     return Printed(*parts, *_reasons(result, every))
-
-
-def _fitting(columns: dict[str, _Column], room: int) -> dict[str, _Column]:
-    """Pick the first columns that fit; at least one."""
-    kept: dict[str, _Column] = {}
-    for figure, column in columns.items():
-        room -= column.width
-        if kept and room < 0:
-            break
-        kept[figure] = column
-    return kept
 
 
 def _head(result: SweepResult) -> str:
     n, total = len(result.rows), len(result.rows) + len(result.missing)
-    states = [
-        f"{len(result.of_state(state))} {state}"
-        for state in ("converged", "not converged", "failed")
-        if result.of_state(state)
-    ]
-    ended = f": {', '.join(states)}" if states else ""
+    counts = Counter(row.state for row in result.rows)
+    states = ", ".join(f"{counts[state]} {state}" for state in _STYLE if counts[state])
+    ended = f": {states}" if states else ""
     return f"{result.name}: {n} of {total} trials have ended{ended}."
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - MOST_NAMES
-    listed = ", ".join(names[:MOST_NAMES])
-    return listed + (f" and {more} more" if more > 0 else "")
 
 
 def _reasons(result: SweepResult, every: bool) -> list[Any]:
@@ -138,7 +129,9 @@ def _reasons(result: SweepResult, every: bool) -> list[Any]:
     rows: dict[tuple[str, str], list[TrialRow]] = {}
     for row in result.rows:
         if row.state != "converged":
-            rows.setdefault((row.state, _first_line(row.reason)), []).append(row)
+            first, *more = row.reason.strip().splitlines() or [""]
+            reason = first + (" ..." if more else "")
+            rows.setdefault((row.state, reason), []).append(row)
     lines = []
     for (state, reason), own in rows.items():
         n = f"{len(own)} trials, the first" if len(own) > 1 else "1 trial"
@@ -147,12 +140,6 @@ def _reasons(result: SweepResult, every: bool) -> list[Any]:
     if lines and not every:
         lines.append(Text("--all lists every trial."))
     return lines
-
-
-def _first_line(reason: str) -> str:
-    """Return the first line of a reason."""
-    first, *more = reason.strip().splitlines() or [""]
-    return first + (" ..." if more else "")
 
 
 def _group_columns(groups: Sequence[Group]) -> list[_Column]:
@@ -174,34 +161,22 @@ def _group_columns(groups: Sequence[Group]) -> list[_Column]:
     ]
 
 
-def _group_figure(result: SweepResult, groups: Sequence[Group], figure: str) -> _Column:
-    factor, head = readable_figure(result, figure)
-    return _Column(head, [_mean(factor * g.numbers(figure)) for g in groups])
-
-
 def _trial_columns(result: SweepResult) -> list[_Column]:
     """Make columns of each trial's point, and of how it ended."""
     columns = [
         _Column(axis, [shown(row.point[axis]) for row in result.rows], "left")
         for axis in result.axes
     ]
-    outcomes = [row.state for row in result.rows]
-    seconds = [f"{row.seconds:.1f}" for row in result.rows]
-    return [
-        *columns,
-        _Column("outcome", outcomes, "left"),
-        _Column("time [s]", seconds),
-    ]
+    outcomes = _Column("outcome", [row.state for row in result.rows], "left")
+    seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in result.rows])
+    return [*columns, outcomes, seconds]
 
 
-def _trial_figure(result: SweepResult, _: Sequence[Group], figure: str) -> _Column:
-    factor, head = readable_figure(result, figure)
-    cells = []
-    for row in result.rows:
-        value = row.figures.get(figure)
-        number = isinstance(value, int | float)
-        cells.append(f"{factor * value:.5g}" if number else str(value or "-"))
-    return _Column(head, cells)
+def _trial_cell(row: TrialRow, figure: str, factor: float) -> str:
+    value = row.figures.get(figure)
+    if isinstance(value, int | float):
+        return f"{factor * value:.5g}"
+    return str(value or "-")
 
 
 def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:
@@ -243,28 +218,56 @@ def _table(
 
 
 def write_sweep_csv(result: SweepResult, path: str | Path) -> None:
-    """Write one line per trial that has ended, for a spreadsheet, with values in SI.
-
-    Args:
-        result: The sweep.
-        path: The file; replaced if it exists.
-    """
+    """Write one line per trial that has ended, for a spreadsheet, with values in SI."""
     figures = result.figure_names
     columns = ["state", "reason", "seconds", "compile_seconds", "worker", "ended"]
     with Path(path).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*result.axes, *columns, *figures, "notes"])
         for row in result.rows:
-            writer.writerow(_csv_cells(row, result.axes, columns, figures))
+            point = (row.point[axis] for axis in result.axes)
+            cells = [shown(v) if isinstance(v, list) else v for v in point]
+            cells += [getattr(row, column) for column in columns]
+            cells += [row.figures.get(figure) for figure in figures]  # None: empty
+            writer.writerow([*cells, " ".join(row.notes)])
 
 
-def _csv_cells(
-    row: TrialRow, axes: Sequence[str], columns: Sequence[str], figures: Sequence[str]
-) -> list[Any]:
-    point = [
-        shown(value) if isinstance(value, list) else value
-        for value in (row.point[axis] for axis in axes)
-    ]
-    found = ["" if (v := row.figures.get(f)) is None else v for f in figures]
-    own = [getattr(row, column) for column in columns]
-    return [*point, *own, *found, " ".join(row.notes)]
+def plot_sweep(
+    result: SweepResult,
+    path: str | Path,
+    *,
+    by: Sequence[str] | None = None,
+    figures: Sequence[str] | None = None,
+) -> None:
+    """Plot the figures of all trials that converged against the axes.
+
+    Args:
+        result: The sweep.
+        path: PNG file.
+        by: The axes; by default all but repetitions.
+        figures: Names of figures; by default the first that are numbers.
+
+    Raises:
+        ValueError: If there is no such axis or figure, or no trial has converged.
+    """
+    chosen = default_figures(result)[:MOST_PANELS]
+    if figures is not None:
+        chosen = [result.figure(name) for name in figures]
+    rows, panels = result.rows, {}
+    for figure in chosen:
+        factor, label = readable_figure(result, figure)
+        panels[label] = factor * figure_values(rows, figure)
+    columns = {}
+    for axis in result.grouping(by):
+        values = [row.point[axis] for row in rows]
+        numbers = all(map(is_number, values))
+        columns[axis] = [float(v) if numbers else shown(v) for v in values]
+    good = len(result.of_state("converged"))
+    lost = len(rows) - good
+    plot_trials(
+        columns or {"": ["all"] * len(rows)},
+        panels,
+        path,
+        title=f"{result.name}: {good} trials",
+        left_out=f"{lost} more failed or did not converge" if lost else "",
+    )

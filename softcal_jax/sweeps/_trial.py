@@ -1,14 +1,139 @@
-"""One trial of a sweep: its point on the axes, and its random numbers."""
+"""Points of a sweep, and its trials: a point with random numbers of its own."""
 
 import hashlib
+import itertools
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from softcal_jax._names import unknown_name
+
+Point = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Range:
+    """All numbers between two ends, for `sample`.
+
+    Attributes:
+        low: Smallest number.
+        high: Largest number.
+        scale: "log" samples uniformly in the logarithm.
+        form: Format of the number in the point; "{:.9g} kPa" gives it a unit.
+    """
+
+    low: float
+    high: float
+    scale: Literal["linear", "log"] = "linear"
+    form: str | None = None
+
+    def __post_init__(self):
+        if not (math.isfinite(self.low) and self.low < self.high < math.inf):
+            raise ValueError(
+                f"a range needs two finite ends, low below high; got {self.low} and "
+                f"{self.high}."
+            )
+        if self.scale == "log" and self.low <= 0.0:
+            raise ValueError(
+                f"a range on a log scale needs positive ends, got {self.low}."
+            )
+
+    def at(self, share: float) -> Any:
+        """Return the number at a share of the way from the low end to the high one."""
+        if self.scale == "log":
+            value = self.low * (self.high / self.low) ** share
+        else:
+            value = self.low + share * (self.high - self.low)
+        value = min(max(value, self.low), self.high)
+        return value if self.form is None else self.form.format(value)
+
+
+def grid(axes: Mapping[str, Sequence[Any] | Range]) -> list[Point]:
+    """List every combination of the values of each axis; the last varies fastest.
+
+    Raises:
+        ValueError: If there is no axis, one without values, or a range.
+    """
+    lists = _lists(axes)
+    for axis in axes:
+        if axis not in lists:
+            raise ValueError(
+                f"axis {axis!r} is a range, which has no end of values: sample it, or "
+                "list the values."
+            )
+    found = itertools.product(*lists.values())
+    return [dict(zip(lists, values, strict=True)) for values in found]
+
+
+def sample(
+    axes: Mapping[str, Sequence[Any] | Range], n: int, *, seed: int = 0
+) -> list[Point]:
+    """Draw points at random.
+
+    With a range among the axes, they are a Latin hypercube (McKay et al., Technometrics
+    21, 1979): each axis is cut into n equal parts, with one point in each. With lists
+    alone, they are different points of the grid.
+
+    Args:
+        axes: Values of each axis, or their range.
+        n: Number of points.
+        seed: Seed of the choice.
+
+    Raises:
+        ValueError: If there is no axis, or one without values, or n is less than one or
+            more than the grid has.
+    """
+    lists = _lists(axes)
+    if n < 1:
+        raise ValueError(f"a sample has at least 1 point, got {n}.")
+    random = np.random.default_rng(seed)
+    if len(lists) == len(axes):
+        sizes = [len(values) for values in lists.values()]
+        if n > math.prod(sizes):
+            raise ValueError(
+                f"the axes have {math.prod(sizes)} different points, so {n} cannot be "
+                "sampled; ask for fewer, or for the whole grid."
+            )
+        chosen = np.sort(random.choice(math.prod(sizes), n, replace=False))
+        cells = np.array(np.unravel_index(chosen, sizes)).T.tolist()
+        pick = lambda values, i: values[i]
+    else:
+        from scipy.stats.qmc import LatinHypercube
+
+        cells = LatinHypercube(len(axes), rng=random).random(n).tolist()
+        pick = _at
+    return [
+        {axis: pick(axes[axis], where) for axis, where in zip(axes, cell, strict=True)}
+        for cell in cells
+    ]
+
+
+def _at(values: Sequence[Any] | Range, share: float) -> Any:
+    if isinstance(values, Range):
+        return values.at(share)
+    return values[min(int(share * len(values)), len(values) - 1)]
+
+
+def _lists(axes: Mapping[str, Sequence[Any] | Range]) -> dict[str, Sequence[Any]]:
+    """Check the values of all axes, and return those that are no ranges."""
+    if not axes:
+        raise ValueError("a sweep needs at least one axis, got none.")
+    lists = {a: values for a, values in axes.items() if not isinstance(values, Range)}
+    for axis, values in lists.items():
+        if isinstance(values, str):
+            raise ValueError(
+                f"axis {axis!r} needs a list of values, got the text {values!r}."
+            )
+        if not len(values):
+            raise ValueError(
+                f"axis {axis!r} has no values, so the sweep has no trials: give it at "
+                "least one, or leave the axis out."
+            )
+    return lists
 
 
 @dataclass(frozen=True)
@@ -28,11 +153,7 @@ class Trial:
         object.__setattr__(self, "point", values)
 
     def __getitem__(self, axis: str) -> Any:
-        """Return the value of an axis.
-
-        Raises:
-            ValueError: If the sweep has no such axis.
-        """
+        """Return the value of an axis, or raise ValueError if there is none."""
         if axis not in self.point:
             raise unknown_name("axis", axis, self.point)
         return self.point[axis]
@@ -48,16 +169,10 @@ class Trial:
         return self.seed_of(*self.point)
 
     def seed_of(self, *axes: str) -> int:
-        """Return a seed that depends on the values on some axes alone.
+        """Return a seed, of 63 bits, that depends on the values on some axes alone.
 
         Trials that agree on these axes share it: layouts are compared on the same draws
         of noise with `np.random.default_rng(trial.seed_of("noise"))`.
-
-        Args:
-            axes: Names of the axes.
-
-        Returns:
-            An integer of 63 bits.
 
         Raises:
             ValueError: If the sweep has no such axis.
@@ -70,11 +185,7 @@ class Trial:
 def as_trials(
     points: Iterable[Mapping[str, Any]], sweep_seed: int
 ) -> tuple[Trial, ...]:
-    """Make the trials of a sweep.
-
-    Raises:
-        ValueError: If there is none, or two are the same, or their axes differ.
-    """
+    """Make the trials of a sweep; all must differ, but not in their axes."""
     trials = tuple(Trial(point, sweep_seed) for point in points)
     if not trials:
         raise ValueError("the sweep has no trials: give each axis at least one value.")
@@ -105,6 +216,11 @@ def shown(value: Any) -> str:
     if isinstance(value, list):
         return " + ".join(map(shown, value))
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def is_number(value: Any) -> bool:
+    """Check whether a value is a number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _canonical(point: Mapping[str, Any]) -> str:

@@ -11,16 +11,15 @@ from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     CalibrationSettings,
     CalibrationWarning,
-    at_rest,
     build_problem,
     calibrate,
     evaluate,
-    fit_notes,
     initial_state,
     levenberg_marquardt,
 )
-from softcal_jax.calibration._descent import _decide, _propose
-from softcal_jax.calibration._proposal import SMALLEST_FALL
+from softcal_jax.calibration._notes import fit_notes
+from softcal_jax.calibration._runs import _decide, _propose
+from softcal_jax.calibration._step import SMALLEST_FALL
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -32,8 +31,6 @@ from softcal_jax.equilibrium import build_model, marker_positions, solve_equilib
 from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import beam
-
-evaluated = eqx.filter_jit(evaluate)
 
 E_TRUE, NU_TRUE = 1.6e5, 0.33
 MARKERS = Markers(
@@ -283,7 +280,7 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     settings = CalibrationSettings()
     problem = build_problem(model, parameter(), exact)
     z = problem.space.start()
-    evaluation = evaluated(problem, z, at_rest(problem))
+    evaluation = evaluate(problem, z)
     state = initial_state(settings, z, evaluation)
     failed = eqx.tree_at(lambda e: e.ok, evaluation, jnp.zeros((), bool))
     for _ in range(12):
@@ -292,7 +289,7 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     assert bool(state.stalled)
     assert not bool(state.converged)
     np.testing.assert_array_equal(state.z, z)
-    notes = fit_notes(problem, state, settings)
+    notes = fit_notes(state, settings)
     assert len(notes) == 1
     assert "steps were refused" in notes[0]
 
@@ -301,7 +298,7 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     settings = CalibrationSettings()
     problem = build_problem(model, parameter(), exact)
     z = problem.space.start()
-    evaluation = evaluated(problem, z, at_rest(problem))
+    evaluation = evaluate(problem, z)
     state = initial_state(settings, z, evaluation)
     held = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-7))
     proposal = _propose(problem, settings, held)

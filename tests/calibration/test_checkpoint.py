@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softcal_jax.actuators import Cable
 from softcal_jax.calibration import (
     FROM_ANYWHERE,
     CalibrationSettings,
@@ -13,6 +14,12 @@ from softcal_jax.calibration import (
     synthetic_measurements,
     with_measured,
 )
+from softcal_jax.calibration._checkpoint import Journal
+from softcal_jax.configurations import Configuration, Markers
+from softcal_jax.equilibrium import build_model
+from softcal_jax.fields import Parameter
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam as beam_mesh
 from softcal_jax.robots import anisotropic_beam
 
 BEAM = {"cells": (4, 1, 1), "order": 1, "poses": (1, 5), "n_effectors": 4}
@@ -78,6 +85,8 @@ def assert_same_history(ours, theirs):
         for name, value in b.values.items():
             assert a.values[name] == pytest.approx(value, rel=1e-3, abs=1e-5)
         assert type(a.lambda_p) is type(a.newton_steps) is tuple
+    seconds = [entry.seconds for entry in ours]
+    assert seconds == sorted(seconds)
 
 
 @pytest.mark.parametrize("n", [0, 1, 4])
@@ -174,6 +183,35 @@ def test_checkpoint_of_another_calibration_is_refused(tmp_path, data, fit, what)
     with pytest.raises(ValueError, match=message):
         fit(path, **changed)
     assert path.read_bytes() == before
+
+
+MESH = beam_mesh(0.1, 0.02, 0.02, (1, 1, 1), order=2)
+
+
+def journal(path, guide=0.02, formulation="displacement"):
+    """The checkpoint of a beam that a cable pulls, whose modulus is calibrated."""
+    cable = Cable("cable", [(0.0, 0.01, 0.02), (0.1, 0.01, guide)])
+    law = Corotational(Isotropic(3e5, 0.3))
+    model = build_model(
+        MESH, law, density=1e3, actuators=[cable], formulation=formulation
+    )
+    tip = Markers(["tip"], [(0.1, 0.01, 0.01)])
+    pose = Configuration("pose", "x_min", markers=tip, measured=tip.positions)
+    E = Parameter("E", "E", 3e5, 1e5, 1e6)
+    problem = build_problem(model, E, pose)
+    return Journal(problem, CalibrationSettings(), path, search=())
+
+
+@pytest.mark.parametrize(
+    "changed", [{"guide": 0.015}, {"formulation": "mean-dilatation"}]
+)
+def test_checkpoint_of_another_robot_is_refused(tmp_path, changed):
+    """The mesh, the law, the configurations and what was measured are the same."""
+    path = tmp_path / "fit.npz"
+    journal(path).keep("state", np.ones(2))
+    np.testing.assert_array_equal(journal(path).kept("state", np.zeros(2)), 1.0)
+    with pytest.raises(ValueError, match="a checkpoint of another calibration"):
+        journal(path, **changed)
 
 
 def text(path):

@@ -23,8 +23,9 @@ def test_nested_traces_are_counted_once():
     inner = jax.jit(lambda x: sum(jnp.cos(i * x) for i in range(100)))
     with Clock() as clock:
         jax.jit(lambda x: inner(x) + inner(2.0 * x))(1.0).block_until_ready()
-        whole = clock.elapsed()
-    assert 0.0 < clock.seconds["compile"] <= whole + 0.01
+    # Were one counted twice, less than nothing would be left for solving.
+    assert clock.seconds["compile"] > 0.0
+    assert clock.seconds["solve"] > -0.01
 
 
 def test_an_error_leaves_no_listener_behind():

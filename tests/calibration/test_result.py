@@ -3,7 +3,7 @@ import numpy as np
 from export.handmade import AT_REST, make_simulation, small_model
 
 from softcal_jax.calibration import ConfigurationResult
-from softcal_jax.calibration._fits import configuration_results
+from softcal_jax.calibration._configuration_result import configuration_results
 from softcal_jax.configurations import Configuration, Markers, configuration_lanes
 
 

@@ -11,9 +11,9 @@ import pytest
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     CalibrationProblem,
+    Evaluator,
     MultiStartResult,
     Optimum,
-    at_rest,
     build_problem,
     calibrate,
     evaluate,
@@ -21,9 +21,9 @@ from softcal_jax.calibration import (
     random_starts,
     synthetic_measurements,
 )
-from softcal_jax.calibration._evaluator import Evaluator
 from softcal_jax.calibration._runs import (
     Run,
+    better,
     images_of,
     nothing_yet,
     origin,
@@ -34,8 +34,6 @@ from softcal_jax.calibration._search import FROM_ANYWHERE, _optima
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ControlPoints, Parameter, ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
-
-evaluated = eqx.filter_jit(evaluate)
 
 # Columns: E_t, E_l and theta, at both control points each.
 E_T, E_L, THETA = slice(0, 2), slice(2, 4), slice(4, 6)
@@ -99,7 +97,7 @@ def test_a_run_is_that_of_calibrate(measured, plain):
 def test_errors_go_from_the_start_to_the_end(measured, plain):
     assert plain.errors.shape == (3, FROM_ANYWHERE.max_steps + 1)
     for i, start in enumerate(measured.starts):
-        first = evaluated(measured.problem, start, at_rest(measured.problem))
+        first = evaluate(measured.problem, start)
         steps = plain.steps[i]
         np.testing.assert_allclose(
             plain.errors[i, 0], np.sqrt(2.0 * first.cost), rtol=1e-6
@@ -221,6 +219,33 @@ def test_images_of_the_end_and_of_the_start(measured):
         assert wanted(problem, run(1.0, True), image) == elsewhere
         assert wanted(problem, run(1.0, False), image)
         assert not wanted(problem, run(0.0, True), image)
+
+
+def test_which_of_two_ends_counts():
+    """The lower one, converged or not; at the same place the converged one."""
+
+    def end(cost, converged):
+        return Run(
+            z=np.full(1, cost),
+            cost=cost,
+            steps=3,
+            converged=converged,
+            errors=np.full(2, cost),
+        )
+
+    done, almost = end(2.0, True), end(2.0 - 1e-9, False)
+    for first, second in ((done, almost), (almost, done)):
+        found = better(first, second)
+        assert found.converged
+        assert found.cost == 2.0
+        assert found.steps == 6
+        np.testing.assert_array_equal(found.errors, first.errors)
+    # It shows that the other is not the best optimum, and is continued.
+    lower = end(1.0, False)
+    for first, second in ((done, lower), (lower, done)):
+        assert better(first, second).cost == 1.0
+    nothing = nothing_yet(FROM_ANYWHERE, jnp.zeros(1))
+    assert better(nothing, done).cost == 2.0
 
 
 def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):

@@ -8,19 +8,16 @@ import pytest
 from softcal_jax.calibration import (
     CalibrationSettings,
     CalibrationWarning,
-    at_rest,
     build_problem,
     calibrate,
     evaluate,
     initial_state,
     synthetic_measurements,
 )
-from softcal_jax.calibration._descent import _decide, _propose
 from softcal_jax.calibration._notes import warn_if_too_few_data
+from softcal_jax.calibration._runs import _decide, _propose
 from softcal_jax.calibration._state import MEMORY
 from softcal_jax.robots import anisotropic_beam
-
-evaluated = eqx.filter_jit(evaluate)
 
 CELLS = (2, 1, 1)
 # Columns: E_t, E_l and theta, at both control points each.
@@ -49,7 +46,7 @@ def problem(tensor, measured):
 @pytest.fixture(scope="module")
 def evaluation(problem):
     z = problem.space.start()
-    return evaluated(problem, z, at_rest(problem))
+    return evaluate(problem, z)
 
 
 def random_state(problem, evaluation, seed, settings=None):
@@ -285,7 +282,7 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     """At the optimum the loop ends where it is."""
     target = jnp.asarray([tensor.target[name] for name in problem.space.names])
     z = problem.space.to_scaled(target)
-    there = evaluated(problem, z, at_rest(problem))
+    there = evaluate(problem, z)
     settings = CalibrationSettings()
     state = initial_state(settings, z, there)
     proposal = _propose(problem, settings, state)
@@ -297,7 +294,7 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     assert int(after.step) == 1
     np.testing.assert_array_equal(after.z, z)
     # Nor is one that only the bound on the step holds short.
-    away = evaluated(problem, problem.space.start(), at_rest(problem))
+    away = evaluate(problem, problem.space.start())
     state = initial_state(settings, problem.space.start(), away)
     state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-8))
     assert not bool(_propose(problem, settings, state).vanishes)
@@ -323,11 +320,11 @@ def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
         warn_if_too_few_data(problem)
     settings = CalibrationSettings()
     z = problem.space.start()
-    state = initial_state(settings, z, evaluated(problem, z, at_rest(problem)))
+    state = initial_state(settings, z, evaluate(problem, z))
     first = float(state.evaluation.cost)
     while not (state.converged or state.stalled) and state.step < 30:
         proposal = _propose(problem, settings, state)
-        now = evaluated(problem, proposal.z, proposal.guess)
+        now = evaluate(problem, proposal.z, proposal.guess)
         bound = float(state.step_bound)
         state = _decide(problem, settings, state, proposal, now)
         assert np.all(np.isfinite(state.lambda_p))
@@ -367,7 +364,7 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(problem):
         (effectors.measured + noise, np.full_like(effectors.inverse_std, 1e3)),
     )
     settings, z = CalibrationSettings(), problem.space.start()
-    begin = initial_state(settings, z, evaluated(noisy, z, at_rest(noisy)))
+    begin = initial_state(settings, z, evaluate(noisy, z))
     ends = []
     for learns in (True, False):
         state = begin
@@ -376,9 +373,9 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(problem):
                 where = lambda s: s.curvature.used
                 state = eqx.tree_at(where, state, jnp.zeros((), bool))
             proposal = _propose(noisy, settings, state)
-            now = evaluated(noisy, proposal.z, proposal.guess)
+            now = evaluate(noisy, proposal.z, proposal.guess)
             if proposal.precise:
-                now = evaluated(noisy, proposal.z, now.equilibrium.displacement)
+                now = evaluate(noisy, proposal.z, now.equilibrium.displacement)
             state = _decide(noisy, settings, state, proposal, now)
         ends.append(state)
     curved, linear = ends

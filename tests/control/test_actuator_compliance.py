@@ -179,14 +179,15 @@ def test_energy_of_a_robot_that_its_motors_hold():
     start = pose(HANGING, effectors=EFFECTORS, **DRIVES["tensions and an angle"])
     settings = ControlSettings(epsilon=1e-3)
     goals = {"tip": (0.1, 0.01, 0.02)}
-    problem = _prepare(arm(), start, goals, None, None, settings).problem
+    command = _prepare(arm(), start, goals, None, None, settings)
     held = eqx.tree_at(lambda r: r.W_aa, response, -response.W_aa)
     for compliance_found in (response, held):
-        linear = linearise(problem, problem.start, compliance_found)
+        linear = linearise(command, command.start, compliance_found)
         energy = linear.energy.T @ linear.energy
         share = energy / response.W_aa
         np.testing.assert_allclose(share, share[0, 0], rtol=1e-6)
         assert share[0, 0] > 0.0
-    silent = eqx.tree_at(lambda p: p.epsilon, problem, jnp.zeros(()))
     nothing = eqx.tree_at(lambda r: r.W_aa, response, jnp.zeros((3, 3)))
-    assert np.all(np.isfinite(linearise(silent, problem.start, nothing).W))
+    for epsilon in (0.0, 1e-3):
+        silent = command._replace(settings=ControlSettings(epsilon=epsilon))
+        assert np.all(np.isfinite(linearise(silent, command.start, nothing).W))

@@ -11,11 +11,11 @@ from softcal_jax.calibration import (
     CalibrationSettings,
     at_rest,
     build_problem,
-    evaluate,
     initial_state,
     propose,
     synthetic_measurements,
 )
+from softcal_jax.calibration._problem import evaluate_lane, stacked
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import build_model, factor_solve
 from softcal_jax.equilibrium._host_pardiso import HostPardiso
@@ -133,7 +133,9 @@ def test_what_is_around_the_solver_lowers_for_cuda(calibration):
     settings = CalibrationSettings()
 
     def step(z, guess):
-        state = initial_state(settings, z, evaluate(problem, z, guess))
+        lane = lambda c, u: evaluate_lane(problem, z, c, u, u)
+        lanes = jax.vmap(lane)(problem.configurations, guess)
+        state = initial_state(settings, z, stacked(problem, z, lanes))
         return propose(problem, settings, state).z
 
     z = problem.space.start()

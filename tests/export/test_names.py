@@ -21,5 +21,11 @@ def test_no_two_configurations_share_a_file():
     assert file_stems(["a b", "a/b", "A_B"]) == ["a_b", "a_b_2", "A_B_3"]
 
 
+def test_the_file_of_a_robot_is_no_other_configurations():
+    """ "a" writes a.vtu, and a_robot.vtu for its cables and rigid bodies."""
+    assert file_stems(["a", "a_robot"]) == ["a", "a_robot_2"]
+    assert file_stems(["A_robot", "a"]) == ["A_robot", "a_2"]
+
+
 def test_the_other_files_of_the_folder_are_safe():
     assert file_stems(["convergence", "Result"]) == ["convergence_2", "Result_2"]

@@ -7,8 +7,12 @@ import pytest
 
 from softcal_jax.calibration._profile import in_plain_steps
 from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
-from softcal_jax.fields._unnamed import unnamed
+from softcal_jax.fields import (
+    ControlPointParameters,
+    ControlPoints,
+    ParameterSpace,
+    unnamed,
+)
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam
 

@@ -7,8 +7,7 @@ import pytest
 from softcal_jax.calibration import uncertainty
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
-from softcal_jax.identifiability._directions import direction_words
-from softcal_jax.identifiability._spread import marginalised
+from softcal_jax.identifiability._spread import direction_words, marginalised
 
 ROOT_12 = np.sqrt(12.0)
 

@@ -6,7 +6,7 @@ from matplotlib.image import imread
 from softcal_jax.calibration import ParameterEstimate
 from softcal_jax.plotting import plot_convergence
 from softcal_jax.plotting._colours import BAD, GOOD
-from softcal_jax.plotting._convergence import convergence_figure
+from softcal_jax.plotting._diagrams import convergence_figure
 
 
 def texts(axes):

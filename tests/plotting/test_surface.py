@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.mesh import TetMesh, beam, volumes
-from softcal_jax.plotting._surface import tessellate
+from softcal_jax.plotting._scene import tessellate
 
 
 def enclosed_volume(points, triangles):

@@ -102,6 +102,10 @@ CASES = {
         '"corotational", "classical-corotational", "st-venant-kirchhoff", '
         '"fibre-reinforced". Did you mean "neo-hookean"?',
     ),
+    "a law that is a list": (
+        ('law = "neo-hookean"', 'law = ["neo-hookean"]'),
+        "material.law: got ['neo-hookean']; expected one of \"neo-hookean\", ",
+    ),
     "nu": (
         ("nu = 0.3", "nu = 0.5"),
         "material: nu must lie in (-1, 0.5), got 0.5. For an incompressible rubber",

@@ -1,9 +1,9 @@
 """Quantities with units, and what a reader is told about the others."""
 
 import math
+import re
 
 import pytest
-from pydantic_core import PydanticCustomError
 
 from softcal_jax.project._quantities import (
     ACCELERATION,
@@ -100,9 +100,8 @@ def test_scalar(text, dimension, value):
     ],
 )
 def test_bad_scalar(value, dimension, message):
-    with pytest.raises(PydanticCustomError) as caught:
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         parse_scalar(value, dimension)
-    assert caught.value.message() == message
 
 
 @pytest.mark.parametrize(
@@ -135,6 +134,5 @@ def test_vector(value):
     ],
 )
 def test_bad_vector(value, message):
-    with pytest.raises(PydanticCustomError) as caught:
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
         parse_vector(value, LENGTH)
-    assert caught.value.message().startswith(message)

@@ -37,7 +37,7 @@ from softcal_jax.materials import (
 )
 from softcal_jax.mesh import TetMesh, beam
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
-from softcal_jax.sensitivity._response import FEW_PARAMETERS
+from softcal_jax.sensitivity._compliance import FEW_PARAMETERS
 
 TIGHT = NewtonSettings(rtol=1e-11)
 MARKERS = Markers(("tip", "middle"), [[0.1, 0.01, 0.01], [0.05, 0.01, 0.02]])

@@ -7,15 +7,16 @@ import json
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from export.handmade import make_history, make_result
 from rows import substance
 from small_project import write_small_project
 
-from softcal_jax.calibration import random_starts
+from softcal_jax.calibration import CalibrationSettings, random_starts
 from softcal_jax.cli import main
 from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.project import load_project
 from softcal_jax.sweeps import Trial, _calibration, load_sweep, read_sweep
-from softcal_jax.sweeps._calibration import _with_noise
+from softcal_jax.sweeps._calibration import _with_noise, why_not
 
 SWEEP = """
 project = "project.toml"
@@ -224,6 +225,23 @@ def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
     assert 5 <= len(read_sweep(path).rows) < 24
     found = sweep.run(path, workers=2)
     assert json.dumps(substance(found)) == json.dumps(substance(expected))
+
+
+@pytest.mark.parametrize(
+    ("steps", "rejected", "max_steps", "reason"),
+    [
+        (4, (4,), 4, "lambda_p did not vanish within max_steps = 4"),
+        (4, (3, 4), 50, "its last steps were refused, down to the shortest"),
+        (0, (), 50, "no step could be computed: the sensitivities are not finite"),
+    ],
+)
+def test_the_reason_of_a_row_is_what_happened(steps, rejected, max_steps, reason):
+    """Steps before the last ones were accepted, so not every step was refused."""
+    history = make_history(rejected)[: steps + 1]
+    result = make_result(converged=False, history=history)
+    settings = CalibrationSettings(max_steps=max_steps)
+    result = dataclasses.replace(result, settings=settings)
+    assert why_not(result).startswith(reason)
 
 
 def test_noise_is_for_markers_alone():

@@ -1,10 +1,18 @@
-"""Change of element order: linear to quadratic and back, groups included."""
+"""Meshes made from others, groups included: of another order, or several as one."""
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from softcal_jax._typing import HostArray
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import tet_edges
+
+
+def check_order(order: int) -> None:
+    """Raise a `ValueError` unless the order is 1 or 2."""
+    if order not in (1, 2):
+        raise ValueError(f"order must be 1 (linear) or 2 (quadratic), got {order}.")
 
 
 class _MidNodes:
@@ -32,19 +40,13 @@ class _MidNodes:
 
 
 def to_quadratic(mesh: TetMesh) -> TetMesh:
-    """Convert a mesh to straight-sided quadratic tets.
+    """Convert a linear mesh to straight-sided quadratic tets, with the same groups.
 
     Corners keep their indices; mid nodes are appended. A node group that is exactly
     the nodes of the surface or tet group of the same name gains the mid nodes of those
     faces or tets. Any other node group gains the mid node of each edge that has both
     ends in it, which also takes an edge that crosses the body between two parts of
     the group: where the mesh is one cell thick, name the faces instead.
-
-    Args:
-        mesh: A linear mesh.
-
-    Returns:
-        The quadratic mesh with the same groups.
 
     Raises:
         ValueError: If the mesh is quadratic already, or a surface group holds a face
@@ -81,13 +83,9 @@ def _same(nodes: HostArray, cells: HostArray) -> bool:
 
 
 def to_linear(mesh: TetMesh) -> TetMesh:
-    """Convert a mesh to linear tets: mid nodes are dropped, so curved sides flatten.
+    """Convert a quadratic mesh to linear tets, with the same groups.
 
-    Args:
-        mesh: A quadratic mesh.
-
-    Returns:
-        The linear mesh with the same groups.
+    Mid nodes are dropped, so curved sides flatten.
 
     Raises:
         ValueError: If the mesh is linear already, or a node group has mid nodes only.
@@ -104,3 +102,65 @@ def to_linear(mesh: TetMesh) -> TetMesh:
     surfaces = {name: index[f[:, :3]] for name, f in mesh.surface_groups.items()}
     tets = index[mesh.tets[:, :4]]
     return TetMesh(mesh.points[corners], tets, nodes, surfaces, mesh.tet_groups)
+
+
+def merge(parts: Mapping[str, TetMesh]) -> TetMesh:
+    """Combine meshes into one; parts that touch are not joined.
+
+    Nodes and tets come part by part, in the order of the mapping, and keep their order
+    within a part. The tet group "lower" is all of the part "lower", and its groups
+    become "lower/end 1", "lower/top" and so on, so laws can differ between parts.
+    `check_mesh` refuses the result as disconnected: check the parts.
+
+    Args:
+        parts: Meshes of the same order by the names of the parts.
+
+    Raises:
+        ValueError: If no part is given, a name is empty or holds a "/", or the parts
+            are linear and quadratic ones.
+
+    Example:
+        Two sheets, one above the other::
+
+            merge({"lower": tripod(y=-0.06), "upper": tripod(y=0.06)})
+    """
+    if not parts:
+        raise ValueError("merge needs at least one part.")
+    for name in parts:
+        if not name or "/" in name:
+            raise ValueError(
+                f"a part cannot have the name {name!r}: it becomes the first half of "
+                'names like "lower/end 1", so it needs letters and no "/".'
+            )
+    orders = {name: mesh.order for name, mesh in parts.items()}
+    if len(set(orders.values())) > 1:
+        listed = ", ".join(f"{name!r} {order}" for name, order in orders.items())
+        raise ValueError(
+            f"the parts must have the same order, got {listed}; use to_quadratic or "
+            "to_linear."
+        )
+    meshes = list(parts.values())
+    node_shift = np.cumsum([0, *(mesh.n_nodes for mesh in meshes)])
+    tet_shift = np.cumsum([0, *(mesh.n_tets for mesh in meshes)])
+    tets = [mesh.tets + start for mesh, start in zip(meshes, node_shift, strict=False)]
+    whole = {
+        name: np.arange(tet_shift[k], tet_shift[k + 1]) for k, name in enumerate(parts)
+    }
+    return TetMesh(
+        np.concatenate([mesh.points for mesh in meshes]),
+        np.concatenate(tets),
+        _prefixed(parts, node_shift, "node_groups"),
+        _prefixed(parts, node_shift, "surface_groups"),
+        whole | _prefixed(parts, tet_shift, "tet_groups"),
+    )
+
+
+def _prefixed(
+    parts: Mapping[str, TetMesh], shift: HostArray, kind: str
+) -> dict[str, HostArray]:
+    """Collect the groups of one kind of all parts, with new names and indices."""
+    return {
+        f"{part}/{name}": members + start
+        for (part, mesh), start in zip(parts.items(), shift, strict=False)
+        for name, members in getattr(mesh, kind).items()
+    }

@@ -1,4 +1,4 @@
-"""Synthetic measurements, to test a calibration before measuring anything."""
+"""Checks of a calibration: synthetic measurements, and a second optimiser."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -8,7 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax.calibration._problem import chained_guess, simulate_model
+from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    effector_errors,
+    first_guess,
+    simulate,
+)
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -19,8 +25,8 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import ParameterSpace
 
-_simulate_model = eqx.filter_jit(simulate_model)
-_chained_guess = eqx.filter_jit(chained_guess)
+_simulate = eqx.filter_jit(simulate)
+_first_guess = eqx.filter_jit(first_guess)
 
 
 def synthetic_measurements(
@@ -43,9 +49,6 @@ def synthetic_measurements(
         noise: Whether to add Gaussian noise with the stated standard deviations.
         seed: Seed of the noise.
         newton: Settings of the equilibrium.
-
-    Returns:
-        The configurations, measured.
 
     Raises:
         ValueError: If a value is missing or unknown, or a configuration has no
@@ -93,9 +96,6 @@ def simulated_measurements(
         change: Changes each configuration when it is measured, like an offset of the
             recording; nothing by default.
 
-    Returns:
-        The configurations, measured.
-
     Raises:
         ValueError: If a configuration has no effectors.
         RuntimeError: If a configuration has no equilibrium.
@@ -105,22 +105,16 @@ def simulated_measurements(
     arrays, records = configuration_lanes(mesh, posed, mechanism)
     arrays = arrays if change is None else jax.vmap(change)(arrays)
     newton = newton or NewtonSettings()
-    guess = _chained_guess(first or model, arrays, newton)
-    solution, effectors = _simulate_model(model, arrays, guess, newton)
+    guess = _first_guess(first or model, arrays, newton)
+    solution, effectors = _simulate(model, arrays, guess, newton)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
+    effectors, weights = np.asarray(effectors), np.asarray(arrays.effectors.inverse_std)
     measured = []
-    for c, own, values, inverse_std in zip(
-        configurations,
-        records,
-        np.asarray(effectors),
-        np.asarray(arrays.effectors.inverse_std),
-        strict=True,
-    ):
+    for lane, (c, own) in enumerate(zip(configurations, records, strict=True)):
         rows = [record.index for record in own]
-        e = values[rows]
+        e, weight = effectors[lane, rows], weights[lane, rows]
         if noise:
-            weight = inverse_std[rows]
             std = np.where(weight > 0.0, 1.0 / np.maximum(weight, 1e-300), 0)
             e = e + std * random.standard_normal(e.shape)
         measured.append(measured_as(c, e, mesh, mechanism))
@@ -130,3 +124,45 @@ def simulated_measurements(
 def with_measured(configuration: Configuration, measured) -> Configuration:
     """Return the configuration with other measured marker positions [m]."""
     return replace(configuration, measured=measured)
+
+
+def levenberg_marquardt(
+    problem: CalibrationProblem,
+) -> tuple[Float[Array, " n_p"], bool]:
+    """Fit by Levenberg-Marquardt of optimistix, without bounds, to check `calibrate`.
+
+    The Jacobian is by autodiff through the implicit derivative of the equilibrium.
+
+    Args:
+        problem: The calibration.
+
+    Returns:
+        Scaled parameters, and whether it converged inside the bounds.
+    """
+    import optimistix as optx  # here, as it takes a fifth of the package's import time
+
+    begin = problem.space.start()
+    guess = first_guess(*problem.at(begin), problem.newton)
+    weight = problem.configurations.effectors.inverse_std
+
+    def errors(z, problem: CalibrationProblem):
+        solution, positions = simulate(*problem.at(z), guess, problem.newton)
+        delta_e = effector_errors(problem, positions)
+        # A step to parameters without equilibrium must be refused.
+        ok = solution.converged[:, None, None]
+        of_data = jnp.where(ok, weight * delta_e, jnp.inf).ravel()
+        return jnp.concatenate([of_data, problem.space.from_prior(z)])
+
+    solution = optx.least_squares(
+        errors,
+        optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
+        begin,
+        args=problem,
+        options={"jac": "fwd"},
+        max_steps=100,
+        throw=False,
+    )
+    z = solution.value
+    down, up = problem.space.room(z)
+    inside = jnp.all((down <= 0.0) & (up >= 0.0))
+    return z, bool(inside & (solution.result == optx.RESULTS.successful))

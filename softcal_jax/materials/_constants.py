@@ -1,8 +1,11 @@
-"""Constants of a material, and their checks on concrete values at construction."""
+"""Constants of a material: their declaration, their values and checks of these."""
 
+import dataclasses
 import math
 from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
@@ -13,6 +16,37 @@ from softcal_jax._typing import Array, Float, is_traced
 def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
     """Convert a constant, or one value per tet, to a floating-point array."""
     return jnp.asarray(value, float)
+
+
+class PointValues(eqx.Module):
+    """One value per tet and quadrature point, in place of a constant of a law.
+
+    Attributes:
+        values: The values by tet, then by the points of `Model.shape_gradients`.
+    """
+
+    values: Float[Array, "*tets n_qp"]
+
+
+def is_point_values(leaf: Any) -> bool:
+    """Say whether a constant of a law is given per quadrature point."""
+    return isinstance(leaf, PointValues)
+
+
+def law_at_points(law: Any) -> tuple[Any, Any]:
+    """Replace `PointValues` of a tet's law by arrays; return also the axes for `vmap`.
+
+    These are a tree of the same structure: 0 for values per point, else None.
+    """
+    plain = jax.tree.map(
+        lambda leaf: leaf.values if is_point_values(leaf) else leaf,
+        law,
+        is_leaf=is_point_values,
+    )
+    axes = jax.tree.map(
+        lambda leaf: 0 if is_point_values(leaf) else None, law, is_leaf=is_point_values
+    )
+    return plain, axes
 
 
 def constant(
@@ -35,72 +69,58 @@ MODULUS = constant("Pa", 'Young\'s modulus: "200 kPa"')
 ACROSS = constant("Pa", 'Young\'s modulus across the fibre: "700 kPa"')
 ALONG = constant("Pa", 'Young\'s modulus along the fibre: "400 kPa"')
 SHEAR = constant("Pa", 'shear modulus along the fibre: "200 kPa"')
+PLANE_RATIO = constant(
+    "", "Poisson's ratio in the plane across the fibre: 0.3", within=(-1.0, 1.0)
+)
 RATIO = constant("", "Poisson's ratio: 0.499", within=(-1.0, 0.5))
 
 
-def _concrete(value: Float[Array, "..."]) -> np.ndarray | None:
+def _concrete(value: Any) -> np.ndarray | None:
     """Return the values on the host; None if they are traced."""
-    if is_traced(value) or not hasattr(value, "shape"):
+    values = value.values if is_point_values(value) else value
+    if is_traced(values) or not hasattr(values, "shape"):
         return None
-    return np.atleast_1d(np.asarray(value))
+    return np.atleast_1d(np.asarray(values))
 
 
-def check_modulus(name: str, value: Float[Array, "..."]) -> None:
-    """Raise ValueError unless every modulus is positive and finite [Pa]."""
-    values = _concrete(value)
-    if values is None:
-        return
-    bad = ~(np.isfinite(values) & (values > 0))
-    if np.any(bad):
-        raise ValueError(
-            f"{name} must be positive and finite [Pa], got {values[bad][0]:g}."
+def check_constants(module: eqx.Module) -> None:
+    """Raise ValueError unless every constant lies where its field says.
+
+    A plain number without an interval is left to checks together with others.
+    """
+    for field in dataclasses.fields(module):
+        low, high = field.metadata.get("within", (-math.inf, math.inf))
+        unit, values = (
+            field.metadata.get("unit"),
+            _concrete(getattr(module, field.name)),
         )
-
-
-def check_poisson_ratio(name: str, value: Float[Array, "..."]) -> None:
-    """Raise ValueError unless every ratio lies in (-1, 0.5)."""
-    values = _concrete(value)
-    if values is None:
-        return
-    bad = ~((values > -1.0) & (values < 0.5))
-    if np.any(bad):
-        hint = (
-            " For an incompressible rubber take 0.499." if values.max() >= 0.5 else ""
-        )
-        raise ValueError(f"{name} must lie in (-1, 0.5), got {values[bad][0]:g}.{hint}")
-
-
-def check_finite(name: str, value: Float[Array, "..."], unit: str) -> None:
-    """Raise ValueError unless every value is finite."""
-    values = _concrete(value)
-    if values is not None and not np.all(np.isfinite(values)):
-        bad = values[~np.isfinite(values)][0]
-        raise ValueError(f"{name} must be finite [{unit}], got {bad:g}.")
+        if values is None or not (unit or math.isfinite(low)):
+            continue
+        bad = values[~((values > low) & (values < high))]
+        if not bad.size:
+            continue
+        expected, hint = f"lie in ({low:g}, {high:g})", ""
+        if math.isinf(high):
+            expected = f"be {'positive and ' if low == 0.0 else ''}finite [{unit}]"
+        elif high == RATIO["within"][1] and values.max() >= high:
+            hint = " For an incompressible rubber take 0.499."
+        raise ValueError(f"{field.name} must {expected}, got {bad[0]:g}.{hint}")
 
 
 def _together(**fields: Float[Array, "..."]) -> list[np.ndarray] | None:
-    """Broadcast values on the host against each other; None if one is traced."""
+    """Broadcast values on the host to one list each; None if one is traced."""
     values = {name: _concrete(value) for name, value in fields.items()}
-    known = [value for value in values.values() if value is not None]
+    known = {name: value for name, value in values.items() if value is not None}
     if len(known) < len(values):
         return None
-    sizes = {name: v.size for name, v in values.items() if v is not None and v.size > 1}
+    sizes = {name: len(value) for name, value in known.items() if len(value) > 1}
     if len(set(sizes.values())) > 1:
         counts = ", ".join(f"{name} {size}" for name, size in sizes.items())
         raise ValueError(
             f"Fields of a law must hold one value or one per tet, got {counts} values."
         )
-    return list(np.broadcast_arrays(*known))
-
-
-def check_plane_ratio(name: str, value: Float[Array, "..."]) -> None:
-    """Raise ValueError unless every ratio in the transverse plane is in (-1, 1)."""
-    values = _concrete(value)
-    if values is None:
-        return
-    bad = ~(np.abs(values) < 1.0)
-    if np.any(bad):
-        raise ValueError(f"{name} must lie in (-1, 1), got {values[bad][0]:g}.")
+    columns = [value.reshape(len(value), -1) for value in known.values()]
+    return [values.ravel() for values in np.broadcast_arrays(*columns)]
 
 
 def check_fibre_ratio(

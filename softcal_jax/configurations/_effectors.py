@@ -1,0 +1,265 @@
+"""The kinds of effectors: frames, positions, angles, lengths, volumes, forces."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._names import unknown_name
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.actuators import Kind
+from softcal_jax.bodies import BodyArrays, Pose
+from softcal_jax.configurations._effector import (
+    AbstractEffector,
+    AbstractScalar,
+    EffectorRow,
+    inverse_std,
+)
+from softcal_jax.configurations._mechanism import Mechanism
+from softcal_jax.configurations._values import as_floats, optional_floats
+from softcal_jax.mesh import TetMesh, node_indices
+
+
+class BodyFrame(AbstractEffector):
+    """Position and orientation of a rigid body: a 6-D sensor on it.
+
+    It has six coordinates: the position of its point, and the rotation vector of its
+    orientation relative to the measured one, which has no jump at half a turn.
+
+    Attributes:
+        name: Its name.
+        body: The rigid body.
+        measured: Its measured motion from rest: translation of the point, and rotation.
+        point: The point, on the mesh at rest; by default the origin of the body's
+            frame [m].
+        std: Standard deviation of each coordinate of the position [m].
+        std_angle: Standard deviation of each coordinate of the rotation [rad].
+    """
+
+    name: str
+    body: str
+    measured: Pose | None = None
+    point: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional_floats, default=None
+    )
+    std: float = 1e-3
+    std_angle: float = 1e-2
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Return its position, then its orientation."""
+        bodies = mechanism.bodies
+        k, point = self._place(bodies)
+        turn = EffectorRow(self.name, "turn", "rad", about=(k, 0))
+        row = EffectorRow(
+            name=self.name,
+            quantity="point",
+            unit="m",
+            nodes=(mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32),
+            weights=bodies.at(k, point[None])[0],
+        )
+        weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
+        if self.measured is None:
+            return (*row.with_value(None, self.std), turn)
+        turn = turn._replace(
+            measured=np.zeros(3),
+            inverse_std=np.full(3, weight_angle),
+            reference=self.measured.matrix,
+        )
+        return (*row.with_value(point + self.measured.translation, self.std), turn)
+
+    def _place(self, bodies: BodyArrays) -> tuple[int, Float[HostArray, "3"]]:
+        """Return the index of its body, and its point at rest [m]."""
+        k = _index_of(self.body, bodies.names, "rigid body", self.name)
+        return k, bodies.origin[k] if self.point is None else self.point
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "BodyFrame":
+        """Replace the measured position [m] and rotation vector from rest [rad]."""
+        _, point = self._place(mechanism.bodies)
+        return replace(self, measured=Pose(values[0] - point, values[1]))
+
+
+class Centroid(AbstractEffector):
+    """Mean position of a group of nodes.
+
+    Attributes:
+        name: Its name.
+        where: The group, or node indices.
+        measured: Measured position [m].
+        std: Standard deviation of each coordinate [m].
+    """
+
+    name: str
+    where: str | Int[HostArray, " n"]
+    measured: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional_floats, default=None
+    )
+    std: float = 1e-3
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Return its position."""
+        del mechanism
+        nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
+        weights = np.full(nodes.size, 1.0 / nodes.size)
+        nodes = nodes.astype(np.int32)
+        row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
+        return row.with_value(self.measured, self.std)
+
+
+class SupportReaction(AbstractEffector):
+    """Force with which the ground holds a group of nodes: a load cell under a clamp.
+
+    A rigid body among them is held as a whole: the reaction includes its own mass, what
+    pulls at it, and bodies that are tied to it.
+
+    Attributes:
+        name: Its name.
+        where: The group, or node indices.
+        measured: Measured force of the support on the body [N].
+        std: Standard deviation of each coordinate [N].
+    """
+
+    name: str
+    where: str | Int[HostArray, " n"]
+    measured: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional_floats, default=None
+    )
+    std: float = 1e-2
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Return its three coordinates."""
+        nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
+        nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
+        ones = np.ones(nodes.size)
+        row = EffectorRow(self.name, "reaction", "N", nodes=nodes, weights=ones)
+        return row.with_value(self.measured, self.std)
+
+
+class BodyAngle(AbstractScalar):
+    """Angle by which one rigid body has turned against another.
+
+    Attributes:
+        name: Its name.
+        body: The body that turns.
+        other: The body it is measured from.
+        axis: Axis of the angle, fixed to `other`, as it lies at rest [-].
+        measured: Measured angle from rest [rad].
+        std: Its standard deviation [rad].
+    """
+
+    name: str
+    body: str
+    other: str
+    axis: Float[HostArray, "3"] = eqx.field(converter=as_floats)
+    measured: float | None = None
+    std: float = 1e-2
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Return its single coordinate."""
+        del mesh
+        names = mechanism.bodies.names
+        body = _index_of(self.body, names, "rigid body", self.name)
+        other = _index_of(self.other, names, "rigid body", self.name)
+        length = np.linalg.norm(self.axis)
+        if self.axis.shape != (3,) or not (np.isfinite(length) and length > 0.0):
+            raise ValueError(
+                f"axis of effector {self.name!r} must be three finite numbers, not all "
+                f"zero, got {self.axis}."
+            )
+        axis, pair = self.axis / length, (body, other)
+        row = EffectorRow(self.name, "scalar", "rad", about=pair, axis=axis)
+        return row.with_value(self.measured, self.std)
+
+
+class ActuatorDisplacement(AbstractScalar):
+    """Displacement delta_a of an actuator: length of a cable, volume of a chamber.
+
+    For a motor it is the reading of its encoder, as for `ImposedDisplacement`: the
+    angle of its body minus the zero error. `BodyFrame` and `BodyAngle` give the angle
+    itself.
+
+    Attributes:
+        name: Its name.
+        actuator: The actuator.
+        measured: Measured displacement from rest, in the unit of the actuator.
+        std: Its standard deviation.
+    """
+
+    name: str
+    actuator: str
+    measured: float | None = None
+    std: float = 1e-3
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Return its single coordinate."""
+        del mesh
+        a, kind = _actuator(self.actuator, mechanism, self.name)
+        if kind.displacement_unit is None:
+            raise ValueError(
+                f"effector {self.name!r}: {kind.noun} {self.actuator!r} has no "
+                "displacement; use ActuatorForce (in a project file type = "
+                '"actuator-force").'
+            )
+        unit = kind.displacement_unit
+        row = EffectorRow(self.name, "scalar", unit, about=(a, -1))
+        return row.with_value(self.measured, self.std)
+
+
+class ActuatorForce(AbstractScalar):
+    """Force lambda_a of an actuator: tension, pressure, reaction torque of a motor.
+
+    Attributes:
+        name: Its name.
+        actuator: The actuator.
+        measured: Measured force, in the unit of the actuator.
+        std: Its standard deviation.
+    """
+
+    name: str
+    actuator: str
+    measured: float | None = None
+    std: float = 1e-2
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        """Return its single coordinate."""
+        del mesh
+        a, kind = _actuator(self.actuator, mechanism, self.name)
+        row = EffectorRow(self.name, "force", kind.force_unit, about=(a, 0))
+        return row.with_value(self.measured, self.std)
+
+
+def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
+    """Find the body or actuator of an effector in a list of names."""
+    if wanted not in names:
+        raise unknown_name(f"{kind} of effector {owner!r}", wanted, names)
+    return list(names).index(wanted)
+
+
+def _actuator(wanted: str, mechanism: Mechanism, owner: str) -> tuple[int, Kind]:
+    actuators = mechanism.actuators
+    a = _index_of(wanted, actuators.names, "actuator", owner)
+    return a, actuators.kinds[a]
+
+
+def _with_bodies(
+    nodes: Int[HostArray, " n"], mesh: TetMesh, bodies: BodyArrays, name: str
+) -> Int[HostArray, " _"]:
+    """Add, for bodies among the nodes, all nodes by which the ground holds them.
+
+    These include the frame nodes of a body, on which masses and cables act.
+    """
+    inside = np.isin(bodies.attached, nodes)
+    counts = [(inside[bodies.body == k], k) for k in range(bodies.n_bodies)]
+    for own, k in counts:
+        if own.any() and not own.all():
+            raise ValueError(
+                f"effector {name!r} names {own.sum()} of the {own.size} nodes of rigid "
+                f"body {bodies.names[k]!r}, which is held as a whole: name all or none."
+            )
+    whole = [k for own, k in counts if own.all()]
+    carried = [k for _, k in counts if k in whole or bodies.owner[k] in whole]
+    frames = [mesh.n_nodes + 4 * k + np.arange(4) for k in carried]
+    attached = bodies.attached[np.isin(bodies.body, carried)]
+    return np.unique(np.concatenate([nodes, attached, *frames])).astype(np.int32)

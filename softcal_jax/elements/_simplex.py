@@ -1,0 +1,146 @@
+"""Shape functions and quadrature rules of simplices, in barycentric coordinates.
+
+One formula serves lines, triangles and tets: the linear functions are L_i, the
+quadratic ones L_i (2 L_i - 1) at corners and 4 L_i L_j on edges (Zienkiewicz and
+Taylor, The Finite Element Method, ch. 8). Node order is VTK's: corners first, then the
+edges of `TET_EDGES`.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+
+TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
+"""Corner pairs of the edge nodes 4 to 9 of a quadratic tet."""
+
+TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+"""Corners of the four faces, ordered so that the normal points outwards."""
+
+_EDGES = {2: ((0, 1),), 3: ((0, 1), (1, 2), (2, 0)), 4: TET_EDGES}
+
+
+def _corners_and_edges(n_nodes: int, n_corners: int):
+    edges = _EDGES[n_corners]
+    if n_nodes not in (n_corners, n_corners + len(edges)):
+        raise ValueError(
+            f"a simplex with {n_corners} corners has {n_corners} (linear) or "
+            f"{n_corners + len(edges)} (quadratic) nodes, got {n_nodes}."
+        )
+    return edges if n_nodes > n_corners else ()
+
+
+def shape_functions(
+    barycentric: Float[HostArray, "*points n_corners"], n_nodes: int
+) -> Float[HostArray, "*points n_nodes"]:
+    """Evaluate the shape functions at points of a simplex, corners first [-].
+
+    Args:
+        barycentric: Barycentric coordinates; rows sum to one. Coordinates outside
+            [0, 1] extrapolate.
+        n_nodes: Nodes of the element (3 or 6, 4 or 10; 2 or 3 for an edge).
+
+    Raises:
+        ValueError: If no simplex of that dimension has `n_nodes` nodes.
+    """
+    n_corners = barycentric.shape[-1]
+    edges = _corners_and_edges(n_nodes, n_corners)
+    if not edges:
+        return np.array(barycentric, dtype=float)
+    corner = barycentric * (2.0 * barycentric - 1.0)
+    mid = [4.0 * barycentric[..., i] * barycentric[..., j] for i, j in edges]
+    return np.concatenate([corner, np.stack(mid, axis=-1)], axis=-1)
+
+
+def shape_gradients(
+    barycentric: Float[HostArray, "*points n_corners"], n_nodes: int
+) -> Float[HostArray, "*points n_nodes n_dim"]:
+    """Compute dN_a / d xi_j, shape functions by reference coordinates [-].
+
+    The reference coordinates are L_1, ..., L_d, with L_0 = 1 - sum(L_1..L_d).
+
+    Args:
+        barycentric: Barycentric coordinates of the points.
+        n_nodes: Nodes of the element.
+
+    Raises:
+        ValueError: If no simplex of that dimension has `n_nodes` nodes.
+    """
+    n_corners = barycentric.shape[-1]
+    edges = _corners_and_edges(n_nodes, n_corners)
+    dL = np.vstack([-np.ones(n_corners - 1), np.eye(n_corners - 1)])
+    if not edges:
+        return np.broadcast_to(dL, (*barycentric.shape[:-1], *dL.shape)).copy()
+    corner = (4.0 * barycentric[..., None] - 1.0) * dL
+    mid = [
+        4.0 * (barycentric[..., i, None] * dL[j] + barycentric[..., j, None] * dL[i])
+        for i, j in edges
+    ]
+    return np.concatenate([corner, np.stack(mid, axis=-2)], axis=-2)
+
+
+class QuadratureRule(NamedTuple):
+    """Points and weights on a reference simplex of unit measure."""
+
+    barycentric: Float[HostArray, "n_points n_corners"]
+    weights: Float[HostArray, " n_points"]
+
+
+def _permuted(n_corners: int, inner: float) -> HostArray:
+    """Place one point per corner: `inner` on the others, the rest on that corner."""
+    points = np.full((n_corners, n_corners), inner)
+    np.fill_diagonal(points, 1.0 - (n_corners - 1) * inner)
+    return points
+
+
+def tet_rule(degree: int) -> QuadratureRule:
+    """Return the rule on the tet that is exact for polynomials of `degree`, 1 to 4.
+
+    Degree 1: the centroid. Degree 2: the four-point rule. Degree 3 and 4: the
+    eleven-point rule of Keast (Comput. Methods Appl. Mech. Eng. 55, 1986), used
+    for errors and loads, not for stiffness. Weights sum to one.
+
+    Raises:
+        ValueError: If there is no rule of that degree.
+    """
+    if degree == 1:
+        return QuadratureRule(np.full((1, 4), 0.25), np.ones(1))
+    if degree == 2:
+        inner = (5.0 - np.sqrt(5.0)) / 20.0
+        return QuadratureRule(_permuted(4, inner), np.full(4, 0.25))
+    if degree in (3, 4):
+        a, b = (1.0 + np.sqrt(5.0 / 14.0)) / 4.0, (1.0 - np.sqrt(5.0 / 14.0)) / 4.0
+        edge = np.full((6, 4), b)
+        for row, pair in enumerate(combinations(range(4), 2)):
+            edge[row, pair] = a
+        points = np.vstack([np.full((1, 4), 0.25), _permuted(4, 1.0 / 14.0), edge])
+        weights = np.array(
+            [-148.0 / 1875.0] + [343.0 / 7500.0] * 4 + [56.0 / 375.0] * 6
+        )
+        return QuadratureRule(points, weights)
+    raise ValueError(f"tet rules exist for degree 1 to 4, got {degree}.")
+
+
+def triangle_rule(degree: int) -> QuadratureRule:
+    """Return the rule on the triangle that is exact to a `degree` of 1 to 4.
+
+    Degree 1: the centroid. Degree 2: the three-point rule. Degree 3 and 4: the
+    six-point rule of Dunavant (Int. J. Numer. Methods Eng. 21, 1985). Weights sum to
+    one.
+
+    Raises:
+        ValueError: If there is no rule of that degree.
+    """
+    if degree == 1:
+        return QuadratureRule(np.full((1, 3), 1.0 / 3.0), np.ones(1))
+    if degree == 2:
+        return QuadratureRule(_permuted(3, 1.0 / 6.0), np.full(3, 1.0 / 3.0))
+    if degree in (3, 4):
+        points = np.vstack(
+            [_permuted(3, 0.445948490915965), _permuted(3, 0.091576213509771)]
+        )
+        weights = np.array([0.223381589678011] * 3 + [0.109951743655322] * 3)
+        return QuadratureRule(points, weights / weights.sum())
+    raise ValueError(f"triangle rules exist for degree 1 to 4, got {degree}.")
