@@ -12,13 +12,9 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.fields._model_fields import find_field, set_field
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter, _number
 from softcal_jax.fields._setup import OF_CONFIGURATION, QUANTITIES, entry_index
 from softcal_jax.materials import PointValues, is_point_values
-
-
-def _number(value) -> Float[Array, ""]:
-    return jnp.asarray(value, float)
 
 
 class AbstractError(AbstractEntry):
