@@ -35,7 +35,7 @@ def held_nodes(
         configurations: One lane per configuration.
     """
     bodies, n_nodes = model.mechanism.bodies, model.mesh.n_nodes
-    held = np.asarray(configurations.fixed)[:, :n_nodes].all(axis=2)
+    held = np.array(np.asarray(configurations.fixed)[:, :n_nodes].all(axis=2))
     held[:, bodies.attached] |= grounded(model, configurations)[:, bodies.body]
     return held
 

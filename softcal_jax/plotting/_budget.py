@@ -52,7 +52,7 @@ def budget_figure(result: CalibrationResult, name: str) -> "matplotlib.figure.Fi
         )
         left += share
     for row in np.flatnonzero(left == 0.0):
-        axes.text(1.0, row, "no standard error", va="center", fontsize=13)
+        axes.text(1.0, float(row), "no standard error", va="center", fontsize=13)
     texts = [
         f"{q.name}\n{readable_estimate(q.value, q.standard_error, q.unit)}"
         for q in result.parameters
