@@ -2,7 +2,11 @@
 
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
 from softcal_jax.fields._model_fields import find_field, set_field
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._parameters import (
+    AbstractEntry,
+    AbstractFieldEntry,
+    Parameter,
+)
 from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._setup_parameters import (
     actuator_factor,
@@ -27,6 +31,7 @@ from softcal_jax.fields._validation import check_parameters, check_scopes
 
 __all__ = [
     "AbstractEntry",
+    "AbstractFieldEntry",
     "ControlPointParameters",
     "ControlPoints",
     "Entry",
