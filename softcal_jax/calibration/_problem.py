@@ -285,7 +285,7 @@ def evaluate(
     z: Float[Array, " n_p"],
     guess: Float[Array, "n_c n_points 3"] | None = None,
 ) -> Evaluation:
-    """Evaluate a calibration, with its configurations on all cores.
+    """Compute equilibria, stacked errors and W_ep (paper Eqs. 9, 10), on all cores.
 
     Args:
         problem: The calibration.

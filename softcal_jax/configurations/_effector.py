@@ -49,23 +49,28 @@ class EffectorRow(NamedTuple):
     axis: Float[HostArray, "3"] = np.zeros(3)
     reference: Float[HostArray, "3 3"] = np.eye(3)
 
+    @property
+    def width(self) -> int:
+        """Number of coordinates; the others of a scalar or a force are padding."""
+        return 1 if self.quantity in ("scalar", "force") else 3
+
     def with_value(
-        self, value: float | Float[ArrayLike, "3"] | None, std: float
+        self, value: float | Float[ArrayLike, "..."] | None, std: float
     ) -> tuple["EffectorRow"]:
         """Add the measured value, of one or three coordinates, and its std."""
         weight = inverse_std(self.name, "std", std, self.unit)
         if value is None:
             return (self,)
-        single = np.ndim(value) == 0
-        if not np.all(np.isfinite(value)):
+        n, shape = self.width, () if self.width == 1 else (3,)
+        if np.shape(value) != shape or not np.all(np.isfinite(value)):
             at = "is at" if self.unit == "m" else "measured"
-            verb = "has the value" if single else at
-            count = "a finite number" if single else "three finite numbers"
+            verb = "has the value" if n == 1 else at
+            count = "a finite number" if n == 1 else "three finite numbers"
             raise ValueError(
                 f"effector {self.name!r} {verb} {value}, expected {count} "
                 f"[{self.unit}]; leave out what was not measured."
             )
-        n, measured, weights = 1 if single else 3, np.full(3, np.nan), np.zeros(3)
+        measured, weights = np.full(3, np.nan), np.zeros(3)
         measured[:n], weights[:n] = value, weight
         return (self._replace(measured=measured, inverse_std=weights),)
 

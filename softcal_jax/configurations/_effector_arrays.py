@@ -75,8 +75,7 @@ def effector_record(
     row: EffectorRow, index: int, points: Float[HostArray, "n_points 3"]
 ) -> EffectorRecord:
     """Describe a row with an index in the arrays; `points` are all nodes at rest."""
-    # The other coordinates of a scalar or a force are padding.
-    width = 1 if row.quantity in ("scalar", "force") else 3
+    width = row.width
     weight, nothing = row.inverse_std[:width], np.full(width, np.nan)
     seen, is_point = weight > 0.0, row.quantity == "point"
     return EffectorRecord(

@@ -3,7 +3,11 @@
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
 from softcal_jax.fields._errors import AbstractError, FieldError, SetupError
 from softcal_jax.fields._model_fields import find_field, set_field
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._parameters import (
+    AbstractEntry,
+    AbstractFieldEntry,
+    Parameter,
+)
 from softcal_jax.fields._setup import QUANTITIES, SetupParameter
 from softcal_jax.fields._setup_parameters import (
     actuator_factor,
@@ -31,6 +35,7 @@ __all__ = [
     "QUANTITIES",
     "AbstractEntry",
     "AbstractError",
+    "AbstractFieldEntry",
     "ControlPointParameters",
     "ControlPoints",
     "Entry",

@@ -92,6 +92,10 @@ class ControlPoints(eqx.Module):
             depend on y, so that two equal sheets can share one.
         max_distance: Largest distance of a control point from the mesh [m]; by default
             a tenth of the diagonal of its region.
+
+    Raises:
+        ValueError: If a position is not three finite numbers, two coincide, names
+            repeat, or an option is out of its range.
     """
 
     positions: Float[Array, "n_cp 3"] = eqx.field(converter=_as_array)

@@ -1,7 +1,7 @@
 """Constructors of parameters of setup, loads and recordings."""
 
 from collections.abc import Sequence
-from typing import NotRequired, TypedDict, Unpack
+from functools import partial
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -11,35 +11,22 @@ from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import QUANTITIES, Scope, SetupParameter
 
 
-class Known(TypedDict):
-    """What is known before, and of what: options of errors that may differ.
-
-    Attributes:
-        prior_std: Prior standard deviation, relative for a factor or a stiffness (like
-            0.05); None if not known.
-        each: Configurations or recordings with an unknown each; one for all by default.
-        by: What `each` names, "configuration" or "recording" (default).
-    """
-
-    prior_std: float | None
-    each: NotRequired[Sequence[str]]
-    by: NotRequired[Scope]
-
-
 def _unknowns(
     kind: str,
     of: str = "",
     *,
     limit: float,
+    prior_std: float | None,
     nominal: Float[ArrayLike, "..."] | Sequence[float] | None = None,
-    **known: Unpack[Known],
+    each: Sequence[str] = (),
+    by: Scope = "recording",
 ) -> tuple[SetupParameter, ...]:
     """Make the entries of a quantity, one per component.
 
     `limit` is the largest error, in SI units, or factor on a log scale. `nominal` is 0,
     or 1 for a factor.
     """
-    quantity, each = QUANTITIES[kind], known.get("each", ())
+    quantity = QUANTITIES[kind]
     axes, scale = quantity.components or ("",), quantity.scales[0]
     log = scale == "log"
     middles = np.broadcast_to(float(log) if nominal is None else nominal, len(axes))
@@ -56,11 +43,10 @@ def _unknowns(
                 scale=scale,
                 S=None if log else limit,
                 unit=quantity.unit,
-                prior_std=known["prior_std"],
+                prior_std=prior_std,
             )
             for own_name in [f"{name} in {member}" for member in each] or [name]
         ]
-        by = known.get("by", "recording")
         entries.append(SetupParameter(kind, of, unknowns, axis, each, by))
     return tuple(entries)
 
@@ -113,7 +99,11 @@ def friction(
 
 
 def gravity_tilt(
-    *, limit: float = float(np.deg2rad(10.0)), **known: Unpack[Known]
+    *,
+    limit: float = float(np.deg2rad(10.0)),
+    prior_std: float | None,
+    each: Sequence[str] = (),
+    by: Scope = "recording",
 ) -> tuple[SetupParameter, ...]:
     """Make the direction of gravity two parameters: angles about two axes normal to it.
 
@@ -121,40 +111,64 @@ def gravity_tilt(
 
     Args:
         limit: Largest tilt considered, per axis [rad].
-        known: Prior [rad], and who has a tilt each; see `Known`.
+        prior_std: Prior standard deviation; None if not known [rad].
+        each: Configurations or recordings with a tilt each; one for all by default.
+        by: What `each` names.
     """
-    return _unknowns("gravity_tilt", limit=limit, **known)
+    return _unknowns("gravity_tilt", limit=limit, prior_std=prior_std, each=each, by=by)
 
 
-def load_factor(*, limit: float = 2.0, **known: Unpack[Known]) -> SetupParameter:
+def load_factor(
+    *,
+    limit: float = 2.0,
+    prior_std: float | None,
+    each: Sequence[str] = (),
+    by: Scope = "recording",
+) -> SetupParameter:
     """Make a factor on the dead loads a parameter, for forces known to some percent.
 
     Args:
         limit: Largest factor considered, and 1 over the smallest [-].
-        known: Prior, relative, and who has a factor each; see `Known`.
+        prior_std: Relative prior standard deviation, like 0.05; None if not known [-].
+        each: Configurations or recordings with a factor each; one for all by default.
+        by: What `each` names.
     """
-    return _unknowns("load_factor", limit=limit, **known)[0]
+    (factor,) = _unknowns(
+        "load_factor", limit=limit, prior_std=prior_std, each=each, by=by
+    )
+    return factor
 
 
 def actuator_factor(
-    actuator: str, *, limit: float = 2.0, **known: Unpack[Known]
+    actuator: str,
+    *,
+    limit: float = 2.0,
+    prior_std: float | None,
+    each: Sequence[str] = (),
+    by: Scope = "recording",
 ) -> SetupParameter:
     """Make a factor on the imposed force of an actuator a parameter.
 
     Args:
         actuator: Name of the actuator.
         limit: Largest factor considered, and 1 over the smallest [-].
-        known: Prior, relative, and who has a factor each; see `Known`.
+        prior_std: Relative prior standard deviation, like 0.05; None if not known [-].
+        each: Configurations or recordings with a factor each; one for all by default.
+        by: What `each` names.
     """
-    return _unknowns("actuator_factor", actuator, limit=limit, **known)[0]
+    return _unknowns(
+        "actuator_factor", actuator, limit=limit, prior_std=prior_std, each=each, by=by
+    )[0]
 
 
 def recording_offset(
     *,
     limit: float,
+    prior_std: float | None,
     turn_limit: float | None = None,
     turn_prior_std: float | None = None,
-    **known: Unpack[Known],
+    each: Sequence[str] = (),
+    by: Scope = "recording",
 ) -> tuple[SetupParameter, ...]:
     """Make the frame of a recording, or of a tracker's base, parameters.
 
@@ -163,19 +177,28 @@ def recording_offset(
 
     Args:
         limit: Largest offset considered, per axis [m].
+        prior_std: Prior standard deviation; None if not known [m].
         turn_limit: Largest rotation considered, per axis [rad]; none by default.
         turn_prior_std: Prior standard deviation [rad]; None if not known.
-        known: Prior of the offset [m], and who has a frame each; see `Known`.
+        each: Configurations or recordings with a frame each; one for all by default.
+        by: What `each` names.
     """
-    offset = _unknowns("recording_offset", limit=limit, **known)
+    unknowns = partial(_unknowns, each=each, by=by)
+    offset = unknowns("recording_offset", limit=limit, prior_std=prior_std)
     if turn_limit is None:
         return offset
-    known["prior_std"] = turn_prior_std
-    return offset + _unknowns("recording_turn", limit=turn_limit, **known)
+    turn = unknowns("recording_turn", limit=turn_limit, prior_std=turn_prior_std)
+    return offset + turn
 
 
 def clamp_stiffness(
-    group: str, nominal: float, *, limit: float = 1e3, **known: Unpack[Known]
+    group: str,
+    nominal: float,
+    *,
+    limit: float = 1e3,
+    prior_std: float | None,
+    each: Sequence[str] = (),
+    by: Scope = "recording",
 ) -> SetupParameter:
     """Make the stiffness of an elastic support a parameter.
 
@@ -183,6 +206,17 @@ def clamp_stiffness(
         group: Surface group of a `Support` with a stiffness.
         nominal: Nominal stiffness [N/m3].
         limit: Largest ratio to it considered, and 1 over the smallest [-].
-        known: Prior, relative, and who has a stiffness each; see `Known`.
+        prior_std: Relative prior standard deviation; None if not known [-].
+        each: Configurations or recordings with a stiffness each; by default one for
+            all.
+        by: What `each` names.
     """
-    return _unknowns("clamp_stiffness", group, limit=limit, nominal=nominal, **known)[0]
+    return _unknowns(
+        "clamp_stiffness",
+        group,
+        limit=limit,
+        prior_std=prior_std,
+        nominal=nominal,
+        each=each,
+        by=by,
+    )[0]

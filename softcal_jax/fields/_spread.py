@@ -72,6 +72,12 @@ class ControlPointParameters(AbstractFieldEntry):
         core: For the angle of an axis: rho below which the contrast of its moduli
             fades, like 0.1; with 0 it never fades [-].
         periodic: Whether each value is an angle that may leave its bounds.
+
+    Raises:
+        ValueError: If a value has the wrong shape, an option is unknown, a fixed or
+            tied name is no control point, the bounds of an angle that is mixed as a
+            director span more than 180 degrees, or there is a core without a director
+            or out of [0, 1).
     """
 
     field: str = eqx.field(static=True)

@@ -213,6 +213,11 @@ def test_bad_effectors(unchecked):
         ActuatorDisplacement("d", "cable", float("nan")),
     )
     bad(
+        r"'t' has the value .*, expected a finite number \[N\]",
+        ActuatorForce("t", "cable", np.ones(3)),
+    )
+    bad(r"'c' is at 0.1, expected three finite", Centroid("c", "at 2", 0.1))
+    bad(
         "axis of effector 'a' must be three finite numbers, not all zero",
         BodyAngle("a", "tip", "plate", (0.0, 0.0, 0.0)),
     )

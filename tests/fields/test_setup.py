@@ -27,6 +27,8 @@ from softcal_jax.fields import (
     ParameterSpace,
     SetupParameter,
     check_parameters,
+    gravity_tilt,
+    load_factor,
     motor_zero,
     mounting,
 )
@@ -129,3 +131,8 @@ def test_bad_input():
         SetupParameter("zero", "m", SPACE.parameters[1])
     with pytest.raises(ValueError, match=r'axis must be "x" or "y" or "z", got \'w\''):
         SetupParameter("mounting", "base", SPACE.parameters[2], "w")
+    for make in (gravity_tilt, load_factor):
+        with pytest.raises(TypeError, match=r"missing .* 'prior_std'"):
+            make()
+        with pytest.raises(TypeError, match="unexpected keyword argument 'nominal'"):
+            make(prior_std=0.05, nominal=1.0)
