@@ -32,6 +32,7 @@ from benchmarks._paper import (
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration import CalibrationSettings
+from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import Identifiability, identify
 
 REACHED = 1e-6 * LENGTH
@@ -120,7 +121,13 @@ def descend(
 def verdict_at_end(measured: MeasuredBeam, curve: Curve) -> Identifiability:
     """What configuration 1 alone can tell, where its run ended."""
     beam = measured.beam
-    return identify(beam.model, beam.space, beam.configurations[:1], at=curve.z)
+    return identify(
+        beam.model,
+        beam.space,
+        beam.configurations[:1],
+        at=curve.z,
+        uncertain=exactly_known(),
+    )
 
 
 def _count(n: int) -> str:

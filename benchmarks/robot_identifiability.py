@@ -23,6 +23,7 @@ from benchmarks._robot import (
     values_of,
 )
 from softcal_jax.calibration import CalibrationResult
+from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import Identifiability, identify
 from softcal_jax.robots import SETUP, PrintedRobot, parallel_robot, pose
 
@@ -88,7 +89,8 @@ def outlook(
         pose(robot.geometry, f"extra {k}", angles, std=std, std_angle=std_angle)
         for k, angles in enumerate(EXTRA, start=1)
     )
-    return identify(robot.model, robot.space, (*robot.configurations, *extra)[:n])
+    posed = (*robot.configurations, *extra)[:n]
+    return identify(robot.model, robot.space, posed, uncertain=exactly_known())
 
 
 def spread_left(found: Identifiability) -> float:

@@ -177,9 +177,10 @@ loads = [{ surface = "x_max", force = "(-500000, 0, 0) N" }]
 
 def test_identify(tmp_path, out, capsys):
     """Verdict and ranking without one measurement, printed and as files."""
-    path = write_small_project(
-        tmp_path, ("[markers]\n", "[newton]\nmax_steps = 8\n\n[markers]\n")
-    )
+    known = [f"{key} = 0" for key in ("density", "gravity", "clamp", "recordings")]
+    exact = "\n".join(["[uncertain]", "nu = 0.0", "mesh = 0.0", *known])
+    own = f"{exact}\n\n[newton]\nmax_steps = 8\n\n[markers]\n"
+    path = write_small_project(tmp_path, ("[markers]\n", own))
     text = path.read_text()
     start, end = text.index("[shared.measured]"), text.index("[[configurations]]")
     text = text[:start] + text[end:].replace("measured.recording", "# ")

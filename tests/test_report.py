@@ -63,6 +63,7 @@ def test_a_calibration_as_a_folder(tmp_path):
     data = json.loads((written / "result.json").read_text())
     assert names(written) == sorted(["result.json", *data["files"]])
     assert names(written) == [
+        "budget.png",
         "convergence.png",
         "droop.png",
         "droop.vtu",
@@ -76,7 +77,7 @@ def test_a_calibration_as_a_folder(tmp_path):
     fit, held_out = data["configurations"]
     assert fit["files"] == ["droop.vtu", "droop.png"]
     assert held_out["files"] == ["held_out.vtu", "held_out.png"]
-    for picture in ("convergence", "droop", "held_out"):
+    for picture in ("budget", "convergence", "droop", "held_out"):
         assert imread(written / f"{picture}.png").shape[1] >= 1200
 
 
@@ -84,6 +85,7 @@ def test_without_opengl_the_rest_is_written_and_it_is_said(tmp_path, no_opengl):
     with pytest.warns(PictureWarning, match="no OpenGL here"):
         write_results(make_result(), tmp_path / "out")
     assert names(tmp_path / "out") == [
+        "budget.png",
         "convergence.png",
         "droop.vtu",
         "held_out.vtu",
@@ -112,6 +114,7 @@ class TestWholeOrNotAtAll:
             make_result(converged=False, fits=one), tmp_path / "out", force=True
         )
         assert names(tmp_path / "out") == [
+            "budget.png",
             "convergence.png",
             "markers.csv",
             "other.vtu",
@@ -179,7 +182,7 @@ def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
 
 def test_summary_in_80_columns():
     text = printed(summary_table(make_result()))
-    assert "240.0 ± 4.8 kPa │ 200 kPa │ 100 to 1000 kPa" in text
+    assert "240.0 ± 6.0 kPa │ 200 kPa │ 100 to 1000 kPa" in text
     assert "0.44 (on a bound) │     0.4 │     0.3 to 0.44" in text
     rows = [line for line in text.splitlines() if line.startswith("│")]
     for name, role, numbers in (

@@ -1,5 +1,11 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
+from softcal_jax.calibration._budget import (
+    NOISE,
+    Cause,
+    ErrorBudget,
+    considered_errors,
+)
 from softcal_jax.calibration._calibrate import as_sequence, build_problem, calibrate
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (
@@ -53,13 +59,16 @@ from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 __all__ = [
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
+    "NOISE",
     "CalibrationProblem",
     "CalibrationResult",
     "CalibrationSettings",
     "CalibrationState",
     "CalibrationWarning",
+    "Cause",
     "Clock",
     "ConfigurationResult",
+    "ErrorBudget",
     "Evaluation",
     "Evaluator",
     "HistoryEntry",
@@ -79,6 +88,7 @@ __all__ = [
     "bounded_step",
     "build_problem",
     "calibrate",
+    "considered_errors",
     "descend",
     "evaluate",
     "first_guess",

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._budget import error_budget
 from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
@@ -50,6 +51,7 @@ from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_conver
 from softcal_jax.fields import (
     Entry,
     ParameterSpace,
+    Uncertain,
     as_space,
     check_parameters,
     check_scopes,
@@ -105,6 +107,7 @@ def calibrate(
     *,
     validation: Configuration | Sequence[Configuration] = (),
     noise: Literal["estimated", "stated"] = "estimated",
+    uncertain: Uncertain | None = None,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
     starts: int = 1,
@@ -127,6 +130,8 @@ def calibrate(
         validation: Measured configurations that are only predicted.
         noise: "stated" takes the markers' standard deviations as they are; "estimated"
             takes their ratios and finds the level from the residuals.
+        uncertain: How well everything is known that is not calibrated; by default see
+            `Uncertain`. It widens the standard errors, and `result.budget` splits them.
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         starts: Number of starts of the search: that of the parameters, and random ones
@@ -204,17 +209,28 @@ def calibrate(
             after=evaluation.effectors,
             solution=evaluation.equilibrium,
         )
+        spread = _uncertainty(problem, state.z, evaluation, noise)
+        budget = workers.end_of(
+            error_budget(
+                evaluate,
+                configurations,
+                uncertain or Uncertain(),
+                z=state.z,
+                at=evaluation,
+                spread=spread,
+            )
+        )
         missing = []
         if held_out is not None:
             predicted, missing = _predict(
                 workers, validation, *held_out, start=first, z=state.z
             )
             fits += predicted
-    spread = _uncertainty(problem, state.z, evaluation, noise)
     return CalibrationResult(
         converged=bool(state.converged),
-        parameters=parameter_estimates(problem.space, state.z, spread, start),
+        parameters=parameter_estimates(problem.space, state.z, spread, budget, start),
         uncertainty=spread,
+        budget=budget,
         configurations=fits,
         history=tuple(journal.history),
         space=problem.space,

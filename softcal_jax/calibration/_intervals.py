@@ -8,7 +8,7 @@ from scipy.stats import norm, t
 from softcal_jax._names import unknown_name
 from softcal_jax.calibration._calibrate import as_sequence, build_problem
 from softcal_jax.calibration._problem import Evaluator
-from softcal_jax.calibration._profile import profile_ends
+from softcal_jax.calibration._profile import ProfileEnd, profile_ends, room_beside
 from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers, check_converged
@@ -32,9 +32,11 @@ def profile_intervals(
     others are calibrated again, and the interval ends where the squared errors have
     risen by what chance allows (Bates and Watts, Nonlinear Regression Analysis, 1988,
     sec. 6.1). It need not be symmetric, and may end at a bound that the data do not
-    exclude. The confidence is that of each interval alone, not of all together, and
-    other optima than the fit are not searched for. Each end takes a few calibrations
-    from near their optimum, and is nan if they do not converge.
+    exclude. What is held fixed and may be wrong adds to the distance of each end, in
+    squares, as it does to the standard error (see `ErrorBudget`). The confidence is
+    that of each interval alone, not of all together, and other optima than the fit are
+    not searched for. Each end takes a few calibrations from near their optimum, and is
+    nan if they do not converge.
 
     Args:
         result: A calibration that converged.
@@ -93,8 +95,9 @@ def profile_intervals(
         which=[space.names.index(name) for name in names],
     )
     intervals = []
-    for name, (low, high) in zip(names, ends, strict=True):
+    for name, pair in zip(names, ends, strict=True):
         column = space.names.index(name)
+        low, high = _widened(result, column, level, *pair)
         own, z = space.parameters[column], result.z[column]
         intervals.append(
             ParameterInterval(
@@ -126,3 +129,20 @@ def _rise(result: CalibrationResult, level: float) -> float:
             'parameters: calibrate with noise = "stated", or add measurements.'
         )
     return float(spread.noise_scale * t.ppf(tail, spread.degrees_of_freedom))
+
+
+def _widened(
+    result: CalibrationResult, column: int, level: float, *ends: ProfileEnd
+) -> list[ProfileEnd]:
+    """Move both ends out by what is held fixed and may be wrong, up to the bounds."""
+    variance = sum(cause.variance[column] for cause in result.budget.causes)
+    reach = norm.ppf(0.5 * (1.0 + level)) * np.sqrt(np.nan_to_num(variance))
+    wider = []
+    for end, sign in zip(ends, (-1, 1), strict=True):
+        room = room_beside(result.space, result.z, column, sign)
+        distance = np.hypot(end.distance, reach)
+        if end.why == "likelihood" and distance >= room:
+            wider.append(ProfileEnd(room, "bound"))
+        else:
+            wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
+    return wider

@@ -2,7 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -24,6 +24,8 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import ParameterSpace, unnamed
 from softcal_jax.sensitivity import Response, equilibrium_response
+
+T = TypeVar("T")
 
 
 class CalibrationProblem(eqx.Module):
@@ -225,7 +227,7 @@ class Evaluator:
         where = lambda p: (p.configurations, p.space)
         self._shared = eqx.tree_at(where, self.numbered, (None, space))
         n_c = problem.configurations.gravity.shape[0]
-        self._configurations = [_lane(problem.configurations, c) for c in range(n_c)]
+        self._configurations = [lane_of(problem.configurations, c) for c in range(n_c)]
         one = self._configurations[0]
         self._program = program_key("evaluate_lane", self._shared, one)
         self._on: dict[int, tuple[Any, CalibrationProblem]] = {}
@@ -269,12 +271,12 @@ class Evaluator:
     def _evaluate(self, solver, lane) -> Response:
         # The solver is kept beside, so that its id is not given to another one.
         if id(solver) not in self._on:
-            self._on[id(solver)] = solver, _with_solver(self._shared, solver)
+            self._on[id(solver)] = solver, with_solver(self._shared, solver)
         shared = self._on[id(solver)][1]
         return jax.block_until_ready(_evaluate_lane(shared, *lane))
 
     def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
-        problem = _with_solver(self.numbered, solver)
+        problem = with_solver(self.numbered, solver)
         return jax.block_until_ready(_first_guess(problem, z))
 
 
@@ -301,11 +303,12 @@ def _stacked(problem, z, lanes: list[Response]) -> Evaluation:
     return stacked(problem, z, jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes))
 
 
-def _with_solver(problem: CalibrationProblem, solver) -> CalibrationProblem:
+def with_solver(problem: CalibrationProblem, solver) -> CalibrationProblem:
     """Return the calibration with another sparse solver of its pattern."""
     return eqx.tree_at(lambda p: p.model.solver, problem, solver)
 
 
-def _lane(batch: ConfigurationArrays, index: int) -> ConfigurationArrays:
+def lane_of(batch: T, index: int) -> T:
+    """Return one lane of a batch."""
     # Sliced on the host: on the device, each shape compiles two more programs.
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))

@@ -168,7 +168,10 @@ class _Profile:
         variance = at.covariance[column, column]
         self.at, self.column, self.sign = at, column, sign
         self.std = float(np.sqrt(variance))
-        self.reach, self.limit = at.rise * self.std, _room(space, at.z, column, sign)
+        self.reach, self.limit = (
+            at.rise * self.std,
+            room_beside(space, at.z, column, sign),
+        )
         self.path = sign * at.covariance[column] / variance
         self.seen = {0.0: _Rest(0.0, at.z, -at.rise)}
 
@@ -272,7 +275,9 @@ def _bracket(
     return None
 
 
-def _room(space: ParameterSpace, z, column: int, sign: int) -> float:
+def room_beside(
+    space: ParameterSpace, z: Float[Array | HostArray, " n_p"], column: int, sign: int
+) -> float:
     """Return the distance to the bound of a parameter; half a turn if periodic."""
     down, up = space.room(jnp.asarray(z))
     room = float(up[column] if sign > 0 else -down[column])

@@ -8,6 +8,7 @@ import numpy as np
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_unit
+from softcal_jax.calibration._budget import ErrorBudget
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._state import CalibrationSettings
@@ -22,7 +23,8 @@ class ParameterEstimate(eqx.Module):
     Attributes:
         name: Its name.
         value: Its value.
-        standard_error: Standard error; nan on a bound, or if not determined.
+        standard_error: Standard error by all causes, see `ErrorBudget`; nan on a bound,
+            or if not determined.
         start: Value at the start.
         lower: Lower bound.
         upper: Upper bound.
@@ -44,6 +46,7 @@ def parameter_estimates(
     space: ParameterSpace,
     z: Float[Array, " n_p"],
     spread: Uncertainty,
+    budget: ErrorBudget,
     start: Float[Array, " n_p"] | None = None,
 ) -> tuple[ParameterEstimate, ...]:
     """Return values and standard errors of the parameters, in SI units."""
@@ -51,15 +54,12 @@ def parameter_estimates(
     before = [parameter.start for parameter in space.parameters]
     if start is not None:
         before = np.asarray(space.from_scaled(start))
-    std = np.sqrt(np.diag(spread.covariance))
+    errors = budget.standard_errors
     return tuple(
         ParameterEstimate(
             name=parameter.name,
             value=float(value),
-            # dp = p dz on a log scale, S dz on a linear one.
-            standard_error=float(
-                (value if parameter.scale == "log" else parameter.unit_step) * std[i]
-            ),
+            standard_error=float(errors[i]),
             start=float(before[i]),
             lower=float(parameter.lower),
             upper=float(parameter.upper),
@@ -228,7 +228,8 @@ class CalibrationResult(eqx.Module):
     Attributes:
         converged: Whether lambda_p vanished.
         parameters: The calibrated parameters.
-        uncertainty: Their covariance and what it rests on.
+        uncertainty: Their covariance by the noise alone, and what it rests on.
+        budget: Their standard errors, split by cause.
         configurations: Fits, then predictions.
         history: One entry per step.
         space: The parameters, with start and bounds.
@@ -246,6 +247,7 @@ class CalibrationResult(eqx.Module):
     converged: bool
     parameters: tuple[ParameterEstimate, ...]
     uncertainty: Uncertainty
+    budget: ErrorBudget
     configurations: tuple[ConfigurationResult, ...]
     history: tuple[HistoryEntry, ...]
     space: ParameterSpace
@@ -268,6 +270,7 @@ class CalibrationResult(eqx.Module):
             f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
             for p in self.parameters
         ]
+        lines += [f"  {line}" for line in str(self.budget).splitlines()]
         lines += [
             f"  {100 * i.level:g} % interval of {i.name}: {i}" for i in self.intervals
         ]

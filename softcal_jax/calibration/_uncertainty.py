@@ -99,6 +99,32 @@ def uncertainty(
     return Uncertainty(covariance, noise, scale, dof, chi_squared, at_bound)
 
 
+def estimator(
+    W: Float[HostArray, "n_e n_p"],
+    spread: Uncertainty,
+    prior_weights: Float[HostArray, " n_p"],
+) -> Float[HostArray, "n_p n_e"]:
+    """Compute G = (W^T W / s^2 + P)^-1 W^T / s^2: how the fit follows its errors.
+
+    Args:
+        W: Stacked compliances in noise units.
+        spread: The uncertainty of the fit.
+        prior_weights: 1 / standard deviations of the prior, 0 without.
+
+    Returns:
+        Change of the scaled parameters per unit of each measured value [-]; nan for
+        those that have no standard error.
+    """
+    free = np.flatnonzero(~spread.at_bound)
+    gain = np.full(W.T.shape, np.nan)
+    if len(free):
+        scale = spread.noise_scale if np.isfinite(spread.noise_scale) else 1.0
+        prior = scale * np.diag(prior_weights[free])
+        inverse, known = _inverse(np.concatenate([W[:, free], prior]))
+        gain[free[known]] = inverse[known] @ W[:, free].T
+    return gain
+
+
 def _informed(
     W: Float[HostArray, "n_e n_free"], prior: Float[HostArray, "n_free n_free"]
 ) -> int:

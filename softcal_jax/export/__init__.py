@@ -6,6 +6,7 @@ from softcal_jax._units import (
     readable_unit,
     readable_values,
 )
+from softcal_jax.export._budget import budget_dict
 from softcal_jax.export._csv import (
     write_effectors_csv,
     write_markers_csv,
@@ -28,6 +29,7 @@ from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
     "Readable",
+    "budget_dict",
     "check_results_folder",
     "file_stems",
     "identifiability_dict",

@@ -17,6 +17,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import Model, RobotState
+from softcal_jax.export._budget import budget_dict
 from softcal_jax.export._plain import pick, plain, versions
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 
@@ -31,9 +32,9 @@ def result_dict(
     """Convert a calibration to the content of `result.json`.
 
     Keys: `format`, `name`, `converged`; `parameters` (`name`, `value`, `unit`,
-    `standard_error`, `lower`, `upper`, `start`, `at_bound`); `intervals` (`name`,
-    `level`, `lower`, `upper`, `lower_end`, `upper_end`, `unit`); `configurations`
-    (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
+    `standard_error` by all causes, `lower`, `upper`, `start`, `at_bound`); `intervals`
+    (`name`, `level`, `lower`, `upper`, `lower_end`, `upper_end`, `unit`);
+    `configurations` (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
     `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
     `simulated_before_mm`, `simulated_mm`, `residual_mm`, other points included;
     `effectors` that are not points with `name`, `unit`, `is_turn`, `measured`,
@@ -43,12 +44,13 @@ def result_dict(
     `imposed`, `force`, `force_unit`, `displacement`, `displacement_unit`), `reactions`
     (`name`, `force` of the ground on the robot); then `newton_steps`, `residual`,
     `min_det_F`); `history` (one entry per step, 0 is the start); `solver`; `settings`;
-    `uncertainty` (covariance of the scaled parameters); `assessment` (`identified`;
-    `reasons` why not; `misfit_probability` of residuals this large by chance, null
-    where the noise was estimated); `identifiability` (see `identifiability_dict`);
-    `starts` (null for a single one; `names` of the parameters; `starts`, `values`, one
-    row per run; `cost`, `steps`, `converged`; `optima`, the lowest cost first: `cost`,
-    `values`, `starts`); `notes`; `versions`; `timing_s`.
+    `uncertainty` (covariance of the scaled parameters by the noise alone); `budget`
+    (standard errors by cause, see `budget_dict`); `assessment` (`identified`; `reasons`
+    why not; `misfit_probability` of residuals this large by chance, null where the
+    noise was estimated); `identifiability` (see `identifiability_dict`); `starts` (null
+    for a single one; `names` of the parameters; `starts`, `values`, one row per run;
+    `cost`, `steps`, `converged`; `optima`, the lowest cost first: `cost`, `values`,
+    `starts`); `notes`; `versions`; `timing_s`.
 
     Args:
         result: The calibration.
@@ -60,7 +62,7 @@ def result_dict(
     runs = ("names", "starts", "values", "cost", "steps", "converged", "optima")
     return plain(
         {
-            "format": "softcal_jax.result/1",
+            "format": "softcal_jax.result/2",
             "name": name,
             "converged": result.converged,
             "parameters": result.parameters,
@@ -74,6 +76,7 @@ def result_dict(
                 "noise": result.uncertainty.noise,
             },
             "uncertainty": _uncertainty(result),
+            "budget": budget_dict(result.budget),
             "assessment": pick(found, "identified", "reasons", "misfit_probability"),
             "identifiability": identifiability_dict(found.identifiability),
             "starts": result.starts and pick(result.starts, *runs),

@@ -1,13 +1,14 @@
 """Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
+from softcal_jax.fields._errors import AbstractError, FieldError, SetupError
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.fields._parameters import (
     AbstractEntry,
     AbstractFieldEntry,
     Parameter,
 )
-from softcal_jax.fields._setup import SetupParameter
+from softcal_jax.fields._setup import QUANTITIES, SetupParameter
 from softcal_jax.fields._setup_parameters import (
     actuator_factor,
     clamp_stiffness,
@@ -27,24 +28,31 @@ from softcal_jax.fields._space import (
     unnamed,
 )
 from softcal_jax.fields._spread import ControlPointParameters
+from softcal_jax.fields._uncertain import Uncertain, exactly_known
 from softcal_jax.fields._validation import check_parameters, check_scopes
 
 __all__ = [
+    "QUANTITIES",
     "AbstractEntry",
+    "AbstractError",
     "AbstractFieldEntry",
     "ControlPointParameters",
     "ControlPoints",
     "Entry",
+    "FieldError",
     "Parameter",
     "ParameterSpace",
     "Pin",
+    "SetupError",
     "SetupParameter",
+    "Uncertain",
     "actuator_factor",
     "as_space",
     "check_names",
     "check_parameters",
     "check_scopes",
     "clamp_stiffness",
+    "exactly_known",
     "find_field",
     "friction",
     "gravity_tilt",

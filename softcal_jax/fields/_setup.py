@@ -104,7 +104,7 @@ _OF_MODEL = {
         least=0.0,
     ),
 }
-_OF_CONFIGURATION = {
+OF_CONFIGURATION = {
     "gravity_tilt": Quantity(
         "{axis} tilt of gravity",
         _entry_of("tilt"),
@@ -142,7 +142,7 @@ _OF_CONFIGURATION = {
         unit="N/m^3",
     ),
 }
-QUANTITIES = _OF_MODEL | _OF_CONFIGURATION
+QUANTITIES = _OF_MODEL | OF_CONFIGURATION
 """Kinds of parameters that set one entry of an array: one line for a new kind."""
 
 
@@ -217,7 +217,7 @@ class SetupParameter(AbstractEntry):
 
     @property
     def _of_configuration(self) -> bool:
-        return self.kind in _OF_CONFIGURATION
+        return self.kind in OF_CONFIGURATION
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -242,21 +242,7 @@ class SetupParameter(AbstractEntry):
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
         if not self._of_configuration:
-            self._index(model)
-
-    def _index(self, owner: Any) -> tuple[int, ...]:
-        """Find the index of its entry in the array."""
-        quantity, index = self.quantity, ()
-        if quantity.noun:
-            names = list(quantity.names(owner))
-            known = [name for name in names if name]
-            if self.of not in known:
-                what = f"{quantity.noun} of parameter {self.label!r}"
-                raise unknown_name(what, self.of, known)
-            index = (names.index(self.of),)
-        if quantity.components:
-            index += (quantity.components.index(self.axis),)
-        return index
+            entry_index(self, model)
 
     def apply(
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
@@ -274,7 +260,7 @@ class SetupParameter(AbstractEntry):
                 old = jnp.where(own == name_key(name), values[parameter.name], old)
             return old
 
-        owner = self.quantity.put(owner, self._index(owner), change)
+        owner = self.quantity.put(owner, entry_index(self, owner), change)
         return (model, owner) if self._of_configuration else (owner, configuration)
 
     def renamed(
@@ -284,3 +270,26 @@ class SetupParameter(AbstractEntry):
         del points
         own = tuple(replace(q, name=names[q.name], unit="") for q in self.unknowns)
         return replace(self, unknowns=own)
+
+
+def entry_index(entry: Any, owner: Any) -> tuple[int, ...]:
+    """Find the index of what an entry sets in the array of its quantity.
+
+    Args:
+        entry: Anything with `kind`, `of`, `axis` and `label`.
+        owner: The model, or a configuration.
+
+    Raises:
+        ValueError: If the owner does not have what the entry belongs to.
+    """
+    quantity, index = QUANTITIES[entry.kind], ()
+    if quantity.noun:
+        names = list(quantity.names(owner))
+        known = [name for name in names if name]
+        if entry.of not in known:
+            what = f"{quantity.noun} of parameter {entry.label!r}"
+            raise unknown_name(what, entry.of, known)
+        index = (names.index(entry.of),)
+    if quantity.components:
+        index += (quantity.components.index(entry.axis),)
+    return index

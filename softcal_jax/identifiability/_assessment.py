@@ -52,6 +52,7 @@ def assess(result: CalibrationResult) -> Assessment:
         result.space,
         result.z,
         noise_scale=spread.noise_scale if known else 1.0,
+        W_c=result.budget.W_c,
     )
     reasons = []
     if not result.converged:

@@ -10,7 +10,9 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
+    Evaluator,
     as_sequence,
+    considered_errors,
     first_guess,
     simulate,
     without_names,
@@ -25,13 +27,21 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
+    Workers,
     check_converged,
 )
-from softcal_jax.fields import Entry, ParameterSpace, as_space, check_parameters
+from softcal_jax.fields import (
+    Entry,
+    ParameterSpace,
+    Uncertain,
+    as_space,
+    check_parameters,
+)
 from softcal_jax.identifiability._conditioning import conditioning
 from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
 from softcal_jax.identifiability._spread import (
     data_only_std,
+    marginalised,
     named_directions,
     posterior,
     prior_std,
@@ -53,6 +63,7 @@ def identifiability(
     n_data: int | None = None,
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
+    W_c: Float[HostArray, "n_e n_errors"] | None = None,
 ) -> Identifiability:
     """Judge what data with these compliances tell about the parameters; Sec. V-C.
 
@@ -73,6 +84,8 @@ def identifiability(
             not zero.
         W_ep: `W` in metres, for condition numbers [m].
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
+        W_c: Change of the data per standard deviation of what is held fixed and may be
+            wrong, in units of the noise, such as `ErrorBudget.W_c`; none by default.
 
     Raises:
         ValueError: If `W` is not finite or has not one column per parameter, or the
@@ -90,6 +103,8 @@ def identifiability(
     numbers = conditioning(W / noise_scale, W_ep=W_ep, W_pp=W_pp)
     prior = prior_std(space)
     G = W / noise_scale * prior
+    if W_c is not None:
+        G = marginalised(G, W_c / noise_scale)
     covariance = posterior(G)
     directions = named_directions(G, space.names)
     outlooks = _outlooks(space, z, np.sqrt(np.diag(covariance)), data_only_std(G))
@@ -141,6 +156,7 @@ def identify(
     at: Float[AnyVector, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
 ) -> Identifiability:
     """Predict what markers in these configurations would tell, before measuring.
 
@@ -156,30 +172,46 @@ def identify(
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated; the defaults of
+            `Uncertain` by default.
 
     Raises:
         ValueError: If an input is wrong.
         RuntimeError: If a configuration has no equilibrium; the text names it.
     """
     measured = as_sequence(configurations)
-    found = survey(model, parameters, measured, at=at, noise=noise, newton=newton)
+    found = survey(
+        model,
+        parameters,
+        measured,
+        at=at,
+        noise=noise,
+        newton=newton,
+        uncertain=uncertain,
+    )
     n_p = len(found.space.names)
     none = np.zeros((0, n_p))
     W_ep = np.concatenate([none, *(s.W_ep for s in found.sensed)])
     W = np.concatenate([none, *(s.W for s in found.sensed)])
     W_pp = sum((s.W_pp for s in found.sensed), np.zeros((n_p, n_p)))
-    return identifiability(W, found.space, found.z, n_data=len(W), W_ep=W_ep, W_pp=W_pp)
+    W_c = np.concatenate([s.W_c for s in found.sensed]) if found.sensed else None
+    return identifiability(
+        W, found.space, found.z, n_data=len(W), W_ep=W_ep, W_pp=W_pp, W_c=W_c
+    )
 
 
 class Sensed(eqx.Module):
     """Compliances of one configuration [m], in units of the noise (W), and W_pp [J].
 
+    W_c is the change per standard deviation of each error that is considered, in units
+    of the noise too; see `considered_errors`.
     `failure` says why there is no equilibrium; it is empty if there is one.
     """
 
     name: str
     W_ep: Float[HostArray, "n_e n_p"]
     W: Float[HostArray, "n_e n_p"]
+    W_c: Float[HostArray, "n_e n_errors"]
     W_pp: Float[HostArray, "n_p n_p"]
     failure: str
 
@@ -210,6 +242,7 @@ def survey(
     at: Float[AnyVector, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
     required: int | None = None,
 ) -> Survey:
     """Solve configurations at one value of the parameters and differentiate them.
@@ -241,6 +274,18 @@ def survey(
     weights = np.asarray(arrays.effectors.inverse_std).reshape(len(names), -1)
     if noise is not None:
         weights = np.where(weights > 0.0, 1.0 / noise, 0.0)
+    with Workers(model, len(names)) as workers:
+        causes = workers.end_of(
+            considered_errors(
+                Evaluator(problem),
+                configurations,
+                uncertain or Uncertain(),
+                z=z,
+                displacement=solution.displacement,
+            )
+        )
+    errors = [error for own in causes.values() for error in own.values()]
+    all_W_c = np.stack([np.zeros_like(weights), *errors], axis=2)[:, :, 1:]
     sensed, compliance = [], jax.tree.map(np.asarray, compliance)
     for i, name in enumerate(names):
         W_ep, W_pp, ok = _lane(compliance, i)
@@ -249,8 +294,8 @@ def survey(
         failure = "" if one.converged and ok else str(RESULTS[outcome])
         if failure and i < required:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
-        W = weights[i, seen, None] * W_ep[seen]
-        sensed.append(Sensed(name, W_ep[seen], W, W_pp, failure))
+        W, W_c = (weights[i, seen, None] * own[seen] for own in (W_ep, all_W_c[i]))
+        sensed.append(Sensed(name, W_ep[seen], W, W_c, W_pp, failure))
     return Survey(space, z, tuple(sensed))
 
 

@@ -10,10 +10,18 @@ from softcal_jax._units import readable_unit
 from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.identifiability._identify import AnyVector, Parameters, Survey, survey
+from softcal_jax.fields import Uncertain
+from softcal_jax.identifiability._identify import (
+    AnyVector,
+    Parameters,
+    Sensed,
+    Survey,
+    survey,
+)
 from softcal_jax.identifiability._result import number, table
 from softcal_jax.identifiability._spread import (
     WEAK_BELOW,
+    marginalised,
     posterior,
     prior_std,
     si_slope,
@@ -138,6 +146,7 @@ def rank_configurations(
     at: Float[AnyVector, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
 ) -> Ranking:
     """Rank candidate configurations by what they would tell, before measuring.
 
@@ -159,6 +168,8 @@ def rank_configurations(
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated; the defaults of
+            `Uncertain` by default.
 
     Returns:
         The candidates, the best first. Those without an equilibrium at these values or
@@ -178,21 +189,32 @@ def rank_configurations(
         at=at,
         noise=noise,
         newton=newton,
+        uncertain=uncertain,
         required=len(known),
     )
     prior = prior_std(found.space)
-    signals = [s.W * prior for s in found.sensed]
-    before = np.concatenate([np.zeros((0, len(prior))), *signals[: len(known)]])
+    measured = found.sensed[: len(known)]
+    before = _told(measured, prior)
     gains, unranked = [], []
-    for s, G in zip(found.sensed[len(known) :], signals[len(known) :], strict=True):
-        reason = s.failure or ("" if len(G) else "it has no markers to measure")
+    for s in found.sensed[len(known) :]:
+        reason = s.failure or ("" if len(s.W) else "it has no markers to measure")
         if reason:
             unranked.append(Unranked(s.name, reason))
         else:
-            gains.append(_gain(s.name, found, before, np.concatenate([before, G])))
+            gains.append(_gain(s.name, found, before, _told((*measured, s), prior)))
     gains.sort(key=lambda gain: -gain.d_gain)
     blind = _blind_count(_information(before))
     return Ranking(tuple(gains), tuple(unranked), len(prior), blind)
+
+
+def _told(
+    sensed: Sequence[Sensed], prior: Float[HostArray, " n_p"]
+) -> Float[HostArray, "n n_p"]:
+    """Return what configurations tell together, per prior standard deviation."""
+    if not sensed:
+        return np.zeros((0, len(prior)))
+    W, W_c = (np.concatenate([getattr(s, own) for s in sensed]) for own in ("W", "W_c"))
+    return marginalised(W * prior, W_c)
 
 
 def _gain(

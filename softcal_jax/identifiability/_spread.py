@@ -109,6 +109,29 @@ def posterior(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, "n_p n_p"]:
     return (Vt.T * variance) @ Vt
 
 
+def marginalised(
+    G: Float[HostArray, "n_e n_p"], W_c: Float[HostArray, "n_e n_errors"]
+) -> Float[HostArray, "n n_p"]:
+    """Find compliances that would tell as much if the noise were the only error.
+
+    With C = (I + G^T G)^-1 the errors W_c move the parameters by D = C G^T W_c, so that
+    their covariance is T = C + D D^T. The result R has the same, (I + R^T R)^-1 = T,
+    where T is not larger than that of the prior.
+
+    Args:
+        G: Noise-weighted compliances per prior standard deviation [-].
+        W_c: Noise-weighted change of the data per standard deviation of each error that
+            is considered, see `ErrorBudget` [-].
+    """
+    if W_c.shape[1] == 0:
+        return G
+    C = posterior(G)
+    D = C @ G.T @ W_c
+    variance, V = np.linalg.eigh(C + D @ D.T)
+    variance = np.clip(variance, np.finfo(float).eps, 1.0)  # rounding, or the prior
+    return np.sqrt(1.0 / variance - 1.0)[:, None] * V.T
+
+
 def data_only_std(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, " n_p"]:
     """Compute standard deviations from the data alone, roots of diag((G^T G)^-1).
 

@@ -1,5 +1,6 @@
 """Pictures of results, drawn without a screen."""
 
+from softcal_jax.plotting._budget import plot_budget
 from softcal_jax.plotting._configuration import render_body, render_configuration
 from softcal_jax.plotting._diagrams import plot_convergence, plot_trials
 from softcal_jax.plotting._fibres import plot_fibres
@@ -9,6 +10,7 @@ from softcal_jax.plotting._robot import SensorFrame
 __all__ = [
     "RenderingError",
     "SensorFrame",
+    "plot_budget",
     "plot_convergence",
     "plot_fibres",
     "plot_trials",

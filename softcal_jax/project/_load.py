@@ -88,6 +88,7 @@ def _built(path: Path, table: ProjectTable) -> Project:
         validation=of_role("validation"),
         candidates=tuple(candidate for candidate, _ in found["candidates"]),
         **table.settings.model_dump(include=own),
+        uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
         files=_files(path, table),

@@ -26,7 +26,7 @@ from softcal_jax.equilibrium import (
     NewtonSettings,
     solve_equilibrium,
 )
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.identifiability import (
     Identifiability,
     Ranking,
@@ -52,6 +52,7 @@ class Project(eqx.Module):
         starts: Number of starts.
         seed: Seed of the random starts.
         intervals: Level of the intervals by profile likelihood; None for none [-].
+        uncertain: How well everything is known that is not calibrated.
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
         registrations: Registrations of the camera frames by configuration.
@@ -69,6 +70,7 @@ class Project(eqx.Module):
     starts: int
     seed: int
     intervals: float | None
+    uncertain: Uncertain
     settings: CalibrationSettings
     newton: NewtonSettings
     registrations: dict[str, Registration]
@@ -140,6 +142,7 @@ class Project(eqx.Module):
             self.calibration,
             validation=self.validation,
             noise=self.noise,
+            uncertain=self.uncertain,
             settings=self.settings,
             newton=self.newton,
             starts=self.starts,
@@ -198,7 +201,13 @@ class Project(eqx.Module):
         """
         self.check_identify()
         assert self.space is not None
-        return identify(self.model, self.space, self.calibration, newton=self.newton)
+        return identify(
+            self.model,
+            self.space,
+            self.calibration,
+            newton=self.newton,
+            uncertain=self.uncertain,
+        )
 
     def rank_candidates(self) -> Ranking:
         """Rank the candidates, best first, by what they add to the configurations.
@@ -214,7 +223,13 @@ class Project(eqx.Module):
                 f"{self.path}: candidates: there are none; add [[candidates]]."
             )
         posed = self.calibration, self.candidates
-        return rank_configurations(self.model, self.space, *posed, newton=self.newton)
+        return rank_configurations(
+            self.model,
+            self.space,
+            *posed,
+            newton=self.newton,
+            uncertain=self.uncertain,
+        )
 
     def simulate(self) -> EquilibriumSolution:
         """Solve the equilibria of all `configurations`, a lane each, at the start.

@@ -33,6 +33,7 @@ from softcal_jax.project._problems import (
 from softcal_jax.project._quantities import shown
 from softcal_jax.project._setup import AnySetup
 from softcal_jax.project._table import Flag, Integer, Number, Table
+from softcal_jax.project._uncertain import UncertainTable
 
 T = TypeVar("T", bound=BaseModel)
 M = TypeVar("M", bound=Material)
@@ -98,6 +99,7 @@ class ProjectTable(Table, Generic[M]):
     effectors: dict[str, AnyEffector] = Field(default_factory=dict)
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
+    uncertain: UncertainTable = UncertainTable()
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
 

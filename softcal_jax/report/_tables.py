@@ -36,7 +36,7 @@ _STYLE = {
 }
 
 _WORDS = {"role", "effector", "actuator", "rigid body", "state", "of"}
-_WORDS |= {"outcome", "verdict"}
+_WORDS |= {"outcome", "verdict", "share of the value"}
 """Columns of words, aligned on the left; numbers are on the right."""
 
 Configurations = Sequence[ConfigurationResult]
@@ -72,6 +72,7 @@ def summary_table(
     shown = result.configurations
     return Group(
         _parameter_table(result, found),
+        _budget_table(result),
         *_interval_table(result),
         *_configuration_tables(shown),
         *_robot_tables(shown),
@@ -116,6 +117,15 @@ def _parameter_table(
         style = "bold" if sound else "bold red"
         start = f"{q.start * factor:.4g} {unit}".rstrip()
         _add_row(table, q.name, (text, style), start, bounds.rstrip())
+    return table
+
+
+def _budget_table(result: CalibrationResult) -> "rich.table.Table":
+    """Tabulate what the standard errors come from."""
+    columns = ["share of the value"]
+    table = _start_table("Standard errors by cause", "parameter", columns)
+    for name in result.budget.names:
+        _add_row(table, name, result.budget.sentence(name))
     return table
 
 

@@ -21,6 +21,7 @@ from softcal_jax.export import (
 )
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking
 from softcal_jax.plotting import (
+    plot_budget,
     plot_convergence,
     render_configuration,
     rendering_problem,
@@ -43,10 +44,11 @@ def write_results(
     """Write a calibration to a folder, whole or not at all.
 
     The folder holds `result.json` (see `result_dict`; its `files` lists the others),
-    `markers.csv`, `convergence.png` and, for each configuration, a .vtu for ParaView
-    and a .png; for a robot with other effectors, rigid bodies or actuators also
-    `effectors.csv` and `robot.csv`. A calibration that did not converge is written too,
-    marked as such. A configuration without an equilibrium has neither .vtu nor .png.
+    `markers.csv`, `convergence.png`, `budget.png` and, for each configuration, a .vtu
+    for ParaView and a .png; for a robot with other effectors, rigid bodies or actuators
+    also `effectors.csv` and `robot.csv`. A calibration that did not converge is written
+    too, marked as such. A configuration without an equilibrium has neither .vtu nor
+    .png.
 
     Args:
         result: The calibration.
@@ -142,7 +144,8 @@ def _write_tables(folder: Path, result: Result, name: str) -> list[str]:
     files = []
     if isinstance(result, CalibrationResult):
         plot_convergence(result, folder / "convergence.png", name=name)
-        files.append("convergence.png")
+        plot_budget(result, folder / "budget.png", name=name)
+        files += ["convergence.png", "budget.png"]
         if any(fit.points for fit in shown):
             write_markers_csv(folder / "markers.csv", shown)
             files.append("markers.csv")

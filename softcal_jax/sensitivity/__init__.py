@@ -1,5 +1,6 @@
 """Sensitivities of effectors to parameters (paper Eqs. 7 to 9)."""
 
+from softcal_jax.sensitivity._clamp_row import clamp_row
 from softcal_jax.sensitivity._compliance import (
     EnergyCompliance,
     Response,
@@ -13,6 +14,7 @@ from softcal_jax.sensitivity._rows import (
     check_parameter_derivatives,
     parameter_forces,
     parameter_rows,
+    readings_of_forces,
 )
 
 __all__ = [
@@ -21,9 +23,11 @@ __all__ = [
     "Response",
     "adjoint_of_tets",
     "check_parameter_derivatives",
+    "clamp_row",
     "energy_compliance",
     "equilibrium_response",
     "parameter_compliance",
     "parameter_forces",
     "parameter_rows",
+    "readings_of_forces",
 ]

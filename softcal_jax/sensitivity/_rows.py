@@ -97,7 +97,7 @@ def parameter_rows(
         force=jax.vmap(lin.free)(forces),
         held=jnp.zeros_like(forces),
         gap=jnp.zeros((n_p, n_m)),
-        reading=_readings_of_fields(lin, forces),
+        reading=readings_of_forces(lin, forces),
     )
     others = _others(space)
     if others.size == 0:
@@ -136,10 +136,13 @@ def _by_others(
     return jax.vmap(one)(jnp.eye(others.size))
 
 
-def _readings_of_fields(
+def readings_of_forces(
     lin: Linearisation, forces: Float[Array, "n_p n_points 3"]
 ) -> Float[Array, "n_p n_e"]:
-    """Compute the direct change of readings by fields; only force readings change."""
+    """Compute the direct change of readings by forces on the nodes, one row each [N].
+
+    The state is fixed, so only readings of forces change.
+    """
     effectors = lin.posed.configuration.effectors
     if not effectors.has_forces:
         return jnp.zeros((forces.shape[0], effectors.measured.size))

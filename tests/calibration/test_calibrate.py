@@ -28,7 +28,7 @@ from softcal_jax.configurations import (
     configuration_arrays,
 )
 from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
-from softcal_jax.fields import Parameter
+from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import beam
 
@@ -199,7 +199,7 @@ def test_standard_error_predicts_the_scatter_of_noisy_data(model):
         data = measure(
             model.mesh, NeoHookean(E_TRUE, NU_TRUE), ("hang",), noise=sigma, seed=seed
         )
-        result = calibrate(model, [parameter()], data)
+        result = calibrate(model, [parameter()], data, uncertain=exactly_known())
         estimates.append(np.log(result.value("E")))
         errors.append(result.parameters[0].standard_error / result.value("E"))
     # The scatter of 60 draws has a standard error of 1 / sqrt(118) = 9 %: 3 of them.
@@ -209,8 +209,9 @@ def test_standard_error_predicts_the_scatter_of_noisy_data(model):
 
 def test_stated_noise_scales_the_standard_error(model):
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-4)
-    stated = calibrate(model, [parameter()], data, noise="stated")
-    estimated = calibrate(model, [parameter()], data, noise="estimated")
+    own = {"uncertain": exactly_known()}
+    stated = calibrate(model, [parameter()], data, noise="stated", **own)
+    estimated = calibrate(model, [parameter()], data, noise="estimated", **own)
     W = np.asarray(stated.W_ep)[:, 0]
     by_hand = stated.value("E") / np.sqrt(np.sum(W**2))
     assert stated.parameters[0].standard_error == pytest.approx(by_hand, rel=1e-9)

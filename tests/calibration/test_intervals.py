@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -11,14 +12,15 @@ import pytest
 from scipy.stats import t
 
 from softcal_jax.calibration import (
+    Cause,
     LowerCostFound,
     ParameterInterval,
-    calibrate,
     profile_ends,
     profile_intervals,
     simulated_measurements,
     synthetic_measurements,
 )
+from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._notes import uncertainty_notes
 from softcal_jax.calibration._profile import (
@@ -30,10 +32,18 @@ from softcal_jax.calibration._profile import (
 )
 from softcal_jax.configurations import Configuration, Markers, PointForce
 from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import Parameter, ParameterSpace, Pin, unnamed
+from softcal_jax.fields import (
+    Parameter,
+    ParameterSpace,
+    Pin,
+    exactly_known,
+    unnamed,
+)
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 from softcal_jax.robots import anisotropic_beam
+
+calibrate = partial(calibrate_with, uncertain=exactly_known())
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
 MODEL = build_model(MESH, Corotational(Isotropic(400e3, 0.3)), density=1.0)
@@ -106,6 +116,28 @@ def test_level_widens_it(result, poses):
     s = relative_error(result)
     expected = result.value("E") / (1.0 + np.array([1.0, -1.0]) * s)
     np.testing.assert_allclose([found.lower, found.upper], expected, rtol=CLOSE)
+
+
+def test_what_is_held_fixed_widens_it(result, poses):
+    """In squares on either side; ln E is off by 0.3, or by more than it has room."""
+    (plain,) = profile_intervals(result, poses, parameters="E")
+    fitted = np.log(result.value("E"))
+    low, high = (abs(np.log(end) - fitted) for end in (plain.lower, plain.upper))
+
+    def with_error(size):
+        deviations = np.array([[size], [0.0]])
+        causes = (Cause("clamp", ("clamp",), deviations),)
+        known = replace(result, budget=replace(result.budget, causes=causes))
+        (found,) = profile_intervals(known, poses, parameters="E")
+        return found
+
+    wider = with_error(0.3)
+    reach = 1.959964 * 0.3
+    ends = [-np.hypot(low, reach), np.hypot(high, reach)]
+    np.testing.assert_allclose(np.log([wider.lower, wider.upper]) - fitted, ends, 1e-4)
+    open_ = with_error(5.0)
+    assert (open_.lower_end, open_.upper_end) == ("bound", "bound")
+    np.testing.assert_allclose([open_.lower, open_.upper], [1e3, 1e8], rtol=1e-9)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1e3])

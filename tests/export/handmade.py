@@ -10,7 +10,9 @@ import numpy as np
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
+    Cause,
     ConfigurationResult,
+    ErrorBudget,
     HistoryEntry,
     ParameterEstimate,
     Uncertainty,
@@ -116,6 +118,20 @@ def make_history(rejected=()):
     )
 
 
+def make_budget(parameters, n_e):
+    """Four fifths of each standard error are noise, three fifths the clamp."""
+    errors = np.array([q.standard_error for q in parameters])
+    return ErrorBudget(
+        names=tuple(q.name for q in parameters),
+        values=np.array([q.value for q in parameters]),
+        slopes=np.ones(len(errors)),
+        units=tuple(q.unit for q in parameters),
+        noise=np.diag((0.8 * errors) ** 2),
+        causes=(Cause("clamp", ("clamp",), 0.6 * errors[:, None]),),
+        W_c=np.zeros((n_e, 0)),
+    )
+
+
 def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed):
     """A calibration of E (kept) and nu (ended on its bound, so without an error)."""
     model = model or small_model()
@@ -128,7 +144,7 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
     covariance[0, 0] = 4e-4
     fields = {
         "parameters": (
-            ParameterEstimate("E", 2.4e5, 4.8e3, 2e5, 1e5, 1e6, "Pa", False),
+            ParameterEstimate("E", 2.4e5, 6e3, 2e5, 1e5, 1e6, "Pa", False),
             ParameterEstimate("nu", 0.44, np.nan, 0.4, 0.3, 0.44, "", True),
         ),
         "uncertainty": Uncertainty(
@@ -141,6 +157,8 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
         "W_ep": np.tile(np.array([[100.0, 0.0], [0.0, 100.0]]), (6, 1)),
         "notes": ("nu ended on a bound.",),
     }
+    fields |= changed
+    fields.setdefault("budget", make_budget(fields["parameters"], len(fields["W_ep"])))
     return CalibrationResult(
         converged=converged,
         configurations=tuple(fits),
@@ -148,7 +166,7 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
         settings=CalibrationSettings(),
         newton=NewtonSettings(),
         timing_s={"steps": 1.5},
-        **(fields | changed),
+        **fields,
     )
 
 

@@ -35,6 +35,7 @@ def test_result_is_strict_json_with_all_its_keys(data):
         "solver",
         "settings",
         "uncertainty",
+        "budget",
         "assessment",
         "identifiability",
         "starts",
@@ -65,7 +66,7 @@ def test_parameters_are_in_si_and_a_missing_error_is_null(data):
     assert E == {
         "name": "E",
         "value": 2.4e5,
-        "standard_error": 4.8e3,
+        "standard_error": pytest.approx(6e3, rel=1e-12),
         "start": 2e5,
         "lower": 1e5,
         "upper": 1e6,
@@ -192,3 +193,19 @@ def test_a_failed_lane_has_no_marker_positions():
     data = simulation_dict(make_simulation_result(small_model(), (False, True)))
     assert data["configurations"][0]["markers"][0]["simulated_mm"] is None
     assert data["configurations"][0]["markers"][0]["at_rest_mm"] is not None
+
+
+def test_standard_errors_by_cause(data):
+    """Of E 2 % by the noise and 1.5 % by the clamp, 2.5 % together."""
+    budget = data["budget"]
+    E, nu = budget["parameters"]
+    assert list(E["by_cause"]) == ["noise", "clamp"]
+    assert E["by_cause"] == pytest.approx({"noise": 4.8e3, "clamp": 3.6e3}, rel=1e-12)
+    assert E["standard_error"] == pytest.approx(6e3, rel=1e-12)
+    assert E["sentence"] == "noise 2 %, clamp 1.5 %"
+    assert nu["by_cause"] == {"noise": None, "clamp": None}
+    assert nu["sentence"] == "no standard error"
+    (error,) = budget["errors"]
+    assert (error["cause"], error["name"]) == ("clamp", "clamp")
+    assert error["deviations"] == [pytest.approx(3.6e3, rel=1e-12), None]
+    assert budget["covariance"][0][0] == pytest.approx(6e3**2, rel=1e-12)

@@ -1,5 +1,8 @@
 """What a calibration may claim, on fits of one beam to data made for each verdict."""
 
+from dataclasses import replace
+from functools import partial
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -18,7 +21,7 @@ from softcal_jax.configurations import (
     SurfaceForce,
 )
 from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import Parameter, ParameterSpace, Uncertain, exactly_known
 from softcal_jax.identifiability import assess
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh, beam
@@ -27,6 +30,8 @@ TARGET = {"E of root": 1.5e5, "E of tip": 0.8e5}
 POINTS = ((0.05, 0.01, 0.02), (0.1, 0.01, 0.0))
 N_DATA = 2 * 2 * 3
 STD = 2e-5
+
+fit = partial(calibrate, uncertain=exactly_known())
 
 
 def space(root_upper=1e6):
@@ -70,7 +75,7 @@ def data(model):
 
 @pytest.fixture(scope="module")
 def good(model, data):
-    return calibrate(model, space(), data, noise="stated")
+    return fit(model, space(), data, noise="stated")
 
 
 def test_a_good_fit_is_identified(good):
@@ -99,7 +104,7 @@ def test_model_error_shows_above_the_stated_noise(model, data):
     """A marker is 0.2 mm, ten standard deviations, from where any modulus puts it."""
     off = data[1].measured + np.array([[0.0, 0.0, 0.0], [2e-4, 0.0, 0.0]])
     wrong = [data[0], with_measured(data[1], off)]
-    stated = assess(calibrate(model, space(), wrong, noise="stated"))
+    stated = assess(fit(model, space(), wrong, noise="stated"))
     assert not stated.identified
     assert stated.misfit_probability < 1e-6
     (reason,) = stated.reasons
@@ -107,7 +112,7 @@ def test_model_error_shows_above_the_stated_noise(model, data):
     assert "for 10 degrees of freedom" in reason
     assert str(stated).startswith("Not identified:\n  The model cannot match")
     # Estimated from these residuals the noise holds the error, and nothing shows.
-    estimated = assess(calibrate(model, space(), wrong))
+    estimated = assess(fit(model, space(), wrong))
     assert estimated.misfit_probability is None
     assert not any("noise" in reason for reason in estimated.reasons)
 
@@ -121,14 +126,14 @@ def test_threshold_of_the_misfit(good):
 
 def test_fit_that_did_not_converge(model, data):
     settings = CalibrationSettings(max_steps=1)
-    result = calibrate(model, space(), data, settings=settings)
+    result = fit(model, space(), data, settings=settings)
     verdict = assess(result)
     assert not verdict.identified
     assert verdict.reasons[0] == "The calibration did not converge."
 
 
 def test_parameter_on_its_bound(model, data):
-    verdict = assess(calibrate(model, space(root_upper=1.2e5), data))
+    verdict = assess(fit(model, space(root_upper=1.2e5), data))
     assert not verdict.identified
     assert "E of root ended on a bound." in verdict.reasons
     assert not any("E of tip ended" in reason for reason in verdict.reasons)
@@ -140,7 +145,7 @@ def test_data_too_coarse_to_tell(model, data):
         with_measured(pose, fine.measured)
         for pose, fine in zip(poses(std=0.1), data, strict=True)
     ]
-    verdict = assess(calibrate(model, space(), coarse, noise="stated"))
+    verdict = assess(fit(model, space(), coarse, noise="stated"))
     assert not verdict.identified
     assert verdict.identifiability.verdict == "not identifiable"
     assert verdict.reasons[0].startswith("The data do not determine: E of ")
@@ -148,7 +153,7 @@ def test_data_too_coarse_to_tell(model, data):
 
 
 def test_estimated_noise_of_a_good_fit(model, data):
-    verdict = assess(calibrate(model, space(), data))
+    verdict = assess(fit(model, space(), data))
     assert verdict.identified
     assert verdict.misfit_probability is None
 
@@ -157,14 +162,30 @@ def test_data_without_any_residual(model):
     """Made by the model itself, from the start: there is no noise to estimate."""
     at_start = dict.fromkeys(TARGET, 1e5)
     exact = synthetic_measurements(model, space(), poses(), at_start)
-    result = calibrate(model, space(), exact)
+    result = fit(model, space(), exact)
     assert result.uncertainty.noise_scale < 1e-3
     verdict = assess(result)
     assert verdict.identified
-    as_stated = assess(calibrate(model, space(), exact, noise="stated"))
+    as_stated = assess(fit(model, space(), exact, noise="stated"))
     for ours, theirs in zip(
         verdict.identifiability.parameters,
         as_stated.identifiability.parameters,
         strict=True,
     ):
         assert ours.standard_error == pytest.approx(theirs.standard_error, rel=1e-6)
+
+
+def test_what_is_held_fixed_counts_in_the_verdict(model, good, data):
+    """The data are as good as before, but they are not all that there is to know."""
+    on_this_mesh = replace(Uncertain(), mesh=0.0)
+    result = fit(model, space(), data, noise="stated", uncertain=on_this_mesh)
+    verdict = assess(result)
+    for own, alone, estimate in zip(
+        verdict.identifiability.parameters,
+        assess(good).identifiability.parameters,
+        result.parameters,
+        strict=True,
+    ):
+        assert own.spread > 3.0 * alone.spread
+        # The bounds are wide: they add nothing to what data and budget tell.
+        assert own.standard_error == pytest.approx(estimate.standard_error, rel=0.05)

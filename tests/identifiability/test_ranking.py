@@ -1,5 +1,6 @@
 """Gains of candidates against their formulas, and against `identify`."""
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -20,7 +21,13 @@ from two_part_beam import (
 
 from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import Configuration, Support
-from softcal_jax.identifiability import identify, rank_configurations
+from softcal_jax.fields import exactly_known
+from softcal_jax.identifiability import identify as identify_with
+from softcal_jax.identifiability import rank_configurations as rank_with
+
+KNOWN = {"uncertain": exactly_known()}
+identify = partial(identify_with, **KNOWN)
+rank_configurations = partial(rank_with, **KNOWN)
 
 BARE = Configuration("bare", (Support("x_min"),))
 AGAIN = pose("near again", ROOT)
@@ -137,3 +144,14 @@ def test_wrong_calls():
         rank(HANG, [HANG])
     with pytest.raises(RuntimeError, match="configuration 'crushed'"):
         rank(crushed(), HANG)
+
+
+def test_a_candidate_cannot_tell_what_all_poses_share():
+    """However many poses hang under their weight: its error stays in the moduli."""
+    share = 0.05
+    heavy = replace(exactly_known(), density=share)
+    found = rank_with(two_part_beam(), SPACE, HANG, [SWAP], uncertain=heavy)
+    (gain,) = found.gains
+    (exact,) = rank_configurations(two_part_beam(), SPACE, HANG, [SWAP]).gains
+    assert gain.after > 0.99 * share * gain.value > exact.after
+    assert found.n_parameters == 2

@@ -1,5 +1,6 @@
 """Identifiability of a real body, before anything is measured on it."""
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -25,11 +26,12 @@ from two_part_beam import (
 from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import external_force, solve_equilibrium, strain_energy
-from softcal_jax.fields import Parameter
-from softcal_jax.identifiability import identify
+from softcal_jax.fields import Parameter, exactly_known
+from softcal_jax.identifiability import identify as identify_with
 from softcal_jax.sensitivity import energy_compliance
 
 START = SPACE.start()
+identify = partial(identify_with, uncertain=exactly_known())
 
 
 @pytest.fixture(scope="module")
@@ -250,3 +252,21 @@ def test_wrong_calls():
         call([pose("a", ROOT), pose("a", TIP)])
     with pytest.raises(ValueError, match="'side'"):
         identify(two_part_beam(), Parameter("side", "side", 1.0, 0.5, 2.0), HANG)
+
+
+def test_weight_and_moduli_are_in_proportion():
+    """A share of the density that nobody knows is one of both moduli, together."""
+    share = 0.05
+    only_density = replace(exactly_known(), density=share)
+    found = identify(two_part_beam(), SPACE, [HANG, SWAP], uncertain=only_density)
+    alone = identify(two_part_beam(), SPACE, [HANG, SWAP])
+    np.testing.assert_allclose(
+        found.covariance, alone.covariance + share**2, rtol=1e-2, atol=0
+    )
+
+
+def test_by_default_not_everything_is_known():
+    found = identify_with(two_part_beam(), SPACE, [HANG, SWAP])
+    alone = identify(two_part_beam(), SPACE, [HANG, SWAP])
+    for own, exact in zip(found.parameters, alone.parameters, strict=True):
+        assert own.relative > 1.5 * exact.relative

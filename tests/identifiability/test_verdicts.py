@@ -7,7 +7,7 @@ import pytest
 from softcal_jax.calibration import uncertainty
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
-from softcal_jax.identifiability._spread import direction_words
+from softcal_jax.identifiability._spread import direction_words, marginalised
 
 ROOT_12 = np.sqrt(12.0)
 
@@ -261,3 +261,22 @@ def test_a_device_array_does_for_z():
     host = identifiability(W, space, np.asarray(space.start()))
     device = identifiability(W, space, jnp.asarray(space.start()))
     assert str(host) == str(device)
+
+
+def test_errors_that_are_considered_widen_the_covariance():
+    """(I + R^T R)^-1 is C + D D^T, for errors that leave it below the prior's."""
+    random = np.random.default_rng(7)
+    G, W_c = 10.0 * random.normal(size=(9, 3)), random.normal(size=(9, 2))
+    C = np.linalg.inv(np.eye(3) + G.T @ G)
+    D = C @ G.T @ W_c
+    R = marginalised(G, W_c)
+    np.testing.assert_allclose(
+        np.linalg.inv(np.eye(3) + R.T @ R), C + D @ D.T, rtol=1e-10, atol=1e-12
+    )
+
+
+def test_errors_cannot_make_data_worse_than_none():
+    """What would be off by more than the prior allows is not told at all."""
+    R = marginalised(np.array([[3.0, 0.0], [0.0, 100.0]]), np.array([[50.0], [0.0]]))
+    variance = np.diag(np.linalg.inv(np.eye(2) + R.T @ R))
+    np.testing.assert_allclose(variance, [1.0, 1.0 / (1.0 + 1e4)], rtol=1e-9)

@@ -20,7 +20,7 @@ from softcal_jax.calibration import (
     synthetic_measurements,
     with_measured,
 )
-from softcal_jax.fields import Parameter, ParameterSpace, as_space
+from softcal_jax.fields import Parameter, ParameterSpace, as_space, exactly_known
 from softcal_jax.identifiability import identify
 from softcal_jax.layouts import (
     FoldScore,
@@ -140,7 +140,9 @@ def test_fit_of_everything_and_its_identifiability(comparison, data):
     np.testing.assert_allclose(
         two.fit_rms, np.sqrt(np.mean(np.sum(errors**2, axis=1))), rtol=1e-3
     )
-    found = identify(bar(CELLS), moduli(points), data, at=whole.z)
+    found = identify(
+        bar(CELLS), moduli(points), data, at=whole.z, uncertain=exactly_known()
+    )
     np.testing.assert_allclose(
         two.identifiability.covariance, found.covariance, rtol=1e-2
     )

@@ -37,7 +37,7 @@ def test_what_is_drawn():
     np.testing.assert_allclose(drawn(step, 2).get_ydata(), 1e-6)
     np.testing.assert_allclose(drawn(E, 5).get_ydata(), [200, 210, 220, 230, 240])
     assert E.get_ylabel() == "E [kPa]"
-    assert texts(E) == ["E = 240.0 ± 4.8 kPa"]
+    assert texts(E) == ["E = 240.0 ± 6.0 kPa"]
     assert nu.get_ylabel() == "nu [-]"
     assert texts(nu) == ["nu = 0.44 (on a bound)"]
     assert nu.get_xlabel() == "step"

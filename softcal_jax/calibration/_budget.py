@@ -1,0 +1,274 @@
+"""The error budget: standard errors of the parameters by cause.
+
+What is held fixed is a consider parameter c, with a standard deviation and no estimate
+(Schmidt, Adv. Control Systems 3, 1966; Tapley, Schutz, Born, Statistical Orbit
+Determination, 2004, ch. 6). The residuals of the fit are W dz + W_c dc + noise, so an
+error dc moves the optimum by
+
+    dz = -G W_c dc,   G = (W^T W / s^2 + P)^-1 W^T / s^2,
+
+with the rows W_c of Eq. (9), and the covariance of the estimate is that of the noise
+plus the sum of G W_c Sigma_c W_c^T G^T over the causes.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._units import readable_unit
+from softcal_jax.calibration._considered import Considered, considered
+from softcal_jax.calibration._problem import (
+    Evaluation,
+    Evaluator,
+    lane_of,
+    with_solver,
+)
+from softcal_jax.calibration._refined import locking_errors
+from softcal_jax.calibration._uncertainty import Uncertainty, estimator
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import (
+    Batch,
+    Job,
+    effector_values,
+    linearise,
+    program_key,
+    sensitivity,
+)
+from softcal_jax.fields import ParameterSpace, Uncertain
+from softcal_jax.sensitivity import clamp_row, parameter_rows
+
+NOISE = "noise"
+"""Name of what remains if everything that is held fixed is right."""
+
+MESH = "mesh"
+"""Name of the error of linear tets."""
+
+SMALL = 0.1
+"""Share of the standard error below which a sentence leaves a cause out [-]."""
+
+
+class Cause(eqx.Module):
+    """One reason why the parameters may be wrong.
+
+    Attributes:
+        name: Its name, like "nu".
+        errors: Names of its errors, like "recording_offset x in left".
+        deviations: Change of the scaled parameters per standard deviation of each of
+            its errors [-]; nan for parameters that have no standard error.
+    """
+
+    name: str
+    errors: tuple[str, ...]
+    deviations: Float[HostArray, "n_p n_errors"]
+
+    @property
+    def variance(self) -> Float[HostArray, " n_p"]:
+        """Variance of the scaled parameters by this cause [-]."""
+        return np.sum(self.deviations**2, axis=1)
+
+
+class ErrorBudget(eqx.Module):
+    """Standard errors of calibrated parameters, split by cause.
+
+    Attributes:
+        names: Names of the parameters.
+        values: Their values, in SI.
+        slopes: Their change per scaled unit, in SI.
+        units: Their SI units.
+        noise: Covariance of the scaled parameters by the noise [-].
+        causes: What else may be wrong, the largest first.
+        W_c: Change of the stacked errors per standard deviation of what may be wrong,
+            in units of the noise, see `identifiability` [-].
+    """
+
+    names: tuple[str, ...]
+    values: Float[HostArray, " n_p"]
+    slopes: Float[HostArray, " n_p"]
+    units: tuple[str, ...]
+    noise: Float[HostArray, "n_p n_p"]
+    causes: tuple[Cause, ...]
+    W_c: Float[HostArray, "n_e n_errors"]
+
+    @property
+    def covariance(self) -> Float[HostArray, "n_p n_p"]:
+        """Covariance of the scaled parameters by all causes together [-]."""
+        parts = [cause.deviations @ cause.deviations.T for cause in self.causes]
+        return sum(parts, self.noise)
+
+    @property
+    def standard_errors(self) -> Float[HostArray, " n_p"]:
+        """Standard errors by all causes together, in SI."""
+        return self.slopes * np.sqrt(np.diag(self.covariance))
+
+    def by_cause(self) -> dict[str, Float[HostArray, " n_p"]]:
+        """Return standard errors by each cause alone in SI, that of the noise first."""
+        variances = {NOISE: np.diag(self.noise)}
+        variances |= {cause.name: cause.variance for cause in self.causes}
+        return {name: self.slopes * np.sqrt(v) for name, v in variances.items()}
+
+    def sentence(self, name: str) -> str:
+        """Say how uncertain a parameter is and why, like "noise 4 %, nu 31 %".
+
+        Args:
+            name: Name of the parameter.
+        """
+        i = self.names.index(name)
+        total = self.standard_errors[i]
+        if not np.isfinite(total):
+            return "no standard error"
+        own = {cause: float(std[i]) for cause, std in self.by_cause().items()}
+        shown = [c for c in own if c == NOISE or own[c] >= SMALL * total]
+        shown.sort(key=lambda c: (c != NOISE, -own[c]))
+        text = ", ".join(f"{cause} {self._readable(i, own[cause])}" for cause in shown)
+        worst = max(own, key=lambda c: own[c])
+        advice = {NOISE: "", MESH: ": use quadratic tets"}
+        return text + advice.get(worst, f": measure {worst} first")
+
+    def _readable(self, i: int, std: float) -> str:
+        """Write an error in percent of the value; angles and offsets as they are."""
+        value, unit = abs(float(self.values[i])), self.units[i]
+        if unit in ("rad", "m") or value == 0.0:
+            factor, shown = readable_unit([std], unit)
+            return f"{factor * std:.2g} {shown}".rstrip()
+        percent = 100.0 * std / value
+        return f"{percent:.0f} %" if percent >= 100.0 else f"{percent:.2g} %"
+
+    def __str__(self) -> str:
+        """Write one line for each parameter."""
+        return "\n".join(f"{name}: {self.sentence(name)}" for name in self.names)
+
+
+def error_budget(
+    evaluate: Evaluator,
+    configurations: Sequence[Configuration],
+    uncertain: Uncertain,
+    *,
+    z: Float[Array, " n_p"],
+    at: Evaluation,
+    spread: Uncertainty,
+) -> Job[ErrorBudget]:
+    """Split the uncertainty of a fit by cause.
+
+    Args:
+        evaluate: Evaluator of the calibration.
+        configurations: The fitted configurations.
+        uncertain: What is uncertain.
+        z: Where the fit ended, scaled [-].
+        at: Evaluation there.
+        spread: Uncertainty by the noise.
+    """
+    problem, space = evaluate.problem, evaluate.problem.space
+    displacement = at.equilibrium.displacement
+    own = yield from considered_errors(
+        evaluate, configurations, uncertain, z=z, displacement=displacement
+    )
+    gain = estimator(np.asarray(at.W_ep), spread, np.asarray(space.prior_weights()))
+    weight = np.asarray(problem.configurations.effectors.inverse_std).ravel()
+    W_c = {
+        name: weight[:, None] * np.stack([e.ravel() for e in errors.values()], axis=1)
+        for name, errors in own.items()
+    }
+    causes = [Cause(name, tuple(own[name]), -gain @ W) for name, W in W_c.items()]
+    whole = np.nan_to_num(sum(cause.variance for cause in causes))
+    size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))
+    _, slopes = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
+    return ErrorBudget(
+        names=tuple(space.names),
+        values=np.asarray(space.from_scaled(z)),
+        slopes=np.abs(np.asarray(slopes)),
+        units=tuple(q.unit for q in space.parameters),
+        noise=spread.covariance,
+        causes=tuple(sorted(causes, key=size, reverse=True)),
+        W_c=np.concatenate([np.zeros((gain.shape[1], 0)), *W_c.values()], axis=1),
+    )
+
+
+def considered_errors(
+    evaluate: Evaluator,
+    configurations: Sequence[Configuration],
+    uncertain: Uncertain,
+    *,
+    z: Float[Array, " n_p"],
+    displacement: Float[Array, "n_c n_points 3"],
+) -> Job[dict[str, dict[str, Float[HostArray, "n_c n_e"]]]]:
+    """Compute W_c: change of the effectors per standard deviation of each error.
+
+    Args:
+        evaluate: Evaluator of the calibration.
+        configurations: Its configurations.
+        uncertain: What is uncertain.
+        z: Scaled parameters [-].
+        displacement: The equilibria [m].
+
+    Returns:
+        For each cause its errors by name, with the changes in the units of the
+        effectors; zero in configurations that do not have the error.
+    """
+    found = considered(uncertain, evaluate.problem, configurations)
+    columns = yield from _all_columns(evaluate, found, z, displacement)
+    own: dict[str, dict[str, HostArray]] = {}
+    for error, column in zip(found, columns, strict=True):
+        for name, those in error.groups():
+            shared = np.where(those[:, None], column, 0.0)
+            own.setdefault(error.cause, {})[name] = shared
+    if uncertain.mesh > 0.0:
+        locking = locking_errors(evaluate.numbered, z, displacement)
+        if locking is not None:
+            own[MESH] = {"locking": uncertain.mesh * locking}
+    return own
+
+
+def _all_columns(
+    evaluate: Evaluator, found: Sequence[Considered], z, displacement
+) -> Job[Float[HostArray, "n_errors n_c n_e"]]:
+    """Compute W_c as if each configuration had each error."""
+    problem, n_c = evaluate.numbered, len(displacement)
+    n_e = problem.configurations.effectors.measured[0].size
+    if n_e == 0 or not found:
+        return np.zeros((len(found), n_c, n_e))
+    entries = tuple(own.entry for own in found if own.entry is not None)
+    errors = ParameterSpace(entries) if entries else None
+    motions = [own.motions for own in found if own.entry is None]
+    lanes = [
+        (
+            errors,
+            tuple(jnp.asarray(own[c]) for own in motions),
+            z,
+            lane_of(problem.configurations, c),
+            lane_of(displacement, c),
+        )
+        for c in range(n_c)
+    ]
+    shared = eqx.tree_at(lambda p: p.configurations, problem, None)
+
+    def columns(solver, lane):
+        on = with_solver(shared, solver)
+        return jax.block_until_ready(_columns(on.model, on.space, *lane))
+
+    key = program_key("considered_columns", shared, lanes[0])
+    of_lanes = yield Batch(columns, lanes, key)
+    return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
+
+
+@eqx.filter_jit
+def _columns(
+    model,
+    space: ParameterSpace,
+    errors: ParameterSpace | None,
+    motions: tuple[Float[Array, "n_nodes 3"], ...],
+    z,
+    c,
+    u,
+) -> Float[Array, "n_e n_errors"]:
+    """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
+    lin = linearise(*space.apply(model, c, z), u)
+    rows = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
+    rows += [clamp_row(lin, motion) for motion in motions]
+    stacked = jax.tree.map(lambda *own: jnp.concatenate(own), *rows)
+    fewer = len(stacked.force) > c.effectors.measured.size
+    found = sensitivity(lin, stacked, effector_values, adjoint=fewer)
+    return jnp.where(found.ok, found.W_ep, jnp.nan)

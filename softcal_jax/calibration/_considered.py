@@ -1,0 +1,229 @@
+"""The errors of a calibration that are considered, and which lanes share each."""
+
+from collections.abc import Hashable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Bool, HostArray
+from softcal_jax.calibration._held_faces import grounded, held_nodes, outward_motion
+from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Model
+from softcal_jax.fields import (
+    QUANTITIES,
+    AbstractError,
+    FieldError,
+    SetupError,
+    SetupParameter,
+    Uncertain,
+)
+from softcal_jax.materials import is_point_values
+
+INCOMPRESSIBLE = 0.5
+"""Largest Poisson's ratio [-]."""
+
+
+class Considered(NamedTuple):
+    """An error that is considered.
+
+    Attributes:
+        cause: What it is called in the budget.
+        name: Its own name.
+        entry: What it sets; None for the depth of clamps.
+        shared: For each configuration, a key that those with the same error have in
+            common; None where it is calibrated, or cannot occur.
+        motions: For clamps, motion of the reference points in each configuration, see
+            `clamp_row` [m]; empty for other errors.
+    """
+
+    cause: str
+    name: str
+    entry: AbstractError | None
+    shared: tuple[Hashable, ...]
+    motions: tuple[HostArray, ...] = ()
+
+    def groups(self) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
+        """List its independent errors: their names, and which configurations share."""
+        keys = [key for key in dict.fromkeys(self.shared) if key is not None]
+        for n, key in enumerate(keys, start=1):
+            own = key if isinstance(key, str) else f"group {n}" * (len(keys) > 1)
+            name = f"{self.name} in {own}" if own else self.name
+            yield name, np.array([other == key for other in self.shared])
+
+
+def considered(
+    uncertain: Uncertain,
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
+) -> tuple[Considered, ...]:
+    """List the errors that a calibration has and does not calibrate.
+
+    Args:
+        uncertain: Their standard deviations.
+        problem: The calibration.
+        configurations: Its configurations.
+    """
+    posed = _Posed(problem, configurations)
+    found = [
+        own._replace(shared=_uncalibrated(own, posed))
+        for kind in (_fields, _loads, _supports, _mechanism, _readings, _clamps)
+        for own in kind(uncertain, posed)
+    ]
+    happens = lambda own: any(key is not None for key in own.shared)
+    return tuple(filter(happens, found))
+
+
+class _Posed:
+    """A calibration as the lists below ask for it."""
+
+    def __init__(self, problem: CalibrationProblem, configurations):
+        self.model, self.space = problem.model, problem.space
+        self.arrays = jax.tree.map(np.asarray, problem.configurations)
+        self.configurations = tuple(configurations)
+        self.everywhere: tuple[Hashable, ...] = ("",) * len(self.configurations)
+
+    def where(self, keys: Sequence[Hashable], there: Any) -> tuple[Hashable, ...]:
+        """Return keys where a flag of the configuration is set, None elsewhere."""
+        return tuple(k if t else None for k, t in zip(keys, there, strict=True))
+
+
+def _fields(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
+    """List errors of Poisson's ratios, and of the density where there is gravity."""
+    model = posed.model
+    for field, value in _ratios(model):
+        name = field.rpartition(".")[2]
+        share = _not_calibrated(posed, name)
+        room = 0.5 * (INCOMPRESSIBLE - float(np.max(value)))
+        entry = FieldError(name, min(uncertain.nu, room), field, jnp.asarray(share))
+        open_ = [bool(np.any(share))] * len(posed.configurations)
+        yield _same(name, entry, posed.where(posed.everywhere, open_))
+    share = _not_calibrated(posed, "density")
+    heavy = bool(np.any(share * np.asarray(model.density) > 0.0))
+    entry = FieldError(
+        "density", uncertain.density, "density", jnp.asarray(share), relative=True
+    )
+    falls = heavy & np.any(posed.arrays.gravity, axis=1)
+    yield _same("density", entry, posed.where(posed.everywhere, falls))
+
+
+def _ratios(model: Model) -> Iterator[tuple[str, HostArray]]:
+    """List the Poisson's ratios of the law: path and values."""
+    leaves = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
+    for path, leaf in leaves:
+        field = "law" + jax.tree_util.keystr(path)
+        if (field.rpartition(".")[2] + "_").startswith("nu_"):
+            yield field, np.asarray(leaf.values if is_point_values(leaf) else leaf)
+
+
+def _not_calibrated(posed: _Posed, field: str) -> HostArray:
+    """Return 1 for each tet in which no parameter sets a field, 0 for the others."""
+    share = np.ones(posed.model.n_tets)
+    for entry in posed.space.entries:
+        if any(name.rpartition(".")[2] == field for name in entry.fields):
+            group = entry.tet_group
+            share[slice(None) if group is None else posed.model.mesh.tets_of(group)] = 0
+    return share
+
+
+def _loads(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
+    """List errors of gravity, dead loads and imposed forces."""
+    gravity, forces = posed.arrays.gravity, posed.arrays.actuation
+    keys = posed.where([tuple(g) for g in gravity], np.any(gravity, axis=1))
+    for axis in QUANTITIES["gravity_tilt"].components:
+        entry = _error("gravity_tilt", uncertain.gravity, axis=axis)
+        yield _same("gravity", entry, keys)
+    keys = posed.where(posed.everywhere, np.any(posed.arrays.force, axis=(1, 2)))
+    yield _same("loads", _error("load_factor", uncertain.loads, relative=True), keys)
+    forced = ~forces.by_displacement & (forces.value != 0.0)
+    for name, there in zip(forces.names, forced.T, strict=True):
+        entry = _error("actuator_factor", uncertain.actuators, name, relative=True)
+        yield _same("actuators", entry, posed.where(posed.everywhere, there))
+
+
+def _supports(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
+    """List errors of elastic supports."""
+    springs = posed.arrays.springs
+    for name, stiffness in zip(springs.names, springs.stiffness.T, strict=True):
+        entry = _error("clamp_stiffness", uncertain.supports, name, relative=True)
+        keys = posed.where(posed.everywhere, stiffness > 0.0)
+        yield _same("supports", entry, keys)
+
+
+def _clamps(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
+    """List the error of the depth of clamps."""
+    held = held_nodes(posed.model, posed.arrays)
+    keys = [nodes.tobytes() for nodes in held]
+    of_key = {
+        key: uncertain.clamp * outward_motion(posed.model.mesh, nodes)
+        for key, nodes in zip(keys, held, strict=True)
+    }
+    motions = tuple(of_key[key] for key in keys)
+    shared = posed.where(keys, [bool(np.any(motion)) for motion in motions])
+    yield Considered("clamp", "clamp", None, shared, motions)
+
+
+def _mechanism(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
+    """List errors of motors driven by their angle, and of mounted bodies."""
+    mechanism, arrays = posed.model.mechanism, posed.arrays
+    actuators, bodies = mechanism.actuators, mechanism.bodies
+    by_angle = arrays.actuation.by_displacement.T
+    for name, body, there in zip(
+        actuators.names, actuators.motor_body, by_angle, strict=True
+    ):
+        if body >= 0:
+            entry = _error("motor_zero", uncertain.zeros, name)
+            yield _same("zeros", entry, posed.where(posed.everywhere, there))
+    held = grounded(posed.model, arrays).T
+    for name, there in zip(bodies.names, held, strict=True):
+        keys = posed.where(posed.everywhere, there)
+        for axis in QUANTITIES["mounting"].components:
+            entry = _error("mounting", uncertain.mountings, name, axis=axis)
+            yield _same("mountings", entry, keys)
+
+
+def _readings(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
+    """List errors of the recordings."""
+    effectors = posed.arrays.effectors
+    n_points = effectors.nodes.shape[-2]
+    seen = np.any(effectors.inverse_std[:, :n_points] > 0.0, axis=(1, 2))
+    names = [c.recording or c.name for c in posed.configurations]
+    keys = posed.where(names, seen)
+    for axis in QUANTITIES["recording_offset"].components:
+        entry = _error("recording_offset", uncertain.recordings, axis=axis)
+        yield _same("recordings", entry, keys)
+
+
+def _same(cause: str, entry: AbstractError, shared: tuple[Hashable, ...]) -> Considered:
+    """Return an error, with keys of the configurations where it is not zero."""
+    none = (None,) * len(shared)
+    return Considered(cause, entry.name, entry, shared if entry.std > 0.0 else none)
+
+
+def _error(
+    kind: str,
+    std: float,
+    of: str = "",
+    *,
+    axis: str = "",
+    relative: bool = False,
+) -> SetupError:
+    """Make an error of the setup; its name says whose it is."""
+    name = " ".join(word for word in (kind, of, axis) if word)
+    return SetupError(name, std, kind, of, axis, relative)
+
+
+def _uncalibrated(own: Considered, posed: _Posed) -> tuple[Hashable, ...]:
+    """Return the keys of an error, None where a parameter of the fit is the same."""
+    shared = own.shared
+    if not isinstance(own.entry, SetupError):
+        return shared
+    same = lambda e: (e.kind, e.of, e.axis)
+    for entry in posed.space.entries:
+        if isinstance(entry, SetupParameter) and same(entry) == same(own.entry):
+            members = [entry.member(c) for c in posed.configurations]
+            free = [entry.each and name not in entry.each for name in members]
+            shared = posed.where(shared, free)
+    return shared

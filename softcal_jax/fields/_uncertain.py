@@ -1,0 +1,59 @@
+"""How well everything is known that is not calibrated: its prior."""
+
+from dataclasses import fields
+
+import equinox as eqx
+import numpy as np
+
+DEGREE = float(np.deg2rad(1.0))
+
+
+class Uncertain(eqx.Module):
+    """Standard deviations of what a calibration holds fixed; zero switches one off.
+
+    The defaults are those of careful work on a bench. They count where the robot has
+    such a thing and nobody calibrates it; see `ErrorBudget`.
+
+    Attributes:
+        nu: Poisson's ratios of the law [-]; at most half of what is left up to 1/2.
+        density: Density of the body, relative [-]. One error for the whole body.
+        gravity: Direction of gravity in the frame of the mesh, about each of two axes
+            [rad]. One error for all configurations that state the same gravity.
+        loads: Dead loads, relative [-]. One error for all configurations, since they
+            are weighed on the same scale: such an error is not averaged away.
+        actuators: Imposed forces, relative [-]. One error for each actuator.
+        clamp: Depth at which what holds the body really grips it, along the normal of
+            its faces [m]. One error for all configurations that are held alike.
+        supports: Stiffness of elastic supports, relative [-]. One error for each.
+        recordings: Offset of the points of a recording, along each axis [m].
+        zeros: Zero error of each motor [rad].
+        mountings: Place of each held rigid body, along each axis [m].
+        mesh: Error of linear tets, in units of how far quadratic tets would move the
+            measured points [-]. One error for all configurations. Not known with rigid
+            bodies or actuators, and above 50 000 tets; quadratic tets count as exact.
+    """
+
+    nu: float = 0.05
+    density: float = 0.03
+    gravity: float = DEGREE
+    loads: float = 0.02
+    actuators: float = 0.02
+    clamp: float = 1e-3
+    supports: float = 0.3
+    recordings: float = 0.5e-3
+    zeros: float = 0.5 * DEGREE
+    mountings: float = 0.5e-3
+    mesh: float = 1.0
+
+    def __check_init__(self):
+        for name, std in vars(self).items():
+            if not (np.isfinite(std) and std >= 0.0):
+                raise ValueError(
+                    f"the uncertainty of {name} must be finite and not negative, got "
+                    f"{std:g}; 0 if it is known exactly."
+                )
+
+
+def exactly_known() -> Uncertain:
+    """Return what leaves the noise as the only source of error."""
+    return Uncertain(**{field.name: 0.0 for field in fields(Uncertain)})

@@ -1,0 +1,88 @@
+"""Plot what the standard errors of a calibration come from."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from softcal_jax.calibration import NOISE, CalibrationResult
+from softcal_jax.export import readable_estimate
+from softcal_jax.plotting._colours import FAINT, SERIES, TEXT
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+_DPI = 100
+_HATCHES = ("", "//", "..")
+"""Patterns that tell causes of the same colour apart."""
+
+
+def plot_budget(
+    result: CalibrationResult, path: str | Path, *, name: str = "calibration"
+) -> None:
+    """Plot the share of each cause in the variance of each parameter.
+
+    Args:
+        result: The calibration.
+        path: PNG file, 1200 pixels wide.
+        name: Name of the calibration.
+    """
+    budget_figure(result, name).savefig(path, dpi=_DPI, format="png")
+
+
+def budget_figure(result: CalibrationResult, name: str) -> "matplotlib.figure.Figure":
+    """Build the figure without a screen and without touching Matplotlib's state."""
+    from matplotlib.figure import Figure
+
+    n_p = len(result.parameters)
+    height = 2.4 + 0.55 * n_p
+    figure = Figure(figsize=(12.0, height), dpi=_DPI, layout="constrained")
+    axes = figure.subplots()
+    rows, left = np.arange(n_p), np.zeros(n_p)
+    for k, (cause, share) in enumerate(_shares(result).items()):
+        axes.barh(
+            rows,
+            100.0 * share,
+            left=100.0 * left,
+            height=0.65,
+            label=cause,
+            color=FAINT if cause == NOISE else SERIES[(k - 1) % len(SERIES)],
+            hatch=_HATCHES[(k - 1) // len(SERIES) if k else 0],
+            edgecolor="white",
+        )
+        left += share
+    for row in np.flatnonzero(left == 0.0):
+        axes.text(1.0, float(row), "no standard error", va="center", fontsize=13)
+    texts = [
+        f"{q.name}\n{readable_estimate(q.value, q.standard_error, q.unit)}"
+        for q in result.parameters
+    ]
+    axes.set_yticks(rows, texts, fontsize=13, color=TEXT, parse_math=False)
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 100.0)
+    axes.tick_params(axis="x", labelsize=13)
+    axes.set_xlabel("share of the squared standard error [%]", fontsize=14)
+    legend = axes.legend(
+        fontsize=13, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02)
+    )
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # the name of a field may hold a dollar sign
+    figure.suptitle(
+        f"{name}: what the errors come from",
+        fontsize=19,
+        weight="bold",
+        color=TEXT,
+        parse_math=False,
+    )
+    return figure
+
+
+def _shares(result: CalibrationResult) -> dict[str, np.ndarray]:
+    """Return the share of each cause in the variance; zero without standard error."""
+    squares = {cause: std**2 for cause, std in result.budget.by_cause().items()}
+    total = sum(squares.values())
+    known = np.isfinite(total) & (total > 0.0)
+    return {
+        cause: np.where(known, own, 0.0) / np.where(known, total, 1.0)
+        for cause, own in squares.items()
+    }

@@ -1,0 +1,88 @@
+"""What is known of all that is not calibrated, as [uncertain]."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from small_project import write_small_project
+
+from softcal_jax.fields import Uncertain
+from softcal_jax.project import ProjectError, load_project
+
+
+def read(folder, *lines):
+    text = "\n".join(["[uncertain]", *lines])
+    return load_project(
+        write_small_project(folder, ("[markers]\n", f"{text}\n\n[markers]\n"))
+    ).uncertain
+
+
+def test_without_the_table_the_defaults_count(tmp_path):
+    own = load_project(write_small_project(tmp_path)).uncertain
+    assert vars(own) == vars(Uncertain())
+
+
+def test_every_key(tmp_path):
+    own = read(
+        tmp_path,
+        "nu = 0.02",
+        'density = "3.5 %"',
+        'gravity = "2 deg"',
+        'loads = "1 %"',
+        'actuators = "4%"',
+        'clamp = "0.2 mm"',
+        'supports = "50 %"',
+        'recordings = "0.1 mm"',
+        'zeros = "1 deg"',
+        'mountings = "2 mm"',
+        "mesh = 0.5",
+    )
+    expected = {
+        "nu": 0.02,
+        "density": 0.035,
+        "gravity": np.deg2rad(2.0),
+        "loads": 0.01,
+        "actuators": 0.04,
+        "clamp": 2e-4,
+        "supports": 0.5,
+        "recordings": 1e-4,
+        "zeros": np.deg2rad(1.0),
+        "mountings": 2e-3,
+        "mesh": 0.5,
+    }
+    assert set(expected) == {field.name for field in fields(Uncertain)}
+    assert vars(own) == pytest.approx(expected, rel=1e-12)
+
+
+def test_zero_needs_no_unit(tmp_path):
+    own = read(tmp_path, "nu = 0.0", "density = 0", "clamp = 0", "gravity = 0.0")
+    assert (own.nu, own.density, own.clamp, own.gravity) == (0.0, 0.0, 0.0, 0.0)
+    assert own.loads == Uncertain().loads
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('density = "3 kg"', r'uncertain.density: got "3 kg"; .* like "3 %"'),
+        ("loads = 0.02", r'uncertain.loads: got 0.02; expected a share, like "3 %"'),
+        ("clamp = 1", r"uncertain.clamp: 1 has no unit; expected a length"),
+        ('clamp = "-1 mm"', r'uncertain.clamp: got "-1 mm"; expected zero or more'),
+        ("nu = -0.1", r"uncertain.nu: got -0.1; expected zero or more"),
+        ('nu = "5 %"', r'uncertain.nu: got "5 %"; expected a number'),
+        ('clmap = "1 mm"', r'uncertain.clmap: unknown key. Did you mean "clamp"'),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path, line, message):
+    with pytest.raises(ProjectError, match=message):
+        read(tmp_path, line)
+
+
+def test_a_calibration_uses_it(tmp_path):
+    """The modulus of a body under its weight alone follows its density."""
+    path = write_small_project(
+        tmp_path, ("[markers]\n", '[uncertain]\ndensity = "7 %"\n\n[markers]\n')
+    )
+    result = load_project(path).calibrate()
+    assert result.budget.by_cause()["density"][0] == pytest.approx(
+        0.07 * result.value("E"), rel=1e-3
+    )
