@@ -195,7 +195,7 @@ def test_summary_in_80_columns():
             role,
             *numbers,
         ]
-    assert "Converged in 4 steps, but take the values with care." in text
+    assert "Converged in 4 steps, but take the values with care:" in text
     assert "Note: nu ended on a bound." in text
     assert "…" not in text
 
@@ -261,7 +261,7 @@ def test_summary_names_what_the_data_do_not_see():
         "The data hardly see 1 of 2 directions; along these the bounds and the start "
         "decide, not the data: theta (100 %)" in flat
     )
-    assert "Converged in 4 steps, but take the values with care." in text
+    assert "Converged in 4 steps, but take the values with care:" in text
     assert "…" not in text
 
 
@@ -277,6 +277,13 @@ def test_summary_of_what_they_see(angle, words):
     assert words in text
     assert "hardly see" not in text
     assert ("take the values with care" in text) == (angle == 10.0)
+
+
+def test_what_is_doubtful_is_not_called_well_determined():
+    text = printed(summary_table(make_result()))  # with a parameter on its bound
+    assert "The data would determine the parameters well; see the reasons" in text
+    assert "determine the parameters well." not in text
+    assert "take the values with care:\n  nu ended on a bound." in text
 
 
 def test_many_blind_directions_are_counted():

@@ -8,8 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import chdtrc
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._uncertainty import UNLIKELY
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -27,6 +29,7 @@ from softcal_jax.equilibrium import (
 )
 
 Role = Literal["calibration", "validation", "simulation"]
+Misfit = Literal["worse than before", "unexplained"]
 
 
 class ConfigurationResult(eqx.Module):
@@ -116,6 +119,32 @@ class ConfigurationResult(eqx.Module):
     def rms_share(self) -> float:
         """Marker distances after calibration over their motion; NaN without one [-]."""
         return self.rms_after / self.motion if self.motion > 0.0 else float("nan")
+
+    @property
+    def noise_probability(self) -> float:
+        """Probability of residuals as large from the stated noise alone [-].
+
+        From the chi-squared distribution of all measured coordinates; NaN without any.
+        """
+        errors = [e.error(e.simulated) / e.std for e in self.effectors]
+        n = sum(int(e.seen.sum()) for e in self.effectors)
+        squares = sum(float(np.sum(own**2)) for own in errors)
+        return float(chdtrc(n, squares)) if n else float("nan")
+
+    def misfit(self, noise: Literal["stated", "estimated"]) -> Misfit | None:
+        """Say how the calibrated model contradicts it, if it does.
+
+        Residuals that a stated noise explains are no misfit, however large. A noise
+        that is estimated from the residuals explains nothing.
+
+        Args:
+            noise: Where the noise comes from.
+        """
+        if noise == "stated" and self.noise_probability >= UNLIKELY:
+            return None
+        if self.role == "calibration" and self.rms_after > self.rms_before:
+            return "worse than before"
+        return "unexplained" if self.rms_after > 0.25 * self.motion else None
 
     @property
     def largest_displacement(self) -> float:

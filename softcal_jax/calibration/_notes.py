@@ -36,7 +36,7 @@ def result_notes(
     spread: Uncertainty,
 ) -> list[str]:
     """Collect the notes on fits, parameters, their standard errors and the mesh."""
-    notes = _misfit_notes(fits) + order_notes(problem.space, z)
+    notes = _misfit_notes(fits, spread) + order_notes(problem.space, z)
     notes += uncertainty_notes(problem, spread)
     if problem.model.mesh.order == 1:
         notes.append(
@@ -66,18 +66,21 @@ def fit_notes(state: CalibrationState, settings: CalibrationSettings) -> list[st
     ]
 
 
-def _misfit_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
+def _misfit_notes(
+    fits: Sequence[ConfigurationResult], spread: Uncertainty
+) -> list[str]:
     """Name configurations that the calibrated model does not explain."""
     notes = []
     for fit in fits:
-        if fit.role == "calibration" and fit.rms_after > fit.rms_before:
+        misfit = fit.misfit(spread.noise)
+        if misfit == "worse than before":
             notes.append(
                 f"{fit.name} fits worse than before the calibration "
                 f"({1e3 * fit.rms_before:.2f} to {1e3 * fit.rms_after:.2f} mm): it "
                 "contradicts the other configurations. Check its load, supports and "
                 "marker names."
             )
-        elif fit.rms_after > 0.25 * fit.motion:
+        elif misfit == "unexplained":
             notes.append(
                 f"{fit.name} is not explained by the model: after calibration the "
                 f"markers are still {1e3 * fit.rms_after:.2f} mm off, "

@@ -3,8 +3,9 @@
 import math
 
 import equinox as eqx
+from scipy.special import chdtri
 
-from softcal_jax.calibration import CalibrationResult
+from softcal_jax.calibration import CalibrationResult, MultiStartResult
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
 
@@ -17,8 +18,9 @@ class Assessment(eqx.Module):
 
     Attributes:
         identified: Whether all parameters may be trusted: the fit converged, its
-            residuals are no larger than the stated noise, no parameter sits on a
-            bound, and the data see every direction.
+            residuals are no larger than the stated noise, every configuration, held
+            out or not, is explained, no parameter sits on a bound, no other optimum
+            fits as well, and the data see every direction.
         reasons: Why not, one sentence each; empty if identified.
         misfit_probability: Probability of residuals this large if model and stated
             noise are right; None if the noise was estimated from them [-].
@@ -64,7 +66,9 @@ def assess(result: CalibrationResult) -> Assessment:
             "freedom. Parameters of a wrong model are not properties of the material: "
             "change the law, the element, the control points or the stated noise."
         )
+    reasons += _contradictions(result)
     reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
+    reasons += _rivals(result.starts, spread.noise_scale if known else 1.0)
     for verdict, words in (
         ("not identifiable", "The data do not determine"),
         ("weakly identifiable", "The data determine only weakly"),
@@ -80,3 +84,37 @@ def assess(result: CalibrationResult) -> Assessment:
     elif report.verdict != "identifiable":
         reasons.append("The data determine some combinations only weakly.")
     return Assessment(not reasons, tuple(reasons), spread.misfit_probability, report)
+
+
+def _contradictions(result: CalibrationResult) -> list[str]:
+    """Name the configurations that the calibrated model does not explain."""
+    reasons = []
+    for fit in result.configurations:
+        if fit.misfit(result.uncertainty.noise) is None:
+            continue
+        done = "predicted" if fit.role == "validation" else "fitted"
+        share = ""
+        if fit.motion > 0.0:
+            share = f", {100.0 * fit.rms_share:.3g} % of how far it moved"
+        reasons.append(
+            f"{fit.name} is {done} to {1e3 * fit.rms_after:.3g} mm only{share}: the "
+            "model contradicts it."
+        )
+    return reasons
+
+
+def _rivals(found: MultiStartResult | None, noise_scale: float) -> list[str]:
+    """Name other optima that the data hardly exclude, if several starts were tried."""
+    if found is None or not found.optima:
+        return []
+    best, *others = found.optima
+    allowed = 0.5 * noise_scale**2 * float(chdtri(1, 0.05))
+    reasons = []
+    for other in others:
+        if other.cost - best.cost <= allowed:
+            values = ", ".join(f"{k} {v:.4g}" for k, v in other.values.items())
+            reasons.append(
+                f"Other values fit as well: {values} (cost {other.cost:.3g}, the best "
+                f"{best.cost:.3g})."
+            )
+    return reasons

@@ -9,8 +9,9 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ParameterEstimate
 from softcal_jax.export import readable_estimate, readable_unit
+from softcal_jax.identifiability import assess
 from softcal_jax.plotting._annotations import draw_name
-from softcal_jax.plotting._colours import BAD, FAINT, GOOD, SERIES, TEXT
+from softcal_jax.plotting._colours import BAD, DOUBTFUL, FAINT, GOOD, SERIES, TEXT
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -67,6 +68,8 @@ def convergence_figure(
     panels[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     steps = len(result.history) - 1
     text, colour = f"{name}: converged in {steps} step{'s' * (steps != 1)}", GOOD
+    if not assess(result).identified:
+        text, colour = f"{text}, but take the values with care", DOUBTFUL
     if not result.converged:
         text = f"{name}: NOT converged after {steps} steps, do not use these values"
         colour = BAD

@@ -66,9 +66,8 @@ def summary_table(
     elif verdict.identified:
         head = Text(f"Converged in {steps} steps.", style="bold green")
     else:
-        # The tables above and the notes below say why.
-        text = f"Converged in {steps} steps, but take the values with care."
-        head = Text(text, style="bold yellow")
+        text = f"Converged in {steps} steps, but take the values with care:"
+        head = Text("\n  ".join([text, *verdict.reasons]), style="bold yellow")
     shown = result.configurations
     return Group(
         _parameter_table(result, found),
@@ -76,7 +75,7 @@ def summary_table(
         *_interval_table(result),
         *_configuration_tables(shown),
         *_robot_tables(shown),
-        *_outlook(found),
+        *_outlook(verdict),
         head,
         *([] if result.starts is None else [Text(str(result.starts))]),
         *(Text(f"Note: {note}", style="yellow") for note in result.notes),
@@ -207,10 +206,11 @@ def _cell(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:
     return readable_values([_length(values)] if own.is_turn else list(values), own.unit)
 
 
-def _outlook(found: Identifiability) -> list[Any]:
+def _outlook(assessment: Assessment) -> list[Any]:
     """Tabulate what the data tell about each parameter, and what they are blind to."""
     from rich.text import Text
 
+    found = assessment.identifiability
     columns = ["spread left", "verdict"]
     table = _start_table("What the data tell", "parameter", columns)
     for p in found.parameters:
@@ -220,15 +220,23 @@ def _outlook(found: Identifiability) -> list[Any]:
         f"{_percent(IDENTIFIABLE_BELOW)} identifiable, above {_percent(WEAK_BELOW)} "
         f"not. {str(found.conditioning).splitlines()[0]}"
     )
-    return [table, Text(legend), Text(_blindness(found), style=_STYLE[found.verdict])]
+    doubtful = found.verdict == "identifiable" and not assessment.identified
+    style = "yellow" if doubtful else _STYLE[found.verdict]
+    return [table, Text(legend), Text(_blindness(assessment), style=style)]
 
 
-def _blindness(found: Identifiability) -> str:
+def _blindness(assessment: Assessment) -> str:
     """Describe the directions of the parameters that the data hardly see."""
+    found = assessment.identifiability
     blind = found.blind[::-1]
     if not blind:
-        how = "well" if found.verdict == "identifiable" else "only weakly in part"
-        return f"The data determine the parameters {how}."
+        if found.verdict != "identifiable":
+            return "The data determine the parameters only weakly in part."
+        if not assessment.identified:
+            return (
+                "The data would determine the parameters well; see the reasons below."
+            )
+        return "The data determine the parameters well."
     n, informed = found.n_parameters, found.informed
     several = "s" if n > 1 else ""
     lines = [

@@ -9,6 +9,8 @@ import pytest
 
 from softcal_jax.calibration import (
     CalibrationSettings,
+    MultiStartResult,
+    Optimum,
     calibrate,
     synthetic_measurements,
     with_measured,
@@ -115,6 +117,62 @@ def test_model_error_shows_above_the_stated_noise(model, data):
     estimated = assess(fit(model, space(), wrong))
     assert estimated.misfit_probability is None
     assert not any("noise" in reason for reason in estimated.reasons)
+
+
+def test_a_pose_that_is_not_explained_reaches_the_verdict(model, data):
+    """Pulled to the wrong side, which an estimated noise would call large noise."""
+    pulled = data[1]
+    rest = np.asarray(POINTS)
+    wrong = with_measured(pulled, rest - (pulled.measured - rest) * [1.0, 1.0, -1.0])
+    verdict = assess(fit(model, space(), [data[0], wrong]))
+    assert not verdict.identified
+    assert any(
+        reason.startswith("pull is fitted to") and "the model contradicts it" in reason
+        for reason in verdict.reasons
+    )
+    held_out = assess(fit(model, space(), data[:1], validation=wrong))
+    assert any(reason.startswith("pull is predicted to") for reason in held_out.reasons)
+
+
+def test_what_the_stated_noise_explains_is_no_misfit(model):
+    """As large as the motion, by noise that was stated and drawn from it."""
+    rough = poses(std=8e-3)
+    noisy = synthetic_measurements(model, space(), rough, TARGET, noise=True, seed=2)
+    stated = fit(model, space(), noisy, noise="stated")
+    assert max(own.rms_share for own in stated.configurations) > 0.25
+    contradicted = lambda result: [
+        reason for reason in assess(result).reasons if "contradicts" in reason
+    ]
+    assert contradicted(stated) == []
+    assert not any("not explained" in note for note in stated.notes)
+    assert contradicted(fit(model, space(), noisy)) != []
+
+
+def test_another_optimum_that_fits_as_well_reaches_the_verdict(good):
+    """95 % of chi-squared with one degree of freedom: 3.84, twice the cost."""
+    optima = lambda rise: tuple(
+        Optimum(cost, values, (index,))
+        for index, (cost, values) in enumerate(
+            [(5.0, TARGET), (5.0 + rise, {"E of root": 3e5, "E of tip": 4e4})]
+        )
+    )
+    none = np.zeros((2, 2))
+    found = MultiStartResult(
+        names=tuple(TARGET),
+        starts=none,
+        values=none,
+        z=none,
+        cost=none[0],
+        steps=np.ones(2, int),
+        converged=np.ones(2, bool),
+        errors=none,
+        optima=optima(1.9),
+    )
+    (reason,) = assess(replace(good, starts=found)).reasons
+    assert reason.startswith("Other values fit as well: E of root 3e+05, E of tip 4e")
+    assert "(cost 6.9, the best 5)" in reason
+    far = replace(good, starts=replace(found, optima=optima(1.95)))
+    assert assess(far).identified
 
 
 def test_threshold_of_the_misfit(good):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 from export.handmade import make_result
 from matplotlib.colors import to_rgb
@@ -5,7 +7,7 @@ from matplotlib.image import imread
 
 from softcal_jax.calibration import ParameterEstimate
 from softcal_jax.plotting import plot_convergence
-from softcal_jax.plotting._colours import BAD, GOOD
+from softcal_jax.plotting._colours import BAD, DOUBTFUL, GOOD
 from softcal_jax.plotting._diagrams import convergence_figure
 
 
@@ -44,10 +46,19 @@ def test_what_is_drawn():
 
 
 def test_a_converged_run_says_so():
-    figure = convergence_figure(make_result(), "beam $1$")
+    result = make_result()
+    sound = tuple(replace(p, at_bound=False) for p in result.parameters)
+    figure = convergence_figure(replace(result, parameters=sound), "beam $1$")
     assert figure.get_suptitle() == "beam $1$: converged in 4 steps"
     assert figure._suptitle.get_color() == GOOD
     assert to_rgb(figure.get_facecolor()) == (1.0, 1.0, 1.0)
+
+
+def test_a_converged_run_with_a_parameter_on_its_bound_is_not_green():
+    figure = convergence_figure(make_result(), "beam")
+    title = "beam: converged in 4 steps, but take the values with care"
+    assert figure.get_suptitle() == title
+    assert figure._suptitle.get_color() == DOUBTFUL
 
 
 def test_a_run_that_did_not_converge_never_looks_good():
