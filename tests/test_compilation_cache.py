@@ -212,7 +212,10 @@ def test_the_mesh_is_an_argument_of_every_program(runs):
     programs = {path.name: path.read_text() for path in dump.glob("*.mlir")}
     assert any("evaluate_lane" in name for name in programs)
     largest = {name: max(constants(text), default=0) for name, text in programs.items()}
-    assert max(largest.values()) < 144, largest
+    # The error of linear tets is asked of quadratic ones, whatever the mesh.
+    of_an_element = 30 * 31 // 2  # entries of half a matrix of theirs
+    large = {name: n for name, n in largest.items() if n >= 144 and n != of_an_element}
+    assert large == {}
 
 
 def test_the_walk_sees_constants():
