@@ -121,6 +121,17 @@ class ConfigurationResult(eqx.Module):
         return self.rms_after / self.motion if self.motion > 0.0 else float("nan")
 
     @property
+    def off(self) -> str:
+        """Marker distances after calibration, "1.06 mm off, 6 % of how far they moved".
+
+        Without the share if the markers did not move.
+        """
+        text = f"{1e3 * self.rms_after:.2f} mm off"
+        if self.motion > 0.0:
+            text += f", {100.0 * self.rms_share:.0f} % of how far they moved"
+        return text
+
+    @property
     def noise_probability(self) -> float:
         """Probability of residuals as large from the stated noise alone [-].
 

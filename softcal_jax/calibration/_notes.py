@@ -83,9 +83,8 @@ def _misfit_notes(
         elif misfit == "unexplained":
             notes.append(
                 f"{fit.name} is not explained by the model: after calibration the "
-                f"markers are still {1e3 * fit.rms_after:.2f} mm off, "
-                f"{100 * fit.rms_after / fit.motion:.0f} % of how far they moved. "
-                "Check units, loads, gravity and marker names."
+                f"markers are still {fit.off}. Check units, loads, gravity and marker "
+                "names."
             )
     return notes
 

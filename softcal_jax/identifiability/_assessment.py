@@ -88,19 +88,13 @@ def assess(result: CalibrationResult) -> Assessment:
 
 def _contradictions(result: CalibrationResult) -> list[str]:
     """Name the configurations that the calibrated model does not explain."""
-    reasons = []
-    for fit in result.configurations:
-        if fit.misfit(result.uncertainty.noise) is None:
-            continue
-        done = "predicted" if fit.role == "validation" else "fitted"
-        share = ""
-        if fit.motion > 0.0:
-            share = f", {100.0 * fit.rms_share:.3g} % of how far it moved"
-        reasons.append(
-            f"{fit.name} is {done} to {1e3 * fit.rms_after:.3g} mm only{share}: the "
-            "model contradicts it."
-        )
-    return reasons
+    done = {"calibration": "fitted", "validation": "predicted"}
+    return [
+        f"{fit.name} is {done[fit.role]} with its markers {fit.off}: the model "
+        "contradicts it."
+        for fit in result.configurations
+        if fit.misfit(result.uncertainty.noise) is not None
+    ]
 
 
 def _rivals(found: MultiStartResult | None, noise_scale: float) -> list[str]:

@@ -127,11 +127,23 @@ def test_a_pose_that_is_not_explained_reaches_the_verdict(model, data):
     verdict = assess(fit(model, space(), [data[0], wrong]))
     assert not verdict.identified
     assert any(
-        reason.startswith("pull is fitted to") and "the model contradicts it" in reason
+        reason.startswith("pull is fitted with its markers ")
+        and "the model contradicts it" in reason
         for reason in verdict.reasons
     )
     held_out = assess(fit(model, space(), data[:1], validation=wrong))
-    assert any(reason.startswith("pull is predicted to") for reason in held_out.reasons)
+    assert any(
+        reason.startswith("pull is predicted with") for reason in held_out.reasons
+    )
+
+
+def test_a_pose_at_rest_is_described_without_its_motion(good):
+    """Its markers are measured where they are on the undeformed robot."""
+    fitted = good.configurations[0]
+    still = tuple(replace(e, measured=e.at_rest) for e in fitted.points)
+    result = replace(good, configurations=(replace(fitted, effectors=still),))
+    (reason,) = assess(result).reasons
+    assert reason.endswith(" mm off: the model contradicts it.")
 
 
 def test_what_the_stated_noise_explains_is_no_misfit(model):
