@@ -7,6 +7,9 @@ from collections.abc import Iterable
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
 """Length units of meshes and marker files."""
 
+UNNAMED_LOADS = "loads"
+"""Name of the dead loads that have none of their own."""
+
 
 def suggestion(name: str, known: Iterable[str], *, quote: str = "'") -> str:
     """Suggest the closest known name, in a sentence after a space; empty if none."""

@@ -44,8 +44,9 @@ from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
+    SharedNames,
     configuration_lanes,
-    spring_names,
+    shared_names,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
 from softcal_jax.fields import (
@@ -83,7 +84,7 @@ def _build(
     parameters: ParameterSpace | Entry | Sequence[Entry],
     configurations: Sequence[Configuration],
     newton: NewtonSettings | None,
-    springs: tuple[str, ...] | None = None,
+    shared: SharedNames | None = None,
 ) -> tuple[CalibrationProblem, ConfigurationLanes]:
     """Stack a calibration into arrays, and return its lanes with effector records."""
     for configuration in configurations:
@@ -93,7 +94,7 @@ def _build(
                 "`markers` and `measured`, or `effectors` with measured values."
             )
     space = as_space(parameters)
-    lanes = configuration_lanes(model.mesh, configurations, model.mechanism, springs)
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism, shared)
     check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], lanes.arrays))
     warn_if_locking(model, space)
     newton = newton or NewtonSettings()
@@ -162,13 +163,13 @@ def calibrate(
     settings = settings or CalibrationSettings()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
-    springs = spring_names((*configurations, *validation))
-    problem, lanes = _build(model, parameters, configurations, newton, springs)
+    shared = shared_names((*configurations, *validation))
+    problem, lanes = _build(model, parameters, configurations, newton, shared)
     check_scopes(problem.space, configurations)
     # Built now, so that a wrong held-out configuration is found before the fit.
     held_out = None
     if validation:
-        held_out = _build(model, parameters, validation, newton, springs)
+        held_out = _build(model, parameters, validation, newton, shared)
     names = tuple(c.name for c in configurations)
     for c in validation:
         if c.name in names:

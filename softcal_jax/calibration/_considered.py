@@ -135,8 +135,10 @@ def _loads(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     for axis in QUANTITIES["gravity_tilt"].components:
         entry = _error("gravity_tilt", uncertain.gravity, axis=axis)
         yield _same("gravity", entry, keys)
-    keys = posed.where(posed.everywhere, np.any(posed.arrays.force, axis=(1, 2)))
-    yield _same("loads", _error("load_factor", uncertain.loads, relative=True), keys)
+    dead = posed.arrays.loads
+    for name, there in zip(dead.names, np.any(dead.force, axis=(2, 3)).T, strict=True):
+        entry = _error("load_factor", uncertain.loads, name, relative=True)
+        yield _same("loads", entry, posed.where(posed.everywhere, there))
     forced = ~forces.by_displacement & (forces.value != 0.0)
     for name, there in zip(forces.names, forced.T, strict=True):
         entry = _error("actuator_factor", uncertain.actuators, name, relative=True)

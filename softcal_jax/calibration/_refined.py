@@ -68,21 +68,20 @@ def _refined(mesh: TetMesh, coarse: Any, u: HostArray) -> tuple[Any, HostArray]:
     ends[mesh.tets[:, 4:] - n] = mesh.tets[:, np.array(TET_EDGES)]
     middle = lambda a: np.concatenate([a, a[ends].mean(axis=1)])
     corners = lambda a: np.concatenate([a, np.zeros((len(ends), *a.shape[1:]))])
+    each = lambda a: np.concatenate([a, np.zeros((len(a), len(ends), 3))], axis=1)
     springs = coarse.springs
     where = lambda c: (
         c.fixed,
         c.imposed,
-        c.force,
+        c.loads.force,
         c.springs.area,
         c.springs.rest,
     )
     posed = (
         np.concatenate([coarse.fixed, coarse.fixed[ends].all(axis=1)]),
         middle(coarse.imposed),
-        corners(coarse.force),
-        np.stack([corners(a) for a in springs.area])
-        if len(springs.area)
-        else np.zeros((0, mesh.n_nodes, 3)),
+        each(coarse.loads.force),
+        each(springs.area),
         corners(springs.rest),
     )
     return eqx.tree_at(where, coarse, posed), middle(u)

@@ -14,11 +14,12 @@ from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY,
     Configuration,
     ConfigurationLanes,
+    SharedNames,
     configuration_arrays,
     configuration_lanes,
     measured_as,
     measured_at_rest,
-    spring_names,
+    shared_names,
 )
 from softcal_jax.configurations._csv_table import MarkerTable, read_markers
 from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
@@ -82,6 +83,7 @@ __all__ = [
     "PointForce",
     "PoseTable",
     "Registration",
+    "SharedNames",
     "Support",
     "SupportReaction",
     "SurfaceForce",
@@ -99,5 +101,5 @@ __all__ = [
     "read_polhemus",
     "read_poses",
     "register",
-    "spring_names",
+    "shared_names",
 ]

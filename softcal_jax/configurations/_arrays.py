@@ -132,6 +132,20 @@ class Springs(eqx.Module):
         return jnp.sum(by_support * jnp.asarray(self.area), axis=0)
 
 
+class DeadLoads(eqx.Module):
+    """Dead nodal forces, by the names of the loads that they are from.
+
+    Attributes:
+        force: Nodal forces of all loads of a name [N].
+        factor: Factor on these [-]; 1 unless it is a parameter.
+        names: The names.
+    """
+
+    force: Float[AnyArray, "*batch n_loads n_points 3"]
+    factor: Float[AnyArray, "*batch n_loads"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
 class ConfigurationArrays(eqx.Module):
     """Supports, loads and effectors of one configuration, or of a batch.
 
@@ -142,8 +156,7 @@ class ConfigurationArrays(eqx.Module):
         fixed: Which coordinates are held.
         imposed: Their displacement, at full load [m].
         springs: The elastic supports.
-        force: Dead nodal forces [N].
-        load_factor: Factor on these [-]; 1 unless it is a parameter.
+        loads: The dead loads.
         gravity: Acceleration of gravity as stated [m/s2].
         tilt: Angles by which its direction is off, about two axes perpendicular to it
             [rad]; 0 unless they are parameters. See `acceleration`.
@@ -156,8 +169,7 @@ class ConfigurationArrays(eqx.Module):
     fixed: Bool[AnyArray, "*batch n_points 3"]
     imposed: Float[AnyArray, "*batch n_points 3"]
     springs: Springs
-    force: Float[AnyArray, "*batch n_points 3"]
-    load_factor: Float[AnyArray, "*batch"]
+    loads: DeadLoads
     gravity: Float[AnyArray, "*batch 3"]
     tilt: Float[AnyArray, "*batch 2"]
     bodies: BodyStateArrays
@@ -182,5 +194,6 @@ class ConfigurationArrays(eqx.Module):
 
     @property
     def dead_loads(self) -> Float[Array, "n_points 3"]:
-        """Dead nodal forces with their factor [N]."""
-        return jnp.asarray(self.load_factor) * jnp.asarray(self.force)
+        """Sum of the dead nodal forces with their factors [N]."""
+        factor = jnp.asarray(self.loads.factor)[:, None, None]
+        return jnp.sum(factor * jnp.asarray(self.loads.force), axis=0)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from softcal_jax._names import name_key
+from softcal_jax._names import UNNAMED_LOADS, name_key
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
 from softcal_jax.configurations._actuation import (
@@ -19,6 +19,7 @@ from softcal_jax.configurations._actuation import (
 )
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
+    DeadLoads,
     EffectorArrays,
     Springs,
 )
@@ -120,10 +121,25 @@ class ConfigurationLanes(NamedTuple):
     effectors: tuple[tuple[EffectorRecord, ...], ...]
 
 
-def spring_names(configurations: Iterable[Configuration]) -> tuple[str, ...]:
-    """Groups of the elastic supports of configurations that share a program."""
+class SharedNames(NamedTuple):
+    """What configurations that share a program have, if only some of them.
+
+    Attributes:
+        springs: Groups of the elastic supports.
+        loads: Names of the dead loads; at least one.
+    """
+
+    springs: tuple[str, ...]
+    loads: tuple[str, ...]
+
+
+def shared_names(configurations: Iterable[Configuration]) -> SharedNames:
+    """List what any of these configurations has."""
+    configurations = tuple(configurations)
     supports = [support for c in configurations for support in c.supports]
-    return tuple(dict.fromkeys(s.name for s in supports if s.stiffness is not None))
+    springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
+    loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
+    return SharedNames(tuple(springs), tuple(loads) or (UNNAMED_LOADS,))
 
 
 def configuration_arrays(
@@ -139,7 +155,7 @@ def configuration_lanes(
     mesh: TetMesh,
     configurations: Sequence[Configuration],
     mechanism: Mechanism | None = None,
-    springs: tuple[str, ...] | None = None,
+    shared: SharedNames | None = None,
 ) -> ConfigurationLanes:
     """Stack configurations of one mesh, and describe their effectors.
 
@@ -147,7 +163,7 @@ def configuration_lanes(
         mesh: The mesh that all of them share.
         configurations: At least one; they may differ in everything but the mesh.
         mechanism: Rigid bodies and actuators of the model; none by default.
-        springs: `spring_names` of all configurations that share a program.
+        shared: `shared_names` of all configurations that share a program.
 
     Raises:
         ValueError: If there is none, names repeat, nothing is held, a group, body or
@@ -158,13 +174,13 @@ def configuration_lanes(
         raise ValueError("at least one configuration is needed, got none.")
     mechanism = build_mechanism(mesh) if mechanism is None else mechanism
     _check_names(configurations)
-    springs = spring_names(configurations) if springs is None else springs
+    shared = shared_names(configurations) if shared is None else shared
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     for c, own, (effectors, indices) in zip(
         configurations, rows, stack_effectors(rows), strict=True
     ):
-        lanes.append(_lane(mesh, mechanism, c, springs, effectors))
+        lanes.append(_lane(mesh, mechanism, c, shared, effectors))
         numbered = zip(own, indices, strict=True)
         described = (effector_record(*both, mechanism.points) for both in numbered)
         records.append(tuple(described))
@@ -193,7 +209,7 @@ def _lane(
     mesh: TetMesh,
     mechanism: Mechanism,
     c: Configuration,
-    springs: tuple[str, ...],
+    shared: SharedNames,
     effectors: EffectorArrays,
 ) -> ConfigurationArrays:
     fixed, sprung = np.zeros((2, mesh.n_nodes, 3), bool)
@@ -204,9 +220,10 @@ def _lane(
     _check_apart(mesh, mechanism, fixed | sprung, c.name)
     bodies = body_state_arrays(mechanism, c.bodies, c.name)
     actuation = actuation_arrays(mechanism, c.actuation, c.name)
-    force = np.zeros((mesh.n_nodes, 3))
+    force = np.zeros((len(shared.loads), len(mechanism.points), 3))
     for load in c.loads:
-        force += load.nodal_forces(mesh)
+        own = force[shared.loads.index(load.name), : mesh.n_nodes]
+        own += load.nodal_forces(mesh)
     kind = np.asarray(bodies.kind).copy()
     for name, k in _motors(mechanism):
         by_angle = actuation.by_displacement[mechanism.actuators.names.index(name)]
@@ -219,9 +236,8 @@ def _lane(
         key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
         fixed=all_nodes(fixed),
         imposed=all_nodes(imposed),
-        springs=_springs(mesh, c, springs, all_nodes(rest)),
-        force=all_nodes(force),
-        load_factor=np.ones(()),
+        springs=_springs(mesh, c, shared.springs, all_nodes(rest)),
+        loads=DeadLoads(force, np.ones(len(force)), shared.loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),
         bodies=bodies,

@@ -5,6 +5,7 @@ from abc import abstractmethod
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.configurations._values import three_numbers
 from softcal_jax.mesh import (
@@ -17,7 +18,14 @@ from softcal_jax.mesh import (
 
 
 class AbstractLoad(eqx.Module):
-    """A load that becomes forces on nodes, consistent with the shape functions."""
+    """A load that becomes forces on nodes, consistent with the shape functions.
+
+    Attributes:
+        name: What it is called where it is only roughly known, see `load_factor`; loads
+            of one name share a factor.
+    """
+
+    name: eqx.AbstractVar[str]
 
     @abstractmethod
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
@@ -35,10 +43,12 @@ class PointForce(AbstractLoad):
     Attributes:
         point: Where it acts at rest, on or in the mesh [m].
         force: The force [N].
+        name: Its name.
     """
 
     point: tuple[float, float, float]
     force: tuple[float, float, float]
+    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Compute forces on the nodes of the tet that holds the point [N]."""
@@ -54,10 +64,12 @@ class NodalForces(AbstractLoad):
     Attributes:
         nodes: Node indices.
         forces: One force per node [N].
+        name: Its name.
     """
 
     nodes: Int[HostArray, " n"]
     forces: Float[HostArray, "n 3"]
+    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Place the forces, added up where a node is named twice, on all nodes [N]."""
@@ -84,10 +96,12 @@ class EdgeForce(AbstractLoad):
         where: Node group of the edge, or its node indices: all edges of boundary faces
             whose ends both belong to it are loaded.
         force: Total force [N].
+        name: Its name.
     """
 
     where: str | Int[HostArray, " n"]
     force: tuple[float, float, float]
+    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
@@ -113,10 +127,12 @@ class SurfaceForce(AbstractLoad):
     Attributes:
         where: Name of a surface group.
         force: Total force [N].
+        name: Its name.
     """
 
     where: str
     force: tuple[float, float, float]
+    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Consistent forces on the nodes of the surface [N]."""
@@ -131,10 +147,12 @@ class SurfaceTraction(AbstractLoad):
     Attributes:
         where: Name of a surface group.
         traction: Force per reference area [Pa].
+        name: Its name.
     """
 
     where: str
     traction: tuple[float, float, float]
+    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Consistent forces on the nodes of the surface [N]."""

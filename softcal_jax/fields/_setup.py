@@ -112,7 +112,11 @@ OF_CONFIGURATION = {
         unit="rad",
     ),
     "load_factor": Quantity(
-        "factor of loads", _entry_of("load_factor"), scales=_FACTOR
+        "factor of {of}",
+        _entry_of("loads.factor"),
+        noun="load",
+        names=attrgetter("loads.names"),
+        scales=_FACTOR,
     ),
     "actuator_factor": Quantity(
         "factor of {of}",

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float
 from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import QUANTITIES, Scope, SetupParameter
@@ -119,22 +120,24 @@ def gravity_tilt(
 
 
 def load_factor(
+    load: str = UNNAMED_LOADS,
     *,
     limit: float = 2.0,
     prior_std: float | None,
     each: Sequence[str] = (),
     by: Scope = "recording",
 ) -> SetupParameter:
-    """Make a factor on the dead loads a parameter, for forces known to some percent.
+    """Make a factor on dead loads a parameter, for forces known to some percent.
 
     Args:
+        load: Name of the loads; by default those without a name of their own.
         limit: Largest factor considered, and 1 over the smallest [-].
         prior_std: Relative prior standard deviation, like 0.05; None if not known [-].
         each: Configurations or recordings with a factor each; one for all by default.
         by: What `each` names.
     """
     (factor,) = _unknowns(
-        "load_factor", limit=limit, prior_std=prior_std, each=each, by=by
+        "load_factor", load, limit=limit, prior_std=prior_std, each=each, by=by
     )
     return factor
 

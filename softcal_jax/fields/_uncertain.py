@@ -19,8 +19,9 @@ class Uncertain(eqx.Module):
         density: Density of the body, relative [-]. One error for the whole body.
         gravity: Direction of gravity in the frame of the mesh, about each of two axes
             [rad]. One error for all configurations that state the same gravity.
-        loads: Dead loads, relative [-]. One error for all configurations, since they
-            are weighed on the same scale: such an error is not averaged away.
+        loads: Dead loads, relative [-]. One error for all loads of a name in all
+            configurations, since they are weighed on the same scale: such an error is
+            not averaged away.
         actuators: Imposed forces, relative [-]. One error for each actuator.
         clamp: Depth at which what holds the body really grips it, along the normal of
             its faces [m]. One error for all configurations that are held alike.

@@ -158,7 +158,7 @@ def build_actuation(
     imposed: dict[str, ImposedForce | ImposedDisplacement] = {}
     for actuator, value in asked.items():
         with under(actuator):
-            known_name("actuator", actuator, tables, "actuators")
+            known_name("actuator", actuator, tables, "[actuators]")
             imposed[actuator] = tables[actuator].imposed(value)
             actuation_arrays(mechanism, {actuator: imposed[actuator]}, name)
     return imposed

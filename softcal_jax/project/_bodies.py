@@ -95,7 +95,7 @@ def build_states(
     states: dict[str, BodyState | Pose | str] = {}
     for body, own in table.items():
         with under(body):
-            known_name("rigid body", body, mechanism.bodies.names, "bodies")
+            known_name("rigid body", body, mechanism.bodies.names, "[bodies]")
             word = isinstance(own, str)
             states[body] = own if word else BodyState(own.state, own.pose)
     return states

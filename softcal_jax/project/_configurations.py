@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
+from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.configurations import (
     Configuration,
     EdgeForce,
@@ -52,6 +53,9 @@ class SupportTable(Maker):
     stiffness: Stiffness | None = None
 
 
+LoadName = Annotated[
+    str, Field(min_length=1, description="name, for `load_factor` in [[setup]]")
+]
 TotalForce = Annotated[Force, Field(description='the total force: "(0, 0, -1) N"')]
 
 
@@ -59,24 +63,28 @@ class PointForceTable(Maker):
     makes = PointForce
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
     force: TotalForce
+    name: LoadName = UNNAMED_LOADS
 
 
 class EdgeForceTable(Maker):
     makes = EdgeForce
     edge: str = Field(description="name of the node group of an edge")
     force: TotalForce
+    name: LoadName = UNNAMED_LOADS
 
 
 class SurfaceForceTable(Maker):
     makes = SurfaceForce
     surface: Surface
     force: TotalForce
+    name: LoadName = UNNAMED_LOADS
 
 
 class SurfaceTractionTable(Maker):
     makes = SurfaceTraction
     surface: Surface
     traction: Traction = Field(description='force per area: "(0, 0, -1) kPa"')
+    name: LoadName = UNNAMED_LOADS
 
 
 AnyLoad = Annotated[
@@ -180,7 +188,7 @@ def build_configuration(
     with under("effectors"):
         chosen = effectors if table.effectors is None else table.effectors
         for name in chosen:
-            known_name("effector", name, effectors, "effectors")
+            known_name("effector", name, effectors, "[effectors]")
     with under("actuation"):
         actuation = build_actuation(
             table.actuation, project.actuators, mechanism, table.name

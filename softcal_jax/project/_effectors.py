@@ -164,8 +164,8 @@ def build_effectors(
     tables: Mapping[str, EffectorTable], mesh: TetMesh, mechanism: Mechanism
 ) -> Effectors:
     """Build all effectors of a project by name, without measured values."""
-    body = "rigid body", mechanism.bodies.names, "bodies"
-    actuator = "actuator", mechanism.actuators.names, "actuators"
+    body = "rigid body", mechanism.bodies.names, "[bodies]"
+    actuator = "actuator", mechanism.actuators.names, "[actuators]"
     named = {"body": body, "other": body, "actuator": actuator}
     found: Effectors = {}
     for name, table in tables.items():
@@ -188,7 +188,7 @@ def with_measured(
     found = dict(effectors)
     for name, value in measured.items():
         with under(name):
-            known_name("effector", name, effectors, "effectors")
+            known_name("effector", name, effectors, "[effectors]")
             unit = effectors[name].rows(model.mesh, model.mechanism)[0].unit
             own = tables[name].value(value, unit, folder, model.mechanism)
             found[name] = replace(found[name], measured=own)  # pyright: ignore

@@ -176,14 +176,13 @@ def known_here(name: str, known: Iterable[str], words: str = "Known") -> str:
 
 
 def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
-    """Raise ValueError unless a name is known; `section` of the file defines them."""
+    """Raise ValueError unless a name is known; `section` says where they stand."""
     known = list(known)
     if name in known:
         return
     if not known:
         raise ValueError(
-            f'there is no {kind} "{name}"; the project has none: add a table '
-            f"[{section}.{name}]."
+            f'there is no {kind} "{name}"; the project has none: add one to {section}.'
         )
     raise ValueError(f'there is no {kind} "{name}".{known_here(name, known)}')
 

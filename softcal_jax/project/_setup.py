@@ -7,8 +7,9 @@ To add a kind, write one table with a key of its own, named like the function of
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
+from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.fields import (
     Entry,
     actuator_factor,
@@ -43,13 +44,13 @@ class SetupTable(Table):
             value of what the error belongs to. Its name is the key of the table.
         measures: Dimension of `limit` and `prior_std`; None for plain numbers.
         noun: What the error belongs to, for messages; None if the robot as a whole.
-        section: Table of the file that defines it.
+        section: Where the file states it.
     """
 
     makes: ClassVar[Callable[..., Entry | Sequence[Entry]]]
     measures: ClassVar[Dimension | None] = None
     noun: ClassVar[str | None] = None
-    section: ClassVar[str] = "actuators"
+    section: ClassVar[str] = "[actuators]"
 
     limit: float = Field(description='largest error looked for: "3 deg", "2 mm"')
     prior_std: float | None = None
@@ -112,7 +113,7 @@ class MountingTable(SetupTable):
     makes = mounting
     measures = LENGTH
     noun = "rigid body"
-    section = "bodies"
+    section = "[bodies]"
     mounting: Names
 
     def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
@@ -152,7 +153,7 @@ class ScopedTable(SetupTable):
         if self.each == "recording":
             return known | {"each": recordings}
         for name in self.each:
-            known_name("recording", name, recordings, "configurations")
+            known_name("recording", name, recordings, "[[configurations]]")
         return known | {"each": self.each}
 
 
@@ -184,10 +185,19 @@ class FactorTable(ScopedTable):
 
 
 class LoadFactorTable(FactorTable):
-    """A factor on the dead loads."""
+    """Factors on dead loads, one parameter each; true for those without a name."""
 
     makes = load_factor
-    load_factor: Literal[True]
+    noun = "load"
+    section = "`loads` of a configuration"
+    load_factor: Annotated[
+        Names, BeforeValidator(lambda names: UNNAMED_LOADS if names is True else names)
+    ]
+
+    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+        """List the names of the loads."""
+        loads = [own for c in project.configurations for own in c.loads]
+        return {own.name: () for own in loads}
 
 
 class ActuatorFactorTable(FactorTable):
@@ -207,7 +217,7 @@ class ClampStiffnessTable(FactorTable):
 
     makes = clamp_stiffness
     noun = "support with a stiffness"
-    section = "supports"
+    section = "`supports` of a configuration"
     limit: float = 1e3
 
     clamp_stiffness: Names

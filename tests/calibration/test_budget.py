@@ -155,7 +155,7 @@ CHANGES = {
     "gravity_tilt second": lambda s: refitted(
         configurations=poses(gravity=tilted(-STD.gravity * s, 1))
     ),
-    "load_factor": lambda s: refitted(configurations=poses(1.0 + STD.loads * s)),
+    "load_factor loads": lambda s: refitted(configurations=poses(1.0 + STD.loads * s)),
     "actuator_factor c": lambda s: refitted(
         configurations=poses(tension=0.5 * (1.0 + STD.actuators * s))
     ),
@@ -327,7 +327,7 @@ def test_what_is_calibrated_is_not_considered_as_well():
     assert names(fitted()) - left == {
         "gravity_tilt first",
         "gravity_tilt second",
-        "load_factor",
+        "load_factor loads",
         *(f"recording_offset {axis} in tuesday" for axis in "xyz"),
     }
 

@@ -61,7 +61,7 @@ def test_lanes_keep_their_own_supports_loads_and_gravity():
     assert bool(lanes.fixed[0, X_MIN].all() & lanes.fixed[1, X_MAX].all())
     assert not bool(lanes.fixed[0, X_MAX].any() | lanes.fixed[1, X_MIN].any())
     np.testing.assert_allclose(
-        lanes.force.sum(axis=1), [[1, 0, 0], [0, 2, 3]], rtol=0, atol=1e-12
+        lanes.loads.force.sum(axis=(1, 2)), [[1, 0, 0], [0, 2, 3]], rtol=0, atol=1e-12
     )
     np.testing.assert_array_equal(
         lanes.gravity, [[0, 0, -STANDARD_GRAVITY], [0, 9.81, 0]]

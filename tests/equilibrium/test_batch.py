@@ -97,7 +97,8 @@ def test_reactions_carry_the_load(batch, together):
 
 def test_a_failing_lane_does_not_disturb_the_others(batch, together):
     """A NaN force is flagged; the process lives and the other lanes do not change."""
-    broken = eqx.tree_at(lambda c: c.force, batch, batch.force.at[1, 7, 2].set(jnp.nan))
+    force = batch.loads.force.at[1, 0, 7, 2].set(jnp.nan)
+    broken = eqx.tree_at(lambda c: c.loads.force, batch, force)
     solution = solve_as_users(small_model(), broken)
     assert not bool(lane(solution, 1).converged)
     assert bool(jnp.all(jnp.isnan(solution.displacement[1])))

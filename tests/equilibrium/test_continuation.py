@@ -394,8 +394,8 @@ def no_law():
 
 def no_force():
     one = lane(LANES, HANGING)
-    force = one.force.at[-1, 2].set(jnp.nan)
-    return MODEL, eqx.tree_at(lambda c: c.force, one, force)
+    force = one.loads.force.at[0, -1, 2].set(jnp.nan)
+    return MODEL, eqx.tree_at(lambda c: c.loads.force, one, force)
 
 
 @pytest.mark.parametrize("broken", [no_law, no_force])

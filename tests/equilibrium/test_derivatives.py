@@ -58,7 +58,7 @@ START = Inputs(
     E=jnp.full(N_TETS, YOUNG, float),
     nu=jnp.asarray(POISSON, float),
     density=jnp.full(N_TETS, DENSITY, float),
-    force=LANES.force,
+    force=LANES.loads.force,
     gravity=LANES.gravity,
     imposed=LANES.imposed,
 )
@@ -68,7 +68,7 @@ def positions(inputs: Inputs):
     """Displacements [m] of two points in both configurations."""
     where = lambda m: (m.law.elasticity.E, m.law.elasticity.nu, m.density)
     model = eqx.tree_at(where, MODEL, inputs[:3])
-    where = lambda c: (c.force, c.gravity, c.imposed)
+    where = lambda c: (c.loads.force, c.gravity, c.imposed)
     lanes = eqx.tree_at(where, LANES, inputs[3:])
     one = lambda lane: solve_equilibrium(model, lane, settings=TIGHT).displacement
     return jax.vmap(one)(lanes)[:, OBSERVED]

@@ -210,7 +210,7 @@ def along(model, lane, u, d, t):
     robot = Posed.of(model, lane)
     d = jnp.where(robot.fixed(), 0.0, d)
     v = robot.move(u, t * d)
-    pi = jnp.sum(strain_energy(model, v)) - jnp.sum(lane.force * v)
+    pi = jnp.sum(strain_energy(model, v)) - jnp.sum(lane.dead_loads * v)
     slope = jnp.vdot(robot.gather(v, residual(model, lane, v)), d)
     values = linearise(model, lane, v).system.values
     curvature = jnp.vdot(d, product(model.solver.sparsity, values, d))
@@ -226,8 +226,8 @@ def test_reduced_forces_and_tangent_are_the_derivatives_of_the_potential(root, t
     lane = arrays(MODEL, posed(gravity=NO_GRAVITY, plate="held"))  # to pass the check
     kinds = arrays(MODEL, posed(root="held", tip=states["tip"])).bodies.kind
     kinds = kinds.at[0].set(("free", "hinged", "held").index(root))
-    force = 0.5 * jr.normal(keys[0], lane.force.shape)
-    lane = eqx.tree_at(lambda c: (c.force, c.bodies.kind), lane, (force, kinds))
+    force = 0.5 * jr.normal(keys[0], lane.loads.force.shape)
+    lane = eqx.tree_at(lambda c: (c.loads.force, c.bodies.kind), lane, (force, kinds))
     robot = Posed.of(MODEL, lane)
     d0 = 1e-3 * jr.normal(keys[1], (MODEL.n_dof,))
     u = robot.move(jnp.zeros((MODEL.n_points, 3)), d0)
@@ -315,7 +315,7 @@ def _inputs(both):
         bodies.mass,
         lane.bodies.translation,
         lane.bodies.rotation,
-        lane.force,
+        lane.loads.force,
     )
 
 

@@ -174,7 +174,8 @@ def test_a_fold_repeats_another_pose_without_weight(data):
     whole = problem.configurations
     fold = _cross_validation._fold_problem(problem, folds[1])
     fitted = fold.configurations
-    np.testing.assert_array_equal(fitted.force, whole.force[np.array([0, 2, 2])])
+    repeated = whole.loads.force[np.array([0, 2, 2])]
+    np.testing.assert_array_equal(fitted.loads.force, repeated)
     weight = fitted.effectors.inverse_std
     np.testing.assert_array_equal(weight[1], 0.0)
     np.testing.assert_allclose(weight[[0, 2]], 1.0 / STD)

@@ -231,7 +231,7 @@ CASES = {
     ),
     "a setup without a motor": (
         (WOUND, f'[[setup]]\nmotor_zero = "cable"\nlimit = "3 deg"\n{WOUND}'),
-        'setup[1].motor_zero: there is no motor "cable"; the project has none: add a ',
+        'setup[1].motor_zero: there is no motor "cable"; the project has none: add ',
     ),
     "a setup of another dimension": (
         (WOUND, f'[[setup]]\nmounting = "plate"\nlimit = "3 deg"\n{WOUND}'),

@@ -38,7 +38,10 @@ std = "0.1 mm"
 [shared]
 gravity = "(0, 0, -9.81) m/s^2"
 supports = [{ group = "x_min", stiffness = "1 GPa/m" }]
-loads = [{ surface = "x_max", force = "(0, 0, -0.1) N" }]
+loads = [
+    { surface = "x_max", force = "(0, 0, -0.1) N" },
+    { surface = "z_max", force = "(0, 0, -0.2) N", name = "payload" },
+]
 
 [[configurations]]
 name = "a"
@@ -68,6 +71,10 @@ prior_std = "1 deg"
 load_factor = true
 prior_std = 0.05
 each = "configuration"
+
+[[setup]]
+load_factor = "payload"
+prior_std = 0.02
 
 [[setup]]
 actuator_factor = "tendon"
@@ -102,6 +109,7 @@ def test_every_kind_becomes_parameters(tmp_path):
         "first tilt of gravity",
         "second tilt of gravity",
         *(f"factor of loads in {c}" for c in "abc"),
+        "factor of payload",
         "factor of tendon",
         *(f"offset {axis} in {r}" for axis in "xyz" for r in ("monday", "c")),
         *(f"turn {axis} in {r}" for axis in "xyz" for r in ("monday", "c")),
@@ -124,6 +132,7 @@ def test_every_kind_becomes_parameters(tmp_path):
     ("table", "message"),
     [
         ('load_factor = true\neach = ["tuesday"]', "there is no recording .tuesday."),
+        ('load_factor = "weight"', "there is no load .weight."),
         ("load_factor = true\nprior_std = true", "expected a number, like 0.05"),
         ('clamp_stiffness = "x_max"', "no support with a stiffness .x_max."),
         ('friction = "rope"\nlimit = 0.1', "no cable with friction .rope."),

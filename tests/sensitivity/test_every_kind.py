@@ -22,6 +22,7 @@ from softcal_jax.configurations import (
     ImposedDisplacement,
     ImposedForce,
     Markers,
+    PointForce,
     Support,
     SupportReaction,
     SurfaceForce,
@@ -83,7 +84,10 @@ MARKERS = Markers(("a", "b"), [[0.06, 0.01, 0.01], [0.09, 0.01, 0.02]])
 POSE = Configuration(
     "pose",
     Support("x_max", "xz", (0.0, 0.0, 1e-3), stiffness=2e6),
-    loads=SurfaceForce("z_max", (0.0, 0.05, -0.1)),
+    loads=[
+        SurfaceForce("z_max", (0.0, 0.05, -0.1)),
+        PointForce((0.1, 0.01, 0.01), (0.0, 0.02, -0.05), name="payload"),
+    ],
     markers=MARKERS,
     measured=MARKERS.positions,
     effectors=(
@@ -104,6 +108,7 @@ SPACE = ParameterSpace(
         *mounting("base", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
         *gravity_tilt(limit=0.3, **KNOWN),
         load_factor(each=["pose", "another"], by="configuration", **KNOWN),
+        load_factor("payload", **KNOWN),
         actuator_factor("c", **KNOWN),
         friction("c", 0.2, limit=0.15, **KNOWN),
         *recording_offset(limit=5e-3, turn_limit=0.2, each=["tuesday"], **KNOWN),

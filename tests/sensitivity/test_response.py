@@ -249,8 +249,8 @@ def broken(index, force):
     """The plain case with another force on the tip of one pose."""
     c = case("plain")
     tip = np.argmax(c.model.mesh.points[:, 0])
-    changed = c.lanes.force.at[index, tip].add(jnp.array([force, 0.0, 0.0]))
-    return c._replace(lanes=eqx.tree_at(lambda a: a.force, c.lanes, changed))
+    changed = c.lanes.loads.force.at[index, 0, tip].add(jnp.array([force, 0.0, 0.0]))
+    return c._replace(lanes=eqx.tree_at(lambda a: a.loads.force, c.lanes, changed))
 
 
 @pytest.mark.parametrize("force", [np.nan, -1e6], ids=["not finite", "too large"])
