@@ -7,6 +7,7 @@ from softcal_jax.calibration._budget import (
     considered_errors,
 )
 from softcal_jax.calibration._calibrate import as_sequence, build_problem, calibrate
+from softcal_jax.calibration._checked_intervals import LEVEL
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (
     levenberg_marquardt,
@@ -19,6 +20,7 @@ from softcal_jax.calibration._configuration_result import (
     SimulationResult,
     simulation_result,
 )
+from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
@@ -39,12 +41,12 @@ from softcal_jax.calibration._result import (
     MultiStartResult,
     Optimum,
     ParameterEstimate,
-    ParameterInterval,
 )
 from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
+    default_starts,
     multi_start,
     random_starts,
 )
@@ -54,11 +56,13 @@ from softcal_jax.calibration._state import (
     initial_state,
 )
 from softcal_jax.calibration._step import KKT_TOLERANCE, propose
-from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
+from softcal_jax.calibration._uncertainty import EXACT, Uncertainty, uncertainty
 
 __all__ = [
+    "EXACT",
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
+    "LEVEL",
     "NOISE",
     "CalibrationProblem",
     "CalibrationResult",
@@ -89,6 +93,7 @@ __all__ = [
     "build_problem",
     "calibrate",
     "considered_errors",
+    "default_starts",
     "descend",
     "evaluate",
     "first_guess",

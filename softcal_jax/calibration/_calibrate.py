@@ -2,6 +2,8 @@
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import jax
@@ -10,6 +12,12 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._budget import error_budget
+from softcal_jax.calibration._checked_intervals import (
+    LEVEL,
+    Fitted,
+    check_level,
+    with_intervals,
+)
 from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
@@ -36,6 +44,7 @@ from softcal_jax.calibration._runs import descend
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
+    default_starts,
     random_starts,
     search,
 )
@@ -110,12 +119,14 @@ def calibrate(
     uncertain: Uncertain | None = None,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
-    starts: int = 1,
+    starts: int | None = None,
     seed: int = 0,
     start: Float[Array, " n_p"] | None = None,
+    intervals: float | None = LEVEL,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
+    profiling: Callable[[CalibrationResult], None] = lambda _: None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.
 
@@ -136,15 +147,21 @@ def calibrate(
         newton: Settings of the equilibrium.
         starts: Number of starts of the search: that of the parameters, and random ones
             within the bounds; see `multi_start`. The fit then continues from the best.
+            By default see `default_starts`; 1 where `start` is given.
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
+        intervals: Confidence of the intervals of the parameters, or None for none [-].
+            They take two evaluations for each parameter; where these show that its
+            standard error does not hold, a few fits for each of its ends.
         checkpoint: File in which the state is saved: after every step, and in a search
             from many starts after every image of a run. If it exists, the calibration
             resumes from it, with the same result.
         progress: Called after the first evaluation and after each step.
         search_progress: Called when a run of a search from many starts has ended, see
             `multi_start`.
+        profiling: Called with the result so far before profiles of the likelihood are
+            computed, which takes a while.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished.
@@ -157,8 +174,73 @@ def calibrate(
     """
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
+    if starts is None:
+        starts = 1 if start is not None else default_starts(as_space(parameters))
     if starts < 1:
         raise ValueError(f"starts must be at least 1, got {starts}.")
+    if intervals is not None:
+        check_level(intervals)
+    fit = partial(
+        _fit,
+        model,
+        parameters,
+        configurations,
+        validation=validation,
+        noise=noise,
+        uncertain=uncertain,
+        settings=settings,
+        newton=newton,
+        seed=seed,
+        start=start,
+    )
+    first = fit(
+        starts=starts,
+        checkpoint=checkpoint,
+        progress=progress,
+        search_progress=search_progress,
+    )
+    if intervals is None:
+        return first.result
+
+    def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
+        old, last = done.result, done.result.history[-1]
+        later = lambda entry: replace(
+            entry,
+            step=entry.step + last.step,
+            seconds=entry.seconds + last.seconds,
+        )
+        told = progress and (lambda entry: entry.step and progress(later(entry)))
+        new = fit(starts=1, progress=told, begin=z)
+        history = (*old.history, *map(later, new.result.history[1:]))
+        timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
+        changed = {"history": history, "starts": old.starts, "timing_s": timing}
+        return new._replace(result=replace(new.result, **changed))
+
+    return with_intervals(first, intervals, go_on, profiling)
+
+
+def _fit(
+    model: Model,
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+    configurations: Configuration | Sequence[Configuration],
+    *,
+    validation: Configuration | Sequence[Configuration],
+    noise: Literal["estimated", "stated"],
+    uncertain: Uncertain | None,
+    settings: CalibrationSettings | None,
+    newton: NewtonSettings | None,
+    starts: int,
+    seed: int,
+    start: Float[Array, " n_p"] | None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: Callable[[HistoryEntry], None] | None = None,
+    search_progress: Callable[[SearchProgress], None] | None = None,
+    begin: Float[Array, " n_p"] | None = None,
+) -> Fitted:
+    """Calibrate as `calibrate` does, without intervals.
+
+    `begin` is where the loop begins; what is reported as start is still `start`.
+    """
     settings = settings or CalibrationSettings()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
@@ -180,11 +262,13 @@ def calibrate(
     evaluate = Evaluator(problem)
     most = starts * max(len(configurations), 2 * len(validation))
     with Clock() as clock, Workers(model, most) as workers:
-        first = begin = _admissible(problem.space, start)
+        first = _admissible(problem.space, start)
         before = there = workers.end_of(evaluate.from_rest(first))
         check_converged(before.equilibrium, names)
         found = None
-        if starts > 1:
+        if begin is not None:
+            there = workers.end_of(evaluate.from_rest(begin))
+        elif starts > 1:
             others = random_starts(problem.space, starts - 1, seed=seed)
             found = search(
                 workers,
@@ -197,6 +281,7 @@ def calibrate(
             )
             begin = jnp.asarray(found.z[found.best])
             there = workers.end_of(evaluate.from_rest(begin))
+        begin = first if begin is None else begin
         state = journal.begin(initial_state(settings, begin, there))
         state = workers.end_of(descend(evaluate, settings, state, journal.note))
         evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
@@ -226,7 +311,7 @@ def calibrate(
                 workers, validation, *held_out, start=first, z=state.z
             )
             fits += predicted
-    return CalibrationResult(
+    result = CalibrationResult(
         converged=bool(state.converged),
         parameters=parameter_estimates(problem.space, state.z, spread, budget, start),
         uncertainty=spread,
@@ -247,6 +332,7 @@ def calibrate(
         ),
         starts=found,
     )
+    return Fitted(result, problem, evaluation)
 
 
 def _admissible(

@@ -14,6 +14,9 @@ BLIND = 1e-6
 UNLIKELY = 0.01
 """Probability of a chi-squared as large by chance, below which the fit misfits."""
 
+EXACT = 1e-3
+"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
+
 
 class Uncertainty(eqx.Module):
     """Covariance of the parameters, to first order.

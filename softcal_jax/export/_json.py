@@ -32,8 +32,9 @@ def result_dict(
     """Convert a calibration to the content of `result.json`.
 
     Keys: `format`, `name`, `converged`; `parameters` (`name`, `value`, `unit`,
-    `standard_error` by all causes, `lower`, `upper`, `start`, `at_bound`); `intervals`
-    (`name`, `level`, `lower`, `upper`, `lower_end`, `upper_end`, `unit`);
+    `standard_error` by all causes, `lower`, `upper`, `start`, `at_bound`, `interval`,
+    null if none was asked for); `intervals`, the same as a list (`name`, `level`,
+    `lower`, `upper`, `lower_end`, `upper_end`, `unit`, `kind`, `why`);
     `configurations` (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
     `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
     `simulated_before_mm`, `simulated_mm`, `residual_mm`, other points included;
@@ -50,7 +51,7 @@ def result_dict(
     noise was estimated); `identifiability` (see `identifiability_dict`); `starts` (null
     for a single one; `names` of the parameters; `starts`, `values`, one row per run;
     `cost`, `steps`, `converged`; `optima`, the lowest cost first: `cost`, `values`,
-    `starts`); `notes`; `versions`; `timing_s`.
+    `starts`; `second_best`, likewise); `notes`; `versions`; `timing_s`.
 
     Args:
         result: The calibration.
@@ -60,6 +61,7 @@ def result_dict(
     """
     found = assessment or assess(result)
     runs = ("names", "starts", "values", "cost", "steps", "converged", "optima")
+    runs += ("second_best",)
     return plain(
         {
             "format": "softcal_jax.result/2",
