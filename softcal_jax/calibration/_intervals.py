@@ -76,6 +76,7 @@ def profile_intervals(
             f"{', '.join(c.name for c in configurations)}: give those, in that order."
         )
     problem = build_problem(result.model, space, configurations, result.newton)
+    problem = problem.with_noise(result.noise)
     with Workers(problem.model, len(problem.configurations.gravity)) as workers:
         now = workers.end_of(Evaluator(problem).from_rest(result.z))
     check_converged(now.equilibrium, tuple(c.name for c in configurations))
@@ -135,7 +136,9 @@ def _widened(
     result: CalibrationResult, column: int, level: float, *ends: ProfileEnd
 ) -> list[ProfileEnd]:
     """Move both ends out by what is held fixed and may be wrong, up to the bounds."""
-    variance = sum(cause.variance[column] for cause in result.budget.causes)
+    # What the likelihood knows of already is in the covariance by the noise.
+    both = result.budget.covariance, result.uncertainty.covariance
+    variance = max(both[0][column, column] - both[1][column, column], 0.0)
     reach = norm.ppf(0.5 * (1.0 + level)) * np.sqrt(np.nan_to_num(variance))
     wider = []
     for end, sign in zip(ends, (-1, 1), strict=True):

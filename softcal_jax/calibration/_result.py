@@ -10,6 +10,8 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._budget import ErrorBudget
 from softcal_jax.calibration._configuration_result import ConfigurationResult
+from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
@@ -242,6 +244,8 @@ class CalibrationResult(eqx.Module):
         notes: What the user should know before using the values.
         starts: Result of the search from many starts, if there was one.
         intervals: Result of `profile_intervals`, if it was asked for.
+        noise: Covariance of the stacked errors that weighed them.
+        checks: What the residuals say about the model.
     """
 
     converged: bool
@@ -260,6 +264,8 @@ class CalibrationResult(eqx.Module):
     notes: tuple[str, ...]
     starts: MultiStartResult | None = None
     intervals: tuple[ParameterInterval, ...] = ()
+    noise: CorrelatedNoise | None = None
+    checks: ResidualChecks | None = None
 
     def __str__(self) -> str:
         """Write the parameters, the fits and the notes, in a few lines."""
@@ -279,6 +285,7 @@ class CalibrationResult(eqx.Module):
             f"{1e3 * fit.rms_after:.3f} mm"
             for fit in self.configurations
         ]
+        lines += [f"  {line}" for line in self.checks.agreement] if self.checks else []
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:
