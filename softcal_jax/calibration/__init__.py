@@ -1,5 +1,6 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
+from softcal_jax.calibration._agreement import RecordingEstimate
 from softcal_jax.calibration._budget import (
     NOISE,
     Cause,
@@ -20,6 +21,12 @@ from softcal_jax.calibration._configuration_result import (
     simulation_result,
 )
 from softcal_jax.calibration._intervals import profile_intervals
+from softcal_jax.calibration._noise import (
+    CorrelatedNoise,
+    correlated_noise,
+    measured_motion,
+    whitened,
+)
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -33,6 +40,8 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
+from softcal_jax.calibration._residual_checks import LeftOut, ResidualChecks
+from softcal_jax.calibration._residuals import LackOfFit
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
@@ -68,16 +77,21 @@ __all__ = [
     "Cause",
     "Clock",
     "ConfigurationResult",
+    "CorrelatedNoise",
     "ErrorBudget",
     "Evaluation",
     "Evaluator",
     "HistoryEntry",
+    "LackOfFit",
+    "LeftOut",
     "LowerCostFound",
     "MultiStartResult",
     "Optimum",
     "ParameterEstimate",
     "ParameterInterval",
     "QPStep",
+    "RecordingEstimate",
+    "ResidualChecks",
     "Run",
     "SearchProgress",
     "SimulationResult",
@@ -89,12 +103,14 @@ __all__ = [
     "build_problem",
     "calibrate",
     "considered_errors",
+    "correlated_noise",
     "descend",
     "evaluate",
     "first_guess",
     "images_of",
     "initial_state",
     "levenberg_marquardt",
+    "measured_motion",
     "multi_start",
     "profile_ends",
     "profile_intervals",
@@ -106,6 +122,7 @@ __all__ = [
     "simulation_result",
     "synthetic_measurements",
     "uncertainty",
+    "whitened",
     "with_measured",
     "without_names",
 ]

@@ -13,7 +13,7 @@ squares; Seber and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -25,7 +25,6 @@ from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRe
 from softcal_jax.fields import OFFSET, ParameterSpace, SetupParameter, Uncertain
 
 AnyArray = Array | HostArray
-AnyColumns = TypeVar("AnyColumns", Array, HostArray)
 
 RECORDINGS = "recordings"
 """Name of the offsets of recordings in the budget."""
@@ -45,14 +44,15 @@ class CorrelatedNoise(eqx.Module):
     Attributes:
         recording: Index of the first configuration of the same recording.
         offset: Standard deviation of the offset of its points, along each axis [m].
-        motion: Share of the motion of each point, as a standard deviation [m]; 0 for
-            rows that are no points.
+        motion: Measured motion of the points; 0 for rows that are no points [m].
+        share: Standard deviation of the share of this motion that is noise [-].
         jitter: Factor on the stated standard deviations of the coordinates [-].
     """
 
     recording: Int[AnyArray, " n_c"]
     offset: Float[AnyArray, "n_c 3"]
     motion: Float[AnyArray, "n_c n_rows 3"]
+    share: Float[AnyArray, " n_c"]
     jitter: Float[AnyArray, ""]
 
     def columns(self, effectors: EffectorArrays) -> Float[AnyArray, "n_e n_columns"]:
@@ -70,7 +70,8 @@ class CorrelatedNoise(eqx.Module):
         of_points = weight * is_point.astype(weight.dtype)[None, :, None]
         offset, same = xp.asarray(self.offset), same.astype(weight.dtype)
         shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, offset, same, axes)
-        shares = xp.einsum("crx,cd->crxd", weight * xp.asarray(self.motion), own)
+        motion, share = xp.asarray(self.motion), xp.asarray(self.share)
+        shares = xp.einsum("crx,c,cd->crxd", weight * motion, share, own)
         parts = [shifts.reshape(weight.size, -1), shares.reshape(weight.size, -1)]
         return xp.concatenate(parts, axis=1) / xp.asarray(self.jitter)
 
@@ -85,12 +86,12 @@ class CorrelatedNoise(eqx.Module):
             share: Factor on the shares of the motion [-].
             of: Configurations whose share changes.
         """
-        factor = np.where(of, share, 1.0)[:, None, None]
         like = lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype)
-        return CorrelatedNoise(
-            recording=self.recording,
+        shares = np.where(of, share, 1.0) * np.asarray(self.share)
+        return replace(
+            self,
             offset=like(offset * np.asarray(self.offset), self.offset),
-            motion=like(factor * np.asarray(self.motion), self.motion),
+            share=like(shares, self.share),
             jitter=like(jitter, self.jitter),
         )
 
@@ -148,7 +149,8 @@ def correlated_noise(
     arrays = CorrelatedNoise(
         recording=np.array([names.index(name) for name in names], np.int32),
         offset=np.asarray(offset * np.array(free, float).T, dtype),
-        motion=np.asarray(shares[:, None, None] * motion, dtype),
+        motion=np.asarray(motion, dtype),
+        share=np.asarray(shares, dtype),
         jitter=np.ones((), dtype),
     )
     return jax.device_put(arrays)

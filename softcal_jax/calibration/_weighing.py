@@ -233,6 +233,6 @@ def _change(old: CorrelatedNoise, new: CorrelatedNoise) -> float:
     """Return the largest relative change of a standard deviation [-]."""
     largest = lambda a: np.max(np.abs(a), initial=0.0)
     before, after = (
-        np.array([n.jitter, largest(n.offset), largest(n.motion)]) for n in (old, new)
+        np.array([n.jitter, largest(n.offset), largest(n.share)]) for n in (old, new)
     )
     return float(np.max(np.abs(after - before) / np.maximum(before, 1e-300)))
