@@ -50,10 +50,11 @@ def result_dict(
     stated standard deviations of coordinates; `offset_mm`: offset of the recording of
     each configuration along each axis, `share`: share of its motion, both as standard
     deviations); `checks` (what residuals say, see `checks_dict`); `assessment`
-    (`identified`; `reasons` why not; `misfit_probability` of residuals this large by chance, null where the
-    noise was estimated); `identifiability` (see `identifiability_dict`); `starts` (null
-    for a single one; `names` of the parameters; `starts`, `values`, one row per run;
-    `cost`, `steps`, `converged`; `optima`, the lowest cost first: `cost`, `values`,
+    (`identified`; `reasons` why not; `misfit_probability` of residuals this large by
+    chance, null where the noise was estimated); `identifiability` (see
+    `identifiability_dict`); `starts` (null for a single one; `names` of the parameters;
+    `starts`, `values`, one row per run; `cost`, `steps`, `converged`; `optima`, the
+    lowest cost first: `cost`, `values`,
     `starts`); `notes`; `versions`; `timing_s`.
 
     Args:

@@ -10,6 +10,7 @@ from softcal_jax.calibration import (
     build_problem,
     calibrate,
     evaluate,
+    levenberg_marquardt,
     simulated_measurements,
 )
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
@@ -160,7 +161,7 @@ def test_without_offsets_the_estimated_noise_is_the_mean_square():
 
 
 def test_offsets_and_creep_are_estimated_where_asked():
-    asked = Uncertain(**{**vars(exactly_known()), "recordings": "estimated"})
+    asked = replace(exactly_known(), recordings="estimated")
     offsets, shares = [], []
     for seed in range(4):
         data = measured(seed, offset=2e-3, jitter=5e-5)
@@ -175,7 +176,7 @@ def test_offsets_and_creep_are_estimated_where_asked():
 
 
 def test_what_the_data_cannot_tell_is_taken_as_stated_with_a_note():
-    asked = Uncertain(**{**vars(exactly_known()), "recordings": "estimated"})
+    asked = replace(exactly_known(), recordings="estimated")
     result = fit(measured(recording="monday"), asked)
     assert float(result.noise.offset[0, 0]) == OFFSET
     assert any("offset of the recordings cannot be estim" in n for n in result.notes)
