@@ -1,5 +1,6 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
+from softcal_jax.calibration._agreement import RecordingEstimate
 from softcal_jax.calibration._budget import (
     NOISE,
     Cause,
@@ -22,6 +23,12 @@ from softcal_jax.calibration._configuration_result import (
 )
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
+from softcal_jax.calibration._noise import (
+    CorrelatedNoise,
+    correlated_noise,
+    measured_motion,
+    whitened,
+)
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -35,6 +42,8 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
+from softcal_jax.calibration._residual_checks import LeftOut, ResidualChecks
+from softcal_jax.calibration._residuals import LackOfFit
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
@@ -72,16 +81,21 @@ __all__ = [
     "Cause",
     "Clock",
     "ConfigurationResult",
+    "CorrelatedNoise",
     "ErrorBudget",
     "Evaluation",
     "Evaluator",
     "HistoryEntry",
+    "LackOfFit",
+    "LeftOut",
     "LowerCostFound",
     "MultiStartResult",
     "Optimum",
     "ParameterEstimate",
     "ParameterInterval",
     "QPStep",
+    "RecordingEstimate",
+    "ResidualChecks",
     "Run",
     "SearchProgress",
     "SimulationResult",
@@ -93,6 +107,7 @@ __all__ = [
     "build_problem",
     "calibrate",
     "considered_errors",
+    "correlated_noise",
     "default_starts",
     "descend",
     "evaluate",
@@ -100,6 +115,7 @@ __all__ = [
     "images_of",
     "initial_state",
     "levenberg_marquardt",
+    "measured_motion",
     "multi_start",
     "profile_ends",
     "profile_intervals",
@@ -111,6 +127,7 @@ __all__ = [
     "simulation_result",
     "synthetic_measurements",
     "uncertainty",
+    "whitened",
     "with_measured",
     "without_names",
 ]

@@ -23,6 +23,7 @@ from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     configuration_results,
 )
+from softcal_jax.calibration._noise import correlated_noise, measured_motion
 from softcal_jax.calibration._notes import (
     fit_notes,
     result_notes,
@@ -35,12 +36,12 @@ from softcal_jax.calibration._problem import (
     Evaluation,
     Evaluator,
 )
+from softcal_jax.calibration._residual_checks import residual_checks
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
     parameter_estimates,
 )
-from softcal_jax.calibration._runs import descend
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
@@ -50,6 +51,7 @@ from softcal_jax.calibration._search import (
 )
 from softcal_jax.calibration._state import CalibrationSettings, initial_state
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
+from softcal_jax.calibration._weighing import unknown_noise, weighed_fit
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
@@ -64,6 +66,7 @@ from softcal_jax.fields import (
     as_space,
     check_parameters,
     check_scopes,
+    exactly_known,
 )
 
 
@@ -72,6 +75,8 @@ def build_problem(
     parameters: ParameterSpace | Entry | Sequence[Entry],
     configurations: Configuration | Sequence[Configuration],
     newton: NewtonSettings | None = None,
+    *,
+    uncertain: Uncertain | None = None,
 ) -> CalibrationProblem:
     """Stack a calibration into arrays, for `evaluate` and `multi_start`.
 
@@ -80,11 +85,14 @@ def build_problem(
         parameters: What is calibrated.
         configurations: Posed robots; each with markers and measured positions.
         newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated, of which the
+            offsets of recordings belong to the noise; by default nothing is uncertain.
 
     Raises:
         ValueError: If a configuration has no measurement, or a parameter no field.
     """
-    return _build(model, parameters, as_sequence(configurations), newton)[0]
+    posed, uncertain = as_sequence(configurations), uncertain or exactly_known()
+    return _build(model, parameters, posed, newton, uncertain=uncertain)[0]
 
 
 def _build(
@@ -93,6 +101,8 @@ def _build(
     configurations: Sequence[Configuration],
     newton: NewtonSettings | None,
     springs: tuple[str, ...] | None = None,
+    *,
+    uncertain: Uncertain,
 ) -> tuple[CalibrationProblem, ConfigurationLanes]:
     """Stack a calibration into arrays, and return its lanes with effector records."""
     for configuration in configurations:
@@ -106,7 +116,15 @@ def _build(
     check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], lanes.arrays))
     warn_if_locking(model, space)
     newton = newton or NewtonSettings()
-    return CalibrationProblem(model, space, lanes.arrays, newton), lanes
+    effectors = lanes.arrays.effectors
+    noise = correlated_noise(
+        configurations,
+        space=space,
+        effectors=effectors,
+        motion=measured_motion(lanes.effectors, effectors.measured.shape[1]),
+        uncertain=uncertain,
+    )
+    return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
 
 
 def calibrate(
@@ -140,9 +158,12 @@ def calibrate(
         configurations: Measured configurations that are fitted.
         validation: Measured configurations that are only predicted.
         noise: "stated" takes the markers' standard deviations as they are; "estimated"
-            takes their ratios and finds the level from the residuals.
+            takes their ratios and finds the level from the residuals, by restricted
+            maximum likelihood beside the offsets of recordings.
         uncertain: How well everything is known that is not calibrated; by default see
             `Uncertain`. It widens the standard errors, and `result.budget` splits them.
+            Offsets of recordings, and a `relative_std` of the configurations, weigh the
+            data.
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         starts: Number of starts of the search: that of the parameters, and random ones
@@ -241,16 +262,17 @@ def _fit(
 
     `begin` is where the loop begins; what is reported as start is still `start`.
     """
-    settings = settings or CalibrationSettings()
+    settings, uncertain = settings or CalibrationSettings(), uncertain or Uncertain()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
     springs = spring_names((*configurations, *validation))
-    problem, lanes = _build(model, parameters, configurations, newton, springs)
+    build = partial(_build, model, parameters, uncertain=uncertain)
+    problem, lanes = build(configurations, newton, springs)
     check_scopes(problem.space, configurations)
     # Built now, so that a wrong held-out configuration is found before the fit.
     held_out = None
     if validation:
-        held_out = _build(model, parameters, validation, newton, springs)
+        held_out = build(validation, newton, springs)
     names = tuple(c.name for c in configurations)
     for c in validation:
         if c.name in names:
@@ -282,8 +304,24 @@ def _fit(
             begin = jnp.asarray(found.z[found.best])
             there = workers.end_of(evaluate.from_rest(begin))
         begin = first if begin is None else begin
-        state = journal.begin(initial_state(settings, begin, there))
-        state = workers.end_of(descend(evaluate, settings, state, journal.note))
+        state, weights = journal.begin(
+            initial_state(settings, begin, there), problem.noise
+        )
+        weighed = workers.end_of(
+            weighed_fit(
+                evaluate.with_noise(weights),
+                settings,
+                state,
+                unknown=unknown_noise(
+                    configurations,
+                    jitter=noise == "estimated",
+                    offset=uncertain.recordings == "estimated",
+                ),
+                note=journal.note,
+            )
+        )
+        state, problem = weighed.state, problem.with_noise(weighed.noise)
+        evaluate = evaluate.with_noise(weighed.noise)
         evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
         fits = configuration_results(
             fitted,
@@ -294,16 +332,24 @@ def _fit(
             after=evaluation.effectors,
             solution=evaluation.equilibrium,
         )
-        spread = _uncertainty(problem, state.z, evaluation, noise)
+        spread = _uncertainty(problem, state.z, evaluation, noise, weighed.scale)
         budget = workers.end_of(
             error_budget(
                 evaluate,
                 configurations,
-                uncertain or Uncertain(),
+                uncertain,
                 z=state.z,
                 at=evaluation,
                 spread=spread,
             )
+        )
+        checks = residual_checks(
+            problem,
+            configurations,
+            state=state,
+            W_c=budget.W_c,
+            spread=spread,
+            fits=fits,
         )
         missing = []
         if held_out is not None:
@@ -324,9 +370,12 @@ def _fit(
         W_ep=np.asarray(evaluation.W_ep),
         settings=settings,
         newton=problem.newton,
+        noise=weighed.noise,
+        checks=checks,
         timing_s=clock.seconds,
         notes=(
             *fit_notes(state, settings),
+            *weighed.notes,
             *missing,
             *result_notes(problem, fits, state.z, spread),
         ),
@@ -387,7 +436,9 @@ def _predict(
     return fits, notes + unscoped_notes(problem.space, validation)
 
 
-def _uncertainty(problem: CalibrationProblem, z, at: Evaluation, noise) -> Uncertainty:
+def _uncertainty(
+    problem: CalibrationProblem, z, at: Evaluation, noise, scale: float | None
+) -> Uncertainty:
     down, up = map(np.asarray, problem.space.room(z))
     return uncertainty(
         np.asarray(at.W_ep),
@@ -396,6 +447,7 @@ def _uncertainty(problem: CalibrationProblem, z, at: Evaluation, noise) -> Uncer
         at_bound=(down >= -1e-9) | (up <= 1e-9),
         noise=noise,
         prior_weights=np.asarray(problem.space.prior_weights()),
+        scale=scale,
     )
 
 

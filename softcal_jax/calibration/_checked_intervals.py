@@ -201,7 +201,9 @@ def whole_interval(
 
     Both move out by what is held fixed and may be wrong, in squares, up to the bounds.
     """
-    variance = sum(cause.variance[column] for cause in result.budget.causes)
+    # What the likelihood knows of already is in the covariance by the noise.
+    both = result.budget.covariance, result.uncertainty.covariance
+    variance = max(both[0][column, column] - both[1][column, column], 0.0)
     reach = norm.ppf(0.5 * (1.0 + level)) * np.sqrt(np.nan_to_num(variance))
     wider = []
     for end, sign in zip(ends, (-1, 1), strict=True):

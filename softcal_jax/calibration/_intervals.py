@@ -83,6 +83,7 @@ def profile_intervals(
             f"{', '.join(c.name for c in configurations)}: give those, in that order."
         )
     problem = build_problem(result.model, space, configurations, result.newton)
+    problem = problem.with_noise(result.noise)
     with Workers(problem.model, len(problem.configurations.gravity)) as workers:
         now = workers.end_of(Evaluator(problem).from_rest(result.z))
     check_converged(now.equilibrium, tuple(c.name for c in configurations))

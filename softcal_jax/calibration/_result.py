@@ -11,6 +11,8 @@ from softcal_jax._units import readable_estimate
 from softcal_jax.calibration._budget import ErrorBudget
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._interval import ParameterInterval
+from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
@@ -233,6 +235,8 @@ class CalibrationResult(eqx.Module):
         timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
         notes: What the user should know before using the values.
         starts: Result of the search from many starts, if there was one.
+        noise: Covariance of the stacked errors that weighed them.
+        checks: What the residuals say about the model.
     """
 
     converged: bool
@@ -250,6 +254,8 @@ class CalibrationResult(eqx.Module):
     timing_s: dict[str, float]
     notes: tuple[str, ...]
     starts: MultiStartResult | None = None
+    noise: CorrelatedNoise | None = None
+    checks: ResidualChecks | None = None
 
     @property
     def intervals(self) -> tuple[ParameterInterval, ...]:
@@ -275,6 +281,7 @@ class CalibrationResult(eqx.Module):
             f"{1e3 * fit.rms_after:.3f} mm"
             for fit in self.configurations
         ]
+        lines += [f"  {line}" for line in self.checks.agreement] if self.checks else []
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:
