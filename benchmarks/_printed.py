@@ -1,17 +1,12 @@
 """What a user reads for each calibrated parameter, and whether it holds the truth."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
 
 from softcal_jax.calibration import CalibrationResult
-
-LEVEL = 0.95
-"""Confidence of the intervals [-]."""
-
-Kind = Literal["first-order", "profile", "one-sided", "none"]
+from softcal_jax.calibration._interval import IntervalKind
 
 
 class Printed(NamedTuple):
@@ -28,7 +23,7 @@ class Printed(NamedTuple):
     name: str
     lower: float
     upper: float
-    kind: Kind
+    kind: IntervalKind
     turn: float
 
     @property
@@ -54,13 +49,11 @@ def printed(result: CalibrationResult) -> tuple[Printed, ...]:
     Args:
         result: The fit.
     """
-    reach = float(norm.ppf(0.5 * (1.0 + LEVEL)))
     found = []
     for p in result.parameters:
-        half = reach * p.standard_error
-        kind: Kind = "first-order" if np.isfinite(half) else "none"
-        turn = np.pi if p.unit == "rad" else 0.0
-        found.append(Printed(p.name, p.value - half, p.value + half, kind, turn))
+        assert p.interval is not None
+        own, turn = p.interval, np.pi if p.unit == "rad" else 0.0
+        found.append(Printed(p.name, own.lower, own.upper, own.kind, turn))
     return tuple(found)
 
 

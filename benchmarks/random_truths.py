@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks._printed import LEVEL, Printed, printed, share_percent
+from benchmarks._printed import Printed, printed, share_percent
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration import (
@@ -266,7 +266,8 @@ def noisy(
         jitter = JITTER * random.standard_normal(motion.shape)
         offset = noise.offset * random.standard_normal(3)
         share = noise.share * random.standard_normal() * motion
-        drawn.append(replace(c, measured=c.measured + jitter + offset + share))
+        measured = c.measured + jitter + offset + share
+        drawn.append(replace(c, measured=measured, relative_std=noise.share))
     return drawn
 
 
@@ -339,7 +340,7 @@ def _shares(trials: Sequence[Trial]) -> Table:
             )
     columns = ["beam", "noise", "intervals", "hold the truth"]
     columns += ["called identified", "not converged"]
-    return Table(f"{100 * LEVEL:g} % intervals of random truths", columns, rows)
+    return Table("95 % intervals of random truths", columns, rows)
 
 
 def _percent(flags: Sequence[bool]) -> str:
