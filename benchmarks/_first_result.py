@@ -36,7 +36,9 @@ def main() -> None:
         simulated = time.time() - begin
         compiled: list[int] = []
         note = lambda entry: compiled.append(len(seen.programs))
-        result = calibrate(beam.model, beam.space, poses, progress=note)
+        result = calibrate(
+            beam.model, beam.space, poses, starts=1, intervals=None, progress=note
+        )
     cache = "/jax/compilation_cache/"
     print(
         json.dumps(

@@ -76,6 +76,7 @@ def calibrated(robot: ParallelRobot, measured: Measured) -> CalibrationResult:
         measured.calibration,
         validation=measured.validation,
         noise="stated",
+        intervals=None,
     )
 
 

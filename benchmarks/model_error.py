@@ -162,7 +162,15 @@ def try_case(
         Trial(
             case,
             seed,
-            calibrate(model, space, poses, noise="stated", settings=settings),
+            calibrate(
+                model,
+                space,
+                poses,
+                noise="stated",
+                settings=settings,
+                starts=1,
+                intervals=None,
+            ),
         )
         for seed, poses in data.items()
     ]

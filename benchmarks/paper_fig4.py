@@ -121,7 +121,7 @@ def run(options: Options) -> Outcome:
     figures["seconds_30_starts"] = seconds
     for suffix in ("", "_xz"):
         result = found[suffix].result
-        figures[f"optima{suffix}"] = len(result.optima)
+        figures[f"optima{suffix}"] = sum(bool(own.starts) for own in result.optima)
         figures[f"median_steps{suffix}"] = float(np.median(result.steps))
         figures[f"most_steps{suffix}"] = int(result.steps.max())
     picture = options.folder() / "fig4.png"
@@ -176,6 +176,8 @@ def _table(title: str, ends: Ends) -> Table:
     result = ends.result
     rows = []
     for optimum in result.optima:
+        if not optimum.starts:  # only passed on the way to another one
+            continue
         at_target = bool(ends.found[optimum.starts[0]])
         rows.append(
             [

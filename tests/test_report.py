@@ -200,18 +200,26 @@ def test_summary_in_80_columns():
     assert "…" not in text
 
 
-def test_summary_shows_intervals_that_were_asked_for():
-    found = (
-        ParameterInterval("E", 0.9, 2.1e5, 1e6, "likelihood", "bound", "Pa"),
-        ParameterInterval(
-            "theta", 0.9, *np.deg2rad([-20.0, 31.5]), *2 * ["likelihood"], "rad"
-        ),
+def test_summary_shows_intervals_and_their_kinds():
+    """A symmetric +- stands only where the first-order interval holds."""
+    ends = ("likelihood", "bound")
+    E = ParameterInterval("E", 0.9, 2.1e5, 1e6, *ends, "Pa", "one-sided")
+    nothing = ParameterInterval(
+        "nu", 0.9, 0.3, 0.44, "bound", "bound", "", "none", "too little is known"
     )
-    text = printed(summary_table(make_result(intervals=found)))
-    assert "90 % interval" in text
-    assert "0.21 to 1 (bound) MPa" in text
-    assert "-20 to 31.5 deg" in text
-    assert "90 % interval" not in printed(summary_table(make_result()))
+    text = printed(summary_table(make_result(intervals=(E, nothing))))
+    for shown in ("90 % interval", "0.21 to 1 (bound) MPa", "one-sided", "too little"):
+        assert shown in text
+    assert "±" not in text.replace("value ± std. error", "")
+    straight = ParameterInterval(
+        "E", 0.9, 2.3e5, 2.5e5, *2 * ["likelihood"], "Pa", "first-order"
+    )
+    text = printed(summary_table(make_result(intervals=(straight, nothing))))
+    assert "240.0 ± 6.0 kPa" in text
+    assert "first-order" in text
+    without = printed(summary_table(make_result()))
+    assert "90 % interval" not in without
+    assert "(unchecked)" in without
 
 
 def judged(*rows):

@@ -1,5 +1,6 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
+from softcal_jax.calibration._agreement import RecordingEstimate
 from softcal_jax.calibration._budget import (
     NOISE,
     Cause,
@@ -7,6 +8,7 @@ from softcal_jax.calibration._budget import (
     considered_errors,
 )
 from softcal_jax.calibration._calibrate import as_sequence, build_problem, calibrate
+from softcal_jax.calibration._checked_intervals import LEVEL
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (
     levenberg_marquardt,
@@ -19,7 +21,14 @@ from softcal_jax.calibration._configuration_result import (
     SimulationResult,
     simulation_result,
 )
+from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
+from softcal_jax.calibration._noise import (
+    CorrelatedNoise,
+    correlated_noise,
+    measured_motion,
+    whitened,
+)
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -33,18 +42,20 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
+from softcal_jax.calibration._residual_checks import LeftOut, ResidualChecks
+from softcal_jax.calibration._residuals import LackOfFit
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
     MultiStartResult,
     Optimum,
     ParameterEstimate,
-    ParameterInterval,
 )
 from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
+    default_starts,
     multi_start,
     random_starts,
 )
@@ -54,11 +65,13 @@ from softcal_jax.calibration._state import (
     initial_state,
 )
 from softcal_jax.calibration._step import KKT_TOLERANCE, propose
-from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
+from softcal_jax.calibration._uncertainty import EXACT, Uncertainty, uncertainty
 
 __all__ = [
+    "EXACT",
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
+    "LEVEL",
     "NOISE",
     "CalibrationProblem",
     "CalibrationResult",
@@ -68,16 +81,21 @@ __all__ = [
     "Cause",
     "Clock",
     "ConfigurationResult",
+    "CorrelatedNoise",
     "ErrorBudget",
     "Evaluation",
     "Evaluator",
     "HistoryEntry",
+    "LackOfFit",
+    "LeftOut",
     "LowerCostFound",
     "MultiStartResult",
     "Optimum",
     "ParameterEstimate",
     "ParameterInterval",
     "QPStep",
+    "RecordingEstimate",
+    "ResidualChecks",
     "Run",
     "SearchProgress",
     "SimulationResult",
@@ -89,12 +107,15 @@ __all__ = [
     "build_problem",
     "calibrate",
     "considered_errors",
+    "correlated_noise",
+    "default_starts",
     "descend",
     "evaluate",
     "first_guess",
     "images_of",
     "initial_state",
     "levenberg_marquardt",
+    "measured_motion",
     "multi_start",
     "profile_ends",
     "profile_intervals",
@@ -106,6 +127,7 @@ __all__ = [
     "simulation_result",
     "synthetic_measurements",
     "uncertainty",
+    "whitened",
     "with_measured",
     "without_names",
 ]

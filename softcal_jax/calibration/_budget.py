@@ -8,10 +8,12 @@ error dc moves the optimum by
     dz = -G W_c dc,   G = (W^T W / s^2 + P)^-1 W^T / s^2,
 
 with the rows W_c of Eq. (9), and the covariance of the estimate is that of the noise
-plus the sum of G W_c Sigma_c W_c^T G^T over the causes.
+plus the sum of G W_c Sigma_c W_c^T G^T over the causes. Offsets of recordings and creep
+belong to the noise, so W and s are in units of its covariance (see `CorrelatedNoise`);
+they are causes too, by the same gain, and what the noise has left is its jitter.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax
@@ -21,7 +23,9 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._considered import Considered, considered
+from softcal_jax.calibration._noise import named_columns, whitened
 from softcal_jax.calibration._problem import (
+    CalibrationProblem,
     Evaluation,
     Evaluator,
     lane_of,
@@ -42,7 +46,7 @@ from softcal_jax.fields import ParameterSpace, Uncertain
 from softcal_jax.sensitivity import clamp_row, parameter_rows
 
 NOISE = "noise"
-"""Name of what remains if everything that is held fixed is right."""
+"""Name of what remains if everything that is held fixed is right: the jitter."""
 
 MESH = "mesh"
 """Name of the error of linear tets."""
@@ -79,10 +83,11 @@ class ErrorBudget(eqx.Module):
         values: Their values, in SI.
         slopes: Their change per scaled unit, in SI.
         units: Their SI units.
-        noise: Covariance of the scaled parameters by the noise [-].
+        noise: Covariance of the scaled parameters by the jitter of coordinates, and
+            what the priors leave [-].
         causes: What else may be wrong, the largest first.
-        W_c: Change of the stacked errors per standard deviation of what may be wrong,
-            in units of the noise, see `identifiability` [-].
+        W_c: Change of the stacked errors per standard deviation of what is held fixed
+            and may be wrong, in units of the noise, see `identifiability` [-].
     """
 
     names: tuple[str, ...]
@@ -167,12 +172,16 @@ def error_budget(
         evaluate, configurations, uncertain, z=z, displacement=displacement
     )
     gain = estimator(np.asarray(at.W_ep), spread, np.asarray(space.prior_weights()))
-    weight = np.asarray(problem.configurations.effectors.inverse_std).ravel()
-    W_c = {
-        name: weight[:, None] * np.stack([e.ravel() for e in errors.values()], axis=1)
-        for name, errors in own.items()
-    }
-    causes = [Cause(name, tuple(own[name]), -gain @ W) for name, W in W_c.items()]
+    in_units = lambda those: _stacked(problem, those.values())
+    W_c = {name: in_units(errors) for name, errors in own.items()}
+    correlated = {}
+    if problem.noise is not None:
+        correlated = named_columns(
+            configurations, problem.noise, problem.configurations.effectors
+        )
+    of_noise = {name: in_units(errors) for name, errors in correlated.items()}
+    names = {name: tuple(errors) for name, errors in (own | correlated).items()}
+    causes = [Cause(n, names[n], -gain @ W) for n, W in (W_c | of_noise).items()]
     whole = np.nan_to_num(sum(cause.variance for cause in causes))
     size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))
     _, slopes = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
@@ -181,10 +190,41 @@ def error_budget(
         values=np.asarray(space.from_scaled(z)),
         slopes=np.abs(np.asarray(slopes)),
         units=tuple(q.unit for q in space.parameters),
-        noise=spread.covariance,
+        noise=_by_jitter(problem, spread, gain),
         causes=tuple(sorted(causes, key=size, reverse=True)),
         W_c=np.concatenate([np.zeros((gain.shape[1], 0)), *W_c.values()], axis=1),
     )
+
+
+def _stacked(
+    problem: CalibrationProblem, errors: Iterable[Float[HostArray, "..."]]
+) -> Float[HostArray, "n_e n_errors"]:
+    """Stack changes of the effectors as columns, in units of the noise [-]."""
+    columns = np.stack([np.ravel(error) for error in errors], axis=1)
+    return np.asarray(problem.in_noise_units(jnp.asarray(columns)))
+
+
+def _by_jitter(
+    problem: CalibrationProblem,
+    spread: Uncertainty,
+    gain: Float[HostArray, "n_p n_e"],
+) -> Float[HostArray, "n_p n_p"]:
+    """Compute the covariance by independent errors, and by the priors [-].
+
+    In the units of the noise independent errors are no longer independent: they are
+    s (I + A A^T)^-1/2 times numbers that are.
+    """
+    noise, effectors = problem.noise, problem.configurations.effectors
+    own = gain
+    if noise is not None:
+        arrays, effectors = jax.tree.map(np.asarray, (noise, effectors))
+        own = whitened(arrays.columns(effectors), gain.T).T
+    known = np.flatnonzero(np.isfinite(np.diag(spread.covariance)))
+    covariance = np.full(spread.covariance.shape, np.nan)
+    C, own = spread.covariance[np.ix_(known, known)], spread.noise_scale * own[known]
+    by_prior = C * np.asarray(problem.space.prior_weights())[known]
+    covariance[np.ix_(known, known)] = own @ own.T + by_prior @ by_prior.T
+    return covariance
 
 
 def considered_errors(
@@ -243,7 +283,8 @@ def _all_columns(
         )
         for c in range(n_c)
     ]
-    shared = eqx.tree_at(lambda p: p.configurations, problem, None)
+    alone = problem.with_noise(None)
+    shared = eqx.tree_at(lambda p: p.configurations, alone, None)
 
     def columns(solver, lane):
         on = with_solver(shared, solver)

@@ -2,6 +2,8 @@
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import jax
@@ -10,11 +12,18 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._budget import error_budget
+from softcal_jax.calibration._checked_intervals import (
+    LEVEL,
+    Fitted,
+    check_level,
+    with_intervals,
+)
 from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     configuration_results,
 )
+from softcal_jax.calibration._noise import correlated_noise, measured_motion
 from softcal_jax.calibration._notes import (
     fit_notes,
     result_notes,
@@ -27,20 +36,22 @@ from softcal_jax.calibration._problem import (
     Evaluation,
     Evaluator,
 )
+from softcal_jax.calibration._residual_checks import residual_checks
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
     parameter_estimates,
 )
-from softcal_jax.calibration._runs import descend
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
+    default_starts,
     random_starts,
     search,
 )
 from softcal_jax.calibration._state import CalibrationSettings, initial_state
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
+from softcal_jax.calibration._weighing import unknown_noise, weighed_fit
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
@@ -56,6 +67,7 @@ from softcal_jax.fields import (
     as_space,
     check_parameters,
     check_scopes,
+    exactly_known,
 )
 
 
@@ -64,6 +76,8 @@ def build_problem(
     parameters: ParameterSpace | Entry | Sequence[Entry],
     configurations: Configuration | Sequence[Configuration],
     newton: NewtonSettings | None = None,
+    *,
+    uncertain: Uncertain | None = None,
 ) -> CalibrationProblem:
     """Stack a calibration into arrays, for `evaluate` and `multi_start`.
 
@@ -72,11 +86,14 @@ def build_problem(
         parameters: What is calibrated.
         configurations: Posed robots; each with markers and measured positions.
         newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated, of which the
+            offsets of recordings belong to the noise; by default nothing is uncertain.
 
     Raises:
         ValueError: If a configuration has no measurement, or a parameter no field.
     """
-    return _build(model, parameters, as_sequence(configurations), newton)[0]
+    posed, uncertain = as_sequence(configurations), uncertain or exactly_known()
+    return _build(model, parameters, posed, newton, uncertain=uncertain)[0]
 
 
 def _build(
@@ -85,6 +102,8 @@ def _build(
     configurations: Sequence[Configuration],
     newton: NewtonSettings | None,
     shared: SharedNames | None = None,
+    *,
+    uncertain: Uncertain,
 ) -> tuple[CalibrationProblem, ConfigurationLanes]:
     """Stack a calibration into arrays, and return its lanes with effector records."""
     for configuration in configurations:
@@ -98,7 +117,15 @@ def _build(
     check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], lanes.arrays))
     warn_if_locking(model, space)
     newton = newton or NewtonSettings()
-    return CalibrationProblem(model, space, lanes.arrays, newton), lanes
+    effectors = lanes.arrays.effectors
+    noise = correlated_noise(
+        configurations,
+        space=space,
+        effectors=effectors,
+        motion=measured_motion(lanes.effectors, effectors.measured.shape[1]),
+        uncertain=uncertain,
+    )
+    return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
 
 
 def calibrate(
@@ -111,12 +138,14 @@ def calibrate(
     uncertain: Uncertain | None = None,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
-    starts: int = 1,
+    starts: int | None = None,
     seed: int = 0,
     start: Float[Array, " n_p"] | None = None,
+    intervals: float | None = LEVEL,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
+    profiling: Callable[[CalibrationResult], None] = lambda _: None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.
 
@@ -130,22 +159,31 @@ def calibrate(
         configurations: Measured configurations that are fitted.
         validation: Measured configurations that are only predicted.
         noise: "stated" takes the markers' standard deviations as they are; "estimated"
-            takes their ratios and finds the level from the residuals.
+            takes their ratios and finds the level from the residuals, by restricted
+            maximum likelihood beside the offsets of recordings.
         uncertain: How well everything is known that is not calibrated; by default see
             `Uncertain`. It widens the standard errors, and `result.budget` splits them.
+            Offsets of recordings, and a `relative_std` of the configurations, weigh the
+            data.
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         starts: Number of starts of the search: that of the parameters, and random ones
             within the bounds; see `multi_start`. The fit then continues from the best.
+            By default see `default_starts`; 1 where `start` is given.
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
+        intervals: Confidence of the intervals of the parameters, or None for none [-].
+            They take two evaluations for each parameter; where these show that its
+            standard error does not hold, a few fits for each of its ends.
         checkpoint: File in which the state is saved: after every step, and in a search
             from many starts after every image of a run. If it exists, the calibration
             resumes from it, with the same result.
         progress: Called after the first evaluation and after each step.
         search_progress: Called when a run of a search from many starts has ended, see
             `multi_start`.
+        profiling: Called with the result so far before profiles of the likelihood are
+            computed, which takes a while.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished.
@@ -158,18 +196,84 @@ def calibrate(
     """
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
+    if starts is None:
+        starts = 1 if start is not None else default_starts(as_space(parameters))
     if starts < 1:
         raise ValueError(f"starts must be at least 1, got {starts}.")
-    settings = settings or CalibrationSettings()
+    if intervals is not None:
+        check_level(intervals)
+    fit = partial(
+        _fit,
+        model,
+        parameters,
+        configurations,
+        validation=validation,
+        noise=noise,
+        uncertain=uncertain,
+        settings=settings,
+        newton=newton,
+        seed=seed,
+        start=start,
+    )
+    first = fit(
+        starts=starts,
+        checkpoint=checkpoint,
+        progress=progress,
+        search_progress=search_progress,
+    )
+    if intervals is None:
+        return first.result
+
+    def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
+        old, last = done.result, done.result.history[-1]
+        later = lambda entry: replace(
+            entry,
+            step=entry.step + last.step,
+            seconds=entry.seconds + last.seconds,
+        )
+        told = progress and (lambda entry: entry.step and progress(later(entry)))
+        new = fit(starts=1, progress=told, begin=z)
+        history = (*old.history, *map(later, new.result.history[1:]))
+        timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
+        changed = {"history": history, "starts": old.starts, "timing_s": timing}
+        return new._replace(result=replace(new.result, **changed))
+
+    return with_intervals(first, intervals, go_on, profiling)
+
+
+def _fit(
+    model: Model,
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+    configurations: Configuration | Sequence[Configuration],
+    *,
+    validation: Configuration | Sequence[Configuration],
+    noise: Literal["estimated", "stated"],
+    uncertain: Uncertain | None,
+    settings: CalibrationSettings | None,
+    newton: NewtonSettings | None,
+    starts: int,
+    seed: int,
+    start: Float[Array, " n_p"] | None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: Callable[[HistoryEntry], None] | None = None,
+    search_progress: Callable[[SearchProgress], None] | None = None,
+    begin: Float[Array, " n_p"] | None = None,
+) -> Fitted:
+    """Calibrate as `calibrate` does, without intervals.
+
+    `begin` is where the loop begins; what is reported as start is still `start`.
+    """
+    settings, uncertain = settings or CalibrationSettings(), uncertain or Uncertain()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
     shared = shared_names((*configurations, *validation))
-    problem, lanes = _build(model, parameters, configurations, newton, shared)
+    build = partial(_build, model, parameters, uncertain=uncertain)
+    problem, lanes = build(configurations, newton, shared)
     check_scopes(problem.space, configurations)
     # Built now, so that a wrong held-out configuration is found before the fit.
     held_out = None
     if validation:
-        held_out = _build(model, parameters, validation, newton, shared)
+        held_out = build(validation, newton, shared)
     names = tuple(c.name for c in configurations)
     for c in validation:
         if c.name in names:
@@ -181,11 +285,13 @@ def calibrate(
     evaluate = Evaluator(problem)
     most = starts * max(len(configurations), 2 * len(validation))
     with Clock() as clock, Workers(model, most) as workers:
-        first = begin = _admissible(problem.space, start)
+        first = _admissible(problem.space, start)
         before = there = workers.end_of(evaluate.from_rest(first))
         check_converged(before.equilibrium, names)
         found = None
-        if starts > 1:
+        if begin is not None:
+            there = workers.end_of(evaluate.from_rest(begin))
+        elif starts > 1:
             others = random_starts(problem.space, starts - 1, seed=seed)
             found = search(
                 workers,
@@ -198,8 +304,25 @@ def calibrate(
             )
             begin = jnp.asarray(found.z[found.best])
             there = workers.end_of(evaluate.from_rest(begin))
-        state = journal.begin(initial_state(settings, begin, there))
-        state = workers.end_of(descend(evaluate, settings, state, journal.note))
+        begin = first if begin is None else begin
+        state, weights = journal.begin(
+            initial_state(settings, begin, there), problem.noise
+        )
+        weighed = workers.end_of(
+            weighed_fit(
+                evaluate.with_noise(weights),
+                settings,
+                state,
+                unknown=unknown_noise(
+                    configurations,
+                    jitter=noise == "estimated",
+                    offset=uncertain.recordings == "estimated",
+                ),
+                note=journal.note,
+            )
+        )
+        state, problem = weighed.state, problem.with_noise(weighed.noise)
+        evaluate = evaluate.with_noise(weighed.noise)
         evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
         fits = configuration_results(
             fitted,
@@ -210,16 +333,24 @@ def calibrate(
             after=evaluation.effectors,
             solution=evaluation.equilibrium,
         )
-        spread = _uncertainty(problem, state.z, evaluation, noise)
+        spread = _uncertainty(problem, state.z, evaluation, noise, weighed.scale)
         budget = workers.end_of(
             error_budget(
                 evaluate,
                 configurations,
-                uncertain or Uncertain(),
+                uncertain,
                 z=state.z,
                 at=evaluation,
                 spread=spread,
             )
+        )
+        checks = residual_checks(
+            problem,
+            configurations,
+            state=state,
+            W_c=budget.W_c,
+            spread=spread,
+            fits=fits,
         )
         missing = []
         if held_out is not None:
@@ -227,7 +358,7 @@ def calibrate(
                 workers, validation, *held_out, start=first, z=state.z
             )
             fits += predicted
-    return CalibrationResult(
+    result = CalibrationResult(
         converged=bool(state.converged),
         parameters=parameter_estimates(problem.space, state.z, spread, budget, start),
         uncertainty=spread,
@@ -240,14 +371,18 @@ def calibrate(
         W_ep=np.asarray(evaluation.W_ep),
         settings=settings,
         newton=problem.newton,
+        noise=weighed.noise,
+        checks=checks,
         timing_s=clock.seconds,
         notes=(
             *fit_notes(state, settings),
+            *weighed.notes,
             *missing,
             *result_notes(problem, fits, state.z, spread),
         ),
         starts=found,
     )
+    return Fitted(result, problem, evaluation)
 
 
 def _admissible(
@@ -302,7 +437,9 @@ def _predict(
     return fits, notes + unscoped_notes(problem.space, validation)
 
 
-def _uncertainty(problem: CalibrationProblem, z, at: Evaluation, noise) -> Uncertainty:
+def _uncertainty(
+    problem: CalibrationProblem, z, at: Evaluation, noise, scale: float | None
+) -> Uncertainty:
     down, up = map(np.asarray, problem.space.room(z))
     return uncertainty(
         np.asarray(at.W_ep),
@@ -311,6 +448,7 @@ def _uncertainty(problem: CalibrationProblem, z, at: Evaluation, noise) -> Uncer
         at_bound=(down >= -1e-9) | (up <= 1e-9),
         noise=noise,
         prior_weights=np.asarray(problem.space.prior_weights()),
+        scale=scale,
     )
 
 

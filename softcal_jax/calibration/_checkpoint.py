@@ -5,6 +5,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 from zipfile import BadZipFile
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import HostArray
+from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import HistoryEntry
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
@@ -93,20 +95,23 @@ class Journal:
         if self.history:
             self._begin -= self.history[-1].seconds
 
-    def note(self, state: CalibrationState) -> None:
-        """Record a step."""
+    def note(self, state: CalibrationState, noise: CorrelatedNoise | None) -> None:
+        """Record a step, and the noise in whose units it was taken."""
         seconds = time.perf_counter() - self._begin
-        self.history.append(_history_entry(state, self._problem, seconds))
-        self.keep("state", state)
+        entry = _history_entry(state, self._problem, seconds)
+        self.history.append(replace(entry, step=len(self.history)))
+        self.keep("state", (state, noise))
         if self._progress:
             self._progress(self.history[-1])
 
-    def begin(self, state: CalibrationState) -> CalibrationState:
-        """Return the saved state; without one, record and return this first one."""
-        kept = self.kept("state", state)
+    def begin(
+        self, state: CalibrationState, noise: CorrelatedNoise | None
+    ) -> tuple[CalibrationState, CorrelatedNoise | None]:
+        """Return the saved state and noise; record and return these without them."""
+        kept = self.kept("state", (state, noise))
         if kept is None:
-            self.note(state)
-        return kept or state
+            self.note(state, noise)
+        return kept or (state, noise)
 
     def keep(self, name: str, tree: Any) -> None:
         """Save a state or run: the file is replaced whole or not at all."""

@@ -143,14 +143,13 @@ def levenberg_marquardt(
 
     begin = problem.space.start()
     guess = first_guess(*problem.at(begin), problem.newton)
-    weight = problem.configurations.effectors.inverse_std
 
     def errors(z, problem: CalibrationProblem):
         solution, positions = simulate(*problem.at(z), guess, problem.newton)
         delta_e = effector_errors(problem, positions)
         # A step to parameters without equilibrium must be refused.
-        ok = solution.converged[:, None, None]
-        of_data = jnp.where(ok, weight * delta_e, jnp.inf).ravel()
+        of_data = problem.in_noise_units(jnp.ravel(delta_e))
+        of_data = jnp.where(jnp.all(solution.converged), of_data, jnp.inf)
         return jnp.concatenate([of_data, problem.space.from_prior(z)])
 
     solution = optx.least_squares(

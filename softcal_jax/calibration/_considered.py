@@ -9,6 +9,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, HostArray
 from softcal_jax.calibration._held_faces import grounded, held_nodes, outward_motion
+from softcal_jax.calibration._noise import not_calibrated
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
@@ -17,7 +18,6 @@ from softcal_jax.fields import (
     AbstractError,
     FieldError,
     SetupError,
-    SetupParameter,
     Uncertain,
 )
 from softcal_jax.materials import is_point_values
@@ -69,7 +69,7 @@ def considered(
     posed = _Posed(problem, configurations)
     found = [
         own._replace(shared=_uncalibrated(own, posed))
-        for kind in (_fields, _loads, _supports, _mechanism, _readings, _clamps)
+        for kind in (_fields, _loads, _supports, _mechanism, _clamps)
         for own in kind(uncertain, posed)
     ]
     happens = lambda own: any(key is not None for key in own.shared)
@@ -186,18 +186,6 @@ def _mechanism(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
             yield _same("mountings", entry, keys)
 
 
-def _readings(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
-    """List errors of the recordings."""
-    effectors = posed.arrays.effectors
-    n_points = effectors.nodes.shape[-2]
-    seen = np.any(effectors.inverse_std[:, :n_points] > 0.0, axis=(1, 2))
-    names = [c.recording or c.name for c in posed.configurations]
-    keys = posed.where(names, seen)
-    for axis in QUANTITIES["recording_offset"].components:
-        entry = _error("recording_offset", uncertain.recordings, axis=axis)
-        yield _same("recordings", entry, keys)
-
-
 def _same(cause: str, entry: AbstractError, shared: tuple[Hashable, ...]) -> Considered:
     """Return an error, with keys of the configurations where it is not zero."""
     none = (None,) * len(shared)
@@ -219,13 +207,10 @@ def _error(
 
 def _uncalibrated(own: Considered, posed: _Posed) -> tuple[Hashable, ...]:
     """Return the keys of an error, None where a parameter of the fit is the same."""
-    shared = own.shared
-    if not isinstance(own.entry, SetupError):
-        return shared
-    same = lambda e: (e.kind, e.of, e.axis)
-    for entry in posed.space.entries:
-        if isinstance(entry, SetupParameter) and same(entry) == same(own.entry):
-            members = [entry.member(c) for c in posed.configurations]
-            free = [entry.each and name not in entry.each for name in members]
-            shared = posed.where(shared, free)
-    return shared
+    entry = own.entry
+    if not isinstance(entry, SetupError):
+        return own.shared
+    free = not_calibrated(
+        posed.space, posed.configurations, entry.kind, of=entry.of, axis=entry.axis
+    )
+    return posed.where(own.shared, free)

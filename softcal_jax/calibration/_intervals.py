@@ -3,13 +3,19 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import norm, t
 
 from softcal_jax._names import unknown_name
 from softcal_jax.calibration._calibrate import as_sequence, build_problem
+from softcal_jax.calibration._checked_intervals import (
+    LEVEL,
+    check_level,
+    quantile_of,
+    whole_interval,
+)
+from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._problem import Evaluator
-from softcal_jax.calibration._profile import ProfileEnd, profile_ends, room_beside
-from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
+from softcal_jax.calibration._profile import profile_ends
+from softcal_jax.calibration._result import CalibrationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers, check_converged
 
@@ -22,13 +28,15 @@ def profile_intervals(
     configurations: Configuration | Sequence[Configuration],
     *,
     parameters: str | Sequence[str] | None = None,
-    level: float = 0.95,
+    level: float = LEVEL,
 ) -> tuple[ParameterInterval, ...]:
     """Find confidence intervals from the likelihood itself, not its linearisation.
 
-    Value +- 1.96 standard errors holds where the errors are linear in the parameters
-    over that range. Where the data determine a parameter only to a third of its value
-    or worse, they are not. Here a parameter is moved away from the fit and held, all
+    `calibrate` does this by itself for parameters whose standard error does not hold,
+    see its `intervals`; this is for another level, or to compare. Value +- 1.96
+    standard errors holds where the errors are linear in the parameters over that range.
+    Where the data determine a parameter only to a third of its value or worse, they are
+    not. Here a parameter is moved away from the fit and held, all
     others are calibrated again, and the interval ends where the squared errors have
     risen by what chance allows (Bates and Watts, Nonlinear Regression Analysis, 1988,
     sec. 6.1). It need not be symmetric, and may end at a bound that the data do not
@@ -54,8 +62,7 @@ def profile_intervals(
             calibrate again from.
     """
     space = result.space
-    if not 0.0 < level < 1.0:
-        raise ValueError(f"level must lie between 0 and 1, like 0.95; got {level:g}.")
+    check_level(level)
     if not result.converged:
         raise ValueError(
             "the calibration did not converge, so it has no intervals: raise max_steps "
@@ -76,6 +83,7 @@ def profile_intervals(
             f"{', '.join(c.name for c in configurations)}: give those, in that order."
         )
     problem = build_problem(result.model, space, configurations, result.newton)
+    problem = problem.with_noise(result.noise)
     with Workers(problem.model, len(problem.configurations.gravity)) as workers:
         now = workers.end_of(Evaluator(problem).from_rest(result.z))
     check_converged(now.equilibrium, tuple(c.name for c in configurations))
@@ -94,55 +102,23 @@ def profile_intervals(
         rise=rise,
         which=[space.names.index(name) for name in names],
     )
-    intervals = []
-    for name, pair in zip(names, ends, strict=True):
-        column = space.names.index(name)
-        low, high = _widened(result, column, level, *pair)
-        own, z = space.parameters[column], result.z[column]
-        intervals.append(
-            ParameterInterval(
-                name=name,
-                level=level,
-                lower=float(own.from_scaled(z - low.distance)),
-                upper=float(own.from_scaled(z + high.distance)),
-                lower_end=low.why,
-                upper_end=high.why,
-                unit=own.unit,
-            )
-        )
-    return tuple(intervals)
+    return tuple(
+        whole_interval(result, space.names.index(name), level, pair)
+        for name, pair in zip(names, ends, strict=True)
+    )
 
 
 def _rise(result: CalibrationResult, level: float) -> float:
     """Return the root of the rise of the squared errors that chance allows."""
-    spread, tail = result.uncertainty, 0.5 * (1.0 + level)
-    if spread.noise == "stated":
-        return float(norm.ppf(tail))
-    if result.space.has_prior:
+    spread, estimated = result.uncertainty, result.uncertainty.noise == "estimated"
+    if estimated and result.space.has_prior:
         raise ValueError(
             "intervals beside a prior need to know the noise: calibrate with "
             'noise = "stated" and the `std` of the effectors.'
         )
-    if spread.degrees_of_freedom < 1:
+    if estimated and spread.degrees_of_freedom < 1:
         raise ValueError(
             "the noise cannot be estimated without more measured coordinates than "
             'parameters: calibrate with noise = "stated", or add measurements.'
         )
-    return float(spread.noise_scale * t.ppf(tail, spread.degrees_of_freedom))
-
-
-def _widened(
-    result: CalibrationResult, column: int, level: float, *ends: ProfileEnd
-) -> list[ProfileEnd]:
-    """Move both ends out by what is held fixed and may be wrong, up to the bounds."""
-    variance = sum(cause.variance[column] for cause in result.budget.causes)
-    reach = norm.ppf(0.5 * (1.0 + level)) * np.sqrt(np.nan_to_num(variance))
-    wider = []
-    for end, sign in zip(ends, (-1, 1), strict=True):
-        room = room_beside(result.space, result.z, column, sign)
-        distance = np.hypot(end.distance, reach)
-        if end.why == "likelihood" and distance >= room:
-            wider.append(ProfileEnd(room, "bound"))
-        else:
-            wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
-    return wider
+    return spread.noise_scale * quantile_of(result, level)

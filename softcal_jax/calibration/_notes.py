@@ -152,8 +152,7 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
     if np.any(rough):
         notes.append(
             f"The data determine {', '.join(names[rough])} so badly that value +- 1.96 "
-            "standard errors is only rough; `profile_intervals` (intervals = 0.95 "
-            "under [settings]) asks the likelihood itself."
+            "standard errors is only rough; intervals by the likelihood itself hold."
         )
     return notes
 
@@ -170,7 +169,7 @@ def warn_if_locking(model: Model, space: ParameterSpace) -> None:
                 'where the formulation "displacement" locks: build the model with '
                 'formulation="mean-dilatation", or lower the bound below 0.49.',
                 CalibrationWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
 
 
@@ -187,7 +186,7 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
             "another configuration as many as it has markers times 3). The fit is not "
             "unique.",
             CalibrationWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.calibration._noise import CorrelatedNoise, whitened
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     Batch,
@@ -36,12 +37,15 @@ class CalibrationProblem(eqx.Module):
         space: The parameters.
         configurations: One lane per configuration.
         newton: Settings of the equilibrium.
+        noise: Covariance of the errors; None where they are independent, with the
+            standard deviations of the effectors.
     """
 
     model: Model
     space: ParameterSpace
     configurations: ConfigurationArrays
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
+    noise: CorrelatedNoise | None = None
 
     def at(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
         """Return model and configurations with scaled parameters set [-]."""
@@ -50,6 +54,24 @@ class CalibrationProblem(eqx.Module):
             apply = lambda c: self.space.apply(self.model, c, z)[1]
             configurations = jax.vmap(apply)(configurations)
         return model, configurations
+
+    def in_noise_units(self, x: Float[Array, "n_e ..."]) -> Float[Array, "n_e ..."]:
+        """Convert stacked values from the units of the effectors to those of the noise.
+
+        They are divided by the standard deviations and made independent, see
+        `CorrelatedNoise` [-].
+        """
+        effectors = self.configurations.effectors
+        weight = jnp.asarray(effectors.inverse_std)
+        x = weight.reshape(-1, *(1,) * (x.ndim - 1)) * x
+        if self.noise is None:
+            return x
+        return whitened(jnp.asarray(self.noise.columns(effectors)), x)
+
+    def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
+        """Return the calibration with another noise."""
+        where = lambda p: p.noise
+        return eqx.tree_at(where, self, noise, is_leaf=lambda leaf: leaf is None)
 
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
@@ -64,8 +86,9 @@ class Evaluation(eqx.Module):
         equilibrium: Solutions, one lane per configuration.
         effectors: Simulated effector coordinates: positions [m], turns [rad], ...
         delta_e: Simulated minus measured values; 0 where nothing is measured.
-        error: The same in units of the noise, stacked over configurations [-].
-        W_ep: Stacked compliances in units of the noise, per unit of lambda_p [-].
+        compliance: Stacked W_ep in the units of the effectors, per unit of lambda_p.
+        error: Stacked delta_e in units of the noise, see `in_noise_units` [-].
+        W_ep: The same in units of the noise, per unit of lambda_p [-].
         prior: Distance of the parameters from the middle of their priors, in standard
             deviations of these [-].
         tangents: du/dz of each lane, or None where W_ep came from the adjoint side [m].
@@ -75,6 +98,7 @@ class Evaluation(eqx.Module):
     equilibrium: EquilibriumSolution
     effectors: Float[Array, "n_c n_rows 3"]
     delta_e: Float[Array, "n_c n_rows 3"]
+    compliance: Float[Array, "n_e n_p"]
     error: Float[Array, " n_e"]
     W_ep: Float[Array, "n_e n_p"]
     prior: Float[Array, " n_p"]
@@ -152,20 +176,29 @@ def stacked(
 ) -> Evaluation:
     """Stack the errors and compliances of all lanes."""
     delta_e = effector_errors(problem, lanes.effectors)
-    weight = jnp.asarray(problem.configurations.effectors.inverse_std)
-    error = jnp.ravel(weight * delta_e)
-    W = lanes.W_ep.reshape(-1, z.shape[0]) * weight.reshape(-1, 1)
+    compliance = lanes.W_ep.reshape(-1, z.shape[0])
+    error = problem.in_noise_units(jnp.ravel(delta_e))
+    W = problem.in_noise_units(compliance)
     ok = jnp.all(lanes.equilibrium.converged) & jnp.all(lanes.ok)
     return Evaluation(
         equilibrium=lanes.equilibrium,
         effectors=lanes.effectors,
         delta_e=delta_e,
+        compliance=compliance,
         error=error,
         W_ep=W,
         prior=problem.space.from_prior(z),
         tangents=lanes.displacement,
         ok=ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W)),
     )
+
+
+@eqx.filter_jit
+def in_other_units(problem: CalibrationProblem, old: Evaluation) -> Evaluation:
+    """Return an evaluation in the units of another noise, that of `problem`."""
+    where = lambda e: (e.error, e.W_ep)
+    new = map(problem.in_noise_units, (jnp.ravel(old.delta_e), old.compliance))
+    return eqx.tree_at(where, old, tuple(new))
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
@@ -225,7 +258,8 @@ class Evaluator:
         # program, so both are left out.
         space = replace(self.numbered.space, order=(), tensor_steps=True, pin=None)
         where = lambda p: (p.configurations, p.space)
-        self._shared = eqx.tree_at(where, self.numbered, (None, space))
+        alone = self.numbered.with_noise(None)
+        self._shared = eqx.tree_at(where, alone, (None, space))
         n_c = problem.configurations.gravity.shape[0]
         self._configurations = [lane_of(problem.configurations, c) for c in range(n_c)]
         one = self._configurations[0]
@@ -236,6 +270,13 @@ class Evaluator:
         """Return an evaluator of the same lanes with another order, chart or pin."""
         other = copy(self)
         other.numbered = eqx.tree_at(lambda p: p.space, self.numbered, space)
+        return other
+
+    def with_noise(self, noise: CorrelatedNoise | None) -> "Evaluator":
+        """Return an evaluator of the same lanes with another noise."""
+        other = copy(self)
+        other.problem = self.problem.with_noise(noise)
+        other.numbered = self.numbered.with_noise(noise)
         return other
 
     def __call__(
@@ -264,7 +305,7 @@ class Evaluator:
         """Evaluate without a guess from another evaluation, see `first_guess`."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
-            key = program_key("first_guess", self.numbered)
+            key = program_key("first_guess", self.numbered.with_noise(None))
             (guess,) = yield Batch(self._guess, [z], key)
         return (yield from self(z, guess))
 
@@ -276,7 +317,7 @@ class Evaluator:
         return jax.block_until_ready(_evaluate_lane(shared, *lane))
 
     def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
-        problem = with_solver(self.numbered, solver)
+        problem = with_solver(self.numbered.with_noise(None), solver)
         return jax.block_until_ready(_first_guess(problem, z))
 
 

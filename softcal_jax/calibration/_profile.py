@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._interval import ProfileEnd
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
-from softcal_jax.calibration._result import IntervalEnd
 from softcal_jax.calibration._runs import Run, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Job, Workers
@@ -35,16 +35,6 @@ LOWER = 1e-3
 
 It is more than rounding, or a loop that stopped a little early, can explain.
 """
-
-
-class ProfileEnd(NamedTuple):
-    """One end of an interval: its scaled distance from the fit, nan if not found [-].
-
-    `why` says what ends it, as in `ParameterInterval`.
-    """
-
-    distance: float
-    why: IntervalEnd
 
 
 class LowerCostFound(RuntimeError):

@@ -1,20 +1,26 @@
 """What a calibration returns."""
 
-from typing import Literal
+import math
 
 import equinox as eqx
 import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax._units import readable_unit
+from softcal_jax._units import readable_estimate
 from softcal_jax.calibration._budget import ErrorBudget
 from softcal_jax.calibration._configuration_result import ConfigurationResult
+from softcal_jax.calibration._interval import ParameterInterval
+from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import ParameterSpace
+
+MOST_OPTIMA = 5
+"""Most optima that are listed; the others are only counted."""
 
 
 class ParameterEstimate(eqx.Module):
@@ -30,6 +36,7 @@ class ParameterEstimate(eqx.Module):
         upper: Upper bound.
         unit: SI unit.
         at_bound: Whether it ended on a bound.
+        interval: Its confidence interval; None if none was asked for.
     """
 
     name: str
@@ -40,6 +47,25 @@ class ParameterEstimate(eqx.Module):
     upper: float
     unit: str
     at_bound: bool
+    interval: ParameterInterval | None = None
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether value +- standard error may be shown: no check speaks against it."""
+        return self.interval is None or self.interval.kind == "first-order"
+
+    @property
+    def estimate(self) -> str:
+        """Its value like "263.8 ± 5.9 kPa", or without ± where that does not hold."""
+        error = self.standard_error if self.is_symmetric else math.nan
+        return readable_estimate(self.value, error, self.unit)
+
+    def __str__(self) -> str:
+        """Write its value, and its interval where that is no standard error."""
+        if self.interval is None or self.is_symmetric:
+            return self.estimate
+        known = self.interval.kind != "none"
+        return self.estimate + (f" ({self.interval})" if known else ", no interval")
 
 
 def parameter_estimates(
@@ -70,49 +96,6 @@ def parameter_estimates(
             zip(space.parameters, values, strict=True)
         )
     )
-
-
-IntervalEnd = Literal["likelihood", "bound", "not found"]
-
-
-class ParameterInterval(eqx.Module):
-    """Confidence interval of a calibrated parameter, in SI units.
-
-    Attributes:
-        name: Its name.
-        level: Confidence [-].
-        lower: Lower end; nan if it was not found.
-        upper: Upper end; likewise. A periodic angle may lie beyond its bounds.
-        lower_end: What ends it below: "likelihood"; "bound", if the data do not exclude
-            the bound of the parameter (or half a turn of a periodic angle); or "not
-            found", if fits along the profile did not converge, or jumped.
-        upper_end: The same above.
-        unit: SI unit.
-    """
-
-    name: str
-    level: float
-    lower: float
-    upper: float
-    lower_end: IntervalEnd
-    upper_end: IntervalEnd
-    unit: str
-
-    def __str__(self) -> str:
-        """Write its ends in a readable unit, in one line."""
-        factor, unit = readable_unit([self.lower, self.upper], self.unit)
-        words = {"likelihood": "", "bound": " (bound)"}
-        turn = self.unit == "rad" and np.isclose(self.upper - self.lower, np.pi)
-        if turn and self.lower_end == self.upper_end == "bound":
-            return "any angle"
-        if self.lower_end == self.upper_end == "not found":
-            return "not found"
-        both = (self.lower, self.lower_end), (self.upper, self.upper_end)
-        ends = [
-            f"{factor * value:.4g}{words[end]}" if end in words else "not found"
-            for value, end in both
-        ]
-        return f"{ends[0]} to {ends[1]} {unit}".rstrip()
 
 
 class HistoryEntry(eqx.Module):
@@ -155,7 +138,8 @@ class Optimum(eqx.Module):
     Attributes:
         cost: Half the sum of squared errors in noise units [-].
         values: Parameters, in SI units.
-        starts: Indices of the starts that end here.
+        starts: Indices of the starts that end here; none where a run only came by, on
+            the way to a lower cost.
     """
 
     cost: float
@@ -176,7 +160,8 @@ class MultiStartResult(eqx.Module):
         steps: QP steps of each run.
         converged: Whether lambda_p vanished.
         errors: Size of the stacked error after each step, in noise units [-].
-        optima: Distinct ends of the converged runs, the lowest cost first.
+        optima: Distinct ends of the converged runs and of their mirror images, the
+            lowest cost first.
     """
 
     names: tuple[str, ...]
@@ -194,18 +179,27 @@ class MultiStartResult(eqx.Module):
         """Index of the lowest cost, among the converged runs if any is."""
         return best_of(self.cost, self.converged)
 
+    @property
+    def second_best(self) -> Optimum | None:
+        """The optimum with the lowest cost after the best; None if there is none."""
+        return self.optima[1] if len(self.optima) > 1 else None
+
     def __str__(self) -> str:
-        """Write one line per optimum, and the runs that found none."""
-        n = len(self.cost)
+        """Write one line per optimum, the best few, and the runs that found none."""
+        n, second = len(self.cost), self.second_best
         lines = [
             f"{n} starts, {int(self.converged.sum())} converged, "
             f"{len(self.optima)} distinct optima."
         ]
-        for best in self.optima:
+        if second is not None:
+            higher = second.cost - self.optima[0].cost
+            lines.append(f"  The second-best costs {higher:.3g} more than the best.")
+        for best in self.optima[:MOST_OPTIMA]:
             values = ", ".join(f"{k} {v:.4g}" for k, v in best.values.items())
-            lines.append(
-                f"  cost {best.cost:.3g} from {len(best.starts)} starts: {values}"
-            )
+            origin = f"from {len(best.starts)} starts" if best.starts else "on the way"
+            lines.append(f"  cost {best.cost:.3g} {origin}: {values}")
+        if len(self.optima) > MOST_OPTIMA:
+            lines.append(f"  and {len(self.optima) - MOST_OPTIMA} more.")
         unfinished = np.flatnonzero(~self.converged & np.isfinite(self.cost))
         if unfinished.size:
             lines.append(
@@ -241,7 +235,8 @@ class CalibrationResult(eqx.Module):
         timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
         notes: What the user should know before using the values.
         starts: Result of the search from many starts, if there was one.
-        intervals: Result of `profile_intervals`, if it was asked for.
+        noise: Covariance of the stacked errors that weighed them.
+        checks: What the residuals say about the model.
     """
 
     converged: bool
@@ -259,26 +254,34 @@ class CalibrationResult(eqx.Module):
     timing_s: dict[str, float]
     notes: tuple[str, ...]
     starts: MultiStartResult | None = None
-    intervals: tuple[ParameterInterval, ...] = ()
+    noise: CorrelatedNoise | None = None
+    checks: ResidualChecks | None = None
+
+    @property
+    def intervals(self) -> tuple[ParameterInterval, ...]:
+        """Confidence intervals of the parameters; empty if none were asked for."""
+        return tuple(p.interval for p in self.parameters if p.interval is not None)
 
     def __str__(self) -> str:
         """Write the parameters, the fits and the notes, in a few lines."""
         verdict = "converged" if self.converged else "NOT CONVERGED"
         lines = [f"Calibration {verdict} in {len(self.history) - 1} steps."]
         lines += [
-            f"  {p.name} = {p.value:.5g} +- {p.standard_error:.2g} {p.unit} "
+            f"  {p.name} = {p.value:.5g}{_plus_minus(p)} {p.unit} "
             f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
             for p in self.parameters
         ]
         lines += [f"  {line}" for line in str(self.budget).splitlines()]
         lines += [
-            f"  {100 * i.level:g} % interval of {i.name}: {i}" for i in self.intervals
+            f"  {100 * i.level:g} % interval of {i.name}: {i} ({i.kind})"
+            for i in self.intervals
         ]
         lines += [
             f"  {fit.name} ({fit.role}): rms {1e3 * fit.rms_before:.3f} to "
             f"{1e3 * fit.rms_after:.3f} mm"
             for fit in self.configurations
         ]
+        lines += [f"  {line}" for line in self.checks.agreement] if self.checks else []
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:
@@ -291,3 +294,7 @@ class CalibrationResult(eqx.Module):
         if name not in values:
             raise unknown_name("parameter", name, values)
         return values[name]
+
+
+def _plus_minus(own: ParameterEstimate) -> str:
+    return f" +- {own.standard_error:.2g}" if own.is_symmetric else ""

@@ -187,11 +187,27 @@ def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> R
     return Run(z=z, cost=np.inf, steps=0, converged=False, errors=none)
 
 
+class Ends(NamedTuple):
+    """Where each image of a run converged: scaled, and its cost; infinite if not."""
+
+    z: Float[HostArray, "n_images n_p"]
+    cost: Float[HostArray, " n_images"]
+
+
 class Begun(NamedTuple):
-    """A run between two images: the number done, and the best end so far."""
+    """A run between two images: the number done, the best end so far, all ends."""
 
     images: int
     best: Run
+    ends: Ends
+
+
+def not_begun(
+    settings: CalibrationSettings, start: Float[Array, " n_p"], n_images: int
+) -> Begun:
+    """Return a run before its first image."""
+    none = Ends(np.zeros((n_images, len(start))), np.full(n_images, np.inf))
+    return Begun(0, nothing_yet(settings, start), none)
 
 
 def run_start(
@@ -213,12 +229,17 @@ def run_start(
         begun: Progress of the run so far; none by default.
         note: Called after each image, whether it was run or skipped.
     """
-    tried, best = begun or Begun(0, nothing_yet(settings, start))
-    for i, image in enumerate(images[tried:], start=tried + 1):
+    tried, best, ends = begun or not_begun(settings, start, len(images))
+    for i, image in enumerate(images[tried:], start=tried):
         if wanted(evaluate.problem, best, image):
             z = jnp.asarray(origin(best, image, np.asarray(start)))
-            best = better(best, (yield from minimise(evaluate, settings, z)))
-        note(Begun(i, best))
+            end = yield from minimise(evaluate, settings, z)
+            best = better(best, end)
+            if end.converged:
+                here = np.arange(len(images)) == i
+                z_of = np.where(here[:, None], end.z, ends.z)
+                ends = Ends(z_of, np.where(here, end.cost, ends.cost))
+        note(Begun(i + 1, best, ends))
     return best
 
 

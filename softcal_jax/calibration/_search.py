@@ -14,7 +14,7 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
 from softcal_jax.calibration._result import MultiStartResult, Optimum
-from softcal_jax.calibration._runs import Begun, Run, images_of, nothing_yet, run_start
+from softcal_jax.calibration._runs import Begun, Run, images_of, not_begun, run_start
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, unnamed
@@ -24,6 +24,9 @@ SAME_OPTIMUM = 1e-3
 
 FROM_ANYWHERE = CalibrationSettings(max_steps=12)
 """Settings of runs from many starts: few steps, as a good start converges quickly."""
+
+SEVERAL = 6
+"""Number of starts by default where there may be several optima."""
 
 # One row at a time, so that the programs do not depend on the number of rows.
 _to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
@@ -120,14 +123,19 @@ def search(
     """Run the search of `multi_start`; the journal returns the runs saved before."""
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
     run_from = partial(run_start, evaluate, settings, images=images)
-    jobs, ended = [], {}
+    jobs, ended, begun = [], {}, {}
+
+    def keep(i: int, now: Begun) -> None:
+        begun[i] = now
+        journal.keep(f"run{i}", now)
+
     # Sliced on the host: on the device, the number of rows gives another program.
     for i, start in enumerate(map(jnp.asarray, np.asarray(starts))):
-        name, none = f"run{i}", Begun(0, nothing_yet(settings, start))
-        begun = journal.kept(name, none) or none
-        if begun.images == len(images):
-            ended[i] = begun.best
-        jobs.append(run_from(start, begun=begun, note=partial(journal.keep, name)))
+        none = not_begun(settings, start, len(images))
+        begun[i] = journal.kept(f"run{i}", none) or none
+        if begun[i].images == len(images):
+            ended[i] = begun[i].best
+        jobs.append(run_from(start, begun=begun[i], note=partial(keep, i)))
 
     def told(i: int, run: Run) -> None:
         if i in ended:  # it had ended before this search was resumed
@@ -147,9 +155,13 @@ def search(
             "check loads, units and bounds, or `softcal simulate`."
         )
     numbered = evaluate.numbered.space
-    in_si = lambda z: np.stack([_from_scaled(numbered, row) for row in np.asarray(z)])
+    in_si = lambda z: np.array([_from_scaled(numbered, row) for row in np.asarray(z)])
     z = np.stack([run.z for run in runs])
     values = in_si(z)
+    # Where runs came by on their way, too: a mirror image may fit nearly as well.
+    ends = [begun[i].ends for i in range(len(runs))]
+    passed_z, passed_cost = (np.concatenate(own) for own in zip(*ends, strict=True))
+    there = np.isfinite(passed_cost)
     return MultiStartResult(
         names=tuple(space.names),
         starts=in_si(starts),
@@ -159,15 +171,27 @@ def search(
         steps=np.array([run.steps for run in runs]),
         converged=converged,
         errors=np.stack([run.errors for run in runs]),
-        optima=_optima(space, z, values, cost, converged),
+        optima=_optima(
+            space,
+            np.concatenate([z, passed_z[there]]),
+            np.append(values, in_si(passed_z[there])).reshape(-1, len(space.names)),
+            np.append(cost, passed_cost[there]),
+            np.append(converged, there[there]),
+            n_starts=len(runs),
+        ),
     )
 
 
-def _optima(space, z, values, cost, converged) -> tuple[Optimum, ...]:
-    """Group converged runs by where they end, the lowest cost first."""
+def _optima(
+    space, z, values, cost, converged, n_starts: int | None = None
+) -> tuple[Optimum, ...]:
+    """Group converged ends by where they are, the lowest cost first.
+
+    The first `n_starts` are ends of starts, all by default; others were passed.
+    """
     found: list[tuple[int, list[int]]] = []
     numbered = unnamed(space)
-    for i in np.argsort(cost):
+    for i in np.argsort(cost, kind="stable"):
         if not converged[i]:
             continue
         for first, members in found:
@@ -177,14 +201,30 @@ def _optima(space, z, values, cost, converged) -> tuple[Optimum, ...]:
                 break
         else:
             found.append((int(i), [int(i)]))
+    ended = range(len(z) if n_starts is None else n_starts)
     return tuple(
         Optimum(
             float(cost[first]),
             dict(zip(space.names, map(float, values[first]), strict=True)),
-            tuple(sorted(members)),
+            tuple(sorted(member for member in members if member in ended)),
         )
         for first, members in found
     )
+
+
+def default_starts(space: ParameterSpace) -> int:
+    """Return how many starts a calibration takes unless the user says otherwise.
+
+    `SEVERAL` where the angle of an axis or more than one control point of a field is
+    calibrated, since there the cost has several optima; 1 elsewhere. Runs are side by
+    side, but each goes on from its mirror images, so a search takes several times as
+    long as a single fit for each of its starts: a sweep of thousands of calibrations
+    from good start values may say `starts = 1`.
+    """
+    of_fields = [entry.parameters for entry in space.entries if entry.fields]
+    angle = any(q.unit == "rad" or q.periodic for own in of_fields for q in own)
+    several = any(len(own) > 1 for own in of_fields)
+    return SEVERAL if space.axes or angle or several else 1
 
 
 def random_starts(

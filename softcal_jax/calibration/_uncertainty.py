@@ -14,17 +14,23 @@ BLIND = 1e-6
 UNLIKELY = 0.01
 """Probability of a chi-squared as large by chance, below which the fit misfits."""
 
+EXACT = 1e-3
+"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
+
 
 class Uncertainty(eqx.Module):
     """Covariance of the parameters, to first order.
 
     Attributes:
-        covariance: Covariance of the scaled parameters [-]; nan for those on a bound or
-            not determined by the data.
+        covariance: Covariance of the scaled parameters by the noise, offsets of
+            recordings included [-]; nan for those on a bound or not determined by the
+            data. Parameters on a bound count as known, so that of the others is
+            conditional on them.
         noise: "stated" by the user, or "estimated" from the residuals.
         noise_scale: Factor on the stated standard deviations; 1 for a stated noise [-].
         degrees_of_freedom: Measured coordinates minus free parameters.
-        chi_squared: Sum of squared errors in units of the stated noise [-].
+        chi_squared: Sum of squared errors in units of the noise, with coordinates that
+            vary as stated: that of the whole covariance for a stated noise [-].
         at_bound: Parameters that ended on a bound.
     """
 
@@ -66,11 +72,12 @@ def uncertainty(
     at_bound: Bool[HostArray, " n_p"],
     noise: Literal["stated", "estimated"],
     prior_weights: Float[HostArray, " n_p"] | None = None,
+    scale: float | None = None,
 ) -> Uncertainty:
     """Compute the covariance (W^T W / s^2 + P)^-1 of the parameters not on a bound.
 
-    s is 1 for a stated noise; for an estimated one s^2 is the sum of squared errors
-    over its degrees of freedom, so that only the ratios of the stated standard
+    s is 1 for a stated noise; for an estimated one s^2 is by default the sum of squared
+    errors over its degrees of freedom, so that only the ratios of the stated standard
     deviations count (Bates and Watts, Nonlinear Regression Analysis, ch. 2). P is the
     inverse covariance of the prior. A parameter uses up a degree of freedom only to the
     extent that the data determine it, rather than its prior.
@@ -82,6 +89,7 @@ def uncertainty(
         at_bound: Parameters on a bound; they have no standard error.
         noise: Where the noise comes from.
         prior_weights: 1 / standard deviations of the prior, 0 without; none by default.
+        scale: s of an estimated noise where it is known already, see `weighed_fit` [-].
     """
     free = np.flatnonzero(~at_bound)
     weights = np.zeros(W.shape[1]) if prior_weights is None else prior_weights
@@ -89,8 +97,9 @@ def uncertainty(
     dof = n_measured - _informed(W[:, free], prior)
     chi_squared = float(np.sum(error**2))
     covariance = np.full((W.shape[1], W.shape[1]), np.nan)
-    scale = 1.0
-    if noise == "estimated":
+    if noise == "stated":
+        scale = 1.0
+    elif scale is None:
         scale = float(np.sqrt(chi_squared / dof)) if dof > 0 else np.nan
     if len(free) and np.isfinite(scale):
         inverse, known = _inverse(np.concatenate([W[:, free], scale * prior]))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     )
     from softcal_jax.configurations import Configuration
     from softcal_jax.fields import Parameter
-    from softcal_jax.identifiability import Identifiability, Ranking
+    from softcal_jax.identifiability import Assessment, Identifiability, Ranking
     from softcal_jax.project import Project
 
 MOST_BY_NAME, MOST_IN_FIELD = 2, 4
@@ -74,39 +74,44 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         rms = {name: 1e3 * found.rms for name, found in project.registrations.items()}
         listed = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rms.items())
         show.line(f"camera frame to mesh frame, rms left at the markers: {listed}")
+    written: list[Path] = []
+
+    def write(result: "CalibrationResult", assessment: "Assessment") -> Path:
+        show.now("writing results and pictures")
+        with bad_input():
+            more = _options(project, show, force=args.force or bool(written))
+            folder = report.write_results(
+                result, args.output, assessment=assessment, **more
+            )
+        written.append(folder)
+        show.lap("results and pictures")
+        return folder
+
+    def profiling(result: "CalibrationResult") -> None:
+        # Written before, in case the user does not want to wait.
+        if written:
+            return
+        show.lap("solve", compiling=result.timing_s["compile"])
+        write(result, assess(result))
+        show.now("intervals by profile likelihood")
+
     show.now("first equilibrium (compiling)")
     with bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(
             checkpoint=args.checkpoint,
             progress=_step_lines(project, show),
             search_progress=lambda search: show.line(f"search   {search}"),
+            profiling=profiling,
         )
-    show.lap("solve", compiling=result.timing_s["compile"])
-    assessment = assess(result)
-
-    def write(result: "CalibrationResult", *, force: bool) -> Path:
-        show.now("writing results and pictures")
-        with bad_input():
-            more = _options(project, show, force=force)
-            folder = report.write_results(
-                result, args.output, assessment=assessment, **more
-            )
-        show.lap("results and pictures")
-        return folder
-
-    where = write(result, force=args.force)
-    if project.intervals is not None and result.converged:
-        # The results are written already, in case the user does not want to wait.
-        several = "s" if len(result.parameters) > 1 else ""
-        show.now(f"intervals of {len(result.parameters)} parameter{several}")
-        result = project.with_intervals(result)
+    if written:
         show.lap("intervals")
-        where = write(result, force=True)
+    else:
+        show.lap("solve", compiling=result.timing_s["compile"])
+    assessment = assess(result)
+    where = write(result, assessment)
     show.line()
     show.line(report.summary_table(result, assessment))
-    for fit in result.configurations:
-        if fit.role == "validation" and (found := _held_out_errors(fit)):
-            show.line(f"Held-out error, {fit.name}: {found}.")
+    _print_held_out(result.configurations, show)
     show.results(where)
     if not result.converged:
         steps = len(result.history) - 1
@@ -255,6 +260,12 @@ def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> s
 
 def _rounded(value: float, unit: str) -> str:
     return f"{value:.2f}" if unit else f"{value:.5g}"
+
+
+def _print_held_out(fits: "Sequence[ConfigurationResult]", show: Display) -> None:
+    for fit in fits:
+        if fit.role == "validation" and (found := _held_out_errors(fit)):
+            show.line(f"Held-out error, {fit.name}: {found}.")
 
 
 def _held_out_errors(fit: "ConfigurationResult") -> str:

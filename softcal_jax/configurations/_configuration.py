@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -71,6 +71,9 @@ class Configuration(eqx.Module):
         recording: Name of the recording that its measured values are from. What is off
             in a recording, like its frame, is off in all its configurations. By default
             each configuration is a recording of its own.
+        relative_std: Standard deviation of a share of the measured motion of its
+            points, common to all of them: creep, or hysteresis [-]. It belongs to the
+            noise. "estimated" finds one share for all configurations that say so.
     """
 
     name: str
@@ -85,6 +88,7 @@ class Configuration(eqx.Module):
     bodies: BodyStates = eqx.field(default_factory=dict)
     actuation: Actuation = eqx.field(default_factory=dict)
     recording: str | None = None
+    relative_std: float | Literal["estimated"] = 0.0
 
     @property
     def is_measured(self) -> bool:
@@ -100,6 +104,12 @@ class Configuration(eqx.Module):
 
     def __check_init__(self):
         three_numbers(f"gravity of configuration {self.name!r}", "m/s2", self.gravity)
+        share = self.relative_std
+        if share != "estimated" and not (np.isfinite(share) and share >= 0.0):
+            raise ValueError(
+                f"relative_std of configuration {self.name!r} must be a share of the "
+                f'motion, zero or more, or "estimated"; got {share}.'
+            )
         if self.measured is None:
             return
         if self.markers is None:

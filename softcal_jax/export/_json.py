@@ -13,6 +13,7 @@ from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
     HistoryEntry,
+    ResidualChecks,
     SimulationResult,
 )
 from softcal_jax.configurations import EffectorRecord
@@ -32,8 +33,9 @@ def result_dict(
     """Convert a calibration to the content of `result.json`.
 
     Keys: `format`, `name`, `converged`; `parameters` (`name`, `value`, `unit`,
-    `standard_error` by all causes, `lower`, `upper`, `start`, `at_bound`); `intervals`
-    (`name`, `level`, `lower`, `upper`, `lower_end`, `upper_end`, `unit`);
+    `standard_error` by all causes, `lower`, `upper`, `start`, `at_bound`, `interval`,
+    null if none was asked for); `intervals`, the same as a list (`name`, `level`,
+    `lower`, `upper`, `lower_end`, `upper_end`, `unit`, `kind`, `why`);
     `configurations` (`name`, `role`, `rms_before_mm`, `rms_after_mm`, `motion_mm`,
     `rms_after_percent_of_motion`, `markers` with `name`, `measured_mm`,
     `simulated_before_mm`, `simulated_mm`, `residual_mm`, other points included;
@@ -45,12 +47,16 @@ def result_dict(
     (`name`, `force` of the ground on the robot); then `newton_steps`, `residual`,
     `min_det_F`); `history` (one entry per step, 0 is the start); `solver`; `settings`;
     `uncertainty` (covariance of the scaled parameters by the noise alone); `budget`
-    (standard errors by cause, see `budget_dict`); `assessment` (`identified`; `reasons`
-    why not; `misfit_probability` of residuals this large by chance, null where the
-    noise was estimated); `identifiability` (see `identifiability_dict`); `starts` (null
-    for a single one; `names` of the parameters; `starts`, `values`, one row per run;
-    `cost`, `steps`, `converged`; `optima`, the lowest cost first: `cost`, `values`,
-    `starts`); `notes`; `versions`; `timing_s`.
+    (standard errors by cause, see `budget_dict`); `noise` (`jitter`: factor on the
+    stated standard deviations of coordinates; `offset_mm`: offset of the recording of
+    each configuration along each axis, `share`: share of its motion, both as standard
+    deviations); `checks` (what residuals say, see `checks_dict`); `assessment`
+    (`identified`; `reasons` why not; `misfit_probability` of residuals this large by
+    chance, null where the noise was estimated); `identifiability` (see
+    `identifiability_dict`); `starts` (null for a single one; `names` of the parameters;
+    `starts`, `values`, one row per run; `cost`, `steps`, `converged`; `optima`, the
+    lowest cost first: `cost`, `values`, `starts`; `second_best`, likewise);
+    `notes`; `versions`; `timing_s`.
 
     Args:
         result: The calibration.
@@ -60,6 +66,7 @@ def result_dict(
     """
     found = assessment or assess(result)
     runs = ("names", "starts", "values", "cost", "steps", "converged", "optima")
+    runs += ("second_best",)
     return plain(
         {
             "format": "softcal_jax.result/2",
@@ -77,12 +84,48 @@ def result_dict(
             },
             "uncertainty": _uncertainty(result),
             "budget": budget_dict(result.budget),
+            "noise": _noise(result),
+            "checks": checks_dict(result.checks),
             "assessment": pick(found, "identified", "reasons", "misfit_probability"),
             "identifiability": identifiability_dict(found.identifiability),
             "starts": result.starts and pick(result.starts, *runs),
             "notes": result.notes,
             "versions": versions(result.model),
             "timing_s": {**result.timing_s, **(timing_s or {})},
+        }
+    )
+
+
+def checks_dict(checks: ResidualChecks | None) -> dict[str, Any] | None:
+    """Convert what the residuals say about a model to a dictionary.
+
+    Keys: `reasons` why the model cannot be right, `agreement` of the recordings in
+    words; `lack_of_fit` (null where the noise is stated; `ratio` of mean squares,
+    `between`, `within`: degrees of freedom, `probability`, `jitter`, `shares` of the
+    configurations); `left_out`, each configuration as the others predict it (`name`,
+    `rms_mm`, `expected_mm` by noise, parameters and what is held fixed, `motion_mm`,
+    `probability`, `by_scatter`); `recordings`, parameters from each recording alone
+    (`recording`, `parameter`, `value`, `standard_error`, `fit`, `apart` in standard
+    errors of the difference, `unit`).
+
+    Args:
+        checks: The checks; None for a result without them.
+    """
+    if checks is None:
+        return None
+    return plain(
+        {
+            **pick(checks, "reasons", "agreement", "lack_of_fit", "recordings"),
+            "left_out": [
+                {
+                    "name": own.name,
+                    "rms_mm": 1e3 * own.rms,
+                    "expected_mm": 1e3 * own.expected,
+                    "motion_mm": 1e3 * own.motion,
+                    **pick(own, "probability", "by_scatter"),
+                }
+                for own in checks.left_out
+            ],
         }
     )
 
@@ -240,6 +283,15 @@ def _solver(model: Model) -> dict[str, Any]:
         "element_order": model.mesh.order,
         **pick(model.mesh, "n_nodes", "n_tets"),
     }
+
+
+def _noise(result: CalibrationResult) -> dict[str, Any] | None:
+    """Convert the noise that weighed the data."""
+    noise = result.noise
+    if noise is None:
+        return None
+    offset_mm = 1e3 * np.asarray(noise.offset)
+    return {**pick(noise, "jitter", "share"), "offset_mm": offset_mm}
 
 
 def _uncertainty(result: CalibrationResult) -> dict[str, Any]:

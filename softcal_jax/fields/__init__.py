@@ -28,10 +28,11 @@ from softcal_jax.fields._space import (
     unnamed,
 )
 from softcal_jax.fields._spread import ControlPointParameters
-from softcal_jax.fields._uncertain import Uncertain, exactly_known
+from softcal_jax.fields._uncertain import OFFSET, Uncertain, exactly_known
 from softcal_jax.fields._validation import check_parameters, check_scopes
 
 __all__ = [
+    "OFFSET",
     "QUANTITIES",
     "AbstractEntry",
     "AbstractError",

@@ -1,9 +1,13 @@
 """How well everything is known that is not calibrated: its prior."""
 
 from dataclasses import fields
+from typing import Literal
 
 import equinox as eqx
 import numpy as np
+
+OFFSET = 0.5e-3
+"""Offset of a recording, as long as nothing else is known [m]."""
 
 DEGREE = float(np.deg2rad(1.0))
 
@@ -26,7 +30,9 @@ class Uncertain(eqx.Module):
         clamp: Depth at which what holds the body really grips it, along the normal of
             its faces [m]. One error for all configurations that are held alike.
         supports: Stiffness of elastic supports, relative [-]. One error for each.
-        recordings: Offset of the points of a recording, along each axis [m].
+        recordings: Offset of the points of a recording, along each axis [m]. Unlike the
+            others it belongs to the noise: a fit weighs its data by it. "estimated"
+            finds it from how far recordings differ, where there are enough of them.
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
         mesh: Error of linear tets, in units of how far quadratic tets would move the
@@ -41,17 +47,19 @@ class Uncertain(eqx.Module):
     actuators: float = 0.02
     clamp: float = 1e-3
     supports: float = 0.3
-    recordings: float = 0.5e-3
+    recordings: float | Literal["estimated"] = OFFSET
     zeros: float = 0.5 * DEGREE
     mountings: float = 0.5e-3
     mesh: float = 1.0
 
     def __check_init__(self):
         for name, std in vars(self).items():
+            if name == "recordings" and std == "estimated":
+                continue
             if not (np.isfinite(std) and std >= 0.0):
                 raise ValueError(
                     f"the uncertainty of {name} must be finite and not negative, got "
-                    f"{std:g}; 0 if it is known exactly."
+                    f"{std}; 0 if it is known exactly."
                 )
 
 

@@ -66,6 +66,7 @@ def assess(result: CalibrationResult) -> Assessment:
             "freedom. Parameters of a wrong model are not properties of the material: "
             "change the law, the element, the control points or the stated noise."
         )
+    reasons += result.checks.reasons if result.checks is not None else ()
     reasons += _contradictions(result)
     reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
     reasons += _rivals(result.starts, spread.noise_scale if known else 1.0)

@@ -1,6 +1,7 @@
 """Judge which parameters the data can determine, before or after a calibration."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -13,13 +14,16 @@ from softcal_jax.calibration import (
     Evaluator,
     as_sequence,
     considered_errors,
+    correlated_noise,
     first_guess,
+    measured_motion,
     simulate,
+    whitened,
     without_names,
 )
 from softcal_jax.configurations import (
     Configuration,
-    configuration_arrays,
+    configuration_lanes,
     measured_at_rest,
 )
 from softcal_jax.equilibrium import (
@@ -192,19 +196,19 @@ def identify(
     n_p = len(found.space.names)
     none = np.zeros((0, n_p))
     W_ep = np.concatenate([none, *(s.W_ep for s in found.sensed)])
-    W = np.concatenate([none, *(s.W for s in found.sensed)])
+    W, W_c = in_noise_units(found.sensed) if found.sensed else (none, None)
     W_pp = sum((s.W_pp for s in found.sensed), np.zeros((n_p, n_p)))
-    W_c = np.concatenate([s.W_c for s in found.sensed]) if found.sensed else None
     return identifiability(
         W, found.space, found.z, n_data=len(W), W_ep=W_ep, W_pp=W_pp, W_c=W_c
     )
 
 
 class Sensed(eqx.Module):
-    """Compliances of one configuration [m], in units of the noise (W), and W_pp [J].
+    """Compliances of one configuration [m], in units of its jitter (W), and W_pp [J].
 
-    W_c is the change per standard deviation of each error that is considered, in units
-    of the noise too; see `considered_errors`.
+    W_c is the change per standard deviation of each error that is considered, and A
+    that of each offset of a recording and share of a motion, in units of the jitter
+    too; see `considered_errors` and `CorrelatedNoise`.
     `failure` says why there is no equilibrium; it is empty if there is one.
     """
 
@@ -212,8 +216,18 @@ class Sensed(eqx.Module):
     W_ep: Float[HostArray, "n_e n_p"]
     W: Float[HostArray, "n_e n_p"]
     W_c: Float[HostArray, "n_e n_errors"]
+    A: Float[HostArray, "n_e n_columns"]
     W_pp: Float[HostArray, "n_p n_p"]
     failure: str
+
+
+def in_noise_units(
+    sensed: Sequence[Sensed],
+) -> tuple[Float[HostArray, "n_e n_p"], Float[HostArray, "n_e n_errors"]]:
+    """Stack compliances and errors of configurations in units of their noise [-]."""
+    stack = lambda name: np.concatenate([getattr(s, name) for s in sensed])
+    A = stack("A")
+    return whitened(A, stack("W")), whitened(A, stack("W_c"))
 
 
 class Survey(eqx.Module):
@@ -227,11 +241,12 @@ class Survey(eqx.Module):
 @eqx.filter_jit
 def _solve(
     problem: CalibrationProblem, z: Float[Array, " n_p"]
-) -> tuple[EquilibriumSolution, EnergyCompliance]:
+) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"], EnergyCompliance]:
     posed, newton = problem.at(z), problem.newton
-    solution, _ = simulate(*posed, first_guess(*posed, newton), newton)
+    solution, moved = simulate(*posed, first_guess(*posed, newton), newton)
     lane = lambda c, u: energy_compliance(problem.model, c, u, problem.space, z)
-    return solution, jax.vmap(lane)(problem.configurations, solution.displacement)
+    of_lanes = jax.vmap(lane)(problem.configurations, solution.displacement)
+    return solution, moved, of_lanes
 
 
 def survey(
@@ -263,10 +278,11 @@ def survey(
         measured_at_rest(c, mesh, mechanism) if c.markers or c.effectors else c
         for c in configurations
     ]
-    arrays = configuration_arrays(mesh, posed, mechanism)
+    lanes = configuration_lanes(mesh, posed, mechanism)
+    arrays, uncertain = lanes.arrays, uncertain or Uncertain()
     check_parameters(model, space, _lane(arrays, 0))
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
-    solution, compliance = _solve(without_names(problem), z)
+    solution, moved, compliance = _solve(without_names(problem), z)
     names = tuple(c.name for c in configurations)
     required = len(names) if required is None else required
     if required:
@@ -279,11 +295,30 @@ def survey(
             considered_errors(
                 Evaluator(problem),
                 configurations,
-                uncertain or Uncertain(),
+                uncertain,
                 z=z,
                 displacement=solution.displacement,
             )
         )
+    # Nothing is measured yet: the motion is that of the model.
+    lanes = [
+        tuple(replace(e, measured=e.among(rows)) for e in own)
+        for own, rows in zip(lanes.effectors, np.asarray(moved), strict=True)
+    ]
+    weighed = eqx.tree_at(
+        lambda e: e.inverse_std,
+        jax.tree.map(np.asarray, arrays.effectors),
+        weights.reshape(len(names), -1, 3),
+    )
+    noise = correlated_noise(
+        configurations,
+        space=space,
+        effectors=weighed,
+        motion=np.nan_to_num(measured_motion(lanes, weighed.measured.shape[1])),
+        uncertain=uncertain,
+    )
+    all_A = np.asarray(jax.tree.map(np.asarray, noise).columns(weighed))
+    all_A = all_A.reshape(len(names), -1, all_A.shape[1])
     errors = [error for own in causes.values() for error in own.values()]
     all_W_c = np.stack([np.zeros_like(weights), *errors], axis=2)[:, :, 1:]
     sensed, compliance = [], jax.tree.map(np.asarray, compliance)
@@ -295,7 +330,8 @@ def survey(
         if failure and i < required:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
         W, W_c = (weights[i, seen, None] * own[seen] for own in (W_ep, all_W_c[i]))
-        sensed.append(Sensed(name, W_ep[seen], W, W_c, W_pp, failure))
+        A = all_A[i, seen]
+        sensed.append(Sensed(name, W_ep[seen], W, W_c, A, W_pp, failure))
     return Survey(space, z, tuple(sensed))
 
 

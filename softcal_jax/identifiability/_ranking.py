@@ -16,6 +16,7 @@ from softcal_jax.identifiability._identify import (
     Parameters,
     Sensed,
     Survey,
+    in_noise_units,
     survey,
 )
 from softcal_jax.identifiability._result import number, table
@@ -213,7 +214,7 @@ def _told(
     """Return what configurations tell together, per prior standard deviation."""
     if not sensed:
         return np.zeros((0, len(prior)))
-    W, W_c = (np.concatenate([getattr(s, own) for s in sensed]) for own in ("W", "W_c"))
+    W, W_c = in_noise_units(sensed)
     return marginalised(W * prior, W_c)
 
 

@@ -17,6 +17,7 @@ from softcal_jax.calibration import (
     Run,
     best_of,
     build_problem,
+    default_starts,
     images_of,
     random_starts,
     run_start,
@@ -104,7 +105,7 @@ def compare_layouts(
     make_parameters: MakeParameters,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
-    starts: int = 1,
+    starts: int | None = None,
     seed: int = 0,
 ) -> LayoutComparison:
     """Find the layout of control points that best predicts what it was not fitted to.
@@ -131,7 +132,7 @@ def compare_layouts(
         settings: Settings of the outer loop; by default `FOR_PREDICTION`.
         newton: Settings of the equilibrium.
         starts: Number of starts of each fit: that of the parameters, and random ones
-            within the bounds.
+            within the bounds; by default see `default_starts`.
         seed: Seed of the random starts.
 
     Returns:
@@ -152,7 +153,7 @@ def compare_layouts(
             f"cross-validation fits all configurations but one and predicts that one: "
             f"at least 2 are needed, got {len(configurations)}."
         )
-    if starts < 1:
+    if starts is not None and starts < 1:
         raise ValueError(f"starts must be at least 1, got {starts}.")
     problems = {}
     # All are built before the first fit, so that a wrong layout is found at once.
@@ -167,8 +168,9 @@ def compare_layouts(
     scores = []
     for name, problem in problems.items():
         start = problem.space.admissible(problem.space.start())[None]
-        if starts > 1:
-            others = random_starts(problem.space, starts - 1, seed=seed)
+        n = default_starts(problem.space) if starts is None else starts
+        if n > 1:
+            others = random_starts(problem.space, n - 1, seed=seed)
             start = jnp.concatenate([start, others])
         fits = _fit(problem, settings, start)
         scores.append(_score(name, layouts[name], problem, names, fits))

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal_jax.calibration import NOISE, CalibrationResult
-from softcal_jax.export import readable_estimate
 from softcal_jax.plotting._colours import FAINT, SERIES, TEXT
 
 if TYPE_CHECKING:
@@ -53,10 +52,7 @@ def budget_figure(result: CalibrationResult, name: str) -> "matplotlib.figure.Fi
         left += share
     for row in np.flatnonzero(left == 0.0):
         axes.text(1.0, float(row), "no standard error", va="center", fontsize=13)
-    texts = [
-        f"{q.name}\n{readable_estimate(q.value, q.standard_error, q.unit)}"
-        for q in result.parameters
-    ]
+    texts = [f"{q.name}\n{q}" for q in result.parameters]
     axes.set_yticks(rows, texts, fontsize=13, color=TEXT, parse_math=False)
     axes.invert_yaxis()
     axes.set_xlim(0.0, 100.0)

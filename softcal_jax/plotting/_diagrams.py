@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ParameterEstimate
-from softcal_jax.export import readable_estimate, readable_unit
+from softcal_jax.export import readable_unit
 from softcal_jax.identifiability import assess
 from softcal_jax.plotting._annotations import draw_name
 from softcal_jax.plotting._colours import BAD, DOUBTFUL, FAINT, GOOD, SERIES, TEXT
@@ -137,8 +137,7 @@ def _plot_parameters(
     size: dict[str, Any] = {"lw": 2, "ms": 7} if named else {"lw": 1, "ms": 4}
     steps = [entry.step for entry in result.history]
     for i, parameter in enumerate(parameters):
-        estimate = readable_estimate(parameter.value, parameter.standard_error, unit)
-        label = f"{parameter.name} = {estimate}"
+        label = f"{parameter.name} = {parameter}"
         if parameter.at_bound:
             label += " (on a bound)"
         style = {"color": SERIES[i % len(SERIES)], "label": label if named else None}

@@ -40,6 +40,7 @@ from softcal_jax.project._table import (
     Traction,
     Triple,
 )
+from softcal_jax.project._uncertain import ESTIMATED, parse_share
 
 if TYPE_CHECKING:
     from softcal_jax.project._reading import ProjectTable
@@ -113,6 +114,12 @@ class CandidateTable(Table):
     effectors: tuple[str, ...] | None = None
     actuation: dict[str, Any] = Field(default_factory=dict)
     bodies: dict[str, State] = Field(default_factory=dict)
+    relative_std: float | Literal["estimated"] = 0.0
+
+    @field_validator("relative_std", mode="before")
+    @classmethod
+    def _parse_relative_std(cls, value: Any) -> float | str:
+        return value if value == ESTIMATED else parse_share(value)
 
     @field_validator("supports", mode="before")
     @classmethod
@@ -220,5 +227,6 @@ def build_configuration(
         bodies=states,
         actuation=actuation,
         recording=getattr(table, "recording", None),
+        relative_std=table.relative_std,
     )
     return configuration, registration

@@ -17,7 +17,6 @@ from softcal_jax.calibration import (
     HistoryEntry,
     SearchProgress,
     calibrate,
-    profile_intervals,
 )
 from softcal_jax.configurations import Configuration, Registration, configuration_arrays
 from softcal_jax.equilibrium import (
@@ -49,9 +48,9 @@ class Project(eqx.Module):
         validation: Configurations that are only predicted.
         candidates: Configurations that might be measured, see `rank_candidates`.
         noise: Where the noise comes from: "estimated" or "stated".
-        starts: Number of starts.
+        starts: Number of starts; None for `default_starts`.
         seed: Seed of the random starts.
-        intervals: Level of the intervals by profile likelihood; None for none [-].
+        intervals: Level of the intervals of the parameters; None for none [-].
         uncertain: How well everything is known that is not calibrated.
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
@@ -67,7 +66,7 @@ class Project(eqx.Module):
     validation: tuple[Configuration, ...]
     candidates: tuple[Configuration, ...]
     noise: Literal["estimated", "stated"]
-    starts: int
+    starts: int | None
     seed: int
     intervals: float | None
     uncertain: Uncertain
@@ -117,6 +116,7 @@ class Project(eqx.Module):
         checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
         search_progress: Callable[[SearchProgress], None] | None = None,
+        profiling: Callable[[CalibrationResult], None] = lambda _: None,
     ) -> CalibrationResult:
         """Find the parameters, then predict the validation configurations.
 
@@ -128,6 +128,8 @@ class Project(eqx.Module):
             checkpoint: File in which the state is kept, and from which it is resumed.
             progress: Called after the first evaluation and after each step.
             search_progress: Called after each run of a search from many starts.
+            profiling: Called with the result so far before profiles of the likelihood
+                are computed for its intervals, which takes a while.
 
         Raises:
             ProjectError: If there is nothing to calibrate.
@@ -148,27 +150,22 @@ class Project(eqx.Module):
             starts=self.starts,
             seed=self.seed,
             start=start,
+            intervals=self.intervals,
             checkpoint=checkpoint,
             progress=progress,
             search_progress=search_progress,
+            profiling=lambda result: profiling(self._with_registrations(result)),
         )
+        return self._with_registrations(result)
+
+    def _with_registrations(self, result: CalibrationResult) -> CalibrationResult:
+        """Add a note on how well the camera frames were registered."""
         if not self.registrations:
             return result
         fitted = self.registrations.items()
         listed = ", ".join(f"{name} {1e3 * own.rms:.2f} mm" for name, own in fitted)
         note = f"Camera frames registered to the mesh with an rms of: {listed}."
         return dataclasses.replace(result, notes=(*result.notes, note))
-
-    def with_intervals(self, result: CalibrationResult) -> CalibrationResult:
-        """Add the intervals that the file asks for, or a note on why there are none."""
-        if self.intervals is None or not result.converged:
-            return result
-        try:
-            found = profile_intervals(result, self.calibration, level=self.intervals)
-        except (RuntimeError, ValueError) as error:
-            note = f"No intervals: {error}"
-            return dataclasses.replace(result, notes=(*result.notes, note))
-        return dataclasses.replace(result, intervals=found)
 
     def check_identify(self) -> None:
         """Check that there is something to judge; nothing need be measured.

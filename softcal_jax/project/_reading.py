@@ -11,6 +11,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, field_validator
 
+from softcal_jax.calibration import LEVEL
 from softcal_jax.project._actuators import AnyActuator
 from softcal_jax.project._bodies import BodyTable
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
@@ -40,7 +41,12 @@ M = TypeVar("M", bound=Material)
 
 
 class SettingsTable(Table):
-    """Settings of the calibration; missing ones keep their defaults."""
+    """Settings of the calibration; missing ones keep their defaults.
+
+    Attributes:
+        starts: Number of starts; by default see `default_starts`.
+        intervals: Level of the intervals; 0 for none.
+    """
 
     noise: Literal["estimated", "stated"] = "estimated"
     tol: Number | None = None
@@ -48,17 +54,19 @@ class SettingsTable(Table):
     step_bound: Number | None = None
     max_step_bound: Number | None = None
     damping: Number | None = None
-    starts: Annotated[Integer, Field(ge=1)] = 1
+    starts: Annotated[Integer, Field(ge=1)] | None = None
     seed: Integer = 0
-    intervals: Number | None = None
+    intervals: Number | None = LEVEL
     adapt: Flag | None = None
 
     @field_validator("intervals")
     @classmethod
     def _check_intervals(cls, value: float | None) -> float | None:
-        if value is not None and not 0.0 < value < 1.0:
-            raise ValueError(f"got {value:g}; expected a level like 0.95.")
-        return value
+        if value is not None and not 0.0 <= value < 1.0:
+            raise ValueError(
+                f"got {value:g}; expected a level like 0.95, or 0 for none."
+            )
+        return value or None
 
 
 class NewtonTable(Table):

@@ -1,7 +1,7 @@
 """The table [uncertain]: how well everything is known that is not calibrated."""
 
 import re
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import field_validator
 
@@ -24,6 +24,9 @@ _OF_KEY = {
 }
 """Dimensions of standard deviations that are not relative."""
 
+ESTIMATED = "estimated"
+"""What a component of the noise is called that the residuals are asked for."""
+
 _PERCENT = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
 
 
@@ -37,25 +40,22 @@ class UncertainTable(Table):
     actuators: float | None = None
     clamp: float | None = None
     supports: float | None = None
-    recordings: float | None = None
+    recordings: float | Literal["estimated"] | None = None
     zeros: float | None = None
     mountings: float | None = None
     mesh: Number | None = None
 
     @field_validator(*_OF_KEY, mode="before")
     @classmethod
-    def _parse_dimensional(cls, value: Any, info: Any) -> float:
+    def _parse_dimensional(cls, value: Any, info: Any) -> float | str:
+        if info.field_name == "recordings" and value == ESTIMATED:
+            return value
         return _not_negative(_quantity(value, _OF_KEY[info.field_name]), value)
 
     @field_validator("density", "loads", "actuators", "supports", mode="before")
     @classmethod
     def _parse_relative(cls, value: Any) -> float:
-        match = _PERCENT.fullmatch(value) if isinstance(value, str) else None
-        if match:
-            return 0.01 * float(match[1])
-        if value == 0 and not isinstance(value, bool | str):
-            return 0.0
-        raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
+        return parse_share(value)
 
     @field_validator("nu", "mesh")
     @classmethod
@@ -65,6 +65,16 @@ class UncertainTable(Table):
     def build(self) -> Uncertain:
         """Return the standard deviations, in SI units."""
         return Uncertain(**self.model_dump(exclude_none=True))
+
+
+def parse_share(value: Any) -> float:
+    """Parse a share like "3 %"; a plain zero needs no unit."""
+    match = _PERCENT.fullmatch(value) if isinstance(value, str) else None
+    if match:
+        return 0.01 * float(match[1])
+    if value == 0 and not isinstance(value, bool | str):
+        return 0.0
+    raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
 
 
 def _quantity(value: Any, dimension: Dimension) -> float:

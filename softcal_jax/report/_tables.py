@@ -13,7 +13,7 @@ from softcal_jax.calibration import (
     SimulationResult,
 )
 from softcal_jax.configurations import EffectorRecord
-from softcal_jax.export import readable_estimate, readable_unit, readable_values
+from softcal_jax.export import readable_unit, readable_values
 from softcal_jax.identifiability import (
     IDENTIFIABLE_BELOW,
     WEAK_BELOW,
@@ -36,7 +36,7 @@ _STYLE = {
 }
 
 _WORDS = {"role", "effector", "actuator", "rigid body", "state", "of"}
-_WORDS |= {"outcome", "verdict", "share of the value"}
+_WORDS |= {"outcome", "verdict", "share of the value", "kind"}
 """Columns of words, aligned on the left; numbers are on the right."""
 
 Configurations = Sequence[ConfigurationResult]
@@ -104,10 +104,11 @@ def _parameter_table(
     result: CalibrationResult, found: Identifiability
 ) -> "rich.table.Table":
     blind = {p.name for p in found.parameters if p.verdict == "not identifiable"}
-    columns = ["value ± std. error", "start", "bounds"]
+    unchecked = "" if result.intervals else " (unchecked)"
+    columns = [f"value ± std. error{unchecked}", "start", "bounds"]
     table = _start_table("Parameters", "parameter", columns)
     for q in result.parameters:
-        text = readable_estimate(q.value, q.standard_error, q.unit)
+        text = q.estimate
         if q.at_bound:
             text += " (on a bound)"
         factor, unit = readable_unit([q.value], q.unit)
@@ -129,15 +130,14 @@ def _budget_table(result: CalibrationResult) -> "rich.table.Table":
 
 
 def _interval_table(result: CalibrationResult) -> list["rich.table.Table"]:
-    """Tabulate the intervals of the parameters, if there are any."""
+    """Tabulate the intervals of the parameters, and how each was found."""
     if not result.intervals:
         return []
     level = f"{100.0 * result.intervals[0].level:g} %"
-    table = _start_table("By profile likelihood", "parameter", [f"{level} interval"])
+    table = _start_table("Intervals", "parameter", [f"{level} interval", "kind"])
     for interval in result.intervals:
-        ends = (interval.lower_end, interval.upper_end)
-        style = "bold red" if "not found" in ends else ""
-        _add_row(table, interval.name, (str(interval), style))
+        style = "bold red" if interval.kind == "none" else ""
+        _add_row(table, interval.name, (str(interval), style), interval.kind)
     return [table]
 
 

@@ -1,7 +1,7 @@
 """The error budget against recalibration with each thing wrong, and closed forms."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,8 @@ import pytest
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
-from softcal_jax.calibration import NOISE, calibrate, simulated_measurements
+from softcal_jax.calibration import NOISE, simulated_measurements
+from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.configurations import (
     Configuration,
     ImposedDisplacement,
@@ -30,6 +31,8 @@ from softcal_jax.fields import (
 )
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
+
+calibrate = partial(calibrate_with, intervals=None)
 
 EXACT = NewtonSettings(rtol=1e-12)
 MARKERS = Markers(("a", "b"), [[0.06, 0.01, 0.01], [0.09, 0.01, 0.02]], std=1e-4)
@@ -122,7 +125,7 @@ def refitted(model=None, configurations=None, measured=None):
         seen,
         noise="stated",
         newton=EXACT,
-        uncertain=exactly_known(),
+        uncertain=replace(exactly_known(), recordings=STD.recordings),  # same weights
     )
     return float(result.z[0])
 
@@ -274,8 +277,10 @@ def test_the_standard_error_is_the_root_of_the_sum_of_squares():
     parts = result.budget.by_cause()
     total = np.sqrt(sum(std**2 for std in parts.values()))[0]
     np.testing.assert_allclose(result.parameters[0].standard_error, total, rtol=1e-12)
+    # What the likelihood knows of: jitter, and the offsets of recordings.
     noise = 2e5 * np.sqrt(result.uncertainty.covariance[0, 0])
-    np.testing.assert_allclose(parts[NOISE], noise, rtol=1e-6)
+    both = np.hypot(parts[NOISE], parts["recordings"])
+    np.testing.assert_allclose(both, noise, rtol=1e-6)
 
 
 def test_it_says_what_to_measure_first():
@@ -303,6 +308,8 @@ def test_zero_switches_a_cause_off(cause):
     known = recalibrated(E, uncertain=replace(STD, **{cause: 0.0}))
     left = {own.name for own in known.budget.causes}
     assert left == set(CAUSES) - {cause}
+    if cause == "recordings":  # they weigh the data, and so change all others
+        return
     kept = [c for c in fitted().budget.causes if c.name != cause]
     expected = sum(own.variance for own in kept) + np.diag(known.budget.noise)
     np.testing.assert_allclose(

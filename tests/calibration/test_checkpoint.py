@@ -42,10 +42,9 @@ def data(beam):
 def fit(beam, data):
     """Calibrate this beam, with other data, start or settings if given."""
 
-    def run(path=None, data=data, space=beam.space, **keywords):
-        return calibrate(
-            beam.model, space, data, checkpoint=path, noise="stated", **keywords
-        )
+    def run(path=None, data=data, space=beam.space, starts=1, **keywords):
+        keywords |= {"noise": "stated", "intervals": None, "starts": starts}
+        return calibrate(beam.model, space, data, checkpoint=path, **keywords)
 
     return run
 

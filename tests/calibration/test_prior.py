@@ -1,6 +1,7 @@
 """What is known of a parameter before any data, and what it does to the result."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +10,9 @@ import pytest
 from softcal_jax.calibration import (
     CalibrationWarning,
     build_problem,
-    calibrate,
     simulated_measurements,
 )
+from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import Configuration, Markers
@@ -19,6 +20,8 @@ from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
+
+calibrate = partial(calibrate_with, intervals=None)
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
 MODEL = build_model(MESH, Corotational(Isotropic(400e3, 0.3)), density=1000.0)

@@ -16,6 +16,7 @@ from softcal_jax.calibration import (
     Optimum,
     build_problem,
     calibrate,
+    default_starts,
     evaluate,
     multi_start,
     random_starts,
@@ -30,9 +31,15 @@ from softcal_jax.calibration._runs import (
     run_start,
     wanted,
 )
-from softcal_jax.calibration._search import FROM_ANYWHERE, _optima
+from softcal_jax.calibration._search import FROM_ANYWHERE, SEVERAL, _optima
 from softcal_jax.equilibrium import Workers
-from softcal_jax.fields import ControlPoints, Parameter, ParameterSpace
+from softcal_jax.fields import (
+    ControlPointParameters,
+    ControlPoints,
+    Parameter,
+    ParameterSpace,
+    motor_zero,
+)
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
 
 # Columns: E_t, E_l and theta, at both control points each.
@@ -84,7 +91,9 @@ def test_a_start_in_the_basin_finds_the_target(measured, plain):
 
 def test_a_run_is_that_of_calibrate(measured, plain):
     """The same loop step by step, and its errors."""
-    alone = calibrate(measured.beam.model, measured.beam.space, measured.data)
+    beam = measured.beam
+    alone = calibrate(beam.model, beam.space, measured.data, starts=1, intervals=None)
+    assert alone.intervals == ()
     assert plain.steps[0] == len(alone.history) - 1
     np.testing.assert_allclose(plain.z[0], alone.z, rtol=0, atol=1e-8)
     errors = [np.sqrt(2.0 * entry.cost) for entry in alone.history]
@@ -254,7 +263,14 @@ def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):
     assert plain.cost[2] > 1e-3
     assert np.max(np.abs(plain.values[2] / target(measured) - 1.0)) > 0.1
     assert mirrored.converged.all()
-    assert len(mirrored.optima) == 1
+    # The other one was passed on the way, and is kept as the second-best.
+    best, *others = mirrored.optima
+    assert best.starts == (0, 1, 2)
+    assert others[0] is mirrored.second_best
+    assert {o.starts for o in others} == {()}
+    passed = [o.cost for o in others]
+    assert passed == sorted(passed)
+    assert np.isclose(passed, plain.cost[2], rtol=1e-6).any()
     np.testing.assert_allclose(mirrored.values[2], target(measured), rtol=1e-5)
     # The steps of all images, the errors of the first run.
     assert mirrored.steps[2] > plain.steps[2]
@@ -263,17 +279,20 @@ def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):
     np.testing.assert_array_equal(mirrored.steps[:1], plain.steps[:1])
 
 
-def test_calibrate_goes_on_from_the_best_of_several_starts(measured):
-    """The user's start is the one that ends wrong."""
+def test_calibrate_goes_on_from_the_best_of_several_starts(measured, monkeypatch):
+    """The user's start is the one that ends wrong; several are the default."""
+    monkeypatch.setattr("softcal_jax.calibration._search.SEVERAL", 3)
     beam, space = measured.beam, measured.beam.space
     p = space.from_scaled(measured.starts[2])
     wrong = [p[E_T], p[E_L], p[THETA]]
     space = eqx.tree_at(lambda s: [e.start for e in s.entries], space, wrong)
-    alone = calibrate(beam.model, space, measured.data)
+    alone = calibrate(beam.model, space, measured.data, starts=1)
     assert alone.starts is None
     assert alone.history[-1].cost > 1e-3
-    found = calibrate(beam.model, space, measured.data, starts=3, seed=5)
+    found = calibrate(beam.model, space, measured.data, seed=5)
     assert found.converged
+    # Data of the model itself show no noise, so that first order cannot be wrong.
+    assert {own.kind for own in found.intervals} == {"first-order"}
     values = [found.value(name) for name in space.names]
     np.testing.assert_allclose(values, target(measured), rtol=1e-5)
     # Its own start and two random ones.
@@ -286,6 +305,28 @@ def test_calibrate_goes_on_from_the_best_of_several_starts(measured):
     assert [entry.step for entry in found.history] == list(range(len(found.history)))
     assert len(found.history) <= 4
     assert found.parameters[0].start == pytest.approx(float(p[0]))
+
+
+def test_several_starts_where_there_may_be_several_optima():
+    """With an axis, or a field at more than one point; not for motors and zeros."""
+    points = ControlPoints(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]))
+    E = Parameter("E", "E", 1e5, 1e4, 1e6, unit="Pa")
+    theta = Parameter("theta", "theta", 0.0, -1.0, 1.0, scale="linear", unit="rad")
+    zero = motor_zero("motor", limit=0.1, prior_std=None)
+    assert default_starts(ParameterSpace([E, zero])) == 1
+    assert default_starts(ParameterSpace([E, theta])) == SEVERAL
+    spread = ControlPointParameters("E", points, 1e5, 1e4, 1e6)
+    assert default_starts(ParameterSpace([spread])) == SEVERAL
+    assert default_starts(SPACE) == SEVERAL
+
+
+def test_only_a_few_optima_are_listed():
+    found = ends(list(range(10, 80, 10)), list(range(7)))
+    lines = str(found).splitlines()
+    assert sum(line.startswith("  cost") for line in lines) == 5
+    assert lines[-1] == "  and 2 more."
+    assert found.second_best is found.optima[1]
+    assert ends([10.0], [1.0]).second_best is None
 
 
 def test_calibrate_needs_a_start(measured):
@@ -359,6 +400,7 @@ def test_report_lists_optima_unfinished_and_lost_runs():
     values = "E_t of CP 1 8e+05, E_t of CP 2 7e+05, E_l of CP 1 3e+05, E_l of CP 2 2e"
     assert str(found).splitlines() == [
         "6 starts, 3 converged, 2 distinct optima.",
+        "  The second-best costs 3 more than the best.",
         f"  cost 2 from 1 starts: {values}+05, theta of CP 1 0.3491, theta of CP 2 0.4",
         f"  cost 5 from 2 starts: {values}+05, theta of CP 1 0.1745, theta of CP 2 0.4",
         "  2 not converged (starts 3, 4), lowest cost 3.25.",

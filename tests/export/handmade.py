@@ -158,6 +158,10 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
         "notes": ("nu ended on a bound.",),
     }
     fields |= changed
+    of = {own.name: own for own in fields.pop("intervals", ())}
+    fields["parameters"] = tuple(
+        dataclasses.replace(q, interval=of.get(q.name)) for q in fields["parameters"]
+    )
     fields.setdefault("budget", make_budget(fields["parameters"], len(fields["W_ep"])))
     return CalibrationResult(
         converged=converged,

@@ -49,7 +49,10 @@ def test_result_is_strict_json_with_all_its_keys(data):
 
 def test_intervals_are_in_si_and_a_missing_end_is_null():
     found = ParameterInterval("E", 0.95, 2.1e5, np.nan, "likelihood", "not found", "Pa")
-    (entry,) = result_dict(make_result(intervals=(found,)))["intervals"]
+    data = result_dict(make_result(intervals=(found,)))
+    (entry,) = data["intervals"]
+    assert entry == data["parameters"][0]["interval"]
+    assert data["parameters"][1]["interval"] is None
     assert entry == {
         "name": "E",
         "level": 0.95,
@@ -58,6 +61,8 @@ def test_intervals_are_in_si_and_a_missing_end_is_null():
         "lower_end": "likelihood",
         "upper_end": "not found",
         "unit": "Pa",
+        "kind": "profile",
+        "why": "",
     }
 
 
@@ -72,6 +77,7 @@ def test_parameters_are_in_si_and_a_missing_error_is_null(data):
         "upper": 1e6,
         "unit": "Pa",
         "at_bound": False,
+        "interval": None,
     }
     assert nu["standard_error"] is None
     assert nu["at_bound"] is True

@@ -264,7 +264,7 @@ CASES = {
             '[[configurations]]\nname = "weight"',
             '[settings]\nintervals = 95\n\n[[configurations]]\nname = "weight"',
         ),
-        "settings.intervals: got 95; expected a level like 0.95.",
+        "settings.intervals: got 95; expected a level like 0.95, or 0 for none.",
     ),
     "newton": (
         (

@@ -1,10 +1,7 @@
 """What a project file becomes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from export.handmade import make_result
 from small_project import E_TRUE, write_small_project
 
 from softcal_jax.materials import Corotational, NeoHookean, StVenantKirchhoff
@@ -181,17 +178,15 @@ def test_own_on_top_of_shared(tmp_path):
     assert pulled.markers.names == ("tip", "side")
 
 
-def test_intervals_are_left_out_with_a_reason(tmp_path):
-    """Of one that did not converge they are not asked for."""
-    asked = "[settings]\nintervals = 0.9\n\n[markers]\n"
+@pytest.mark.parametrize(
+    ("asked", "level"), [("", 0.95), ("intervals = 0.9", 0.9), ("intervals = 0", None)]
+)
+def test_level_of_the_intervals(tmp_path, asked, level):
+    """Several starts are a matter of the parameters unless the file says."""
+    asked = f"[settings]\n{asked}\n\n[markers]\n"
     project = load_project(write_small_project(tmp_path, ("[markers]\n", asked)))
-    assert project.intervals == 0.9
-    result = make_result(converged=False)
-    assert project.with_intervals(result) is result
-    none = replace(result.uncertainty, noise="estimated", degrees_of_freedom=0)
-    found = project.with_intervals(make_result(uncertainty=none))
-    assert found.intervals == ()
-    assert found.notes[-1].startswith("No intervals: the noise cannot be estimated")
+    assert project.intervals == level
+    assert project.starts is None
 
 
 def test_settings(tmp_path):

@@ -1,0 +1,126 @@
+"""What each recording alone says about the parameters, and whether they agree."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._units import readable_unit
+from softcal_jax.calibration._uncertainty import Uncertainty, estimator
+from softcal_jax.fields import ParameterSpace
+
+DETERMINED = 0.5
+"""Standard error from which a recording alone does not determine a parameter [-].
+
+On a log scale half the value, on a linear one half of the range.
+"""
+
+APART = 3.0
+"""Number of standard errors from which recordings are said to disagree."""
+
+
+class RecordingEstimate(eqx.Module):
+    """A parameter from one recording alone, to first order about the fit of all.
+
+    Attributes:
+        recording: Name of the recording.
+        parameter: Name of the parameter.
+        value: Its value from this recording, in SI.
+        standard_error: Its standard error by all causes, in SI.
+        fit: Its value from all recordings, in SI.
+        apart: Difference from the fit of all, in standard errors of this difference.
+            What both have in common, like an error of the loads, cancels in it [-].
+        unit: SI unit.
+    """
+
+    recording: str
+    parameter: str
+    value: float
+    standard_error: float
+    fit: float
+    apart: float
+    unit: str
+
+
+def recording_estimates(
+    W: Float[HostArray, "n_e n_p"],
+    error: Float[HostArray, " n_e"],
+    W_c: Float[HostArray, "n_e n_errors"],
+    *,
+    rows: dict[str, Bool[HostArray, " n_e"]],
+    space: ParameterSpace,
+    z: Float[HostArray, " n_p"],
+    spread: Uncertainty,
+) -> tuple[RecordingEstimate, ...]:
+    """Estimate parameters from each recording that determines them alone.
+
+    Recordings are independent in units of the noise. With the gains G_k of one and G of
+    all, their estimates differ by (G_k E_k - G) times the errors, whose covariance is
+    that of the noise, s^2 I, and W_c W_c^T of what is held fixed and may be wrong.
+
+    Args:
+        W: Stacked compliances in noise units.
+        error: Stacked errors likewise.
+        W_c: Their change per standard deviation of what is held fixed.
+        rows: Rows of each recording.
+        space: The parameters.
+        z: Where the fit ended, scaled [-].
+        spread: Its uncertainty.
+
+    Returns:
+        Estimates of the parameters that two or more recordings determine.
+    """
+    prior = np.asarray(space.prior_weights())
+    scale = spread.noise_scale if np.isfinite(spread.noise_scale) else 1.0
+    whole = np.nan_to_num(estimator(W, spread, prior))
+    by_prior = np.nan_to_num(spread.covariance) * prior
+    size = lambda L: np.sqrt(
+        np.sum((scale * L) ** 2, axis=1) + np.sum((L @ W_c) ** 2, axis=1)
+    )
+    log = np.array([q.scale == "log" for q in space.parameters])
+    width = np.where(log, 1.0, np.asarray(space.upper() - space.lower()))
+    fits = np.asarray(space.from_scaled(jnp.asarray(z)))
+    at = jnp.asarray(z)
+    _, slopes = jax.jvp(space.from_scaled, (at,), (jnp.ones_like(at),))
+    slopes = np.abs(np.asarray(slopes))
+    found: dict[int, list[RecordingEstimate]] = {}
+    for name, own in rows.items():
+        alone = estimator(np.where(own[:, None], W, 0.0), spread, 0.0 * prior)
+        shift, std = -alone @ error, size(alone)
+        apart = np.hypot(size(alone - whole), np.linalg.norm(by_prior, axis=1))
+        values = np.asarray(space.from_scaled(jnp.asarray(z + np.nan_to_num(shift))))
+        for i in np.flatnonzero(std < DETERMINED * width):
+            found.setdefault(int(i), []).append(
+                RecordingEstimate(
+                    recording=name,
+                    parameter=space.names[i],
+                    value=float(values[i]),
+                    standard_error=float(slopes[i] * std[i]),
+                    fit=float(fits[i]),
+                    apart=float(shift[i] / apart[i]),
+                    unit=space.parameters[i].unit,
+                )
+            )
+    return tuple(e for own in found.values() if len(own) > 1 for e in own)
+
+
+def agreement_sentences(estimates: Sequence[RecordingEstimate]) -> list[str]:
+    """Say for each parameter what recordings alone give, and whether they agree."""
+    sentences = []
+    for name in dict.fromkeys(e.parameter for e in estimates):
+        own = [e for e in estimates if e.parameter == name]
+        factor, unit = readable_unit([own[0].fit], own[0].unit)
+        each = ", ".join(
+            f"{e.recording} {factor * e.value:.4g} +- {factor * e.standard_error:.2g}"
+            f" ({abs(e.apart):.1f} standard errors from the fit)"
+            for e in own
+        )
+        far = [e.recording for e in own if abs(e.apart) > APART]
+        verdict = f"{', '.join(far)} disagrees" if far else "they agree"
+        of_each = f"{name} from each recording alone" + f" [{unit}]" * bool(unit)
+        sentences.append(f"{of_each}: {each}: {verdict}.")
+
+    return sentences

@@ -1,0 +1,233 @@
+"""Noise whose coordinates are not independent: offsets of recordings, and creep.
+
+The covariance of the stacked measured coordinates is
+
+    V = s^2 diag(std^2) + U Sigma U^T
+
+with jitter of each coordinate, and few known columns U: a rigid offset of the points of
+each recording along each axis, and for each configuration a share of its measured
+motion. In units of the jitter this is I + A A^T with A = diag(std)^-1 U Sigma^1/2 / s,
+and the errors and compliances of a fit are multiplied by (I + A A^T)^-1/2, after which
+they are independent with the variance s^2 in units of `std` (generalised least
+squares; Seber and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
+from softcal_jax.fields import OFFSET, ParameterSpace, SetupParameter, Uncertain
+
+AnyArray = Array | HostArray
+
+RECORDINGS = "recordings"
+"""Name of the offsets of recordings in the budget."""
+
+CREEP = "creep"
+"""Name of the share of the motion in the budget."""
+
+FIRST_SHARE = 0.02
+"""Share of the motion to begin with, where it is to be estimated [-]."""
+
+AXES = "xyz"
+
+
+class CorrelatedNoise(eqx.Module):
+    """Covariance of the stacked errors, for a batch of configurations.
+
+    Attributes:
+        recording: Index of the first configuration of the same recording.
+        offset: Standard deviation of the offset of its points, along each axis [m].
+        motion: Measured motion of the points; 0 for rows that are no points [m].
+        share: Standard deviation of the share of this motion that is noise [-].
+        jitter: Factor on the stated standard deviations of the coordinates [-].
+    """
+
+    recording: Int[AnyArray, " n_c"]
+    offset: Float[AnyArray, "n_c 3"]
+    motion: Float[AnyArray, "n_c n_rows 3"]
+    share: Float[AnyArray, " n_c"]
+    jitter: Float[AnyArray, ""]
+
+    def columns(self, effectors: EffectorArrays) -> Float[AnyArray, "n_e n_columns"]:
+        """Return A: three offsets per configuration, then one share of each motion.
+
+        Configurations share the columns of the first one of their recording; those of
+        the others are zero, so that the shape depends on the batch alone.
+        """
+        weight = effectors.inverse_std
+        xp = jnp if isinstance(weight, jax.Array) else np
+        n_c, n_rows = weight.shape[:2]
+        is_point = xp.arange(n_rows) < effectors.nodes.shape[-2]
+        same = xp.asarray(self.recording)[:, None] == xp.arange(n_c)[None, :]
+        own, axes = xp.eye(n_c, dtype=weight.dtype), xp.eye(3, dtype=weight.dtype)
+        of_points = weight * is_point.astype(weight.dtype)[None, :, None]
+        offset, same = xp.asarray(self.offset), same.astype(weight.dtype)
+        shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, offset, same, axes)
+        motion, share = xp.asarray(self.motion), xp.asarray(self.share)
+        shares = xp.einsum("crx,c,cd->crxd", weight * motion, share, own)
+        parts = [shifts.reshape(weight.size, -1), shares.reshape(weight.size, -1)]
+        return xp.concatenate(parts, axis=1) / xp.asarray(self.jitter)
+
+    def scaled(
+        self, *, jitter: float, offset: float, share: float, of: Bool[HostArray, " n_c"]
+    ) -> "CorrelatedNoise":
+        """Return it with another jitter, and factors on offsets and on some shares.
+
+        Args:
+            jitter: The new factor on the stated standard deviations [-].
+            offset: Factor on the offsets [-].
+            share: Factor on the shares of the motion [-].
+            of: Configurations whose share changes.
+        """
+        like = lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype)
+        shares = np.where(of, share, 1.0) * np.asarray(self.share)
+        return replace(
+            self,
+            offset=like(offset * np.asarray(self.offset), self.offset),
+            share=like(shares, self.share),
+            jitter=like(jitter, self.jitter),
+        )
+
+
+def whitened(
+    A: Float[AnyArray, "n_e n_columns"], x: Float[AnyArray, "n_e ..."]
+) -> Float[AnyArray, "n_e ..."]:
+    """Compute (I + A A^T)^-1/2 x.
+
+    With A^T A = P diag(a^2) P^T and r = sqrt(1 + a^2) it is
+    x - A P diag(1 / (r (1 + r))) P^T A^T x, which is regular at a = 0.
+    """
+    xp = jnp if isinstance(A, jax.Array) else np
+    square, P = xp.linalg.eigh(A.T @ A)
+    root = xp.sqrt(1.0 + xp.maximum(square, 0.0))
+    along = (P / (root * (1.0 + root))[None, :]) @ (P.T @ (A.T @ x))
+    return x - A @ along
+
+
+def coloured(
+    A: Float[HostArray, "n_e n_columns"], x: Float[HostArray, "n_e ..."]
+) -> Float[HostArray, "n_e ..."]:
+    """Compute (I + A A^T)^1/2 x, the inverse of `whitened`."""
+    square, P = np.linalg.eigh(A.T @ A)
+    root = np.sqrt(1.0 + np.maximum(square, 0.0))
+    return x + A @ ((P / (1.0 + root)[None, :]) @ (P.T @ (A.T @ x)))
+
+
+def correlated_noise(
+    configurations: Sequence[Configuration],
+    *,
+    space: ParameterSpace,
+    effectors: EffectorArrays,
+    motion: Float[HostArray, "n_c n_rows 3"],
+    uncertain: Uncertain,
+) -> CorrelatedNoise:
+    """Collect the noise of configurations; what is estimated has its first value.
+
+    Args:
+        configurations: The configurations.
+        space: The parameters; an offset among them is no noise.
+        effectors: The effectors.
+        motion: Measured motion of the points [m].
+        uncertain: The offsets of recordings.
+    """
+    names = recording_names(configurations)
+    offset = OFFSET if uncertain.recordings == "estimated" else uncertain.recordings
+    free = [
+        not_calibrated(space, configurations, "recording_offset", axis=axis)
+        for axis in AXES
+    ]
+    std = [c.relative_std for c in configurations]
+    shares = np.array([FIRST_SHARE if s == "estimated" else s for s in std], float)
+    dtype = np.asarray(effectors.inverse_std).dtype
+    arrays = CorrelatedNoise(
+        recording=np.array([names.index(name) for name in names], np.int32),
+        offset=np.asarray(offset * np.array(free, float).T, dtype),
+        motion=np.asarray(motion, dtype),
+        share=np.asarray(shares, dtype),
+        jitter=np.ones((), dtype),
+    )
+    return jax.device_put(arrays)
+
+
+def measured_motion(
+    effectors: Sequence[Sequence[EffectorRecord]], n_rows: int
+) -> Float[HostArray, "n_c n_rows 3"]:
+    """Return how far measured points are from where they are at rest [m].
+
+    It is zero for coordinates that were not measured, and for rows that are no points.
+
+    Args:
+        effectors: Effectors of each configuration.
+        n_rows: Rows of each configuration.
+    """
+    motion = np.zeros((len(effectors), n_rows, 3))
+    for lane, own in enumerate(effectors):
+        for e in own:
+            if e.quantity == "point":
+                motion[lane, e.index] = -e.error(e.at_rest)
+    return motion
+
+
+def recording_names(configurations: Sequence[Configuration]) -> list[str]:
+    """Return the name of the recording of each configuration."""
+    return [c.recording or c.name for c in configurations]
+
+
+def not_calibrated(
+    space: ParameterSpace,
+    configurations: Sequence[Configuration],
+    kind: str,
+    *,
+    of: str = "",
+    axis: str = "",
+) -> Bool[HostArray, " n_c"]:
+    """Return in which configurations no parameter is the error of this kind."""
+    free = np.ones(len(configurations), bool)
+    for entry in space.entries:
+        if not isinstance(entry, SetupParameter):
+            continue
+        if (entry.kind, entry.of, entry.axis) == (kind, of, axis):
+            members = [entry.member(c) for c in configurations]
+            free &= [bool(entry.each) and name not in entry.each for name in members]
+    return free
+
+
+def named_columns(
+    configurations: Sequence[Configuration],
+    noise: CorrelatedNoise,
+    effectors: EffectorArrays,
+) -> Mapping[str, Mapping[str, Float[HostArray, " n_e"]]]:
+    """Return the columns of U Sigma^1/2 that are not zero, by cause and name.
+
+    Args:
+        configurations: The configurations.
+        noise: Their noise.
+        effectors: Their effectors.
+
+    Returns:
+        Columns in the units of the effectors.
+    """
+    noise, effectors = jax.tree.map(np.asarray, (noise, effectors))
+    weight = effectors.inverse_std.reshape(-1, 1)
+    std = 1.0 / np.where(weight > 0.0, weight, np.inf)
+    U = std * np.asarray(noise.columns(effectors)) * noise.jitter
+    recordings = recording_names(configurations)
+    several = len(set(recordings)) > 1
+    names = [
+        (RECORDINGS, f"recording_offset {axis}" + f" in {name}" * several)
+        for name in recordings
+        for axis in AXES
+    ]
+    names += [(CREEP, f"creep in {c.name}") for c in configurations]
+    found: dict[str, dict[str, HostArray]] = {}
+    for (cause, name), column in zip(names, U.T, strict=True):
+        if np.any(column):
+            found.setdefault(cause, {})[name] = column
+    return found

@@ -1,0 +1,155 @@
+"""Restricted maximum likelihood of the components of a noise.
+
+The errors of a fit, linear in its parameters, are r + W dz with the covariance
+V = s_0^2 I + sum_i s_i^2 A_i A_i^T. The likelihood of what is left of r once dz has
+been eliminated,
+
+    -2 l = log|V| + log|W^T V^-1 W + P| + min_dz (r + W dz)^T V^-1 (r + W dz) + prior,
+
+does not pay for dz with the residuals as the whole likelihood does (Patterson and
+Thompson, Biometrika 58, 1971; Harville, J. Am. Stat. Assoc. 72, 1977). Without columns
+A_i it gives s_0^2 = r^T r / (n - p), and for a balanced one-way layout the estimators
+of the analysis of variance.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from scipy.optimize import minimize
+
+from softcal_jax._typing import Float, HostArray
+
+BLIND = 1e-9
+"""Singular value, over the largest, below which a direction is only rounding [-]."""
+
+REACH = float(np.log(1e4))
+"""How far the logarithm of a factor may go from its first value [-]."""
+
+SAME = 1e-6
+"""Difference of -2 l that says nothing about a component [-]."""
+
+
+class Residuals(eqx.Module):
+    """Errors of a fit and how they follow its parameters, in stated noise units [-].
+
+    Attributes:
+        r: Errors of the measured coordinates.
+        W: Their change per unit of the free parameters.
+        r_prior: Distances of the parameters from their priors, in standard deviations.
+        W_prior: Their change per unit of the free parameters.
+    """
+
+    r: Float[HostArray, " n"]
+    W: Float[HostArray, "n n_p"]
+    r_prior: Float[HostArray, " n_prior"]
+    W_prior: Float[HostArray, "n_prior n_p"]
+
+
+class _Reduced:
+    """The same problem in the space of W and the columns; the rest is only jitter."""
+
+    def __init__(self, errors: Residuals, columns: Sequence[HostArray]):
+        W, W_prior = errors.W, errors.W_prior
+        # Directions of the parameters that nothing determines do not count.
+        _, singular, Vt = np.linalg.svd(np.concatenate([W, W_prior]))
+        seen = Vt[: len(singular)][singular > BLIND * max(singular, default=0.0)]
+        W, W_prior = W @ seen.T, W_prior @ seen.T
+        Q = basis(np.concatenate([W, *columns], axis=1))
+        self.W, self.W_prior, self.prior = Q.T @ W, W_prior, errors.r_prior
+        self.y = Q.T @ errors.r
+        self.blocks = [np.eye(Q.shape[1])]
+        self.blocks += [(Q.T @ A) @ (Q.T @ A).T for A in columns]
+        self.beside = len(errors.r) - Q.shape[1]
+        rest = errors.r - Q @ self.y
+        self.rest = float(rest @ rest)
+
+    def criterion(self, variances: Float[HostArray, " n"]):
+        """Return -2 l, and its derivatives in the variances."""
+        V = sum(v * B for v, B in zip(variances, self.blocks, strict=True))
+        inverse = np.linalg.inv(V)
+        VW = inverse @ self.W
+        information = self.W.T @ VW + self.W_prior.T @ self.W_prior
+        C = np.linalg.inv(information)
+        dz = -C @ (VW.T @ self.y + self.W_prior.T @ self.prior)
+        left, apart = self.y + self.W @ dz, self.prior + self.W_prior @ dz
+        u = inverse @ left
+        value = np.linalg.slogdet(V)[1] + np.linalg.slogdet(information)[1]
+        value += float(left @ u) + float(apart @ apart)
+        value += self.beside * np.log(variances[0]) + self.rest / variances[0]
+        projected = inverse - VW @ C @ VW.T
+        slopes = [np.sum(projected * B) - u @ B @ u for B in self.blocks]
+        slopes[0] += self.beside / variances[0] - self.rest / variances[0] ** 2
+        return value, np.array(slopes)
+
+
+def restricted_likelihood(
+    errors: Residuals,
+    columns: Sequence[Float[HostArray, "n k"]],
+    factors: Sequence[float],
+    free: Sequence[bool],
+) -> list[float]:
+    """Find factors on standard deviations that make the residuals most likely.
+
+    Args:
+        errors: The linearised errors.
+        columns: Columns A_i of each correlated component, for a factor of one.
+        factors: First values of all factors: that of the jitter, then of `columns` [-].
+        free: Which of them are estimated; the others stay.
+
+    Returns:
+        All factors; 0 where the residuals show nothing of a component.
+    """
+    reduced, start = _Reduced(errors, columns), np.array(factors, float)
+    which = np.flatnonzero(free)
+    # Among the residuals that no column explains the jitter is alone.
+    if free[0] and reduced.beside > 0 and reduced.rest > 0.0:
+        start[0] = np.sqrt(reduced.rest / reduced.beside)
+
+    def of_logarithms(logs):
+        variances = start**2
+        variances[which] = np.exp(2.0 * logs)
+        value, slopes = reduced.criterion(variances)
+        return value, 2.0 * slopes[which] * variances[which]
+
+    first = np.log(start[which])
+    found = minimize(
+        of_logarithms,
+        first,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(log - REACH, log + REACH) for log in first],
+        options={"ftol": 1e-15, "gtol": 1e-10, "maxiter": 500},
+    )
+    result = start.copy()
+    result[which] = np.exp(found.x)
+    lowest = found.fun
+    for i in which[which > 0]:
+        # The logarithm never reaches zero.
+        without = np.where(np.arange(len(result)) == i, 0.0, result)
+        value, _ = reduced.criterion(without**2)
+        if value <= lowest + SAME:
+            result, lowest = without, value
+    return [float(factor) for factor in result]
+
+
+def freedom_between(errors: Residuals, A: Float[HostArray, "n k"]) -> tuple[int, int]:
+    """Count the residual directions that show a component, and those free of it.
+
+    Args:
+        errors: The linearised errors.
+        A: Its columns.
+    """
+    W, both = errors.W, np.concatenate([errors.W, A], axis=1)
+    rank = basis(both).shape[1]
+    return rank - basis(W).shape[1], len(errors.r) - rank
+
+
+def basis(columns: Float[HostArray, "n k"]) -> Float[HostArray, "n rank"]:
+    """Return an orthonormal basis of the span of columns."""
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0.0] / size[size > 0.0]
+    if not columns.size:
+        return np.zeros((len(columns), 0))
+    Q, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return Q[:, singular > BLIND * singular[0]]

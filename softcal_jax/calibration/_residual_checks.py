@@ -1,0 +1,234 @@
+"""Checks of a fit by its residuals: lack of fit, left-out poses, single recordings."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration._agreement import (
+    RecordingEstimate,
+    agreement_sentences,
+    recording_estimates,
+)
+from softcal_jax.calibration._configuration_result import ConfigurationResult
+from softcal_jax.calibration._noise import coloured, recording_names
+from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._residuals import (
+    LackOfFit,
+    Prediction,
+    chance,
+    lack_of_fit,
+    left_out,
+)
+from softcal_jax.calibration._state import CalibrationState
+from softcal_jax.calibration._uncertainty import UNLIKELY, Uncertainty
+from softcal_jax.calibration._weighing import EXACT, linear_errors
+from softcal_jax.configurations import Configuration
+
+FEWEST = 3
+"""Fewest configurations of which one is left out: the others must say something."""
+
+FAR = 0.25
+"""Share of the motion by which a prediction may be off, where no std is stated [-]."""
+
+
+class LeftOut(eqx.Module):
+    """A configuration as the others predict it, linearised at the optimum.
+
+    Attributes:
+        name: Its name.
+        rms: Root mean square distance of predicted from measured points; nan where the
+            others do not determine a parameter that it takes, and without points [m].
+        expected: That which noise, parameters and what is held fixed explain [m].
+        motion: Root mean square motion of the points [m].
+        probability: Chance of errors as large; nan where nothing is predicted, or no
+            residuals are left to estimate the noise from [-].
+        by_scatter: The same where the noise is that of the scatter within
+            configurations; nan where it is stated, or there is no such scatter [-].
+    """
+
+    name: str
+    rms: float
+    expected: float
+    motion: float
+    probability: float
+    by_scatter: float
+
+
+class ResidualChecks(eqx.Module):
+    """What the residuals of a fit say about its model.
+
+    Attributes:
+        names: The fitted configurations.
+        lack_of_fit: Scatter between configurations against that within them; None where
+            the noise is stated, which is tested by chi-squared, or nothing is left.
+        left_out: Each configuration as the others predict it; empty for fewer than
+            three.
+        recordings: Parameters from single recordings, if two or more determine them.
+    """
+
+    names: tuple[str, ...]
+    lack_of_fit: LackOfFit | None
+    left_out: tuple[LeftOut, ...]
+    recordings: tuple[RecordingEstimate, ...]
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the model cannot be right, one sentence each; empty if nothing is."""
+        reasons = []
+        test = self.lack_of_fit
+        if test is not None and test.probability < UNLIKELY:
+            worst = self.names[int(np.argmax(test.shares))]
+            reasons.append(
+                "Whole configurations are off, not single markers: the scatter between "
+                f"them is {test.ratio:.3g} times that expected from the scatter within "
+                f"(F with {test.between} and {test.within} degrees of freedom, "
+                f"probability {test.probability:.1g}), most of all {worst}. Check its "
+                "load and supports, or the law."
+            )
+        allowed = UNLIKELY / max(len(self.left_out), 1)
+        for own in self.left_out:
+            far = own.rms > FAR * own.motion and own.by_scatter < UNLIKELY
+            if own.probability < allowed or far:
+                share = f", {100.0 * own.rms / own.motion:.0f} % of how far they moved"
+                reasons.append(
+                    f"{own.name} is not predicted by the others: its markers would be "
+                    f"{1e3 * own.rms:.2f} mm off{share * bool(own.motion > 0.0)}, and "
+                    f"{1e3 * own.expected:.2g} mm is what errors explain."
+                )
+        return tuple(reasons)
+
+    @property
+    def agreement(self) -> tuple[str, ...]:
+        """What single recordings say about the parameters, one sentence each."""
+        return tuple(agreement_sentences(self.recordings))
+
+
+def residual_checks(
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
+    *,
+    state: CalibrationState,
+    W_c: Float[HostArray, "n_e n_errors"],
+    spread: Uncertainty,
+    fits: Sequence[ConfigurationResult],
+) -> ResidualChecks:
+    """Check a fit by its residuals.
+
+    Args:
+        problem: The calibration.
+        configurations: The fitted configurations.
+        state: Where the fit ended.
+        W_c: Change of the stacked errors per standard deviation of what is held fixed,
+            in noise units.
+        spread: Uncertainty by the noise.
+        fits: Fits of the configurations.
+    """
+    effectors = jax.tree.map(np.asarray, problem.configurations.effectors)
+    noise = jax.tree.map(np.asarray, problem.noise)
+    weight = effectors.inverse_std
+    seen, n_c = weight.ravel() > 0.0, len(configurations)
+    lane = np.repeat(np.arange(n_c), weight[0].size)
+    B = np.asarray(noise.columns(effectors))
+    in_std = coloured(B, W_c)[seen]
+    A = (B * noise.jitter)[seen][:, np.any(B != 0.0, axis=0)]
+    errors, estimated = linear_errors(problem, state), spread.noise == "estimated"
+    scale = spread.noise_scale
+    sampled = np.isfinite(scale) and scale > EXACT
+    names = tuple(c.name for c in configurations)
+    test = None
+    if estimated and sampled:
+        Z, of = _shared_errors(weight, effectors.nodes.shape[-2], fits)
+        test = lack_of_fit(errors, A=A, W_c=in_std, Z=Z[seen], lane=of, n_c=n_c)
+    predicted: tuple[LeftOut, ...] = ()
+    if n_c >= FEWEST and (sampled or not estimated):
+        leave = lambda jitter: left_out(
+            errors, A=A, W_c=in_std, jitter=jitter, lane=lane[seen]
+        )
+        by_scatter = leave(test.jitter) if test is not None else [None] * n_c
+        predicted = tuple(
+            _left_out(
+                fit,
+                own,
+                weight[c],
+                of=spread.degrees_of_freedom if estimated else None,
+                by_scatter=_by_scatter(other, test),
+            )
+            for c, (fit, own, other) in enumerate(
+                zip(fits, leave(scale), by_scatter, strict=True)
+            )
+        )
+    recordings = recording_names(configurations)
+    rows = {
+        name: np.array([own == name for own in recordings])[lane]
+        for name in dict.fromkeys(recordings)
+    }
+    singles = ()
+    if len(rows) > 1 and sampled:
+        singles = recording_estimates(
+            np.asarray(state.evaluation.W_ep),
+            np.asarray(state.evaluation.error),
+            W_c,
+            rows=rows,
+            space=problem.space,
+            z=np.asarray(state.z),
+            spread=spread,
+        )
+    return ResidualChecks(names, test, predicted, singles)
+
+
+def _shared_errors(
+    weight: Float[HostArray, "n_c n_rows 3"],
+    n_points: int,
+    fits: Sequence[ConfigurationResult],
+) -> tuple[HostArray, HostArray]:
+    """Return what coordinates of a configuration may share, and whose each is.
+
+    For each configuration the offsets of its points along the axes, and its motion.
+    """
+    columns, of = [], []
+    for c, fit in enumerate(fits):
+        own = np.zeros((4, *weight.shape))
+        own[[0, 1, 2], c, :n_points, [0, 1, 2]] = weight[c, :n_points].T
+        for e in fit.points:
+            own[3, c, e.index] = weight[c, e.index] * e.error(e.at_rest)
+        columns += list(own.reshape(4, -1))
+        of += [c] * 4
+    return np.stack(columns, axis=1), np.array(of)
+
+
+def _by_scatter(own: Prediction | None, test: LackOfFit | None) -> float:
+    """Return the chance of a prediction by the noise within configurations."""
+    if own is None or test is None:
+        return float("nan")
+    return chance(own.chi_squared, own.degrees_of_freedom, of=test.within)
+
+
+def _left_out(
+    fit: ConfigurationResult,
+    own: Prediction,
+    weight: Float[HostArray, "n_rows 3"],
+    *,
+    of: int | None,
+    by_scatter: float,
+) -> LeftOut:
+    """Describe a prediction in metres."""
+    seen = weight > 0.0
+    rms = []
+    for values in (own.error, own.std):
+        rows = np.zeros(weight.shape)
+        rows[seen] = values / weight[seen]
+        squares = [np.sum(rows[e.index] ** 2) for e in fit.points]
+        rms.append(float(np.sqrt(np.mean(squares))) if squares else float("nan"))
+    return LeftOut(
+        name=fit.name,
+        rms=rms[0],
+        expected=rms[1],
+        motion=fit.motion,
+        probability=chance(
+            own.chi_squared, own.degrees_of_freedom, of=of, jitter_is_of_all=True
+        ),
+        by_scatter=by_scatter,
+    )

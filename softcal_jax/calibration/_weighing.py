@@ -1,0 +1,238 @@
+"""Fit and noise in turn: the noise weighs the errors of the fit that it is found from.
+
+A component of the noise that is not known is found by restricted maximum likelihood
+from the errors linearised at the optimum. These weights move the optimum a little, so
+the fit goes on from it, until neither changes.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax.calibration._noise import FIRST_SHARE, CorrelatedNoise
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    Evaluator,
+    in_other_units,
+)
+from softcal_jax.calibration._reml import (
+    Residuals,
+    freedom_between,
+    restricted_likelihood,
+)
+from softcal_jax.calibration._runs import descend
+from softcal_jax.calibration._state import (
+    CalibrationSettings,
+    CalibrationState,
+    initial_state,
+)
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Job
+from softcal_jax.fields import OFFSET
+
+EXACT = 1e-3
+"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
+
+SETTLED = 0.01
+"""Relative change of a standard deviation at which the noise has settled [-]."""
+
+MOST_ROUNDS = 10
+"""Most estimates of the noise."""
+
+FEWEST = 3
+"""Fewest degrees of freedom from which a component is estimated."""
+
+
+class Unknown(NamedTuple):
+    """Which components of the noise are estimated.
+
+    Attributes:
+        jitter: Whether the factor on the stated standard deviations is.
+        offset: Whether the offset of the recordings is.
+        share: Configurations whose share of the motion is, one share for all.
+    """
+
+    jitter: bool
+    offset: bool
+    share: Bool[HostArray, " n_c"]
+
+
+class Weighed(NamedTuple):
+    """End of a fit with its noise.
+
+    Attributes:
+        state: End of the fit, in units of the noise.
+        noise: The noise.
+        unknown: What of it was estimated in the end.
+        scale: Factor on the stated standard deviations of coordinates that was
+            estimated beside correlated noise; None if it was not [-].
+        notes: What went otherwise than asked for.
+    """
+
+    state: CalibrationState
+    noise: CorrelatedNoise
+    unknown: Unknown
+    scale: float | None
+    notes: tuple[str, ...]
+
+
+def unknown_noise(
+    configurations: Sequence[Configuration], *, jitter: bool, offset: bool
+) -> Unknown:
+    """Say which components of the noise of configurations are to be estimated."""
+    share = np.array([c.relative_std == "estimated" for c in configurations])
+    return Unknown(jitter, offset, share)
+
+
+def weighed_fit(
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    *,
+    unknown: Unknown,
+    note: Callable[[CalibrationState, CorrelatedNoise], None],
+) -> Job[Weighed]:
+    """Take steps to the optimum, estimate the noise, and go on until both stand still.
+
+    Args:
+        evaluate: Evaluator of the calibration, with the noise to begin with.
+        settings: Settings of the outer loop.
+        state: State to begin with.
+        unknown: What of the noise is estimated.
+        note: Called with state and noise after each step.
+    """
+    noise, scale, notes = evaluate.problem.noise, None, []
+    assert noise is not None
+    for last in range(MOST_ROUNDS):
+        told = lambda state, noise=noise: note(state, noise)
+        state = yield from descend(evaluate, settings, state, told)
+        if not state.converged:
+            break
+        errors = linear_errors(evaluate.problem, state)
+        unknown, left_out = _enough(errors, evaluate.problem, unknown)
+        notes += left_out
+        new = _estimated(errors, evaluate.problem, unknown)
+        if new is None:
+            break
+        scale = float(noise.jitter) if unknown.jitter else None
+        if _change(noise, new) <= SETTLED:
+            break
+        if last == MOST_ROUNDS - 1:
+            notes.append(
+                "The noise estimated from the residuals did not settle: it still "
+                f"changes by {100.0 * _change(noise, new):.0f} %. State the `std` of "
+                'the effectors with noise = "stated", or the offset of recordings.'
+            )
+            break
+        noise, evaluate = new, evaluate.with_noise(new)
+        evaluation = in_other_units(evaluate.numbered, state.evaluation)
+        state = initial_state(settings, state.z, evaluation)
+    return Weighed(state, noise, unknown, scale, tuple(notes))
+
+
+def linear_errors(problem: CalibrationProblem, state: CalibrationState) -> Residuals:
+    """Return errors and compliances in units of the stated standard deviations."""
+    at, space = state.evaluation, problem.space
+    weight = np.asarray(problem.configurations.effectors.inverse_std).ravel()
+    seen = weight > 0.0
+    down, up = map(np.asarray, space.room(state.z))
+    free = ~((down >= -1e-9) | (up <= 1e-9))
+    prior = np.asarray(space.prior_weights())
+    known = prior[free] > 0.0
+    return Residuals(
+        r=(weight * np.asarray(at.delta_e).ravel())[seen],
+        W=(weight[:, None] * np.asarray(at.compliance))[np.ix_(seen, free)],
+        r_prior=np.asarray(at.prior)[free][known],
+        W_prior=np.diag(prior[free])[known],
+    )
+
+
+class _Columns(NamedTuple):
+    """Columns of the noise by component, in stated units, and which is estimated."""
+
+    offsets: Float[HostArray, "n k"]
+    shares: Float[HostArray, "n l"]
+    stated: Float[HostArray, "n m"]
+
+
+def _columns(problem: CalibrationProblem, unknown: Unknown) -> _Columns:
+    effectors = jax.tree.map(np.asarray, problem.configurations.effectors)
+    noise = jax.tree.map(np.asarray, problem.noise)
+    A = np.asarray(noise.columns(effectors)) * noise.jitter
+    A = A[effectors.inverse_std.ravel() > 0.0]
+    n_c = len(unknown.share)
+    is_offset = np.arange(A.shape[1]) < 3 * n_c
+    is_share = np.concatenate([np.zeros(3 * n_c, bool), unknown.share])
+    offsets = is_offset & unknown.offset
+    used = np.any(A != 0.0, axis=0)
+    pick = lambda which: A[:, which & used]
+    return _Columns(pick(offsets), pick(is_share), pick(~offsets & ~is_share))
+
+
+def _enough(
+    errors: Residuals, problem: CalibrationProblem, unknown: Unknown
+) -> tuple[Unknown, list[str]]:
+    """Drop what the data cannot tell, with a note that says what counts instead."""
+    columns, notes = _columns(problem, unknown), []
+
+    def too_few(what: str, A: HostArray, taken: str, remedy: str) -> bool:
+        between, within = freedom_between(errors, A)
+        if between >= FEWEST and within >= 1:
+            return False
+        notes.append(
+            f"{what} cannot be estimated: of the residuals that parameters leave, at "
+            f"least {FEWEST} must show it and one must not, and there are {between} "
+            f"and {within}. {taken} is taken; state `{remedy}`, or measure more."
+        )
+        return True
+
+    if unknown.offset and too_few(
+        "The offset of the recordings",
+        columns.offsets,
+        f"{1e3 * OFFSET:g} mm",
+        "recordings",
+    ):
+        unknown = unknown._replace(offset=False)
+    if unknown.share.any() and too_few(
+        "The share of the motion",
+        columns.shares,
+        f"{100.0 * FIRST_SHARE:g} %",
+        "relative_std",
+    ):
+        unknown = unknown._replace(share=np.zeros_like(unknown.share))
+    return unknown, notes
+
+
+def _estimated(
+    errors: Residuals, problem: CalibrationProblem, unknown: Unknown
+) -> CorrelatedNoise | None:
+    """Estimate what is unknown of a noise; None where nothing is, or can be."""
+    noise = problem.noise
+    assert noise is not None
+    columns = _columns(problem, unknown)
+    parts = [columns.offsets, columns.shares, columns.stated]
+    used = [part.shape[1] > 0 for part in parts]
+    dof = len(errors.r) - errors.W.shape[1] + len(errors.r_prior)
+    level = float(np.sqrt(np.mean(errors.r**2))) if len(errors.r) else 0.0
+    # Without columns the jitter weighs nothing: `uncertainty` finds it in closed form.
+    if not any(used) or dof <= 0 or level < EXACT:
+        return None
+    free = [unknown.jitter, used[0], used[1], False]
+    if not any(free):
+        return None
+    jitter, offset, share, _ = restricted_likelihood(
+        errors, parts, factors=[float(noise.jitter), 1.0, 1.0, 1.0], free=free
+    )
+    return noise.scaled(jitter=jitter, offset=offset, share=share, of=unknown.share)
+
+
+def _change(old: CorrelatedNoise, new: CorrelatedNoise) -> float:
+    """Return the largest relative change of a standard deviation [-]."""
+    largest = lambda a: np.max(np.abs(a), initial=0.0)
+    before, after = (
+        np.array([n.jitter, largest(n.offset), largest(n.share)]) for n in (old, new)
+    )
+    return float(np.max(np.abs(after - before) / np.maximum(before, 1e-300)))

@@ -1,0 +1,261 @@
+"""Intervals that a calibration prints: of first order where that holds, or profiles."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from light_beam import MODEL, STD, measured, relative_error, unknowns
+from scipy.optimize import brentq
+from scipy.stats import norm
+
+from softcal_jax.calibration import (
+    Evaluation,
+    Evaluator,
+    LowerCostFound,
+    MultiStartResult,
+    Optimum,
+    build_problem,
+    calibrate,
+)
+from softcal_jax.calibration._checked_intervals import (
+    MOST_RETURNS,
+    Fitted,
+    with_intervals,
+)
+from softcal_jax.calibration._first_order import _Checked, _end_holds
+from softcal_jax.calibration._interval import (
+    ProfileEnd,
+    interval_between,
+    no_interval,
+)
+from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
+
+EXACTLY = {"noise": "stated", "uncertain": exactly_known()}
+CLOSE = 3e-3
+"""An end is off by 0.5 % of its distance, which is about half of the value [-]."""
+
+
+@pytest.fixture(scope="module")
+def poses():
+    return measured()
+
+
+@pytest.fixture(scope="module")
+def result(poses):
+    return calibrate(MODEL, unknowns(), poses, **EXACTLY)
+
+
+def cost_along(result):
+    """Twice the least cost for each E: the tip sinks by density / E, and is pushed."""
+    E, rho = result.value("E"), result.value("density")
+    points = [fit.points[0] for fit in result.configurations]
+    sunk, both = (p.simulated - p.at_rest for p in points)
+    seen = np.ravel([p.measured - p.at_rest for p in points])
+
+    def cost(other):
+        push = np.append(0.0 * sunk, (both - sunk) * E / other)
+        weight = np.append(sunk, sunk) * E / (rho * other)
+        density = weight @ (seen - push) / (weight @ weight)
+        return np.sum((push + density * weight - seen) ** 2) / STD**2
+
+    return cost
+
+
+def test_where_first_order_is_wrong_the_profile_is_printed(result):
+    """Its ends are those of a scan of the same cost; those of +- are far off."""
+    found = result.parameters[0].interval
+    assert found.kind == "profile"
+    cost, E = cost_along(result), result.value("E")
+    higher = lambda other: cost(other) - cost(E) - norm.ppf(0.975) ** 2
+    ends = [brentq(higher, 0.2 * E, E), brentq(higher, E, 5.0 * E)]
+    np.testing.assert_allclose([found.lower, found.upper], ends, rtol=CLOSE)
+    reach = 1.96 * result.parameters[0].standard_error
+    assert np.max(np.abs(np.array([E - reach, E + reach]) - ends)) > 0.1 * E
+    assert "±" not in str(result.parameters[0])
+    assert str(found) in str(result)
+    assert "+-" not in str(result).split("\n")[1]
+
+
+def test_where_it_is_right_it_stays(monkeypatch):
+    """At a hundredth of the noise; two evaluations for each parameter."""
+    counted, real = [], Evaluator.__call__
+
+    def count(evaluate, *args):
+        counted.append(evaluate)
+        return real(evaluate, *args)
+
+    monkeypatch.setattr(Evaluator, "__call__", count)
+    precise = measured(noise=5e-3, std=1e-2 * STD)
+    calibrate(MODEL, unknowns(), precise, intervals=None, **EXACTLY)
+    alone = len(counted)
+    result = calibrate(MODEL, unknowns(), precise, **EXACTLY)
+    assert len(counted) == 2 * alone + 2 * 2
+    found = result.parameters[0].interval
+    assert [own.kind for own in result.intervals] == ["first-order"] * 2
+    s = 1e-2 * relative_error(result)
+    ends = result.value("E") * np.exp(1.959964 * s * np.array([-1.0, 1.0]))
+    np.testing.assert_allclose([found.lower, found.upper], ends, rtol=1e-5)
+    assert "±" in str(result.parameters[0])
+
+
+def test_at_a_bound_one_side_is_known(poses):
+    """The lower limit, where the cost has risen above that at the bound."""
+    result = calibrate(MODEL, unknowns(upper=300e3), poses, **EXACTLY)
+    E = result.parameters[0]
+    assert E.at_bound
+    assert E.interval.kind == "one-sided"
+    assert (E.interval.lower_end, E.interval.upper_end) == ("likelihood", "bound")
+    cost = cost_along(result)
+    higher = lambda other: cost(other) - cost(300e3) - norm.ppf(0.975) ** 2
+    np.testing.assert_allclose(
+        [E.interval.lower, E.interval.upper],
+        [brentq(higher, 60e3, 300e3), 300e3],
+        rtol=CLOSE,
+    )
+
+
+SPACE = ParameterSpace(
+    [Parameter(n, n, 0.0, -50.0, 50.0, scale="linear", S=1.0) for n in "xy"]
+)
+
+
+def holds(errors, jacobian, *, column=0, W=None):
+    """Whether two standard errors of a column hold for errors that are known."""
+    W = jacobian(0.0, 0.0) if W is None else W
+
+    def at(z):
+        own = object.__new__(Evaluation)  # without equilibria
+        values = {
+            "error": jnp.asarray(errors(*z)),
+            "W_ep": jnp.asarray(jacobian(*z)),
+            "prior": jnp.zeros(2),
+            "ok": jnp.asarray(True),
+            "equilibrium": SimpleNamespace(displacement=None),
+        }
+        for name, value in values.items():
+            object.__setattr__(own, name, value)
+        return own
+
+    def evaluate(z, _):
+        return at(np.asarray(z))
+        yield
+
+    evaluate.problem = SimpleNamespace(space=SPACE)
+    covariance = np.linalg.inv(np.transpose(W) @ np.array(W))
+    spread = SimpleNamespace(noise_scale=1.0, covariance=covariance)
+    fit = _Checked(evaluate, np.zeros(2), at(np.zeros(2)), spread, 2.0, np.zeros(2))
+    with pytest.raises(StopIteration) as end:
+        next(_end_holds(fit, column, 1))
+    return end.value.value
+
+
+def test_a_parabola_holds():
+    W = [[1.0, 0.4], [0.2, 2.0]]
+    linear = lambda x, y: np.array(W) @ [x, y]
+    assert holds(linear, lambda x, y: W)
+    assert holds(linear, lambda x, y: W, column=1)
+
+
+def test_a_valley_that_bends_does_not_hold():
+    """x is known to 1, but the best y goes with its square."""
+    assert not holds(
+        lambda x, y: [x, 5.0 * (y - x**2)],
+        lambda x, y: [[1.0, 0.0], [-10.0 * x, 5.0]],
+    )
+
+
+def test_a_floor_that_falls_off_does_not_hold():
+    """Straight ahead the cost is as it should be; beside that it is much lower."""
+    assert not holds(
+        lambda x, y: [x * (1.0 - y), 0.5 * y],
+        lambda x, y: [[1.0 - y, -x], [0.0, 0.5]],
+    )
+
+
+def test_a_lower_cost_is_told():
+    with pytest.raises(LowerCostFound, match=r"falls from 2 to 0\.5"):
+        holds(
+            lambda x, y: [x - 2.0 + x * (x - 1.0) * 0.5, y],
+            lambda x, y: [[1.0 if x else 0.5, 0.0], [0.0, 1.0]],
+            W=[[2.0, 0.0], [0.0, 1.0]],
+        )
+
+
+def of_problem(result, poses):
+    problem = build_problem(result.model, result.space, poses, result.newton)
+    return Fitted(result, problem, None)
+
+
+def never(*_):
+    raise AssertionError("nothing is to be computed")
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"converged": False}, "did not converge"),
+        ({"noise_scale": np.nan}, "too few data to estimate the noise"),
+    ],
+)
+def test_there_is_none_without_a_fit_or_noise(result, poses, changed, why):
+    spread = replace(result.uncertainty, noise_scale=changed.get("noise_scale", 1.0))
+    converged = changed.get("converged", True)
+    own = replace(result, converged=converged, uncertainty=spread)
+    found = with_intervals(of_problem(own, poses), 0.95, never, never)
+    assert {interval.kind for interval in found.intervals} == {"none"}
+    assert all(why in str(interval) for interval in found.intervals)
+
+
+@pytest.mark.parametrize("times", [1, MOST_RETURNS])
+def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
+    """A few times, and it is said; the first end stays as another optimum."""
+    intervals = [no_interval(q, level=0.95, why="-") for q in result.space.parameters]
+    lower = iter(range(times))
+
+    def found(*_):
+        if next(lower, None) is not None:
+            raise LowerCostFound(result.z, 1.0, 2.0)
+        return intervals
+
+    monkeypatch.setattr("softcal_jax.calibration._checked_intervals._intervals", found)
+    last, none = result.history[-1], np.zeros(0)
+    first = Optimum(last.cost, last.values, (0,))
+    starts = MultiStartResult((), none, none, none, none, none, none, none, (first,))
+    fitted = of_problem(replace(result, starts=starts), poses)
+
+    def go_on(done, z):
+        lower = replace(
+            done.result.history[-1], cost=0.9 * done.result.history[-1].cost
+        )
+        return done._replace(result=replace(done.result, history=(lower,)))
+
+    after = with_intervals(fitted, 0.95, go_on, never)
+    assert "a lower cost was found than that of the first fit" in after.notes[-1]
+    costs = [optimum.cost / last.cost for optimum in after.starts.optima]
+    np.testing.assert_allclose(costs, 0.9 ** np.arange(times, -1.0, -1.0))
+    still = "cost still falls" in after.intervals[0].why
+    assert still == (times == MOST_RETURNS)
+    # Where the way on leads nowhere, the first fit is kept.
+    lower = iter(range(1))
+    kept = with_intervals(fitted, 0.95, lambda done, z: done, never)
+    assert kept.starts is starts
+    assert "cost still falls" in kept.intervals[0].why
+
+
+def test_kinds_and_reasons():
+    own, z = Parameter("E", "E", 2e5, 1e5, 4e5, unit="Pa"), jnp.asarray(np.log(2.0))
+    z = own.to_scaled(jnp.asarray(2e5))
+    far, bound = ProfileEnd(0.1, "likelihood"), ProfileEnd(np.log(2.0), "bound")
+    lost = ProfileEnd(np.nan, "not found")
+    kind = lambda *ends: interval_between(own, z, ends, level=0.95)
+    assert kind(far, far).kind == "profile"
+    assert interval_between(own, z, (far, far), level=0.9, first_order=True).kind == (
+        "first-order"
+    )
+    assert str(kind(far, bound)) == "181 to 400 (bound) kPa"
+    assert kind(far, bound).kind == "one-sided"
+    assert "exclude no value within its bounds" in str(kind(bound, bound))
+    assert str(kind(lost, far)).endswith("or jump (the end above is 221 kPa)")
+    assert kind(lost, far).kind == "none"

@@ -1,0 +1,244 @@
+"""Correlated noise in a fit: weights, standard errors, what is estimated."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from softcal_jax.calibration import (
+    build_problem,
+    calibrate,
+    evaluate,
+    levenberg_marquardt,
+    simulated_measurements,
+)
+from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
+from softcal_jax.equilibrium import NewtonSettings, build_model
+from softcal_jax.fields import Parameter, exactly_known
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+
+STD, OFFSET = 1e-4, 0.5e-3
+MARKERS = Markers(
+    ("a", "b", "c"),
+    [[0.06, 0.01, 0.01], [0.09, 0.01, 0.02], [0.1, 0.0, 0.0]],
+    std=STD,
+)
+MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
+MODEL = build_model(MESH, Corotational(Isotropic(5e5, 0.3)), density=1000.0)
+E = Parameter("E", "E", 5e5, 1e5, 2e6, unit="Pa")
+ONLY_OFFSETS = replace(exactly_known(), recordings=OFFSET)
+LOADS = (0.0, -0.1, -0.2, -0.3)
+
+
+def poses(**changed):
+    return [
+        Configuration(
+            f"load {i}",
+            Support("x_min"),
+            (0.0, 0.0, -9.81),
+            SurfaceForce("x_max", (0.0, 0.1 * force, force)),
+            MARKERS,
+            MARKERS.positions,
+            **changed,
+        )
+        for i, force in enumerate(LOADS)
+    ]
+
+
+@cache
+def clean():
+    return simulated_measurements(MODEL, poses(), newton=NewtonSettings(rtol=1e-12))
+
+
+def measured(seed=0, *, offset=OFFSET, share=0.0, jitter=STD, **changed):
+    """Data with an offset of each pose, a share of its motion, and jitter."""
+    random = np.random.default_rng(seed)
+    found = []
+    for c in clean():
+        motion = c.measured - MARKERS.positions
+        read = c.measured + offset * random.standard_normal((1, 3))
+        read = read + share * random.standard_normal() * motion
+        read = read + jitter * random.standard_normal(read.shape)
+        found.append(replace(c, measured=read, **changed))
+    return found
+
+
+def fit(data, uncertain=ONLY_OFFSETS, noise="stated", **changed):
+    return calibrate(MODEL, E, data, noise=noise, uncertain=uncertain, **changed)
+
+
+def covariance_of(data, offset, *, share=0.0, jitter=STD):
+    """V, written out element by element."""
+    names = [c.recording or c.name for c in data]
+    n = 3 * len(MARKERS.names)
+    V = np.zeros((len(data) * n, len(data) * n))
+    moved = [(c.measured - MARKERS.positions).ravel() for c in data]
+    for i in range(len(V)):
+        for k in range(len(V)):
+            (c, a), (d, b) = divmod(i, n), divmod(k, n)
+            same = names[c] == names[d] and a % 3 == b % 3
+            V[i, k] = jitter**2 * (i == k) + offset**2 * same
+            V[i, k] += share**2 * (c == d) * moved[c][a] * moved[c][b]
+    return V
+
+
+@pytest.mark.parametrize(
+    ("changed", "share"),
+    [({}, 0.0), ({"recording": "monday"}, 0.0), ({"relative_std": 0.03}, 0.03)],
+)
+def test_the_standard_error_is_that_of_generalised_least_squares(changed, share):
+    data = measured(**changed)
+    result = fit(data)
+    at = evaluate(build_problem(MODEL, E, data), result.z)
+    error, W = np.asarray(at.error) * STD, np.asarray(at.W_ep) * STD
+    V = covariance_of(data, OFFSET, share=share)
+    information = W.T @ np.linalg.solve(V, W)
+    expected = np.linalg.inv(information)
+    np.testing.assert_allclose(result.uncertainty.covariance, expected, rtol=1e-4)
+    # Nothing is counted twice: the causes sum to the same.
+    np.testing.assert_allclose(result.budget.covariance, expected, rtol=1e-4)
+    gain = expected @ W.T @ np.linalg.inv(V)
+    jitter = STD**2 * gain @ gain.T
+    np.testing.assert_allclose(result.budget.noise, jitter, rtol=1e-4)
+    causes = {"recordings"} | ({"creep"} if share else set())
+    assert {cause.name for cause in result.budget.causes} == causes
+    # The optimum is where the weighted errors have no slope, and chi-squared is of V.
+    slope = gain @ error
+    assert abs(slope[0]) < 1e-3 * np.sqrt(expected[0, 0])
+    chi_squared = error @ np.linalg.solve(V, error)
+    np.testing.assert_allclose(result.uncertainty.chi_squared, chi_squared, rtol=1e-3)
+
+
+def test_offsets_of_one_recording_count_once():
+    """Four poses of one recording tell less than four recordings of their mean."""
+    apart, together = (fit(measured(recording=name)) for name in (None, "monday"))
+    by_offsets = [r.budget.by_cause()["recordings"][0] for r in (apart, together)]
+    assert by_offsets[0] != pytest.approx(by_offsets[1], rel=0.05)
+    names = {e for c in together.budget.causes for e in c.errors}
+    assert names == {f"recording_offset {axis}" for axis in "xyz"}
+
+
+def test_without_correlated_noise_errors_are_divided_by_their_std():
+    data = measured()
+    none = evaluate(build_problem(MODEL, E, data), fit(data).z)
+    np.testing.assert_array_equal(none.error, np.ravel(none.delta_e) / STD)
+
+
+def test_a_second_optimiser_ends_at_the_same_place():
+    data = measured(relative_std=0.03, share=0.03)
+    z, ok = levenberg_marquardt(build_problem(MODEL, E, data, uncertain=ONLY_OFFSETS))
+    assert ok
+    np.testing.assert_allclose(z, fit(data).z, atol=1e-5)
+
+
+def test_the_estimated_jitter_is_that_of_the_residuals_beside_stated_offsets():
+    """The stated 0.1 mm are half of what the data have."""
+    found = [
+        float(fit(measured(seed, jitter=2e-4), noise="estimated").noise.jitter)
+        for seed in range(4)
+    ]
+    # 4 x 9 - 12 - 1 degrees of freedom each.
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(2.0, abs=0.35)
+    result = fit(measured(0, jitter=2e-4), noise="estimated")
+    assert result.uncertainty.noise_scale == float(result.noise.jitter)
+    V = covariance_of(measured(0), OFFSET, jitter=STD * float(result.noise.jitter))
+    data = measured(0, jitter=2e-4)
+    W = np.asarray(evaluate(build_problem(MODEL, E, data), result.z).W_ep) * STD
+    expected = np.linalg.inv(W.T @ np.linalg.solve(V, W))
+    np.testing.assert_allclose(result.budget.covariance, expected, rtol=1e-3)
+    # The weights stood still, so fitting again with them changes nothing.
+    again = fit(data, noise="estimated", start=result.z)
+    np.testing.assert_allclose(again.z, result.z, atol=0.02 * expected[0, 0] ** 0.5)
+
+
+def test_without_offsets_the_estimated_noise_is_the_mean_square():
+    result = fit(measured(offset=0.0), exactly_known(), noise="estimated")
+    spread = result.uncertainty
+    mean_square = spread.chi_squared / spread.degrees_of_freedom
+    np.testing.assert_allclose(spread.noise_scale, np.sqrt(mean_square), rtol=1e-12)
+
+
+def test_offsets_and_creep_are_estimated_where_asked():
+    asked = replace(exactly_known(), recordings="estimated")
+    offsets, shares = [], []
+    for seed in range(4):
+        data = measured(seed, offset=2e-3, jitter=5e-5)
+        offsets.append(float(fit(data, asked, noise="stated").noise.offset[0, 0]))
+        data = measured(seed, offset=0.0, share=0.2, relative_std="estimated")
+        found = fit(data, exactly_known(), noise="stated").noise.share
+        assert np.ptp(found) == 0.0
+        shares.append(float(found[0]))
+    # Some 11 and 3 degrees of freedom each.
+    assert np.sqrt(np.mean(np.square(offsets))) == pytest.approx(2e-3, rel=0.35)
+    assert np.sqrt(np.mean(np.square(shares))) == pytest.approx(0.2, rel=0.6)
+
+
+def test_what_the_data_cannot_tell_is_taken_as_stated_with_a_note():
+    asked = replace(exactly_known(), recordings="estimated")
+    result = fit(measured(recording="monday"), asked)
+    assert float(result.noise.offset[0, 0]) == OFFSET
+    assert any("offset of the recordings cannot be estim" in n for n in result.notes)
+
+
+def test_a_left_out_pose_is_that_of_a_fit_to_the_others():
+    """The linearised prediction against a calibration without the pose."""
+    data = measured(5, offset=0.0, jitter=2e-5)
+    result = fit(data, exactly_known())
+    for i, own in enumerate(result.checks.left_out):
+        others = fit(data[:i] + data[i + 1 :], exactly_known())
+        at = evaluate(build_problem(MODEL, E, data), others.z)
+        distance = np.linalg.norm(np.asarray(at.delta_e)[i], axis=1)
+        assert own.name == data[i].name
+        np.testing.assert_allclose(own.rms, np.sqrt(np.mean(distance**2)), rtol=2e-2)
+
+
+def test_a_pose_with_a_wrong_load_is_named_with_either_noise():
+    data = measured(6)
+    data[2] = replace(data[2], loads=poses()[1].loads)
+    for noise in ("stated", "estimated"):
+        result = fit(data, noise=noise)
+        text = " ".join(result.checks.reasons)
+        assert "load 2" in text, noise
+    assert not fit(measured(6)).checks.reasons
+    assert not fit(measured(6), noise="estimated").checks.reasons
+
+
+def test_recordings_that_agree_and_one_that_does_not():
+    """The estimate from one recording is that of a calibration of it alone."""
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    known = replace(exactly_known(), recordings=2e-5)
+    result = fit(data, known)
+    found = {e.recording: e for e in result.checks.recordings}
+    assert list(found) == [c.name for c in data]
+    for c in data:
+        alone, own = fit([c], known), found[c.name]
+        np.testing.assert_allclose(own.value, alone.value("E"), rtol=1e-3)
+        std = alone.parameters[0].standard_error
+        np.testing.assert_allclose(own.standard_error, std, rtol=2e-2)
+        # Hausman: the difference from the better of two has the smaller variance.
+        both = std**2 - result.parameters[0].standard_error ** 2
+        apart = (own.value - own.fit) / np.sqrt(both)
+        np.testing.assert_allclose(own.apart, apart, rtol=5e-2, atol=5e-2)
+        assert abs(own.apart) < 3.0
+    assert "they agree" in result.checks.agreement[0]
+    assert result.checks.agreement[0] in str(result)
+    data[3] = replace(data[3], loads=poses()[2].loads)
+    (sentence,) = fit(data, known).checks.agreement
+    assert "load 3 disagrees" in sentence or "load 2, load 3 disagree" in sentence
+
+
+def test_an_error_that_all_recordings_share_cancels_in_their_difference():
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    known = replace(exactly_known(), recordings=2e-5)
+    loads = replace(known, loads=0.05)
+    few, more = (fit(data[1:], own).checks.recordings for own in (known, loads))
+    for a, b in zip(few, more, strict=True):
+        assert b.standard_error > 2.0 * a.standard_error
+        np.testing.assert_allclose(b.apart, a.apart, rtol=0.5, atol=0.1)
+
+
+def test_a_share_of_the_motion_is_zero_or_more():
+    with pytest.raises(ValueError, match="relative_std of configuration 'load 0' must"):
+        poses(relative_std=-0.1)

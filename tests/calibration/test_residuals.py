@@ -1,0 +1,168 @@
+"""Lack of fit and left-out configurations, on models that are linear."""
+
+import numpy as np
+import pytest
+from scipy.stats import f as f_distribution
+
+from softcal_jax.calibration._noise import coloured, whitened
+from softcal_jax.calibration._reml import Residuals, restricted_likelihood
+from softcal_jax.calibration._residuals import (
+    LinearFit,
+    chance,
+    lack_of_fit,
+    left_out,
+)
+
+N_C, MARKERS, N_P = 4, 4, 2
+SHAPE = (N_C, MARKERS, 3)
+N = int(np.prod(SHAPE))
+LANE = np.repeat(np.arange(N_C), 3 * MARKERS)
+NONE = np.zeros((N, 0))
+OFFSETS = np.einsum("cd,xy,m->cmxdy", np.eye(N_C), np.eye(3), np.ones(MARKERS))
+OFFSETS = OFFSETS.reshape(N, 3 * N_C)
+OWNER = np.repeat(np.arange(N_C), 3)
+
+
+def without_prior(r, W):
+    return Residuals(r, W, np.zeros(0), np.zeros((0, W.shape[1])))
+
+
+def draw(random, offset=0.0, jitter=0.7):
+    """Errors of a right model, and W."""
+    W = 3.0 * random.standard_normal((N, N_P)) + OFFSETS @ random.standard_normal(
+        (3 * N_C, N_P)
+    )
+    r = jitter * random.standard_normal(N)
+    return r + offset * OFFSETS @ random.standard_normal(3 * N_C), W
+
+
+def test_whitening_is_the_root_of_the_inverse_covariance():
+    random = np.random.default_rng(0)
+    A = random.standard_normal((8, 5)) * [1.0, 1e3, 1e-3, 0.0, 1.0]
+    V = np.eye(8) + A @ A.T
+    size, P = np.linalg.eigh(V)
+    np.testing.assert_allclose(
+        whitened(A, np.eye(8)), (P / np.sqrt(size)) @ P.T, atol=1e-9
+    )
+    x = random.standard_normal((8, 3))
+    np.testing.assert_allclose(coloured(A, whitened(A, x)), x, rtol=1e-8)
+
+
+def test_products_are_those_of_dense_matrices():
+    random = np.random.default_rng(1)
+    r, W = draw(random)
+    A, s = 0.8 * OFFSETS, 0.6
+    V = s**2 * np.eye(N) + A @ A.T
+    inverse = np.linalg.inv(V)
+    C = np.linalg.inv(W.T @ inverse @ W)
+    M = inverse - inverse @ W @ C @ W.T @ inverse
+    fit = LinearFit(without_prior(r, W), A, s)
+    np.testing.assert_allclose(fit.left(np.eye(N)), M, atol=1e-10)
+    np.testing.assert_allclose(fit.errors_left(), M @ r, atol=1e-10)
+
+
+def lack(r, W, **changed):
+    own = {"A": NONE, "W_c": NONE, "Z": OFFSETS, "lane": OWNER, "n_c": N_C} | changed
+    return lack_of_fit(without_prior(r, W), **own)
+
+
+def test_without_offsets_it_is_the_f_test_of_nested_models():
+    r, W = draw(np.random.default_rng(2), offset=0.3)
+    squares = lambda X: float(np.sum((r - X @ np.linalg.lstsq(X, r)[0]) ** 2))
+    few, many = squares(W), squares(np.concatenate([W, OFFSETS], axis=1))
+    between, within = 3 * N_C, N - 3 * N_C - N_P
+    ratio = (few - many) / between / (many / within)
+    test = lack(r, W)
+    assert (test.between, test.within) == (between, within)
+    np.testing.assert_allclose(test.ratio, ratio, rtol=1e-9)
+    np.testing.assert_allclose(test.jitter, np.sqrt(many / within), rtol=1e-9)
+    expected = f_distribution.sf(ratio, between, within)
+    np.testing.assert_allclose(test.probability, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5, 5.0])
+def test_a_right_model_is_flagged_as_seldom_as_stated(offset):
+    """300 draws; exact without offsets, and on the safe side with stated ones."""
+    random = np.random.default_rng(3)
+    found = [
+        lack(*draw(random, offset), A=offset * OFFSETS).probability for _ in range(300)
+    ]
+    for level in (0.01, 0.1):
+        # Three standard deviations of a count of 300.
+        most = level + 3.0 * np.sqrt(level / 300)
+        assert np.mean(np.array(found) < level) < most
+    if offset == 0.0:
+        assert np.mean(np.array(found) < 0.5) == pytest.approx(0.5, abs=0.09)
+
+
+def test_a_configuration_that_is_off_as_a_whole_is_named():
+    r, W = draw(np.random.default_rng(4), offset=0.5)
+    r[LANE == 2] += 5.0 * OFFSETS[LANE == 2, 6]
+    test = lack(r, W, A=0.5 * OFFSETS)
+    assert test.probability < 1e-3
+    assert np.argmax(test.shares) == 2
+    np.testing.assert_allclose(np.sum(test.shares), 1.0)
+    # What is held fixed and may be wrong by that much explains it.
+    error = np.where(LANE == 2, 5.0 * OFFSETS[:, 6], 0.0)[:, None]
+    assert lack(r, W, A=0.5 * OFFSETS, W_c=error).probability > 0.01
+
+
+def test_one_marker_in_each_pose_has_no_scatter_within():
+    few = np.flatnonzero(np.arange(N) // 3 % MARKERS == 0)
+    r, W = draw(np.random.default_rng(5))
+    own = {"A": NONE[few], "W_c": NONE[few], "Z": OFFSETS[few], "lane": OWNER}
+    assert lack_of_fit(without_prior(r[few], W[few]), **own, n_c=N_C) is None
+
+
+def test_a_left_out_configuration_is_that_of_a_fit_to_the_others():
+    """Generalised least squares of all rows but those, by dense matrices."""
+    r, W = draw(np.random.default_rng(6), offset=0.5)
+    A, s = 0.5 * OFFSETS, 0.7
+    W_c = np.random.default_rng(7).standard_normal((N, 2))
+    own = {"A": A, "W_c": W_c, "jitter": s, "lane": LANE}
+    for c, found in enumerate(left_out(without_prior(r, W), **own)):
+        kept, out = LANE != c, LANE == c
+        V = s**2 * np.eye(N) + A @ A.T
+        inverse = np.linalg.inv(V[np.ix_(kept, kept)])
+        C = np.linalg.inv(W[kept].T @ inverse @ W[kept])
+        gain = C @ W[kept].T @ inverse
+        predicted = r[out] - W[out] @ gain @ r[kept]
+        by_fixed = W_c[out] - W[out] @ gain @ W_c[kept]
+        covariance = V[np.ix_(out, out)] + W[out] @ C @ W[out].T
+        covariance += by_fixed @ by_fixed.T
+        np.testing.assert_allclose(found.error, predicted, atol=1e-10)
+        np.testing.assert_allclose(found.std, np.sqrt(np.diag(covariance)), rtol=1e-8)
+        squares = predicted @ np.linalg.solve(covariance, predicted)
+        np.testing.assert_allclose(found.chi_squared, squares, rtol=1e-7)
+        assert found.degrees_of_freedom == 3 * MARKERS
+
+
+def test_a_parameter_that_only_one_configuration_shows_cannot_be_predicted():
+    r, W = draw(np.random.default_rng(8))
+    W[LANE != 1, 1] = 0.0
+    own = {"A": NONE, "W_c": NONE, "jitter": 0.7, "lane": LANE}
+    found = left_out(without_prior(r, W), **own)
+    assert np.isnan(found[1].error).any()
+    assert found[1].degrees_of_freedom == 3 * MARKERS - 1
+    assert not np.isnan(found[0].error).any()
+
+
+def test_right_predictions_are_flagged_as_seldom_as_stated():
+    random, found = np.random.default_rng(9), []
+    for _ in range(200):
+        r, W = draw(random, offset=0.5)
+        errors, A = without_prior(r, W), 0.5 * OFFSETS
+        jitter, _ = restricted_likelihood(errors, [A], [1.0, 1.0], [True, False])
+        for own in left_out(errors, A=A, W_c=NONE, jitter=jitter, lane=LANE):
+            n = own.degrees_of_freedom
+            squares = own.chi_squared
+            found.append(chance(squares, n, of=N - N_P, jitter_is_of_all=True))
+    for level in (0.01, 0.1):
+        assert np.mean(np.array(found) < level) < level + 3.0 * np.sqrt(level / 800)
+
+
+def test_chance_is_that_of_the_tables():
+    """Upper 5 % points: chi-squared 7.815 for 3, F 3.49 for 3 and 12."""
+    assert chance(7.815, 3) == pytest.approx(0.05, rel=1e-3)
+    assert chance(3 * 3.49, 3, of=12) == pytest.approx(0.05, rel=1e-2)
+    assert np.isnan(chance(1.0, 0))
