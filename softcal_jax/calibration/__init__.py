@@ -1,6 +1,7 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
 from softcal_jax.calibration._budget import (
+    MESH,
     NOISE,
     Cause,
     ErrorBudget,
@@ -59,6 +60,7 @@ from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 __all__ = [
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
+    "MESH",
     "NOISE",
     "CalibrationProblem",
     "CalibrationResult",

@@ -22,6 +22,7 @@ from softcal_jax.calibration._notes import (
     warn_if_locking,
     warn_if_too_few_data,
 )
+from softcal_jax.calibration._nothing_to_learn import check_effects, check_sensitive
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
@@ -49,11 +50,13 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
 from softcal_jax.fields import (
+    PRECISION,
     Entry,
     ParameterSpace,
     Uncertain,
     as_space,
     check_parameters,
+    check_precision,
     check_scopes,
 )
 
@@ -108,6 +111,7 @@ def calibrate(
     validation: Configuration | Sequence[Configuration] = (),
     noise: Literal["estimated", "stated"] = "estimated",
     uncertain: Uncertain | None = None,
+    precision: float = PRECISION,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
     starts: int = 1,
@@ -132,6 +136,8 @@ def calibrate(
             takes their ratios and finds the level from the residuals.
         uncertain: How well everything is known that is not calibrated; by default see
             `Uncertain`. It widens the standard errors, and `result.budget` splits them.
+        precision: Standard error that is asked for, relative to the value: 0.1 for
+            10 %, and 0.1 rad of an axis. Verdicts compare with it, see `assess` [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         starts: Number of starts of the search: that of the parameters, and random ones
@@ -150,7 +156,8 @@ def calibrate(
         The result; `result.converged` says whether lambda_p vanished.
 
     Raises:
-        ValueError: If an input is wrong, or the checkpoint is of another calibration.
+        ValueError: If an input is wrong, nothing that is measured depends on a
+            parameter, or the checkpoint is of another calibration.
         RuntimeError: If a fitted configuration has no equilibrium at the start; the
             text names it. Later failures only shorten the step, and a held-out
             configuration without equilibrium is left out with a note.
@@ -159,12 +166,14 @@ def calibrate(
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
     if starts < 1:
         raise ValueError(f"starts must be at least 1, got {starts}.")
+    check_precision(precision)
     settings = settings or CalibrationSettings()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
     springs = spring_names((*configurations, *validation))
     problem, lanes = _build(model, parameters, configurations, newton, springs)
     check_scopes(problem.space, configurations)
+    check_effects(problem)
     # Built now, so that a wrong held-out configuration is found before the fit.
     held_out = None
     if validation:
@@ -183,6 +192,7 @@ def calibrate(
         first = begin = _admissible(problem.space, start)
         before = there = workers.end_of(evaluate.from_rest(first))
         check_converged(before.equilibrium, names)
+        check_sensitive(problem, before)
         found = None
         if starts > 1:
             others = random_starts(problem.space, starts - 1, seed=seed)
@@ -207,6 +217,7 @@ def calibrate(
             role="calibration",
             before=before.effectors,
             after=evaluation.effectors,
+            W_ep=evaluation.W_ep,
             solution=evaluation.equilibrium,
         )
         spread = _uncertainty(problem, state.z, evaluation, noise)
@@ -246,6 +257,7 @@ def calibrate(
             *result_notes(problem, fits, state.z, spread),
         ),
         starts=found,
+        precision=precision,
     )
 
 
@@ -290,6 +302,7 @@ def _predict(
         role="validation",
         before=jnp.where(held, first.effectors, jnp.nan),
         after=last.effectors,
+        W_ep=last.W_ep,
         solution=last.equilibrium,
     )
     notes = [

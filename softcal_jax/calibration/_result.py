@@ -14,7 +14,7 @@ from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import PRECISION, ParameterSpace
 
 
 class ParameterEstimate(eqx.Module):
@@ -238,6 +238,7 @@ class CalibrationResult(eqx.Module):
         W_ep: Stacked compliances in noise units, for identifiability [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
+        precision: Standard error that is asked for, relative to the value [-].
         timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
         notes: What the user should know before using the values.
         starts: Result of the search from many starts, if there was one.
@@ -260,6 +261,7 @@ class CalibrationResult(eqx.Module):
     notes: tuple[str, ...]
     starts: MultiStartResult | None = None
     intervals: tuple[ParameterInterval, ...] = ()
+    precision: float = PRECISION
 
     def __str__(self) -> str:
         """Write the parameters, the fits and the notes, in a few lines."""

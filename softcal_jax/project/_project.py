@@ -52,6 +52,7 @@ class Project(eqx.Module):
         starts: Number of starts.
         seed: Seed of the random starts.
         intervals: Level of the intervals by profile likelihood; None for none [-].
+        precision: Standard error that is asked for, relative to the value [-].
         uncertain: How well everything is known that is not calibrated.
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
@@ -70,6 +71,7 @@ class Project(eqx.Module):
     starts: int
     seed: int
     intervals: float | None
+    precision: float
     uncertain: Uncertain
     settings: CalibrationSettings
     newton: NewtonSettings
@@ -143,6 +145,7 @@ class Project(eqx.Module):
             validation=self.validation,
             noise=self.noise,
             uncertain=self.uncertain,
+            precision=self.precision,
             settings=self.settings,
             newton=self.newton,
             starts=self.starts,
@@ -207,6 +210,7 @@ class Project(eqx.Module):
             self.calibration,
             newton=self.newton,
             uncertain=self.uncertain,
+            precision=self.precision,
         )
 
     def rank_candidates(self) -> Ranking:
@@ -229,6 +233,7 @@ class Project(eqx.Module):
             *posed,
             newton=self.newton,
             uncertain=self.uncertain,
+            precision=self.precision,
         )
 
     def simulate(self) -> EquilibriumSolution:

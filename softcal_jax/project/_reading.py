@@ -11,6 +11,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, field_validator
 
+from softcal_jax.fields import PRECISION
 from softcal_jax.project._actuators import AnyActuator
 from softcal_jax.project._bodies import BodyTable
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
@@ -51,6 +52,7 @@ class SettingsTable(Table):
     starts: Annotated[Integer, Field(ge=1)] = 1
     seed: Integer = 0
     intervals: Number | None = None
+    precision: Number = PRECISION
     adapt: Flag | None = None
 
     @field_validator("intervals")
@@ -58,6 +60,13 @@ class SettingsTable(Table):
     def _check_intervals(cls, value: float | None) -> float | None:
         if value is not None and not 0.0 < value < 1.0:
             raise ValueError(f"got {value:g}; expected a level like 0.95.")
+        return value
+
+    @field_validator("precision")
+    @classmethod
+    def _check_precision(cls, value: float) -> float:
+        if not value > 0.0:
+            raise ValueError(f"got {value:g}; expected a share like 0.1, for 10 %.")
         return value
 
 
