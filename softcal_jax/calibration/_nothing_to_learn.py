@@ -69,7 +69,8 @@ def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
             mesh.tets if entry.region is None else mesh.tets[mesh.tets_of(entry.region)]
         )
         if held[:, tets].all():
-            return f"all tets of {entry.region or 'the body'!r} are held in every pose"
+            where = "the body" if entry.region is None else repr(entry.region)
+            return f"all tets of {where} are held in every pose"
         if entry.fields == ("density",) and not falls:
             return "no configuration has gravity"
     if isinstance(entry, SetupParameter):

@@ -116,7 +116,8 @@ def _parser() -> argparse.ArgumentParser:
         description="""\
 Solves the configurations of a project file at the start values and says whether their
 markers and other effectors would determine the parameters: a verdict for each, the
-directions that the data are blind to, and condition numbers.
+directions that the data are blind to, and condition numbers. A verdict compares the
+standard error with what is asked for, `precision` under [settings]: 10 % by default.
 
 No measured positions are needed; those that are there are not looked at. What counts is
 the `std` of markers and effectors, and the axes of the markers.
