@@ -135,8 +135,7 @@ def spread_of(
     active = np.flatnonzero(size > VANISHED * np.max(size, initial=0.0))
     n, size = len(size), size[active]
     # Columns of unit length: a parameter of little effect is not a blind one.
-    _, singular, Vt = np.linalg.svd(rows[:, active] / size)
-    singular = np.pad(singular, (0, len(Vt) - len(singular)))
+    _, singular, Vt = np.linalg.svd(rows[:, active] / size, full_matrices=False)
     seen = singular > BLIND * np.max(singular, initial=0.0)
     inverse = np.zeros((n, int(seen.sum())))
     inverse[active] = Vt[seen].T / singular[seen] / size[:, None]

@@ -394,3 +394,16 @@ def test_the_principal_errors_of_a_covariance_are_the_directions():
     np.testing.assert_allclose(
         [d.ratio for d in found.directions], np.sort(expected), rtol=1e-9
     )
+
+
+def test_informed_directions_are_those_that_data_see_better_than_the_prior():
+    """Singular values above 1 of the compliances per prior standard deviation."""
+    W = np.random.default_rng(10).normal(size=(9, 5)) * np.logspace(-1, 2, 5)
+    stds = np.array([0.3, 0.1, 0.2, 0.01, 0.05])
+    parameters = [
+        replace(modulus(name), prior_std=jnp.asarray(std))
+        for name, std in zip("abcde", stds, strict=True)
+    ]
+    expected = int(np.sum(np.linalg.svd(W * stds, compute_uv=False) > 1.0))
+    assert judge(W, *parameters).informed == expected
+    assert 0 < expected < 5
