@@ -33,7 +33,7 @@ from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.fields import exactly_known
-from softcal_jax.identifiability import Identifiability, identify
+from softcal_jax.identifiability import Identifiability, identify, percent
 
 REACHED = 1e-6 * LENGTH
 """||Delta_e|| at which a run counts as having arrived [m]."""
@@ -151,8 +151,8 @@ def _table(title: str, measured: MeasuredBeam, curves: Mapping[int, Curve]) -> T
 
 
 def _verdict_table(found: Identifiability) -> Table:
-    rows = [[d.words, f"{100 * d.spread:.0f} %", d.verdict] for d in found.directions]
-    columns = ["direction", "standard error over that of the bounds", "verdict"]
+    rows = [[d.words, percent(d.ratio), d.verdict] for d in found.directions]
+    columns = ["direction", "standard error over the asked one", "verdict"]
     return Table(
         f"1 configuration, where its run ended: {found.verdict} ({found.n_data} data, "
         f"{found.n_parameters} parameters)",

@@ -96,7 +96,8 @@ def outlook(
 def spread_left(found: Identifiability) -> float:
     """Mean standard error of the material over that of its prior [percent]."""
     material = [p for p in found.parameters if p.name.startswith(("E_", "theta"))]
-    return 100.0 * float(np.mean([p.spread for p in material]))
+    left = [p.standard_error / p.prior for p in material if p.prior is not None]
+    return 100.0 * float(np.mean(left))
 
 
 def _prior_or_none(options: Options) -> tuple[dict[str, Figure], Table]:

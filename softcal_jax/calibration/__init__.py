@@ -2,6 +2,7 @@
 
 from softcal_jax.calibration._agreement import RecordingEstimate
 from softcal_jax.calibration._budget import (
+    MESH,
     NOISE,
     Cause,
     ErrorBudget,
@@ -72,6 +73,7 @@ __all__ = [
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
     "LEVEL",
+    "MESH",
     "NOISE",
     "CalibrationProblem",
     "CalibrationResult",

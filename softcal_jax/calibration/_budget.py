@@ -88,6 +88,8 @@ class ErrorBudget(eqx.Module):
         causes: What else may be wrong, the largest first.
         W_c: Change of the stacked errors per standard deviation of what is held fixed
             and may be wrong, in units of the noise, see `identifiability` [-].
+        unknown: Causes that count, but whose size could not be estimated: "mesh" for
+            linear tets of a robot, or of a very fine mesh.
     """
 
     names: tuple[str, ...]
@@ -97,6 +99,7 @@ class ErrorBudget(eqx.Module):
     noise: Float[HostArray, "n_p n_p"]
     causes: tuple[Cause, ...]
     W_c: Float[HostArray, "n_e n_errors"]
+    unknown: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Float[HostArray, "n_p n_p"]:
@@ -184,6 +187,7 @@ def error_budget(
     causes = [Cause(n, names[n], -gain @ W) for n, W in (W_c | of_noise).items()]
     whole = np.nan_to_num(sum(cause.variance for cause in causes))
     size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))
+    locks = problem.model.mesh.order == 1 and uncertain.mesh > 0.0
     _, slopes = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
     return ErrorBudget(
         names=tuple(space.names),
@@ -193,6 +197,7 @@ def error_budget(
         noise=_by_jitter(problem, spread, gain),
         causes=tuple(sorted(causes, key=size, reverse=True)),
         W_c=np.concatenate([np.zeros((gain.shape[1], 0)), *W_c.values()], axis=1),
+        unknown=(MESH,) if locks and MESH not in own else (),
     )
 
 

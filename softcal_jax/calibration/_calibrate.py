@@ -31,6 +31,7 @@ from softcal_jax.calibration._notes import (
     warn_if_locking,
     warn_if_too_few_data,
 )
+from softcal_jax.calibration._nothing_to_learn import check_effects, check_sensitive
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
@@ -61,11 +62,13 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
 from softcal_jax.fields import (
+    PRECISION,
     Entry,
     ParameterSpace,
     Uncertain,
     as_space,
     check_parameters,
+    check_precision,
     check_scopes,
     exactly_known,
 )
@@ -136,6 +139,7 @@ def calibrate(
     validation: Configuration | Sequence[Configuration] = (),
     noise: Literal["estimated", "stated"] = "estimated",
     uncertain: Uncertain | None = None,
+    precision: float = PRECISION,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
     starts: int | None = None,
@@ -165,6 +169,8 @@ def calibrate(
             `Uncertain`. It widens the standard errors, and `result.budget` splits them.
             Offsets of recordings, and a `relative_std` of the configurations, weigh the
             data.
+        precision: Standard error that is asked for, relative to the value: 0.1 for
+            10 %, and 0.1 rad of an axis. Verdicts compare with it, see `assess` [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         starts: Number of starts of the search: that of the parameters, and random ones
@@ -189,7 +195,8 @@ def calibrate(
         The result; `result.converged` says whether lambda_p vanished.
 
     Raises:
-        ValueError: If an input is wrong, or the checkpoint is of another calibration.
+        ValueError: If an input is wrong, nothing that is measured depends on a
+            parameter, or the checkpoint is of another calibration.
         RuntimeError: If a fitted configuration has no equilibrium at the start; the
             text names it. Later failures only shorten the step, and a held-out
             configuration without equilibrium is left out with a note.
@@ -200,6 +207,7 @@ def calibrate(
         starts = 1 if start is not None else default_starts(as_space(parameters))
     if starts < 1:
         raise ValueError(f"starts must be at least 1, got {starts}.")
+    check_precision(precision)
     if intervals is not None:
         check_level(intervals)
     fit = partial(
@@ -212,6 +220,7 @@ def calibrate(
         uncertain=uncertain,
         settings=settings,
         newton=newton,
+        precision=precision,
         seed=seed,
         start=start,
     )
@@ -251,6 +260,7 @@ def _fit(
     uncertain: Uncertain | None,
     settings: CalibrationSettings | None,
     newton: NewtonSettings | None,
+    precision: float,
     starts: int,
     seed: int,
     start: Float[Array, " n_p"] | None,
@@ -270,6 +280,7 @@ def _fit(
     build = partial(_build, model, parameters, uncertain=uncertain)
     problem, lanes = build(configurations, newton, shared)
     check_scopes(problem.space, configurations)
+    check_effects(problem)
     # Built now, so that a wrong held-out configuration is found before the fit.
     held_out = None
     if validation:
@@ -288,6 +299,7 @@ def _fit(
         first = _admissible(problem.space, start)
         before = there = workers.end_of(evaluate.from_rest(first))
         check_converged(before.equilibrium, names)
+        check_sensitive(problem, before)
         found = None
         if begin is not None:
             there = workers.end_of(evaluate.from_rest(begin))
@@ -331,6 +343,7 @@ def _fit(
             role="calibration",
             before=before.effectors,
             after=evaluation.effectors,
+            W_ep=evaluation.compliance,
             solution=evaluation.equilibrium,
         )
         spread = _uncertainty(problem, state.z, evaluation, noise, weighed.scale)
@@ -381,6 +394,7 @@ def _fit(
             *result_notes(problem, fits, state.z, spread),
         ),
         starts=found,
+        precision=precision,
     )
     return Fitted(result, problem, evaluation)
 
@@ -426,6 +440,7 @@ def _predict(
         role="validation",
         before=jnp.where(held, first.effectors, jnp.nan),
         after=last.effectors,
+        W_ep=last.compliance,
         solution=last.equilibrium,
     )
     notes = [

@@ -49,6 +49,8 @@ class ConfigurationResult(eqx.Module):
         min_det_F: Its smallest det F [-].
         robot: Rigid bodies, actuators and reactions; None without an equilibrium, and
             for a body without rigid bodies and actuators.
+        W_ep: Compliances of the rows of its effectors, in their units, per unit of
+            lambda_p; None where nothing was calibrated.
     """
 
     name: str
@@ -62,6 +64,7 @@ class ConfigurationResult(eqx.Module):
     residual: float
     min_det_F: float
     robot: RobotState | None = None
+    W_ep: Float[HostArray, "n_rows 3 n_p"] | None = None
 
     @property
     def points(self) -> tuple[EffectorRecord, ...]:
@@ -131,27 +134,39 @@ class ConfigurationResult(eqx.Module):
             text += f", {100.0 * self.rms_share:.0f} % of how far they moved"
         return text
 
-    @property
-    def noise_probability(self) -> float:
-        """Probability of residuals as large from the stated noise alone [-].
+    def noise_probability(self, noise_scale: float = 1.0) -> float:
+        """Compute the probability of residuals as large from the noise alone [-].
 
-        From the chi-squared distribution of all measured coordinates; NaN without any.
+        Args:
+            noise_scale: Factor on the stated standard deviations [-].
         """
-        errors = [e.error(e.simulated) / e.std for e in self.effectors]
-        n = sum(int(e.seen.sum()) for e in self.effectors)
-        squares = sum(float(np.sum(own**2)) for own in errors)
-        return float(chdtrc(n, squares)) if n else float("nan")
+        pairs = [(e, e.simulated) for e in self.effectors]
+        return _chance(pairs, noise_scale)
 
-    def misfit(self, noise: Literal["stated", "estimated"]) -> Misfit | None:
+    def stays(self, noise_scale: float = 1.0) -> bool:
+        """Return whether the noise alone explains that its markers are not at rest.
+
+        Args:
+            noise_scale: Factor on the stated standard deviations [-].
+        """
+        return _chance([(e, e.at_rest) for e in self.points], noise_scale) >= UNLIKELY
+
+    def misfit(
+        self, noise: Literal["stated", "estimated"], noise_scale: float = 1.0
+    ) -> Misfit | None:
         """Say how the calibrated model contradicts it, if it does.
 
         Residuals that a stated noise explains are no misfit, however large. A noise
-        that is estimated from the residuals explains nothing.
+        that is estimated from the residuals explains nothing, but for a pose whose
+        markers did not move: there is no motion to compare its residuals with.
 
         Args:
             noise: Where the noise comes from.
+            noise_scale: Factor on the stated standard deviations, 1 for stated noise.
         """
-        if noise == "stated" and self.noise_probability >= UNLIKELY:
+        scale = noise_scale if np.isfinite(noise_scale) and noise_scale > 0.0 else 1.0
+        compared = noise == "stated" or self.stays(scale)
+        if compared and self.noise_probability(scale) >= UNLIKELY:
             return None
         if self.role == "calibration" and self.rms_after > self.rms_before:
             return "worse than before"
@@ -167,6 +182,18 @@ def _rms(errors: Sequence[Float[HostArray, "3"]] | HostArray) -> float:
     if len(errors) == 0:
         return float("nan")
     return float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
+
+
+def _chance(
+    values: Sequence[tuple[EffectorRecord, Float[HostArray, " k"]]], noise_scale: float
+) -> float:
+    """Compute the probability that noise alone puts effectors as far from values [-].
+
+    From the chi-squared distribution of the measured coordinates; NaN without any.
+    """
+    n = sum(int(e.seen.sum()) for e, _ in values)
+    squares = sum(float(np.sum((e.error(v) / e.std) ** 2)) for e, v in values)
+    return float(chdtrc(n, squares / noise_scale**2)) if n else float("nan")
 
 
 class SimulationResult(eqx.Module):
@@ -194,12 +221,13 @@ def configuration_results(
     role: Role,
     before: Float[Array, "n_c n_rows 3"],
     after: Float[Array, "n_c n_rows 3"],
+    W_ep: Float[Array, "n_e n_p"],
     solution: EquilibriumSolution,
 ) -> tuple[ConfigurationResult, ...]:
     """Describe the fitted or predicted configurations that have an equilibrium.
 
-    Effectors `before` are those with the start parameters; `model`, effectors `after`
-    and `solution` those with the calibrated ones.
+    Effectors `before` are those with the start parameters; `model`, effectors `after`,
+    stacked compliances `W_ep` and `solution` those with the calibrated ones.
     """
     effectors = [
         tuple(
@@ -213,7 +241,12 @@ def configuration_results(
     found = _results(
         model, configurations, lanes.arrays, solution, role=role, effectors=effectors
     )
-    return tuple(result for result in found if result.converged)
+    compliances = np.asarray(W_ep).reshape(*np.shape(after), -1)
+    return tuple(
+        replace(result, W_ep=own)
+        for result, own in zip(found, compliances, strict=True)
+        if result.converged
+    )
 
 
 def simulation_result(

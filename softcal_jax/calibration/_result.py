@@ -17,7 +17,7 @@ from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import PRECISION, ParameterSpace
 
 MOST_OPTIMA = 5
 """Most optima that are listed; the others are only counted."""
@@ -232,6 +232,7 @@ class CalibrationResult(eqx.Module):
         W_ep: Stacked compliances in noise units, for identifiability [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
+        precision: Standard error that is asked for, relative to the value [-].
         timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
         notes: What the user should know before using the values.
         starts: Result of the search from many starts, if there was one.
@@ -256,6 +257,7 @@ class CalibrationResult(eqx.Module):
     starts: MultiStartResult | None = None
     noise: CorrelatedNoise | None = None
     checks: ResidualChecks | None = None
+    precision: float = PRECISION
 
     @property
     def intervals(self) -> tuple[ParameterInterval, ...]:

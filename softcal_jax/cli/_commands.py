@@ -118,6 +118,8 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         raise Stop(
             NOT_CONVERGED, f"not converged after {steps} steps: do not use the values."
         )
+    if not assessment.identified:
+        show.line("Take the values with care: " + " ".join(assessment.reasons))
     return OK
 
 

@@ -32,7 +32,8 @@ examples:
   softcal sweep sweep.toml                many calibrations, side by side
   softcal sweep show sweep.sqlite         what they found
 
-exit codes: 0 all is well, 1 not converged or no equilibrium, 2 bad input
+exit codes: 0 done (what to doubt is said last), 1 not converged or no equilibrium,
+2 bad input
 """
 
 _IDENTIFY = """\
@@ -48,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command, with the arguments of the process by default.
 
     Returns:
-        The exit code: 0 all is well, 1 not converged or no equilibrium, 2 bad input,
+        The exit code: 0 done, 1 not converged or no equilibrium, 2 bad input,
         130 interrupted.
     """
     # The start of the process will not do: a shell may have run in it before.
@@ -116,7 +117,8 @@ def _parser() -> argparse.ArgumentParser:
         description="""\
 Solves the configurations of a project file at the start values and says whether their
 markers and other effectors would determine the parameters: a verdict for each, the
-directions that the data are blind to, and condition numbers.
+directions that the data are blind to, and condition numbers. A verdict compares the
+standard error with what is asked for, `precision` under [settings]: 10 % by default.
 
 No measured positions are needed; those that are there are not looked at. What counts is
 the `std` of markers and effectors, and the axes of the markers.

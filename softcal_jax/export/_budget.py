@@ -12,7 +12,8 @@ def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
     Keys: `parameters` (`name`, `unit`, `standard_error` by all causes, `by_cause`: that
     by each cause alone, "noise" first, `sentence`); `errors`, what is uncertain
     (`cause`, `name`, `deviations`: change of each parameter per standard deviation of
-    it); `covariance` of the scaled parameters by all causes. All else is in SI.
+    it); `unknown`, causes whose size could not be estimated; `covariance` of the scaled
+    parameters by all causes. All else is in SI.
 
     Args:
         budget: The budget.
@@ -43,6 +44,7 @@ def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
                 for cause in budget.causes
                 for k, error in enumerate(cause.errors)
             ],
+            "unknown": budget.unknown,
             "covariance": budget.covariance,
         }
     )

@@ -52,11 +52,12 @@ def result_dict(
     each configuration along each axis, `share`: share of its motion, both as standard
     deviations); `checks` (what residuals say, see `checks_dict`); `assessment`
     (`identified`; `reasons` why not; `misfit_probability` of residuals this large by
-    chance, null where the noise was estimated); `identifiability` (see
-    `identifiability_dict`); `starts` (null for a single one; `names` of the parameters;
-    `starts`, `values`, one row per run; `cost`, `steps`, `converged`; `optima`, the
-    lowest cost first: `cost`, `values`, `starts`; `second_best`, likewise);
-    `notes`; `versions`; `timing_s`.
+    chance, null where the noise was estimated; `predictions`: `name`, `role`, `std_mm`
+    of the markers of each pose by the uncertainty of the parameters, null if that is
+    unknown); `identifiability` (see `identifiability_dict`); `starts` (null for a
+    single one; `names` of the parameters; `starts`, `values`, one row per run; `cost`,
+    `steps`, `converged`; `optima`, the lowest cost first: `cost`, `values`, `starts`;
+    `second_best`, likewise); `notes`; `versions`; `timing_s`.
 
     Args:
         result: The calibration.
@@ -86,7 +87,13 @@ def result_dict(
             "budget": budget_dict(result.budget),
             "noise": _noise(result),
             "checks": checks_dict(result.checks),
-            "assessment": pick(found, "identified", "reasons", "misfit_probability"),
+            "assessment": {
+                **pick(found, "identified", "reasons", "misfit_probability"),
+                "predictions": [
+                    {**pick(own, "name", "role"), "std_mm": 1e3 * own.std}
+                    for own in found.predictions
+                ],
+            },
             "identifiability": identifiability_dict(found.identifiability),
             "starts": result.starts and pick(result.starts, *runs),
             "notes": result.notes,
@@ -162,15 +169,18 @@ def simulation_dict(
 def identifiability_dict(found: Identifiability) -> dict[str, Any]:
     """Convert an identifiability result to a dictionary.
 
-    Keys: `verdict`, `n_data`; `parameters` (`name`, `value`, `unit`, `standard_error`,
-    `data_only`, `prior`, `relative`, `spread`, `verdict`); `directions`, the best seen
-    first (`words`, `spread`, `verdict`, `signal`, `components` in the order of the
-    parameters); `covariance` (of the scaled parameters) and `correlation`;
-    `conditioning` (`singular_values`, `condition_...`). Null stands for an infinite
-    condition number, and for the standard error from the data alone of a parameter to
-    which they are blind.
+    Keys: `verdict`, `n_data`, `precision` that is asked for; `parameters` (`name`,
+    `value`, `unit`, `standard_error`, `data_only`, `prior` if stated, `asked`,
+    `relative`, `ratio` of standard error and asked one, `verdict`); `informed`, the
+    number of directions along which the data tell more than the prior; `directions`,
+    the best seen first (`words`, `ratio`, `verdict`, `components` in units of the asked
+    errors, in the order of the parameters); `covariance` (of the scaled parameters) and
+    `correlation`; `conditioning` (`singular_values`, `condition_...`). Null stands for
+    an infinite condition number, and for whatever is unknown of a parameter or a
+    direction to which data and priors are blind.
     """
-    names = "verdict n_data parameters directions covariance correlation conditioning"
+    names = "verdict n_data precision parameters informed directions covariance"
+    names += " correlation conditioning"
     return plain(pick(found, *names.split()))
 
 
@@ -196,7 +206,7 @@ def outlook_dict(
     }
     return plain(
         {
-            "format": "softcal_jax.identifiability/1",
+            "format": "softcal_jax.identifiability/2",
             "name": name,
             "identifiability": found and identifiability_dict(found),
             "ranking": ranked,

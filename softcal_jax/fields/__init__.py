@@ -8,6 +8,7 @@ from softcal_jax.fields._parameters import (
     AbstractFieldEntry,
     Parameter,
 )
+from softcal_jax.fields._precision import PRECISION, asked_errors, check_precision
 from softcal_jax.fields._setup import QUANTITIES, SetupParameter
 from softcal_jax.fields._setup_parameters import (
     actuator_factor,
@@ -33,6 +34,7 @@ from softcal_jax.fields._validation import check_parameters, check_scopes
 
 __all__ = [
     "OFFSET",
+    "PRECISION",
     "QUANTITIES",
     "AbstractEntry",
     "AbstractError",
@@ -49,8 +51,10 @@ __all__ = [
     "Uncertain",
     "actuator_factor",
     "as_space",
+    "asked_errors",
     "check_names",
     "check_parameters",
+    "check_precision",
     "check_scopes",
     "clamp_stiffness",
     "exactly_known",

@@ -3,6 +3,7 @@
 from softcal_jax.identifiability._assessment import Assessment, assess
 from softcal_jax.identifiability._conditioning import Conditioning, conditioning
 from softcal_jax.identifiability._identify import identifiability, identify
+from softcal_jax.identifiability._prediction import Prediction, predict_spread
 from softcal_jax.identifiability._ranking import (
     Gain,
     Ranking,
@@ -12,31 +13,37 @@ from softcal_jax.identifiability._ranking import (
 from softcal_jax.identifiability._result import (
     Identifiability,
     ParameterOutlook,
+    percent,
     table,
 )
 from softcal_jax.identifiability._spread import (
-    IDENTIFIABLE_BELOW,
-    WEAK_BELOW,
+    IDENTIFIABLE_UP_TO,
+    WEAK_UP_TO,
     Direction,
+    Spread,
     Verdict,
 )
 
 __all__ = [
-    "IDENTIFIABLE_BELOW",
-    "WEAK_BELOW",
+    "IDENTIFIABLE_UP_TO",
+    "WEAK_UP_TO",
     "Assessment",
     "Conditioning",
     "Direction",
     "Gain",
     "Identifiability",
     "ParameterOutlook",
+    "Prediction",
     "Ranking",
+    "Spread",
     "Unranked",
     "Verdict",
     "assess",
     "conditioning",
     "identifiability",
     "identify",
+    "percent",
+    "predict_spread",
     "rank_configurations",
     "table",
 ]

@@ -3,10 +3,17 @@
 import math
 
 import equinox as eqx
+import numpy as np
 from scipy.special import chdtri
 
-from softcal_jax.calibration import CalibrationResult, MultiStartResult
+from softcal_jax.calibration import (
+    MESH,
+    CalibrationResult,
+    ErrorBudget,
+    MultiStartResult,
+)
 from softcal_jax.identifiability._identify import identifiability
+from softcal_jax.identifiability._prediction import Prediction, predict_spread
 from softcal_jax.identifiability._result import Identifiability
 
 EXACT = 1e-3
@@ -20,31 +27,60 @@ class Assessment(eqx.Module):
         identified: Whether all parameters may be trusted: the fit converged, its
             residuals are no larger than the stated noise, every configuration, held
             out or not, is explained, no parameter sits on a bound, no other optimum
-            fits as well, and the data see every direction.
+            fits as well, tets do not lock, and every parameter is known as well as was
+            asked.
         reasons: Why not, one sentence each; empty if identified.
         misfit_probability: Probability of residuals this large if model and stated
             noise are right; None if the noise was estimated from them [-].
         identifiability: Which parameters and directions the data see.
+        predictions: What the uncertainty of the parameters does to each pose.
     """
 
     identified: bool
     reasons: tuple[str, ...]
     misfit_probability: float | None
     identifiability: Identifiability
+    predictions: tuple[Prediction, ...] = ()
+
+    @property
+    def prediction(self) -> str:
+        """How well poses are predicted, in a sentence; empty without markers."""
+        parts = []
+        for role, words in (("calibration", "fitted"), ("validation", "held-out")):
+            own = [p.std for p in self.predictions if p.role == role]
+            if own:
+                std = float(np.sqrt(np.mean(np.square(own))))
+                off = f"{1e3 * std:.2g} mm" if np.isfinite(std) else "an unknown amount"
+                parts.append(f"the {words} poses by {off}")
+        if not parts:
+            return ""
+        return (
+            f"The uncertainty of the parameters moves the markers of "
+            f"{' and of '.join(parts)} (one standard error)."
+        )
 
     def __str__(self) -> str:
         """The verdict and its reasons, then the identifiability report."""
         head = "Identified." if self.identified else "Not identified:"
-        return "\n  ".join([head, *self.reasons]) + f"\n{self.identifiability}"
+        lines = ["\n  ".join([head, *self.reasons]), str(self.identifiability)]
+        return "\n".join([*lines, *filter(None, [self.prediction])])
 
 
-def assess(result: CalibrationResult) -> Assessment:
+def assess(result: CalibrationResult, *, precision: float | None = None) -> Assessment:
     """Assess what a calibration may claim.
+
+    The verdict compares standard errors by all causes with those that are asked for,
+    see `identifiability`; how wide bounds are does not matter.
 
     Model error shows as residuals above the noise: with stated noise and a correct
     model, the sum of squared errors in noise units follows a chi-squared distribution
     whose degrees of freedom are measured coordinates minus parameters. Noise that is
     estimated from the residuals hides model error.
+
+    Args:
+        result: The calibration.
+        precision: Standard error that is asked for, relative to the value; that of the
+            calibration by default [-].
     """
     spread = result.uncertainty
     # Data simulated with the model itself leave no noise to estimate.
@@ -55,6 +91,7 @@ def assess(result: CalibrationResult) -> Assessment:
         result.z,
         noise_scale=spread.noise_scale if known else 1.0,
         W_c=result.budget.W_c,
+        precision=result.precision if precision is None else precision,
     )
     reasons = []
     if not result.converged:
@@ -69,6 +106,8 @@ def assess(result: CalibrationResult) -> Assessment:
     reasons += result.checks.reasons if result.checks is not None else ()
     reasons += _contradictions(result)
     reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
+    reasons += _locking(result.budget)
+    reasons += _wide(report, result)
     reasons += _rivals(result.starts, spread.noise_scale if known else 1.0)
     for verdict, words in (
         ("not identifiable", "The data do not determine"),
@@ -82,9 +121,44 @@ def assess(result: CalibrationResult) -> Assessment:
             f"The data hardly see {len(report.blind)} of {report.n_parameters} "
             "directions of the parameters."
         )
-    elif report.verdict != "identifiable":
-        reasons.append("The data determine some combinations only weakly.")
-    return Assessment(not reasons, tuple(reasons), spread.misfit_probability, report)
+    poses = [predict_spread(fit, report) for fit in result.configurations]
+    return Assessment(
+        not reasons,
+        tuple(reasons),
+        spread.misfit_probability,
+        report,
+        tuple(pose for pose in poses if pose is not None),
+    )
+
+
+def _locking(budget: ErrorBudget) -> list[str]:
+    """Say what linear tets may do to the values, unless that is switched off."""
+    remedy = "Use quadratic tets (to_quadratic)."
+    by_cause = budget.by_cause()
+    if MESH in by_cause:
+        worst = int(np.nanargmax(by_cause[MESH] / np.abs(budget.values)))
+        # A value on a bound has no standard error.
+        if np.isfinite(by_cause[MESH][worst]):
+            share = 100.0 * by_cause[MESH][worst] / abs(budget.values[worst])
+            return [
+                f"Linear tets lock in bending: {budget.names[worst]} may be off by "
+                f"{share:.2g} % of its value by the mesh alone. {remedy}"
+            ]
+    if MESH in by_cause or MESH in budget.unknown:
+        return [f"Linear tets lock in bending, by an unknown amount here. {remedy}"]
+    return []
+
+
+def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:
+    """Name parameters that are less certain than the bounds that were typed."""
+    pairs = zip(report.parameters, result.space.parameters, strict=True)
+    return [
+        f"{p.name} is less certain than its bounds are wide: they say more than the "
+        "data."
+        for p, own in pairs
+        if np.isfinite(p.standard_error)
+        and p.standard_error > float(own.upper - own.lower)
+    ]
 
 
 def _contradictions(result: CalibrationResult) -> list[str]:
@@ -94,7 +168,7 @@ def _contradictions(result: CalibrationResult) -> list[str]:
         f"{fit.name} is {done[fit.role]} with its markers {fit.off}: the model "
         "contradicts it."
         for fit in result.configurations
-        if fit.misfit(result.uncertainty.noise) is not None
+        if fit.misfit(result.uncertainty.noise, result.uncertainty.noise_scale)
     ]
 
 

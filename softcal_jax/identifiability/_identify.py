@@ -35,21 +35,24 @@ from softcal_jax.equilibrium import (
     check_converged,
 )
 from softcal_jax.fields import (
+    PRECISION,
     Entry,
     ParameterSpace,
     Uncertain,
     as_space,
+    asked_errors,
     check_parameters,
+    check_precision,
 )
 from softcal_jax.identifiability._conditioning import conditioning
 from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
 from softcal_jax.identifiability._spread import (
-    data_only_std,
-    marginalised,
+    Spread,
+    count_informed,
+    information,
     named_directions,
-    posterior,
-    prior_std,
     si_slope,
+    spread_of,
     verdict,
 )
 from softcal_jax.sensitivity import EnergyCompliance, energy_compliance
@@ -68,13 +71,16 @@ def identifiability(
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
     W_c: Float[HostArray, "n_e n_errors"] | None = None,
+    precision: float = PRECISION,
 ) -> Identifiability:
     """Judge what data with these compliances tell about the parameters; Sec. V-C.
 
-    The predicted covariance is (I / prior^2 + W^T W)^-1. The prior's standard deviation
-    is that of a uniform density between the bounds, or the parameter's `prior_std`, so
-    a parameter that no data see has a finite spread. The verdict compares predicted and
-    prior spread (`IDENTIFIABLE_BELOW`, `WEAK_BELOW`).
+    The verdict compares the predicted standard error of each parameter with the one
+    that is asked for (`IDENTIFIABLE_UP_TO`, `WEAK_UP_TO`), which is relative to the
+    value, or absolute for angles and errors of the setup: the table is in
+    `softcal_jax.fields._precision`. A stated prior (`prior_std`) counts like a
+    measurement. Bounds do not count: a parameter that no data see has no finite error,
+    however narrow they are.
 
     The verdict is local: at E_l = E_t, for example, the fibre angle has no effect.
 
@@ -90,10 +96,11 @@ def identifiability(
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
         W_c: Change of the data per standard deviation of what is held fixed and may be
             wrong, in units of the noise, such as `ErrorBudget.W_c`; none by default.
+        precision: Standard error that is asked for, relative to the value [-].
 
     Raises:
         ValueError: If `W` is not finite or has not one column per parameter, or the
-            noise scale is not positive.
+            noise scale or the precision is not positive.
     """
     W = np.asarray(W, float)
     n_p = len(space.names)
@@ -105,47 +112,53 @@ def identifiability(
     if not 0.0 < noise_scale < np.inf:
         raise ValueError(f"noise_scale must be positive, got {noise_scale:g}.")
     numbers = conditioning(W / noise_scale, W_ep=W_ep, W_pp=W_pp)
-    prior = prior_std(space)
-    G = W / noise_scale * prior
-    if W_c is not None:
-        G = marginalised(G, W_c / noise_scale)
-    covariance = posterior(G)
-    directions = named_directions(G, space.names)
-    outlooks = _outlooks(space, z, np.sqrt(np.diag(covariance)), data_only_std(G))
+    asked = asked_errors(space, z, precision)
+    G, prior = W / noise_scale * asked, asked * np.asarray(space.prior_weights())
+    W_c = np.zeros((len(W), 0)) if W_c is None else W_c / noise_scale
+    spread, alone = (spread_of(G, W_c, weights) for weights in (prior, 0.0 * prior))
+    outlooks = _outlooks(space, z, asked, spread=spread, alone=alone)
     return Identifiability(
-        verdict=verdict(max(d.spread for d in directions)),
+        verdict=verdict(max(p.ratio for p in outlooks)),
         parameters=outlooks,
-        directions=directions,
-        covariance=covariance * np.outer(prior, prior),
+        directions=named_directions(spread, space.names),
+        spread=spread,
+        asked=asked,
+        precision=precision,
+        has_prior=space.has_prior,
+        informed=count_informed(information(G, W_c), prior),
         conditioning=numbers,
         n_data=int(np.any(W != 0.0, axis=1).sum()) if n_data is None else n_data,
-        known="prior" if space.has_prior else "bounds",
     )
 
 
 def _outlooks(
     space: ParameterSpace,
     z: Float[AnyVector, " n_p"],
-    spread: Float[HostArray, " n_p"],
-    alone: Float[HostArray, " n_p"],
+    asked: Float[HostArray, " n_p"],
+    *,
+    spread: Spread,
+    alone: Spread,
 ) -> tuple[ParameterOutlook, ...]:
-    """Convert spreads in units of the prior to SI."""
-    prior = si_slope(space, z) * prior_std(space)
+    """Convert spreads in units of the asked standard errors to SI."""
+    slope, ratios = si_slope(space, z), spread.errors()
+    in_si = slope * asked
+    errors, data_only = in_si * ratios, in_si * alone.errors()
+    weights = np.asarray(space.prior_weights())
     values = np.asarray(space.from_scaled(jnp.asarray(z)))
     outlooks = []
     for i, parameter in enumerate(space.parameters):
-        error = float(prior[i] * spread[i])
         plain = parameter.unit == "rad" or values[i] == 0.0
         outlooks.append(
             ParameterOutlook(
                 name=parameter.name,
                 value=float(values[i]),
-                standard_error=error,
-                data_only=float(prior[i] * alone[i]),
-                prior=float(prior[i]),
-                relative=None if plain else error / abs(float(values[i])),
-                spread=float(spread[i]),
-                verdict=verdict(float(spread[i])),
+                standard_error=float(errors[i]),
+                data_only=float(data_only[i]),
+                prior=float(slope[i] / weights[i]) if weights[i] > 0.0 else None,
+                asked=float(in_si[i]),
+                relative=None if plain else float(errors[i] / abs(values[i])),
+                ratio=float(ratios[i]),
+                verdict=verdict(float(ratios[i])),
                 unit=parameter.unit,
             )
         )
@@ -161,6 +174,7 @@ def identify(
     noise: float | None = None,
     newton: NewtonSettings | None = None,
     uncertain: Uncertain | None = None,
+    precision: float = PRECISION,
 ) -> Identifiability:
     """Predict what markers in these configurations would tell, before measuring.
 
@@ -178,11 +192,13 @@ def identify(
         newton: Settings of the equilibrium.
         uncertain: How well everything is known that is not calibrated; the defaults of
             `Uncertain` by default.
+        precision: Standard error that is asked for, relative to the value [-].
 
     Raises:
         ValueError: If an input is wrong.
         RuntimeError: If a configuration has no equilibrium; the text names it.
     """
+    check_precision(precision)
     measured = as_sequence(configurations)
     found = survey(
         model,
@@ -199,7 +215,14 @@ def identify(
     W, W_c = in_noise_units(found.sensed) if found.sensed else (none, None)
     W_pp = sum((s.W_pp for s in found.sensed), np.zeros((n_p, n_p)))
     return identifiability(
-        W, found.space, found.z, n_data=len(W), W_ep=W_ep, W_pp=W_pp, W_c=W_c
+        W,
+        found.space,
+        found.z,
+        n_data=len(W),
+        W_ep=W_ep,
+        W_pp=W_pp,
+        W_c=W_c,
+        precision=precision,
     )
 
 

@@ -1,6 +1,7 @@
 """Rank configurations that might be measured next."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -10,7 +11,7 @@ from softcal_jax._units import readable_unit
 from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import Uncertain
+from softcal_jax.fields import PRECISION, Uncertain, asked_errors
 from softcal_jax.identifiability._identify import (
     AnyVector,
     Parameters,
@@ -21,12 +22,19 @@ from softcal_jax.identifiability._identify import (
 )
 from softcal_jax.identifiability._result import number, table
 from softcal_jax.identifiability._spread import (
-    WEAK_BELOW,
-    marginalised,
-    posterior,
-    prior_std,
+    Spread,
+    information,
+    named_directions,
     si_slope,
+    spread_of,
 )
+
+NOTHING = 10.0
+"""Standard error, over the asked one, that stands for knowing nothing [-].
+
+With the default precision a factor of e of a value. It gives the uncertainty a volume
+where neither data nor prior see a direction; bounds do not, since they are typed.
+"""
 
 HARDLY = 1.05
 """Factor on a standard error below which a candidate hardly helps [-]."""
@@ -39,10 +47,12 @@ class Gain(eqx.Module):
         name: Name of the candidate.
         d_gain: Twice the decrease of the log volume of the parameters' uncertainty,
             log det(M + J) - log det M [nat].
-        e_gain: Increase of the smallest eigenvalue of M, in units of the prior's [-].
+        e_gain: Increase of the smallest eigenvalue of M, in units of what the asked
+            standard error tells [-].
         blind_left: Number of directions that it leaves unidentifiable.
-        parameter: Parameter whose standard error falls most, relative to its prior.
-        before: Its standard error without the candidate, in SI.
+        parameter: Parameter whose standard error falls most, relative to the asked one.
+        before: Its standard error without the candidate, in SI; infinite where nothing
+            sees it.
         after: Its standard error with it, in SI.
         value: Its value, in SI.
         unit: Its SI unit.
@@ -67,15 +77,22 @@ class Gain(eqx.Module):
     def effect(self) -> str:
         """The standard error that falls most, like "E of tip: 101 to 4.1 kPa"."""
         factor, unit = readable_unit([self.value], self.unit)
-        before, after = number(factor * self.before), number(factor * self.after)
+        before, after = (
+            number(factor * error) if np.isfinite(error) else "blind"
+            for error in (self.before, self.after)
+        )
+        if after == "blind":
+            return f"{self.parameter}: still blind"
         return f"{self.parameter}: {before} to {after} {unit}".rstrip()
 
     @property
     def words(self) -> str:
         """What the candidate does, as the end of a sentence."""
-        ratio = self.before / self.after
-        if ratio < HARDLY:
+        if not np.isfinite(self.after) or self.before < HARDLY * self.after:
             return "hardly changes any standard error"
+        if np.isinf(self.before):
+            return f"sees what nothing saw before, {self.effect}"
+        ratio = self.before / self.after
         return f"divides a standard error by {number(ratio, 2)}, of {self.effect}"
 
 
@@ -131,8 +148,8 @@ class Ranking(eqx.Module):
                 *table(tuple(head.split(", ")), rows),
                 f"Without a candidate {self.blind_before} of {n_p} directions are "
                 "blind. Volume: factor on that of the uncertainty, exp(-D gain / 2). E "
-                "gain: information added where there is least, in units of what bounds "
-                "and priors know.",
+                "gain: information added where there is least, in units of what the "
+                "asked standard error tells.",
                 *map(str, self.unranked),
             ]
         )
@@ -148,12 +165,14 @@ def rank_configurations(
     noise: float | None = None,
     newton: NewtonSettings | None = None,
     uncertain: Uncertain | None = None,
+    precision: float = PRECISION,
 ) -> Ranking:
     """Rank candidate configurations by what they would tell, before measuring.
 
-    Let G be the compliances in units of the noise per prior standard deviation,
-    M = I + G^T G the information of prior and configurations, and J = G_c^T G_c that of
-    a candidate. Candidates are ordered by log det(M + J) - log det M (D-optimality;
+    Let G be the compliances in units of the noise per asked standard error, P the
+    information of stated priors, M = I / NOTHING^2 + P + G^T G that of prior and
+    configurations, and J = G_c^T G_c that of a candidate; errors that are considered
+    reduce both. Candidates are ordered by log det(M + J) - log det M (D-optimality;
     Chaloner and Verdinelli, Statistical Science 10, 1995). The increase of the smallest
     eigenvalue of M (E-optimality) is given too: D rewards shrinking any direction of
     the uncertainty, E only the worst one.
@@ -171,6 +190,7 @@ def rank_configurations(
         newton: Settings of the equilibrium.
         uncertain: How well everything is known that is not calibrated; the defaults of
             `Uncertain` by default.
+        precision: Standard error that is asked for, relative to the value [-].
 
     Returns:
         The candidates, the best first. Those without an equilibrium at these values or
@@ -193,63 +213,70 @@ def rank_configurations(
         uncertain=uncertain,
         required=len(known),
     )
-    prior = prior_std(found.space)
+    asked = asked_errors(found.space, found.z, precision)
     measured = found.sensed[: len(known)]
-    before = _told(measured, prior)
+    before = _told(found, measured, asked)
     gains, unranked = [], []
     for s in found.sensed[len(known) :]:
         reason = s.failure or ("" if len(s.W) else "it has no markers to measure")
         if reason:
             unranked.append(Unranked(s.name, reason))
         else:
-            gains.append(_gain(s.name, found, before, _told((*measured, s), prior)))
+            after = _told(found, (*measured, s), asked)
+            gains.append(_gain(s.name, found, asked, before=before, after=after))
     gains.sort(key=lambda gain: -gain.d_gain)
-    blind = _blind_count(_information(before))
-    return Ranking(tuple(gains), tuple(unranked), len(prior), blind)
+    blind = _blind_count(before, found)
+    return Ranking(tuple(gains), tuple(unranked), len(asked), blind)
+
+
+class _Told(NamedTuple):
+    """What configurations tell together, in units of the asked standard errors."""
+
+    spread: Spread
+    information: Float[HostArray, "n_p n_p"]
 
 
 def _told(
-    sensed: Sequence[Sensed], prior: Float[HostArray, " n_p"]
-) -> Float[HostArray, "n n_p"]:
-    """Return what configurations tell together, per prior standard deviation."""
-    if not sensed:
-        return np.zeros((0, len(prior)))
-    W, W_c = in_noise_units(sensed)
-    return marginalised(W * prior, W_c)
+    found: Survey, sensed: Sequence[Sensed], asked: Float[HostArray, " n_p"]
+) -> _Told:
+    """Sum up what configurations tell."""
+    W, W_c = np.zeros((0, len(asked))), np.zeros((0, 0))
+    if sensed:
+        W, W_c = in_noise_units(sensed)
+    prior = asked * np.asarray(found.space.prior_weights())
+    least = np.diag(prior**2 + NOTHING**-2.0)
+    return _Told(spread_of(W * asked, W_c, prior), least + information(W * asked, W_c))
 
 
 def _gain(
     name: str,
     found: Survey,
-    before: Float[HostArray, "n_before n_p"],
-    after: Float[HostArray, "n_after n_p"],
+    asked: Float[HostArray, " n_p"],
+    *,
+    before: _Told,
+    after: _Told,
 ) -> Gain:
-    """Compare the signal per prior standard deviation without and with a candidate."""
-    spreads = [np.sqrt(np.diag(posterior(G))) for G in (before, after)]
-    best = int(np.argmax(spreads[0] - spreads[1]))
+    """Compare what is told without and with a candidate."""
+    bounded = [np.sqrt(np.diag(np.linalg.inv(t.information))) for t in (before, after)]
+    best = int(np.argmax(bounded[0] - bounded[1]))
     parameter = found.space.parameters[best]
-    prior = (si_slope(found.space, found.z) * prior_std(found.space))[best]
+    in_si = (si_slope(found.space, found.z) * asked)[best]
     value = np.asarray(found.space.from_scaled(found.z))[best]
-    old, new = (_information(G) for G in (before, after))
+    old, new = (np.linalg.eigvalsh(t.information) for t in (before, after))
     return Gain(
         name=name,
         d_gain=float(np.sum(np.log(new)) - np.sum(np.log(old))),
-        e_gain=float(new[-1] - old[-1]),
-        blind_left=_blind_count(new),
+        e_gain=float(new[0] - old[0]),
+        blind_left=_blind_count(after, found),
         parameter=parameter.name,
-        before=float(prior * spreads[0][best]),
-        after=float(prior * spreads[1][best]),
+        before=float(in_si * before.spread.errors()[best]),
+        after=float(in_si * after.spread.errors()[best]),
         value=float(value),
         unit=parameter.unit,
     )
 
 
-def _information(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, " n_p"]:
-    """Return the eigenvalues of M = I + G^T G, descending, from those of G [-]."""
-    singular = np.linalg.svd(G, compute_uv=False)
-    return 1.0 + np.pad(singular, (0, G.shape[1] - len(singular))) ** 2
-
-
-def _blind_count(eigenvalues: Float[HostArray, " n_p"]) -> int:
-    """Count the directions that are not identifiable (spread = eigenvalue^-1/2)."""
-    return int(np.sum(1.0 / np.sqrt(eigenvalues) > WEAK_BELOW))
+def _blind_count(told: _Told, found: Survey) -> int:
+    """Count the directions that are not identifiable."""
+    directions = named_directions(told.spread, found.space.names)
+    return sum(d.verdict == "not identifiable" for d in directions)

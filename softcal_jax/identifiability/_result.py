@@ -8,7 +8,12 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.identifiability._conditioning import Conditioning
-from softcal_jax.identifiability._spread import Direction, Verdict
+from softcal_jax.identifiability._spread import (
+    WEAK_UP_TO,
+    Direction,
+    Spread,
+    Verdict,
+)
 
 MOST_SHOWN = 8
 """Most blind directions that are listed; the others are only counted."""
@@ -20,13 +25,14 @@ class ParameterOutlook(eqx.Module):
     Attributes:
         name: Its name.
         value: Value at which it was judged.
-        standard_error: Predicted from noise and prior; never above `prior`.
-        data_only: Predicted from the noise alone; infinite where the data are blind.
-        prior: Standard deviation before any data: the width between the bounds over the
-            root of 12, or the stated one if that is smaller.
+        standard_error: Predicted from the data and its prior, if it has one; infinite
+            where neither sees it.
+        data_only: Predicted from the data alone.
+        prior: Standard deviation of its stated prior; None without one.
+        asked: Standard error that is asked for, see `asked_errors`.
         relative: Standard error over value [-]; None for an angle or a value of zero.
-        spread: Standard error over `prior`, in scaled units [-].
-        verdict: Verdict on the spread.
+        ratio: Standard error over the asked one [-].
+        verdict: Verdict on the ratio.
         unit: SI unit.
     """
 
@@ -34,9 +40,10 @@ class ParameterOutlook(eqx.Module):
     value: float
     standard_error: float
     data_only: float
-    prior: float
+    prior: float | None
+    asked: float
     relative: float | None
-    spread: float
+    ratio: float
     verdict: Verdict
     unit: str
 
@@ -45,27 +52,35 @@ class Identifiability(eqx.Module):
     """What data can tell about the parameters, to first order at one value of them.
 
     Attributes:
-        verdict: Verdict on the worst direction.
+        verdict: Verdict on the worst parameter.
         parameters: One entry per parameter.
         directions: From the best to the worst seen.
-        covariance: Covariance of the scaled parameters, from noise and prior [-].
+        spread: Covariance of the parameters in units of the asked standard errors.
+        asked: Asked standard errors of the scaled parameters [-].
+        precision: Standard error that is asked for, relative to the value [-].
+        has_prior: Whether a parameter has a stated prior, which counts like a
+            measurement.
+        informed: Number of directions along which the data tell more than the prior;
+            without one, enough for "weakly identifiable".
         conditioning: Singular values and condition numbers.
         n_data: Number of measured coordinates.
-        known: What the spread is compared with: "prior" if stated, else "bounds".
     """
 
     verdict: Verdict
     parameters: tuple[ParameterOutlook, ...]
     directions: tuple[Direction, ...]
-    covariance: Float[HostArray, "n_p n_p"]
+    spread: Spread
+    asked: Float[HostArray, " n_p"]
+    precision: float
+    has_prior: bool
+    informed: int
     conditioning: Conditioning
     n_data: int
-    known: str
 
     @property
-    def informed(self) -> int:
-        """Number of directions along which the data tell more than the prior."""
-        return sum(d.signal > 1.0 for d in self.directions)
+    def covariance(self) -> Float[HostArray, "n_p n_p"]:
+        """Covariance of the scaled parameters, see `Spread.covariance` [-]."""
+        return self.spread.covariance() * np.outer(self.asked, self.asked)
 
     @property
     def n_parameters(self) -> int:
@@ -74,9 +89,11 @@ class Identifiability(eqx.Module):
 
     @property
     def correlation(self) -> Float[HostArray, "n_p n_p"]:
-        """Correlation of the parameters [-]."""
-        std = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(std, std)
+        """Correlation of the parameters [-]; nan for those that nothing sees."""
+        covariance = self.spread.covariance()
+        std = np.sqrt(np.diag(covariance))
+        with np.errstate(invalid="ignore"):  # infinite over infinite
+            return covariance / np.outer(std, std)
 
     @property
     def blind(self) -> tuple[Direction, ...]:
@@ -85,49 +102,68 @@ class Identifiability(eqx.Module):
 
     def __str__(self) -> str:
         """Format the verdict, the parameters, blind directions and what to do."""
-        n_data, n_p, known = self.n_data, self.n_parameters, self.known
+        n_data, n_p = self.n_data, self.n_parameters
         lines = [
             f"{self.verdict.capitalize()} at these values: {n_data} measured "
             f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
         ]
-        head = ("parameter", "value", "standard error", "from data alone", "verdict")
-        lines += table(head, [_row(p, known) for p in self.parameters])
-        if any(p.data_only > p.prior for p in self.parameters):
-            lines.append(
-                f"The standard error takes the {known} for knowledge; the verdict "
-                f"compares it with that of the {known} alone."
-            )
+        head = ("parameter", "value", "standard error", "asked", "verdict")
+        if self.has_prior:
+            head = (*head[:3], "from data alone", *head[3:])
+        lines += table(head, [_row(p, self.has_prior) for p in self.parameters])
+        lines.append(self.scale)
         blind = self.blind
         if blind:
             lines.append(
                 f"The data hardly see {len(blind)} of {n_p} "
-                f"direction{'s' * (n_p != 1)} (standard error over that of the "
-                f"{known}):"
+                f"direction{'s' * (n_p != 1)} (standard error over the asked one):"
             )
             lines += [
-                f"  {d.words} ({100 * d.spread:.0f} %)"
+                f"  {d.words} ({percent(d.ratio)})"
                 for d in blind[: -MOST_SHOWN - 1 : -1]
             ]
             if len(blind) > MOST_SHOWN:
                 lines.append(f"  and {len(blind) - MOST_SHOWN} more.")
+        if self.has_prior:
             lines.append(
-                f"They tell more than the {known} along {self.informed} of {n_p}."
+                f"The data tell more than the prior along {self.informed} of {n_p} "
+                f"direction{'s' * (n_p != 1)}."
             )
         if n_data:
             lines += str(self.conditioning).splitlines()
         return "\n".join(lines + _remedies(self))
 
+    @property
+    def scale(self) -> str:
+        """What the verdicts mean, in words."""
+        text = (
+            f"Identifiable: up to the asked standard error (precision "
+            f"{self.precision:g}), weakly: up to {WEAK_UP_TO:g} times that. Bounds do "
+            "not count."
+        )
+        if self.has_prior:
+            text += " A stated prior counts like a measurement."
+        return text
 
-def _row(p: ParameterOutlook, known: str) -> tuple[str, ...]:
+
+def _row(p: ParameterOutlook, has_prior: bool) -> tuple[str, ...]:
     factor, unit = readable_unit([p.value], p.unit)
-    with_unit = lambda v, digits: f"{number(v * factor, digits)} {unit}".rstrip()
-    error = with_unit(p.standard_error, 3)
-    if p.relative is not None:
+
+    def shown(value: float, digits: int) -> str:
+        if math.isinf(value):
+            return "blind"
+        return f"{number(value * factor, digits)} {unit}".rstrip()
+
+    error = shown(p.standard_error, 3)
+    if p.relative is not None and math.isfinite(p.relative):
         error += f" ({number(100 * p.relative, 2)} %)"
-    alone = with_unit(p.data_only, 3)
-    if p.data_only > p.prior:
-        alone = f"wider than {known}" if math.isfinite(p.data_only) else "blind"
-    return (p.name, with_unit(p.value, 4), error, alone, p.verdict)
+    alone = (shown(p.data_only, 3),) if has_prior else ()
+    return (p.name, shown(p.value, 4), error, *alone, shown(p.asked, 3), p.verdict)
+
+
+def percent(ratio: float) -> str:
+    """Write a standard error over the asked one, "blind" if it is infinite."""
+    return f"{number(100.0 * ratio)} %" if math.isfinite(ratio) else "blind"
 
 
 def _remedies(found: Identifiability) -> list[str]:

@@ -1,4 +1,4 @@
-"""Spread of parameters and directions given noise and prior, and the verdict on it."""
+"""Spread of parameters and directions by noise and errors, and the verdict on it."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -8,23 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.fields import ParameterSpace
 
 Verdict = Literal["identifiable", "weakly identifiable", "not identifiable"]
 
-IDENTIFIABLE_BELOW = 0.1
-"""Spread below which a parameter is identifiable [-].
+IDENTIFIABLE_UP_TO = 1.0
+"""Standard error, over the asked one, up to which a parameter is identifiable [-]."""
 
-The spread is the predicted standard deviation over the prior one. At 0.1 the data hold
-99 % of the information, and the standard deviation is 2.9 % of the range.
-"""
+WEAK_UP_TO = 3.0
+"""The same up to which it is weakly identifiable [-].
 
-WEAK_BELOW = 0.5
-"""Spread above which a parameter is not identifiable [-].
-
-At 0.5 the data hold three quarters of the information; above it, the value depends too
-much on the bounds that the user chose.
+With the default precision that is 30 % of a value, or 17 degrees of an axis: an order
+of magnitude, which no part can be designed with.
 """
 
 BLIND = 1e-6
@@ -39,10 +35,10 @@ SHARE = 0.1
 MOST_NAMED = 4
 """Most parameters named for a direction, so that its text stays readable."""
 
-UNSEEN = 0.1
-"""Signal to noise below which a direction counts as unseen [-].
+LOST = 30.0
+"""Standard error, over the asked one, above which a direction counts as unseen [-].
 
-The data reduce its prior standard deviation by less than 0.5 %, so such directions are
+Three times a value or more is no knowledge of it, so such directions are
 interchangeable and any basis of their span is as good as another.
 """
 
@@ -51,36 +47,60 @@ class Direction(eqx.Module):
     """A combination of parameters, and how well the data see it.
 
     Attributes:
-        signal: Change of the data per prior standard deviation along it, in units of
-            the noise [-].
-        components: Its unit vector, parameters in prior standard deviations [-].
-        spread: Predicted over prior standard deviation [-].
-        verdict: Verdict on the spread.
+        components: Its unit vector, parameters in units of their asked standard errors
+            [-].
+        ratio: Largest standard error, over the asked one, that it alone gives to a
+            parameter; infinite where neither data nor prior see it [-].
+        verdict: Verdict on the ratio.
         words: Its main parameters, in words.
     """
 
-    signal: float
     components: Float[HostArray, " n_p"]
-    spread: float
+    ratio: float
     verdict: Verdict
     words: str
 
 
-def verdict(spread: float) -> Verdict:
-    """Judge a spread, the predicted over the prior standard deviation [-]."""
-    if spread < IDENTIFIABLE_BELOW:
-        return "identifiable"
-    return "weakly identifiable" if spread <= WEAK_BELOW else "not identifiable"
+class Spread(eqx.Module):
+    """Covariance of parameters in units of their asked standard errors.
 
-
-def prior_std(space: ParameterSpace) -> Float[HostArray, " n_p"]:
-    """Compute the standard deviation of the scaled parameters before any data [-].
-
-    It is that of a uniform density between the bounds, or the `prior_std` of the
-    parameter if that is smaller.
+    Attributes:
+        factor: F of the covariance F F^T, which holds along what is seen [-].
+        unseen: Orthonormal directions that neither data nor prior see, as rows [-].
+        blind: Parameters with a component in one of these.
     """
-    bounds = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
-    return 1.0 / np.maximum(1.0 / bounds, np.asarray(space.prior_weights()))
+
+    factor: Float[HostArray, "n_p n"]
+    unseen: Float[HostArray, "n_unseen n_p"]
+    blind: Bool[HostArray, " n_p"]
+
+    def errors(self) -> Float[HostArray, " n_p"]:
+        """Return standard errors of the parameters, infinite for blind ones [-]."""
+        return np.where(self.blind, np.inf, np.linalg.norm(self.factor, axis=1))
+
+    def covariance(self) -> Float[HostArray, "n_p n_p"]:
+        """Return their covariance; of blind ones infinite, and nan with others [-]."""
+        full = self.factor @ self.factor.T
+        full[self.blind] = full[:, self.blind] = np.nan
+        full[self.blind, self.blind] = np.inf
+        return full
+
+    def along(self, rows: Float[HostArray, "n n_p"]) -> Float[HostArray, " n"]:
+        """Return standard errors of linear functions of the parameters [-].
+
+        Args:
+            rows: Their derivatives by the parameters, in units of the asked errors.
+        """
+        size = np.linalg.norm(rows, axis=1)
+        astray = np.linalg.norm(rows @ self.unseen.T, axis=1) > BLIND * size
+        return np.where(astray, np.inf, np.linalg.norm(rows @ self.factor, axis=1))
+
+
+def verdict(ratio: float) -> Verdict:
+    """Judge a standard error over the asked one [-]."""
+    if ratio <= IDENTIFIABLE_UP_TO:
+        return "identifiable"
+    return "weakly identifiable" if ratio <= WEAK_UP_TO else "not identifiable"
 
 
 def si_slope(
@@ -92,91 +112,92 @@ def si_slope(
     return np.abs(np.asarray(slope))
 
 
-# Below, G is the signal to noise: noise-weighted compliances per prior standard
-# deviation, so that moduli and angles are comparable [-].
+# Below, G holds noise-weighted compliances per asked standard error, so that moduli and
+# angles are comparable; W_c the noise-weighted change of the data per standard
+# deviation of each error that is considered, see `ErrorBudget`; and `weights` the asked
+# standard errors over those of stated priors, 0 without one [-].
 
 
-def posterior(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, "n_p n_p"]:
-    """Compute the covariance (I + G^T G)^-1 in units of the prior standard deviations.
+def spread_of(
+    G: Float[HostArray, "n_e n_p"],
+    W_c: Float[HostArray, "n_e n_errors"],
+    weights: Float[HostArray, " n_p"],
+) -> Spread:
+    """Compute the covariance of an estimate from data and priors.
 
-    Linear-Gaussian Bayes (Tarantola, Inverse Problem Theory, 2005, ch. 3): the Fisher
-    information of the data plus that of the prior, so the inverse always exists; a
-    blind direction keeps a variance of one.
+    With C = (G^T G + P)^-1 and P the information of the priors, which count like
+    measurements, the errors W_c move the parameters by D = C G^T W_c, so that their
+    covariance is C + D D^T, as in `ErrorBudget`. Bounds are no measurement: what
+    neither data nor prior see has no finite error.
     """
-    _, singular, Vt = np.linalg.svd(G)
-    variance = np.ones(G.shape[1])
-    variance[: len(singular)] = np.hypot(1.0, singular) ** -2.0
-    return (Vt.T * variance) @ Vt
+    rows = np.concatenate([G, np.diag(weights)])
+    size = np.linalg.norm(rows, axis=0)
+    active = np.flatnonzero(size > VANISHED * np.max(size, initial=0.0))
+    n, size = len(size), size[active]
+    # Columns of unit length: a parameter of little effect is not a blind one.
+    _, singular, Vt = np.linalg.svd(rows[:, active] / size, full_matrices=False)
+    seen = singular > BLIND * np.max(singular, initial=0.0)
+    inverse = np.zeros((n, int(seen.sum())))
+    inverse[active] = Vt[seen].T / singular[seen] / size[:, None]
+    moved = inverse @ ((G @ inverse).T @ W_c)
+    # Any component above rounding in an unseen direction makes a parameter uncertain.
+    blind = np.ones(n, bool)
+    blind[active] = np.max(np.abs(Vt[~seen]), axis=0, initial=0.0) > BLIND
+    unseen = np.zeros((int((~seen).sum()), n))
+    unseen[:, active] = Vt[~seen] / size
+    without = np.delete(np.eye(n), active, axis=0)
+    basis, _ = np.linalg.qr(np.concatenate([unseen, without]).T)
+    return Spread(np.concatenate([inverse, moved], axis=1), basis.T, blind)
 
 
-def marginalised(
+def information(
     G: Float[HostArray, "n_e n_p"], W_c: Float[HostArray, "n_e n_errors"]
-) -> Float[HostArray, "n n_p"]:
-    """Find compliances that would tell as much if the noise were the only error.
+) -> Float[HostArray, "n_p n_p"]:
+    """Compute the information of the data alone: the inverse of `spread_of`'s.
 
-    With C = (I + G^T G)^-1 the errors W_c move the parameters by D = C G^T W_c, so that
-    their covariance is T = C + D D^T. The result R has the same, (I + R^T R)^-1 = T,
-    where T is not larger than that of the prior.
-
-    Args:
-        G: Noise-weighted compliances per prior standard deviation [-].
-        W_c: Noise-weighted change of the data per standard deviation of each error that
-            is considered, see `ErrorBudget` [-].
+    G^T U (I + B B^T)^-1 U^T G with G = U S V^T and B = U^T W_c, which exists where the
+    covariance does not.
     """
-    if W_c.shape[1] == 0:
-        return G
-    C = posterior(G)
-    D = C @ G.T @ W_c
-    variance, V = np.linalg.eigh(C + D @ D.T)
-    variance = np.clip(variance, np.finfo(float).eps, 1.0)  # rounding, or the prior
-    return np.sqrt(1.0 / variance - 1.0)[:, None] * V.T
+    U, singular, Vt = np.linalg.svd(G, full_matrices=False)
+    B = U.T @ W_c
+    A = singular[:, None] * Vt
+    return A.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, A)
 
 
-def data_only_std(G: Float[HostArray, "n_e n_p"]) -> Float[HostArray, " n_p"]:
-    """Compute standard deviations from the data alone, roots of diag((G^T G)^-1).
+def count_informed(
+    J: Float[HostArray, "n_p n_p"], weights: Float[HostArray, " n_p"]
+) -> int:
+    """Count the directions along which the data, J, tell more than the prior.
 
-    They are in units of the prior's, and infinite for parameters with a component in a
-    blind direction [-].
+    Where there is none, they must tell enough for "weakly identifiable".
     """
-    std = np.full(G.shape[1], np.inf)
-    size = np.linalg.norm(G, axis=0)
-    seen = size > VANISHED * np.max(size, initial=0.0)
-    if not np.any(seen):
-        return std
-    _, singular, Vt = np.linalg.svd(G[:, seen] / size[seen])
-    known = np.zeros(len(Vt), bool)
-    known[: len(singular)] = singular > BLIND * singular[0]
-    variance = np.sum((Vt[known].T / singular[known[: len(singular)]]) ** 2, axis=1)
-    # Any component above rounding in a blind direction makes a parameter uncertain.
-    drifts = np.max(np.abs(Vt[~known]), axis=0, initial=0.0) > BLIND
-    std[seen] = np.where(drifts, np.inf, np.sqrt(variance) / size[seen])
-    return std
+    scale = np.where(weights > 0.0, weights, 1.0 / WEAK_UP_TO)
+    return int(np.sum(np.linalg.eigvalsh(J / np.outer(scale, scale)) > 1.0))
 
 
-def named_directions(
-    G: Float[HostArray, "n_e n_p"], names: Sequence[str]
-) -> tuple[Direction, ...]:
-    """Find the right singular vectors of G, best seen first (Sec. V-C).
+def named_directions(spread: Spread, names: Sequence[str]) -> tuple[Direction, ...]:
+    """Find the principal directions of a covariance, best seen first (Sec. V-C).
 
-    The SVD gives an arbitrary basis of the unseen directions; it is replaced by one
-    whose vectors each follow few parameters.
+    They are the right singular vectors of G where nothing but the noise is uncertain.
+    The unseen directions have an arbitrary basis; it is replaced by one whose vectors
+    each follow few parameters.
     """
-    _, singular, Vt = np.linalg.svd(G)
-    signal = np.pad(singular, (0, len(Vt) - len(singular)))
-    unseen = signal < UNSEEN
-    if np.any(unseen):
-        Vt[unseen] = _separated(Vt[unseen])
-        signal[unseen] = np.linalg.norm(G @ Vt[unseen].T, axis=0)
+    *_, basis = np.linalg.svd(spread.unseen)
+    within = basis[len(spread.unseen) :]
+    V, std, _ = np.linalg.svd(within @ spread.factor, full_matrices=False)
+    rows = V.T @ within
+    far = std * np.max(np.abs(rows), axis=1, initial=0.0) > LOST
+    lost = np.concatenate([rows[far], spread.unseen])
+    rows = np.concatenate([rows[~far], _separated(lost) if len(lost) else lost])
+    ratios = spread.along(rows) * np.max(np.abs(rows), axis=1, initial=0.0)
     directions = []
-    for row in np.argsort(-signal, kind="stable"):
-        v = Vt[row] * np.sign(Vt[row, np.argmax(np.round(np.abs(Vt[row]), 6))])
-        spread = float(1.0 / np.hypot(1.0, signal[row]))
+    for row in np.argsort(ratios, kind="stable"):
+        v = rows[row] * np.sign(rows[row, np.argmax(np.round(np.abs(rows[row]), 6))])
         directions.append(
             Direction(
-                signal=float(signal[row]),
                 components=v,
-                spread=spread,
-                verdict=verdict(spread),
+                ratio=float(ratios[row]),
+                verdict=verdict(float(ratios[row])),
                 words=direction_words(v, names),
             )
         )

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 _DPI = 100
+_TITLE_WIDTH = 105
+"""Characters of a line of the reasons below the title."""
+
+_LINE = 0.25
+"""Height of such a line [inch]."""
+
 _MOST_NAMES = 7
 """Most parameters in one panel that get a legend."""
 
@@ -68,13 +75,19 @@ def convergence_figure(
     panels[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     steps = len(result.history) - 1
     text, colour = f"{name}: converged in {steps} step{'s' * (steps != 1)}", GOOD
-    if not assess(result).identified:
+    found = assess(result)
+    if not found.identified:
         text, colour = f"{text}, but take the values with care", DOUBTFUL
     if not result.converged:
         text = f"{name}: NOT converged after {steps} steps, do not use these values"
         colour = BAD
         figure.set_facecolor("#fdecea")
     figure.suptitle(text, fontsize=19, weight="bold", color=colour, parse_math=False)
+    if result.converged and found.reasons:
+        lines = [line for own in found.reasons for line in wrap(own, _TITLE_WIDTH)]
+        style = {"fontsize": 13, "color": DOUBTFUL, "loc": "left"}
+        panels[0].set_title("\n".join(lines), **style, parse_math=False)
+        figure.set_figheight(figure.get_figheight() + _LINE * len(lines))
     figure.get_layout_engine().set(h_pad=0.12, w_pad=0.12)  # pyright: ignore
     return figure
 

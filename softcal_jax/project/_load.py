@@ -72,7 +72,7 @@ def _built(path: Path, table: ProjectTable) -> Project:
         for (configuration, _), own in zip(posed, table.configurations, strict=True)
         if own.role == role
     )
-    own = {"noise", "starts", "seed", "intervals"}
+    own = {"noise", "starts", "seed", "intervals", "precision"}
     with under("settings"):
         given = table.settings.model_dump(exclude=own, exclude_none=True)
         settings = CalibrationSettings(**given)

@@ -51,6 +51,7 @@ class Project(eqx.Module):
         starts: Number of starts; None for `default_starts`.
         seed: Seed of the random starts.
         intervals: Level of the intervals of the parameters; None for none [-].
+        precision: Standard error that is asked for, relative to the value [-].
         uncertain: How well everything is known that is not calibrated.
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
@@ -69,6 +70,7 @@ class Project(eqx.Module):
     starts: int | None
     seed: int
     intervals: float | None
+    precision: float
     uncertain: Uncertain
     settings: CalibrationSettings
     newton: NewtonSettings
@@ -145,6 +147,7 @@ class Project(eqx.Module):
             validation=self.validation,
             noise=self.noise,
             uncertain=self.uncertain,
+            precision=self.precision,
             settings=self.settings,
             newton=self.newton,
             starts=self.starts,
@@ -204,6 +207,7 @@ class Project(eqx.Module):
             self.calibration,
             newton=self.newton,
             uncertain=self.uncertain,
+            precision=self.precision,
         )
 
     def rank_candidates(self) -> Ranking:
@@ -226,6 +230,7 @@ class Project(eqx.Module):
             *posed,
             newton=self.newton,
             uncertain=self.uncertain,
+            precision=self.precision,
         )
 
     def simulate(self) -> EquilibriumSolution:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 from pydantic import BaseModel, Field, ValidationError, field_validator
 
 from softcal_jax.calibration import LEVEL
+from softcal_jax.fields import PRECISION
 from softcal_jax.project._actuators import AnyActuator
 from softcal_jax.project._bodies import BodyTable
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
@@ -57,6 +58,7 @@ class SettingsTable(Table):
     starts: Annotated[Integer, Field(ge=1)] | None = None
     seed: Integer = 0
     intervals: Number | None = LEVEL
+    precision: Number = PRECISION
     adapt: Flag | None = None
 
     @field_validator("intervals")
@@ -67,6 +69,13 @@ class SettingsTable(Table):
                 f"got {value:g}; expected a level like 0.95, or 0 for none."
             )
         return value or None
+
+    @field_validator("precision")
+    @classmethod
+    def _check_precision(cls, value: float) -> float:
+        if not value > 0.0:
+            raise ValueError(f"got {value:g}; expected a share like 0.1, for 10 %.")
+        return value
 
 
 class NewtonTable(Table):

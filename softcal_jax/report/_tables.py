@@ -15,11 +15,10 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.export import readable_unit, readable_values
 from softcal_jax.identifiability import (
-    IDENTIFIABLE_BELOW,
-    WEAK_BELOW,
     Assessment,
     Identifiability,
     assess,
+    percent,
 )
 
 if TYPE_CHECKING:
@@ -68,6 +67,7 @@ def summary_table(
     else:
         text = f"Converged in {steps} steps, but take the values with care:"
         head = Text("\n  ".join([text, *verdict.reasons]), style="bold yellow")
+    moved = [Text(verdict.prediction)] if verdict.prediction else []
     shown = result.configurations
     return Group(
         _parameter_table(result, found),
@@ -76,6 +76,7 @@ def summary_table(
         *_configuration_tables(shown),
         *_robot_tables(shown),
         *_outlook(verdict),
+        *moved,
         head,
         *([] if result.starts is None else [Text(str(result.starts))]),
         *(Text(f"Note: {note}", style="yellow") for note in result.notes),
@@ -211,15 +212,11 @@ def _outlook(assessment: Assessment) -> list[Any]:
     from rich.text import Text
 
     found = assessment.identifiability
-    columns = ["spread left", "verdict"]
+    columns = ["std. error over asked", "verdict"]
     table = _start_table("What the data tell", "parameter", columns)
     for p in found.parameters:
-        _add_row(table, p.name, _percent(p.spread), (p.verdict, _STYLE[p.verdict]))
-    legend = (
-        f"Spread left by the data, over that of the {found.known}: below "
-        f"{_percent(IDENTIFIABLE_BELOW)} identifiable, above {_percent(WEAK_BELOW)} "
-        f"not. {str(found.conditioning).splitlines()[0]}"
-    )
+        _add_row(table, p.name, percent(p.ratio), (p.verdict, _STYLE[p.verdict]))
+    legend = f"{found.scale} {str(found.conditioning).splitlines()[0]}"
     doubtful = found.verdict == "identifiable" and not assessment.identified
     style = "yellow" if doubtful else _STYLE[found.verdict]
     return [table, Text(legend), Text(_blindness(assessment), style=style)]
@@ -230,6 +227,8 @@ def _blindness(assessment: Assessment) -> str:
     found = assessment.identifiability
     blind = found.blind[::-1]
     if not blind:
+        if found.verdict == "not identifiable":
+            return "The data do not determine all parameters."
         if found.verdict != "identifiable":
             return "The data determine the parameters only weakly in part."
         if not assessment.identified:
@@ -237,16 +236,17 @@ def _blindness(assessment: Assessment) -> str:
                 "The data would determine the parameters well; see the reasons below."
             )
         return "The data determine the parameters well."
-    n, informed = found.n_parameters, found.informed
+    n, prior = found.n_parameters, "the prior and " if found.has_prior else ""
     several = "s" if n > 1 else ""
     lines = [
         f"The data hardly see {len(blind)} of {n} direction{several}; "
-        f"along these the {found.known} and the start decide, not the data:"
+        f"along these {prior}the start decide{'' if prior else 's'}, not the data:"
     ]
-    lines += [f"  {d.words} ({_percent(d.spread)})" for d in blind[:MOST_DIRECTIONS]]
+    lines += [f"  {d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:
         lines.append(f"  and {len(blind) - MOST_DIRECTIONS} more.")
-    lines.append(f"They tell more than the {found.known} along {informed} of {n}.")
+    if found.has_prior:
+        lines.append(f"They tell more than the prior along {found.informed} of {n}.")
     return "\n".join(lines)
 
 
@@ -271,10 +271,6 @@ def _add_row(table: "rich.table.Table", *cells: str | tuple[str, str]) -> None:
 
 def _length(vector: Float[HostArray, "3"]) -> float:
     return float(np.linalg.norm(vector))
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.3g} %"
 
 
 def _angle(radians: float) -> str:

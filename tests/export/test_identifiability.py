@@ -27,7 +27,9 @@ def test_verdict_as_strict_json():
     assert list(data) == [
         "verdict",
         "n_data",
+        "precision",
         "parameters",
+        "informed",
         "directions",
         "covariance",
         "correlation",
@@ -38,15 +40,18 @@ def test_verdict_as_strict_json():
     # Two coordinates of 100 per unit of ln E: 0.01 / sqrt(2), of 500 kPa.
     assert E_t["data_only"] == pytest.approx(500e3 * 0.01 / np.sqrt(2.0), rel=1e-12)
     assert (E_t["unit"], E_t["verdict"]) == ("Pa", "identifiable")
-    # The angle keeps the spread of its bounds, half a turn over the root of 12 [rad].
-    assert theta["standard_error"] == pytest.approx(np.pi / np.sqrt(12.0), rel=1e-12)
+    # Bounds are no measurement: nothing is known of the angle.
+    assert theta["standard_error"] is theta["ratio"] is theta["prior"] is None
+    assert (E_t["asked"], theta["asked"]) == (pytest.approx(50e3), pytest.approx(0.1))
+    assert E_t["ratio"] == pytest.approx(0.1 / np.sqrt(2.0))
     assert (theta["name"], theta["unit"]) == ("theta", "rad")
     assert theta["data_only"] is None
     assert theta["relative"] is None
     seen, blind = data["directions"]
     assert (seen["words"], blind["words"]) == ("E_t", "theta")
     assert blind["components"] == [0.0, 1.0]
-    assert blind["spread"] == pytest.approx(1.0)
+    assert blind["ratio"] is None
+    assert (data["precision"], data["informed"]) == (0.1, 1)
     assert data["conditioning"]["condition_weighted"] is None
 
 

@@ -32,7 +32,8 @@ rank_configurations = partial(rank_with, **KNOWN)
 BARE = Configuration("bare", (Support("x_min"),))
 AGAIN = pose("near again", ROOT)
 CANDIDATES = (AGAIN, HANG, crushed(), PULL, SWAP, BARE)
-PRIOR = np.log(1e6 / 3e4) / np.sqrt(12.0)
+ASKED = 0.1
+"""Standard error asked for, of the logarithm of a modulus."""
 
 
 @pytest.fixture(scope="module")
@@ -57,23 +58,30 @@ def ranking():
 
 
 def test_gains_are_those_of_the_formulas(ranking, information):
-    """In units of the prior: D = ln det(M + J) - ln det M, E by the eigenvalues."""
-    M = np.eye(2) + PRIOR**2 * information["near"]
+    """In units of what is asked: D = ln det(M + J) - ln det M, E by the eigenvalues.
+
+    Ten times the asked error stands for knowing nothing.
+    """
+    M = np.eye(2) / 10.0**2 + ASKED**2 * information["near"]
     for gain in ranking.gains:
-        more = M + PRIOR**2 * information[gain.name]
+        more = M + ASKED**2 * information[gain.name]
         D = np.linalg.slogdet(more)[1] - np.linalg.slogdet(M)[1]
         E = np.linalg.eigvalsh(more)[0] - np.linalg.eigvalsh(M)[0]
         np.testing.assert_allclose(gain.d_gain, D, rtol=1e-6)
         np.testing.assert_allclose(gain.e_gain, E, rtol=1e-5, atol=1e-9)
         shrink = np.sqrt(np.linalg.det(M) / np.linalg.det(more))
         np.testing.assert_allclose(gain.volume, shrink, rtol=1e-6)
-        old, new = (PRIOR * np.sqrt(np.diag(np.linalg.inv(A))) for A in (M, more))
+        old, new = (np.sqrt(np.diag(np.linalg.inv(A))) for A in (M, more))
         best = SPACE.names.index(gain.parameter)
         assert best == np.argmax(old - new)
-        # Logarithms of moduli of 1e5 Pa.
-        np.testing.assert_allclose(gain.before, 1e5 * old[best], rtol=1e-6)
-        np.testing.assert_allclose(gain.after, 1e5 * new[best], rtol=1e-6)
-        assert gain.blind_left == np.sum(np.linalg.eigvalsh(more) < 4.0)
+        # Logarithms of moduli of 1e5 Pa, without what stands for knowing nothing.
+        data = information["near"], information["near"] + information[gain.name]
+        old, new = (1e5 * np.sqrt(np.diag(np.linalg.inv(A))) for A in data)
+        np.testing.assert_allclose(gain.before, old[best], rtol=1e-4)
+        np.testing.assert_allclose(gain.after, new[best], rtol=1e-4)
+        variance, V = np.linalg.eigh(np.linalg.inv(data[1]))
+        worst = np.sqrt(variance) * np.max(np.abs(V), axis=0)
+        assert gain.blind_left == np.sum(worst > 3.0 * ASKED)
 
 
 def test_order_is_that_of_the_gain(ranking):
@@ -107,10 +115,10 @@ def test_a_candidate_that_cannot_be_judged_is_named_with_its_reason(ranking):
 def test_text(ranking):
     lines = str(ranking).splitlines()
     assert lines[0].startswith("Candidate 'swap' adds most: it divides a standard ")
-    assert "of E of tip: 101 to " in lines[0]
+    assert "of E of tip: " in lines[0]
     assert [line.split()[0] for line in lines[2:4]] == ["swap", "pull"]
     assert "1 of 2 directions are blind" in lines[6]
-    assert "in units of what bounds and priors know" in lines[6]
+    assert "in units of what the asked standard error tells" in lines[6]
     assert sum(line.startswith("Not ranked") for line in lines) == 2
     assert "nan" not in str(ranking)
 
@@ -132,7 +140,9 @@ def test_with_nothing_known_a_candidate_gives_its_own_verdict():
     np.testing.assert_allclose(
         found.gains[0].after, alone.parameters[index].standard_error, rtol=1e-9
     )
-    np.testing.assert_allclose(found.gains[0].before, 1e5 * PRIOR, rtol=1e-12)
+    assert found.gains[0].before == np.inf
+    assert found.gains[0].words.startswith("sees what nothing saw before, E of ")
+    assert ": blind to " in found.gains[0].words
     assert found.blind_before == 2
 
 

@@ -153,10 +153,9 @@ def test_a_marker_near_the_clamp_cannot_see_the_tip():
     assert found.verdict == tip.verdict == "not identifiable"
     assert root.verdict != "not identifiable"
     assert [d.words for d in found.blind] == ["E of tip"]
-    # What the bounds say, and nothing more.
-    width = np.log(1e6 / 3e4) / np.sqrt(12.0)
-    assert tip.standard_error == pytest.approx(1e5 * width, rel=1e-3)
-    assert tip.prior == pytest.approx(1e5 * width)
+    # More than its value, whatever the bounds.
+    assert tip.standard_error > 1e5
+    assert tip.prior is None
 
 
 def test_both_clamps_see_both_halves():

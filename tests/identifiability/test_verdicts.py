@@ -1,15 +1,25 @@
 """Verdicts on compliances made by hand, whose answers are known in closed form."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from softcal_jax.calibration import uncertainty
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import (
+    Parameter,
+    ParameterSpace,
+    clamp_stiffness,
+    friction,
+    gravity_tilt,
+    load_factor,
+    motor_zero,
+    mounting,
+    recording_offset,
+)
 from softcal_jax.identifiability import identifiability
-from softcal_jax.identifiability._spread import direction_words, marginalised
-
-ROOT_12 = np.sqrt(12.0)
+from softcal_jax.identifiability._spread import direction_words, information, spread_of
 
 
 def modulus(name="E", start=1e5, ratio=100.0):
@@ -30,41 +40,42 @@ def judge(W, *parameters, **keywords):
 
 
 def test_a_product_is_seen_and_its_ratio_is_not():
-    """Data of c ln(E a) only: 1/c for the product, the bounds' width for the ratio."""
-    c, prior = 200.0, np.log(100.0) / ROOT_12
+    """Data of c ln(E a) only: 1/c for the product, nothing for the ratio."""
+    c, asked = 200.0, 0.1
     found = judge([[c, c], [-c, -c]], modulus("E"), modulus("a"))
     assert found.verdict == "not identifiable"
     seen, blind = found.directions
     assert (seen.words, seen.verdict) == ("E and a up together", "identifiable")
     assert (blind.words, blind.verdict) == ("E up while a down", "not identifiable")
     assert found.blind == (blind,)
-    np.testing.assert_allclose(seen.signal, 2.0 * c * prior, rtol=1e-12)
-    assert blind.spread == pytest.approx(1.0)
-    # Each is half the sum (known) and half the difference (the prior's).
-    variance = 0.5 * prior**2 * (1.0 + 1.0 / (1.0 + seen.signal**2))
-    np.testing.assert_allclose(np.diag(found.covariance), variance, rtol=1e-12)
-    assert found.correlation[0, 1] < -0.999
-    assert all(p.data_only == np.inf for p in found.parameters)
+    # ln(E a) has the error 1 / (c root 2); half of it is the share of each.
+    np.testing.assert_allclose(seen.ratio, 1.0 / (2.0 * c * np.sqrt(2.0)) / asked)
+    assert blind.ratio == np.inf
+    np.testing.assert_array_equal(np.diag(found.covariance), np.inf)
+    assert all(p.standard_error == p.data_only == np.inf for p in found.parameters)
     assert found.conditioning.condition_weighted == np.inf
 
 
-def test_the_blind_direction_of_unequal_bounds_is_in_units_of_the_bounds():
-    """W = (1, 1) with priors 2 : 1 is blind along (-1, 2), not (-1, 1)."""
-    wide = modulus("wide", ratio=1e4)
-    narrow = modulus("narrow", ratio=1e2)
-    blind = judge([[50.0, 50.0]], wide, narrow).directions[1]
+def test_the_blind_direction_is_in_units_of_what_is_asked():
+    """W = (1, 1) with errors of 10 % and 0.05 asked for is blind along (1, -2)."""
+    ratio = Parameter("nu", "nu", 0.3, 0.0, 0.5, scale="linear", S=1.0)
+    blind = judge([[50.0, 50.0]], modulus(), ratio).directions[1]
     expected = np.array([-1.0, 2.0]) / np.sqrt(5.0)
     np.testing.assert_allclose(blind.components, expected, atol=1e-12)
-    # The data see the wide one (share 0.8): the narrow one is what is missing.
-    assert blind.words == "narrow up while wide down"
+    # The data see the modulus (share 0.8): the ratio is what is missing.
+    assert blind.words == "nu up while E down"
 
 
 def test_covariance_is_the_inverse_of_both_informations():
     W = np.random.default_rng(1).normal(size=(9, 3))
-    parameters = (modulus("E"), angle(S=0.1), modulus("b", ratio=4.0))
+    prior = 0.7
+    parameters = (
+        modulus("E"),
+        angle(S=0.1),
+        replace(modulus("b", ratio=4.0), prior_std=jnp.asarray(prior)),
+    )
     found = judge(W, *parameters)
-    prior = np.array([np.log(100.0), np.pi / 0.1, np.log(4.0)]) / ROOT_12
-    expected = np.linalg.inv(W.T @ W + np.diag(prior**-2.0))
+    expected = np.linalg.inv(W.T @ W + np.diag([0.0, 0.0, prior**-2.0]))
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-11)
     std = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
@@ -74,9 +85,17 @@ def test_covariance_is_the_inverse_of_both_informations():
     in_si = std * np.array([1e5, 0.1, 1e5])
     errors = [p.standard_error for p in found.parameters]
     np.testing.assert_allclose(errors, in_si, rtol=1e-11)
-    np.testing.assert_allclose([p.spread for p in found.parameters], std / prior)
+    # 10 % of a modulus and 0.1 rad of an axis are asked for.
+    np.testing.assert_allclose([p.asked for p in found.parameters], [1e4, 0.1, 1e4])
+    np.testing.assert_allclose(
+        [p.ratio for p in found.parameters], in_si / [1e4, 0.1, 1e4]
+    )
     relative = [p.relative for p in found.parameters]
     assert relative == [pytest.approx(std[0]), None, pytest.approx(std[2])]
+    assert [p.prior for p in found.parameters] == [None, None, pytest.approx(7e4)]
+    # Without the prior, as the data alone would have it.
+    alone = 1e5 * np.sqrt(np.linalg.inv(W.T @ W)[2, 2])
+    assert found.parameters[2].data_only == pytest.approx(alone)
 
 
 def test_data_alone_give_the_standard_errors_of_a_calibration():
@@ -109,20 +128,42 @@ def test_rounding_does_not_pass_for_a_sensitivity():
 
 
 @pytest.mark.parametrize(
-    ("spread", "expected"),
+    ("error", "expected"),
     [
         (0.0999, "identifiable"),
         (0.1001, "weakly identifiable"),
-        (0.4999, "weakly identifiable"),
-        (0.5001, "not identifiable"),
+        (0.2999, "weakly identifiable"),
+        (0.3001, "not identifiable"),
     ],
 )
-def test_thresholds(spread, expected):
-    """Signal to noise per prior standard deviation that leaves a given spread."""
-    signal = np.sqrt(1.0 / spread**2 - 1.0)
-    found = judge([[signal * ROOT_12 / np.log(100.0)]], modulus())
+@pytest.mark.parametrize("ratio", [1.1, 100.0])
+def test_thresholds(error, expected, ratio):
+    """Relative standard errors at 10 and 30 %, whatever the bounds."""
+    found = judge([[1.0 / error]], modulus(ratio=ratio))
     assert found.verdict == found.parameters[0].verdict == expected
-    assert found.parameters[0].spread == pytest.approx(spread, rel=1e-9)
+    assert found.directions[0].verdict == expected
+    assert found.parameters[0].relative == pytest.approx(error, rel=1e-9)
+
+
+@pytest.mark.parametrize("upper", [1e5, 1e6])
+def test_a_constant_known_to_44_percent_is_not_identifiable(upper):
+    """A constant of Mooney and Rivlin of 33 kPa, with bounds from zero."""
+    c2 = Parameter("c2", "c2", 33e3, 0.0, upper, scale="linear", unit="Pa")
+    found = judge([[upper / (0.44 * 33e3)]], c2)
+    assert found.verdict == "not identifiable"
+    assert found.parameters[0].relative == pytest.approx(0.44)
+    assert "bounds" not in str(found).replace("Bounds do not count", "")
+    # Somebody may ask for less.
+    half = judge([[upper / (0.44 * 33e3)]], c2, precision=0.5)
+    assert half.verdict == "identifiable"
+
+
+def test_the_text_does_not_depend_on_the_bounds():
+    texts = [
+        str(judge([[5.0, 1.0], [1.0, 4.0]], modulus(ratio=r), modulus("a")))
+        for r in (2.0, 1e4)
+    ]
+    assert texts[0] == texts[1]
 
 
 @pytest.mark.parametrize("S", [0.01, 1.0, 7.0])
@@ -130,11 +171,67 @@ def test_the_scaling_of_a_parameter_decides_nothing(S):
     """W = S dy/dp: the same sensitivity in SI units, whatever unit is calibrated."""
     slope = np.array([[4.0], [3.0]])  # noise units per rad
     found = judge(S * slope, angle(S=S))
-    prior = np.pi / ROOT_12
-    error = 1.0 / np.sqrt(25.0 + prior**-2)
-    np.testing.assert_allclose(found.parameters[0].standard_error, error)
-    np.testing.assert_allclose(found.parameters[0].prior, prior)
-    np.testing.assert_allclose(found.parameters[0].data_only, 1.0 / 5.0)
+    np.testing.assert_allclose(found.parameters[0].standard_error, 1.0 / 5.0)
+    np.testing.assert_allclose(found.parameters[0].asked, 0.1)
+    assert found.verdict == "weakly identifiable"
+
+
+def test_a_stated_prior_counts_like_a_measurement():
+    """Known to 5 % before: identifiable, though no data see it, and it says so."""
+    known = replace(modulus(), prior_std=jnp.asarray(0.05))
+    found = judge(np.zeros((3, 1)), known)
+    assert found.verdict == "identifiable"
+    assert found.parameters[0].data_only == np.inf
+    assert found.informed == 0
+    text = str(found)
+    assert "A stated prior counts like a measurement." in text
+    assert "from data alone" in text
+    assert "5 kPa (5 %)" in text
+    assert "The data tell more than the prior along 0 of 1 direction." in text
+    assert judge([[30.0]], known).informed == 1  # 3.3 % by the data
+
+
+@pytest.mark.parametrize(
+    ("entry", "asked"),
+    [
+        (motor_zero("m", limit=0.2, prior_std=None), np.deg2rad(0.5)),
+        (gravity_tilt(limit=0.2, prior_std=None)[0], np.deg2rad(1.0)),
+        (recording_offset(limit=0.1, prior_std=None)[0], 0.5e-3),
+        (mounting("b", (0.1, 0.0, 0.0), limit=0.1, prior_std=None)[0], 0.5e-3),
+        (friction("c", 0.2, limit=0.1, prior_std=None), 0.1),
+        (load_factor(prior_std=None), 0.1),
+        (clamp_stiffness("x_min", 1e6, prior_std=None), 1e5),
+        (Parameter("nu", "law.nu", 0.4, 0.0, 0.49, scale="linear"), 0.05),
+        (Parameter("rho", "density", 1e3, 5e2, 2e3, unit="kg/m^3"), 100.0),
+        (angle(), 0.1),
+    ],
+    ids=lambda value: getattr(value, "label", None),
+)
+def test_what_is_asked_of_each_kind(entry, asked):
+    """The table of `softcal_jax.fields._precision`, in SI units."""
+    space = ParameterSpace((entry,))
+    found = identifiability(np.ones((1, 1)), space, space.start())
+    assert found.parameters[0].asked == pytest.approx(asked)
+    finer = identifiability(np.ones((1, 1)), space, space.start(), precision=0.05)
+    assert finer.parameters[0].asked == pytest.approx(0.5 * asked)
+
+
+def test_a_value_of_zero_has_no_relative_error():
+    c2 = Parameter("c2", "c2", 0.0, 0.0, 1e5, scale="linear", unit="Pa")
+    found = judge([[10.0]], c2)
+    assert found.verdict == "not identifiable"
+    assert found.parameters[0].standard_error == pytest.approx(1e4)
+
+
+def test_a_direction_is_judged_by_what_it_does_to_a_parameter():
+    """Two moduli with errors of 9.9 % each, which are all but one error."""
+    C = 0.099**2 * np.array([[1.0, -0.999], [-0.999, 1.0]])
+    W = np.linalg.cholesky(np.linalg.inv(C)).T
+    found = judge(W, modulus("E"), modulus("a"))
+    assert [p.verdict for p in found.parameters] == ["identifiable"] * 2
+    assert [d.verdict for d in found.directions] == ["identifiable"] * 2
+    worst = found.directions[1]
+    np.testing.assert_allclose(worst.ratio, 0.99 * np.sqrt(0.9995), rtol=1e-9)
 
 
 def test_unseen_parameters_are_named_one_by_one():
@@ -196,10 +293,13 @@ def test_whatever_the_data_there_is_a_verdict_without_nan(case):
     W = CASES[case]
     found = judge(W, modulus("E"), angle())
     assert found.verdict == ("identifiable" if case == "huge" else "not identifiable")
-    assert np.all(np.isfinite(found.covariance))
-    assert np.all(np.isfinite(found.correlation))
+    assert len(found.directions) == 2
+    vectors = np.stack([d.components for d in found.directions])
+    np.testing.assert_allclose(vectors @ vectors.T, np.eye(2), atol=1e-12)
+    assert not np.any(np.isnan(np.diag(found.covariance)))
     assert "nan" not in str(found)
-    assert all(0.0 <= p.spread <= 1.0 + 1e-12 for p in found.parameters)
+    assert "inf" not in str(found).split("Condition")[0]
+    assert all(p.ratio >= 0.0 for p in found.parameters)
     assert found.n_data == int(np.any(W != 0, axis=1).sum())
 
 
@@ -216,27 +316,26 @@ def test_report_is_in_the_units_of_a_person():
     lines = text.splitlines()
     first = "Not identifiable at these values: 1 measured coordinate for 2 parameters."
     assert lines[0] == first
-    assert "100 kPa    3.33 kPa (3.3 %)" in text
-    # The bounds of 180 degrees leave 180 / root 12 = 52 degrees.
-    assert "17.19 deg  52 deg" in text
-    assert "theta of CP 2 (100 %)" in text
+    assert "100 kPa    3.33 kPa (3.3 %)  10 kPa    identifiable" in text
+    assert "17.19 deg  blind             5.73 deg  not identifiable" in text
+    assert "theta of CP 2 (blind)" in text
     assert "At least 1 more measured coordinate is needed." in text
     assert "ranking candidates" in text
-    assert "takes the bounds for knowledge" in text
+    assert "Bounds do not count." in text
 
 
 def test_a_good_verdict_asks_for_nothing():
     text = str(judge(1e3 * np.eye(2), modulus("E"), angle()))
     assert text.startswith("Identifiable at these values")
     assert "What to do" not in text
-    assert "knowledge" not in text  # the bounds hardly count
+    assert "prior" not in text
     assert "hardly see" not in text
 
 
 def test_many_blind_directions_are_counted():
     found = judge(np.zeros((1, 12)), *(modulus(f"p{i}") for i in range(12)))
     assert "and 4 more." in str(found)
-    assert str(found).count("(100 %)") == 8
+    assert str(found).count("(blind)") == 8
 
 
 def test_noise_scale_divides_the_signal():
@@ -264,19 +363,47 @@ def test_a_device_array_does_for_z():
 
 
 def test_errors_that_are_considered_widen_the_covariance():
-    """(I + R^T R)^-1 is C + D D^T, for errors that leave it below the prior's."""
+    """C + D D^T with D = C W^T W_c, in closed form."""
     random = np.random.default_rng(7)
-    G, W_c = 10.0 * random.normal(size=(9, 3)), random.normal(size=(9, 2))
-    C = np.linalg.inv(np.eye(3) + G.T @ G)
-    D = C @ G.T @ W_c
-    R = marginalised(G, W_c)
+    W, W_c = 10.0 * random.normal(size=(9, 3)), random.normal(size=(9, 2))
+    weights = np.array([0.0, 2.0, 0.0])
+    parameters = [modulus(name) for name in "abc"]
+    parameters[1] = replace(parameters[1], prior_std=jnp.asarray(0.5))
+    C = np.linalg.inv(W.T @ W + np.diag(weights**2))
+    D = C @ W.T @ W_c
+    found = judge(W, *parameters, W_c=W_c)
+    np.testing.assert_allclose(found.covariance, C + D @ D.T, rtol=1e-10)
+
+
+def test_information_is_the_inverse_of_the_covariance():
+    random = np.random.default_rng(8)
+    G, W_c = random.normal(size=(9, 3)), random.normal(size=(9, 2))
+    F = spread_of(G, W_c, np.zeros(3)).factor
     np.testing.assert_allclose(
-        np.linalg.inv(np.eye(3) + R.T @ R), C + D @ D.T, rtol=1e-10, atol=1e-12
+        information(G, W_c) @ F @ F.T, np.eye(3), rtol=0, atol=1e-12
     )
 
 
-def test_errors_cannot_make_data_worse_than_none():
-    """What would be off by more than the prior allows is not told at all."""
-    R = marginalised(np.array([[3.0, 0.0], [0.0, 100.0]]), np.array([[50.0], [0.0]]))
-    variance = np.diag(np.linalg.inv(np.eye(2) + R.T @ R))
-    np.testing.assert_allclose(variance, [1.0, 1.0 / (1.0 + 1e4)], rtol=1e-9)
+def test_the_principal_errors_of_a_covariance_are_the_directions():
+    """Eigenvalues of C + D D^T in units of what is asked."""
+    random = np.random.default_rng(9)
+    W, W_c = 100.0 * random.normal(size=(9, 3)), 30.0 * random.normal(size=(9, 2))
+    found = judge(W, *(modulus(name) for name in "abc"), W_c=W_c)
+    variance, V = np.linalg.eigh(found.covariance / 0.1**2)
+    expected = np.sqrt(variance) * np.max(np.abs(V), axis=0)
+    np.testing.assert_allclose(
+        [d.ratio for d in found.directions], np.sort(expected), rtol=1e-9
+    )
+
+
+def test_informed_directions_are_those_that_data_see_better_than_the_prior():
+    """Singular values above 1 of the compliances per prior standard deviation."""
+    W = np.random.default_rng(10).normal(size=(9, 5)) * np.logspace(-1, 2, 5)
+    stds = np.array([0.3, 0.1, 0.2, 0.01, 0.05])
+    parameters = [
+        replace(modulus(name), prior_std=jnp.asarray(std))
+        for name, std in zip("abcde", stds, strict=True)
+    ]
+    expected = int(np.sum(np.linalg.svd(W * stds, compute_uv=False) > 1.0))
+    assert judge(W, *parameters).informed == expected
+    assert 0 < expected < 5

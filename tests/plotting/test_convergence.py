@@ -59,6 +59,8 @@ def test_a_converged_run_with_a_parameter_on_its_bound_is_not_green():
     title = "beam: converged in 4 steps, but take the values with care"
     assert figure.get_suptitle() == title
     assert figure._suptitle.get_color() == DOUBTFUL
+    reasons = figure.axes[0].get_title(loc="left")
+    assert reasons == "nu ended on a bound."
 
 
 def test_a_run_that_did_not_converge_never_looks_good():

@@ -266,6 +266,13 @@ CASES = {
         ),
         "settings.intervals: got 95; expected a level like 0.95, or 0 for none.",
     ),
+    "precision": (
+        (
+            '[[configurations]]\nname = "weight"',
+            '[settings]\nprecision = 0.0\n\n[[configurations]]\nname = "weight"',
+        ),
+        "settings.precision: got 0; expected a share like 0.1, for 10 %.",
+    ),
     "newton": (
         (
             '[[configurations]]\nname = "weight"',

@@ -178,6 +178,13 @@ def test_own_on_top_of_shared(tmp_path):
     assert pulled.markers.names == ("tip", "side")
 
 
+def test_precision_that_is_asked_for(tmp_path):
+    assert load_project(write_small_project(tmp_path)).precision == 0.1
+    asked = "[settings]\nprecision = 0.05\n\n[markers]\n"
+    path = write_small_project(tmp_path, ("[markers]\n", asked))
+    assert load_project(path).precision == 0.05
+
+
 @pytest.mark.parametrize(
     ("asked", "level"), [("", 0.95), ("intervals = 0.9", 0.9), ("intervals = 0", None)]
 )

@@ -1,0 +1,90 @@
+"""How precisely each kind of parameter is asked for: the scale of every verdict.
+
+For a precision p, 0.1 by default, the asked standard error is
+
+    moduli and other constants of a law, densities,
+    factors, stiffnesses                             p times the value
+    angles of axes                                   p rad, 5.7 degrees
+    Poisson's ratios                                 p / 2
+    friction                                         p, a tenth of a pull per radian
+    zeros of motors, mountings, tilts of gravity,
+    offsets and turns of a recording                 10 p times the default `Uncertain`
+
+so that an error of the setup counts as found once it is known as well as careful work
+leaves it. Bounds do not enter: they are typed, not measured.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.fields._parameters import Parameter
+from softcal_jax.fields._setup import SetupParameter
+from softcal_jax.fields._space import ParameterSpace
+from softcal_jax.fields._uncertain import Uncertain
+
+PRECISION = 0.1
+"""Standard error that is asked for by default, relative to the value [-]."""
+
+_LIKE = {
+    "motor_zero": "zeros",
+    "mounting": "mountings",
+    "gravity_tilt": "gravity",
+    "recording_offset": "recordings",
+    "recording_turn": "gravity",
+}
+"""Entry of `Uncertain` whose default is asked for, by the kind of the setup."""
+
+_LEAST = 1e-9
+"""Smallest scaled standard error that is asked for: a value of zero has none [-]."""
+
+
+def asked_errors(
+    space: ParameterSpace,
+    z: Float[Array | HostArray, " n_p"],
+    precision: float = PRECISION,
+) -> Float[HostArray, " n_p"]:
+    """Return the standard errors of the scaled parameters that are asked for [-].
+
+    Args:
+        space: The parameters.
+        z: Their scaled values [-].
+        precision: The precision p of the table above [-].
+
+    Raises:
+        ValueError: If the precision is not positive and finite.
+    """
+    check_precision(precision)
+    values = np.asarray(space.from_scaled(jnp.asarray(z)))
+    kinds = [
+        entry.kind if isinstance(entry, SetupParameter) else ""
+        for entry in space.entries
+        for _ in entry.parameters
+    ]
+    asked = []
+    for parameter, kind, value in zip(space.parameters, kinds, values, strict=True):
+        in_si = precision * _unit(parameter, kind, abs(float(value)))
+        log = parameter.scale == "log"
+        asked.append(in_si / (float(value) if log else float(parameter.unit_step)))
+    return np.maximum(asked, _LEAST)
+
+
+def check_precision(precision: float) -> None:
+    """Raise ValueError unless a precision is positive and finite."""
+    if not 0.0 < precision < np.inf:
+        raise ValueError(
+            f"precision must be positive and finite, got {precision:g}; 0.1 asks for "
+            "10 % of a value."
+        )
+
+
+def _unit(parameter: Parameter, kind: str, size: float) -> float:
+    """Return the standard error asked for by a precision of 1, in SI units."""
+    if kind in _LIKE:
+        return getattr(Uncertain(), _LIKE[kind]) / PRECISION
+    constant = parameter.field.rpartition(".")[2]
+    if kind == "friction" or parameter.unit == "rad" or constant == "theta":
+        return 1.0
+    if (constant + "_").startswith("nu_"):
+        return 0.5
+    return size

@@ -1,0 +1,102 @@
+"""Calibrations that cannot tell anything are refused, before or at the first solve."""
+
+import numpy as np
+import pytest
+
+from softcal_jax.calibration import calibrate
+from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
+from softcal_jax.equilibrium import build_model
+from softcal_jax.fields import (
+    Parameter,
+    exactly_known,
+    gravity_tilt,
+    load_factor,
+    recording_offset,
+)
+from softcal_jax.identifiability import identify
+from softcal_jax.materials import NeoHookean
+from softcal_jax.mesh import TetMesh, beam
+
+TIP, CLAMPED = (0.1, 0.01, 0.0), (0.0, 0.01, 0.02)
+DOWN = (0.0, 0.0, -9.81)
+E = Parameter("E", "E", 1e5, 3e4, 1e6, unit="Pa")
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A beam whose first cell is a group."""
+    box = beam(0.1, 0.02, 0.02, (4, 1, 1))
+    first = box.points[box.tets].mean(axis=1)[:, 0] < 0.025
+    groups = {"first": np.flatnonzero(first)}
+    mesh = TetMesh(box.points, box.tets, box.node_groups, box.surface_groups, groups)
+    return build_model(mesh, NeoHookean(np.full(mesh.n_tets, 1e5), 0.3), density=1e3)
+
+
+def pose(where=TIP, *, gravity=DOWN, held="x_min", loads=()):
+    places = np.array([where])
+    markers = Markers(["m"], places)
+    return Configuration("pose", [Support(held)], gravity, loads, markers, places)
+
+
+def refused(model, parameters, configuration, match):
+    with pytest.raises(ValueError, match=match):
+        calibrate(model, parameters, configuration, uncertain=exactly_known())
+
+
+def test_all_markers_on_the_clamp(model):
+    refused(model, E, pose(CLAMPED), "nothing to learn: all markers are on parts that")
+
+
+def test_a_marker_on_the_clamp_tells_where_the_recording_is(model):
+    offset = recording_offset(limit=0.01, prior_std=None)
+    result = calibrate(model, offset, pose(CLAMPED), uncertain=exactly_known())
+    assert result.converged
+    np.testing.assert_allclose([p.value for p in result.parameters], 0.0, atol=1e-9)
+
+
+def test_a_region_that_is_held(model):
+    cell = np.flatnonzero(model.mesh.points[:, 0] < 0.026)
+    own = Parameter("E of first", "E", 1e5, 3e4, 1e6, region="first", unit="Pa")
+    match = "nothing to learn of 'E of first': all tets of 'first' are held in every"
+    refused(model, own, pose(held=cell), match)
+
+
+@pytest.mark.parametrize(
+    ("entry", "match"),
+    [
+        (
+            Parameter("rho", "density", 1e3, 5e2, 2e3, unit="kg/m^3"),
+            "'rho': no configuration has gravity",
+        ),
+        (
+            gravity_tilt(prior_std=None)[0],
+            "'first tilt of gravity': no configuration has gravity",
+        ),
+        (
+            load_factor(prior_std=0.05),
+            "'factor of loads': no configuration has a dead load",
+        ),
+    ],
+    ids=["density", "tilt", "loads"],
+)
+def test_what_no_configuration_depends_on(model, entry, match):
+    refused(model, [E, entry], pose(gravity=(0.0, 0.0, 0.0)), match)
+
+
+def test_a_body_without_any_load_is_refused_at_its_first_equilibrium(model):
+    """It stays as it is with any modulus; once "converged, E = 1e5 +- nan"."""
+    still = pose(gravity=(0.0, 0.0, 0.0))
+    match = r"nothing to learn of 'E': no measured coordinate moves .*Check that a load"
+    refused(model, E, still, match)
+    # The question what it would tell has an answer.
+    found = identify(model, E, still, uncertain=exactly_known())
+    assert found.verdict == "not identifiable"
+
+
+def test_one_blind_parameter_among_others_is_no_error(model):
+    """The load pulls at the clamp, where no factor of it moves anything."""
+    clamped = pose(loads=[SurfaceForce("x_min", (0.0, 0.0, 1.0))])
+    both = [E, load_factor(prior_std=None)]
+    result = calibrate(model, both, clamped, uncertain=exactly_known())
+    assert not np.any(result.W_ep[:, 1])
+    assert np.isnan(result.parameters[1].standard_error)
