@@ -247,6 +247,7 @@ def calibrate(
             before=before.effectors,
             after=evaluation.effectors,
             solution=evaluation.equilibrium,
+            noise=weighed.noise,
         )
         spread = _uncertainty(problem, state.z, evaluation, noise, weighed.scale)
         budget = workers.end_of(
@@ -341,6 +342,7 @@ def _predict(
         before=jnp.where(held, first.effectors, jnp.nan),
         after=last.effectors,
         solution=last.equilibrium,
+        noise=problem.noise,
     )
     notes = [
         f"{c.name} is not predicted: with the calibrated parameters it has no "

@@ -130,6 +130,7 @@ def weighed_fit(
         noise, evaluate = new, evaluate.with_noise(new)
         evaluation = in_other_units(evaluate.numbered, state.evaluation)
         state = initial_state(settings, state.z, evaluation)
+    notes += _found(noise, unknown)
     return Weighed(state, noise, unknown, scale, tuple(notes))
 
 
@@ -227,6 +228,20 @@ def _estimated(
         errors, parts, factors=[float(noise.jitter), 1.0, 1.0, 1.0], free=free
     )
     return noise.scaled(jitter=jitter, offset=offset, share=share, of=unknown.share)
+
+
+def _found(noise: CorrelatedNoise, unknown: Unknown) -> list[str]:
+    """Say what was found for offsets and shares of the motion."""
+    notes = []
+    if unknown.offset:
+        size = 1e3 * float(np.max(noise.offset, initial=0.0))
+        notes.append(f"The residuals show recordings to be off by {size:.2g} mm.")
+    if unknown.share.any():
+        size = 100.0 * float(np.max(np.asarray(noise.share)[unknown.share]))
+        notes.append(
+            f"The residuals show {size:.2g} % of the motion to be creep or hysteresis."
+        )
+    return notes
 
 
 def _change(old: CorrelatedNoise, new: CorrelatedNoise) -> float:
