@@ -78,6 +78,30 @@ class Weighed(NamedTuple):
     scale: float | None
     notes: tuple[str, ...]
 
+    def of_others(
+        self,
+        begin: CorrelatedNoise,
+        others: CorrelatedNoise,
+        configurations: Sequence[Configuration],
+    ) -> CorrelatedNoise:
+        """Return the noise of other configurations with what was found.
+
+        Args:
+            begin: The noise of the fitted ones to begin with.
+            others: That of the others to begin with.
+            configurations: These others.
+        """
+        which, noise = self.unknown.share, self.noise
+        largest = lambda a: float(np.max(np.abs(a), initial=0.0))
+        ratio = lambda a, b: largest(a) / largest(b) if largest(b) > 0.0 else 1.0
+        shares = (np.asarray(n.share)[which] for n in (noise, begin))
+        return others.scaled(
+            jitter=float(noise.jitter),
+            offset=ratio(noise.offset, begin.offset),
+            share=ratio(*shares),
+            of=np.array([c.relative_std == "estimated" for c in configurations]),
+        )
+
 
 def unknown_noise(
     configurations: Sequence[Configuration], *, jitter: bool, offset: bool

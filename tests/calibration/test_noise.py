@@ -268,3 +268,15 @@ def test_another_recording_tells_more_than_another_pose_of_the_same():
         for both in (same, other)
     ]
     assert errors[0] != pytest.approx(errors[1], rel=0.05)
+
+
+def test_a_held_out_recording_is_asked_too():
+    """It is independent of the fit, so the variances add up."""
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    known = replace(exactly_known(), recordings=2e-5)
+    result, alone = fit(data[:3], known, validation=data[3:]), fit(data[3:], known)
+    (own,) = [e for e in result.checks.recordings if e.recording == "load 3"]
+    stds = [r.parameters[0].standard_error for r in (result, alone)]
+    np.testing.assert_allclose(own.value, alone.value("E"), rtol=1e-3)
+    apart = (own.value - result.value("E")) / np.hypot(*stds)
+    np.testing.assert_allclose(own.apart, apart, rtol=3e-2, atol=3e-2)
