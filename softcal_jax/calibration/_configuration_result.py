@@ -1,6 +1,6 @@
 """One configuration at equilibrium: its effectors, measured and simulated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._noise import CorrelatedNoise, whitened
 from softcal_jax.calibration._uncertainty import UNLIKELY
 from softcal_jax.configurations import (
     Configuration,
@@ -51,6 +52,8 @@ class ConfigurationResult(eqx.Module):
             for a body without rigid bodies and actuators.
         W_ep: Compliances of the rows of its effectors, in their units, per unit of
             lambda_p; None where nothing was calibrated.
+        columns: Correlated part of the noise of all coordinates, in the order of the
+            effectors, in units of their standard deviations; see `CorrelatedNoise` [-].
     """
 
     name: str
@@ -65,6 +68,7 @@ class ConfigurationResult(eqx.Module):
     min_det_F: float
     robot: RobotState | None = None
     W_ep: Float[HostArray, "n_rows 3 n_p"] | None = None
+    columns: Float[HostArray, "n_coordinates n_columns"] | None = None
 
     @property
     def points(self) -> tuple[EffectorRecord, ...]:
@@ -140,16 +144,35 @@ class ConfigurationResult(eqx.Module):
         Args:
             noise_scale: Factor on the stated standard deviations [-].
         """
-        pairs = [(e, e.simulated) for e in self.effectors]
-        return _chance(pairs, noise_scale)
+        return self._chance(lambda e: e.simulated, noise_scale)
 
-    def stays(self, noise_scale: float = 1.0) -> bool:
-        """Return whether the noise alone explains that its markers are not at rest.
+    @property
+    def stays(self) -> bool:
+        """Whether the stated noise explains that its markers are not at rest."""
+        return self._chance(lambda e: e.at_rest, points=True) >= UNLIKELY
 
-        Args:
-            noise_scale: Factor on the stated standard deviations [-].
+    def _chance(
+        self,
+        value: Callable[[EffectorRecord], Float[HostArray, " k"]],
+        noise_scale: float = 1.0,
+        *,
+        points: bool = False,
+    ) -> float:
+        """Compute the probability that noise alone puts effectors as far from values.
+
+        From the chi-squared distribution of the measured coordinates; NaN without any.
+        With `points`, of these alone.
         """
-        return _chance([(e, e.at_rest) for e in self.points], noise_scale) >= UNLIKELY
+        counts = [e.quantity == "point" or not points for e in self.effectors]
+        asked = [e for e, own in zip(self.effectors, counts, strict=True) if own]
+        own = [e.error(value(e)) / e.std for e in asked]
+        errors = np.concatenate([np.zeros(0), *own]) / noise_scale
+        if self.columns is not None:
+            sizes = [len(e.std) for e in self.effectors]
+            rows = np.repeat(np.array(counts, bool), sizes)
+            errors = whitened(self.columns[rows] / noise_scale, errors)
+        n = sum(int(e.seen.sum()) for e in asked)
+        return float(chdtrc(n, np.sum(errors**2))) if n else float("nan")
 
     def misfit(
         self, noise: Literal["stated", "estimated"], noise_scale: float = 1.0
@@ -158,15 +181,16 @@ class ConfigurationResult(eqx.Module):
 
         Residuals that a stated noise explains are no misfit, however large. A noise
         that is estimated from the residuals explains nothing, but for a pose whose
-        markers did not move: there is no motion to compare its residuals with.
+        markers did not move (within the stated noise, since a wrong pose raises the
+        estimated one): there is no motion to compare its residuals with.
 
         Args:
             noise: Where the noise comes from.
-            noise_scale: Factor on the stated standard deviations, 1 for stated noise.
+            noise_scale: Factor on the stated standard deviations, see
+                `Uncertainty.level`.
         """
-        scale = noise_scale if np.isfinite(noise_scale) and noise_scale > 0.0 else 1.0
-        compared = noise == "stated" or self.stays(scale)
-        if compared and self.noise_probability(scale) >= UNLIKELY:
+        compared = noise == "stated" or self.stays
+        if compared and self.noise_probability(noise_scale) >= UNLIKELY:
             return None
         if self.role == "calibration" and self.rms_after > self.rms_before:
             return "worse than before"
@@ -182,18 +206,6 @@ def _rms(errors: Sequence[Float[HostArray, "3"]] | HostArray) -> float:
     if len(errors) == 0:
         return float("nan")
     return float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
-
-
-def _chance(
-    values: Sequence[tuple[EffectorRecord, Float[HostArray, " k"]]], noise_scale: float
-) -> float:
-    """Compute the probability that noise alone puts effectors as far from values [-].
-
-    From the chi-squared distribution of the measured coordinates; NaN without any.
-    """
-    n = sum(int(e.seen.sum()) for e, _ in values)
-    squares = sum(float(np.sum((e.error(v) / e.std) ** 2)) for e, v in values)
-    return float(chdtrc(n, squares / noise_scale**2)) if n else float("nan")
 
 
 class SimulationResult(eqx.Module):
@@ -223,11 +235,13 @@ def configuration_results(
     after: Float[Array, "n_c n_rows 3"],
     W_ep: Float[Array, "n_e n_p"],
     solution: EquilibriumSolution,
+    noise: CorrelatedNoise,
 ) -> tuple[ConfigurationResult, ...]:
     """Describe the fitted or predicted configurations that have an equilibrium.
 
     Effectors `before` are those with the start parameters; `model`, effectors `after`,
-    stacked compliances `W_ep` and `solution` those with the calibrated ones.
+    stacked compliances `W_ep` and `solution` those with the calibrated ones. `noise` is
+    theirs.
     """
     effectors = [
         tuple(
@@ -242,11 +256,26 @@ def configuration_results(
         model, configurations, lanes.arrays, solution, role=role, effectors=effectors
     )
     compliances = np.asarray(W_ep).reshape(*np.shape(after), -1)
+    columns = _columns(lanes, noise)
     return tuple(
-        replace(result, W_ep=own)
-        for result, own in zip(found, compliances, strict=True)
+        replace(result, W_ep=W, columns=A)
+        for result, W, A in zip(found, compliances, columns, strict=True)
         if result.converged
     )
+
+
+def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArray]:
+    """Return the correlated noise of each configuration alone, see its results."""
+    arrays = lanes.arrays.effectors
+    host_noise, effectors = jax.tree.map(np.asarray, (noise, arrays))
+    A = np.asarray(host_noise.columns(effectors)) * host_noise.jitter
+    A = A.reshape(*effectors.inverse_std.shape, -1)
+    found = []
+    for own, records in zip(A, lanes.effectors, strict=True):
+        rows = [own[e.index, : len(e.std)] for e in records]
+        stacked = np.concatenate([np.zeros((0, A.shape[-1])), *rows])
+        found.append(stacked[:, np.any(stacked != 0.0, axis=0)])
+    return found
 
 
 def simulation_result(
