@@ -239,9 +239,18 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
         return intervals
 
     monkeypatch.setattr("softcal_jax.calibration._checked_intervals._intervals", found)
-    last, none = result.history[-1], np.zeros(0)
-    first = Optimum(last.cost, last.values, (0,))
-    starts = MultiStartResult((), none, none, none, none, none, none, none, (first,))
+    last, none = result.history[-1], np.zeros((0, 2))
+    starts = MultiStartResult(
+        names=tuple(result.space.names),
+        starts=none,
+        values=none,
+        z=none,
+        cost=none[:, 0],
+        steps=none[:, 0].astype(int),
+        converged=none[:, 0].astype(bool),
+        errors=none,
+        optima=(Optimum(last.cost, last.values, (0,)),),
+    )
     fitted = of_problem(replace(result, starts=starts), poses)
 
     def go_on(done, z):
