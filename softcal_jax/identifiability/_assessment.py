@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from softcal_jax.calibration import (
+    EXACT,
     MESH,
     CalibrationResult,
     ErrorBudget,
@@ -15,9 +16,6 @@ from softcal_jax.calibration import (
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._prediction import Prediction, predict_spread
 from softcal_jax.identifiability._result import Identifiability
-
-EXACT = 1e-3
-"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
 
 class Assessment(eqx.Module):
