@@ -219,7 +219,7 @@ def test_summary_shows_intervals_and_their_kinds():
     assert "first-order" in text
     without = printed(summary_table(make_result()))
     assert "90 % interval" not in without
-    assert "(unchecked)" in without
+    assert "Parameters, ± not checked" in without
 
 
 def judged(*rows):

@@ -230,7 +230,11 @@ def calibrate(
             step=entry.step + last.step,
             seconds=entry.seconds + last.seconds,
         )
-        told = progress and (lambda entry: entry.step and progress(later(entry)))
+
+        def told(entry: HistoryEntry) -> None:
+            if progress is not None and entry.step:
+                progress(later(entry))
+
         new = fit(starts=1, progress=told, begin=z)
         history = (*old.history, *map(later, new.result.history[1:]))
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}

@@ -126,11 +126,12 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
     if not np.isfinite(spread.noise_scale):
         return _none(fitted, level, "too few data to estimate the noise")
     std = np.sqrt(np.diag(spread.covariance))
-    known = np.flatnonzero(np.isfinite(std))
+    known = np.flatnonzero(np.isfinite(std)).tolist()
+    bent = np.flatnonzero(spread.at_bound).tolist()
     quantile = quantile_of(result, level)
     if spread.noise_scale <= EXACT:
         # The ends are closer to the fit than the equilibria are exact.
-        straight, bent = known, np.flatnonzero([])
+        straight, bent = known, []
     else:
         holds = first_order_holds(
             Evaluator(problem),
@@ -140,19 +141,20 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
             quantile=quantile,
             which=known,
         )
-        straight = known[holds]
-        bent = np.setdiff1d([*known, *np.flatnonzero(spread.at_bound)], straight)
+        checked = list(zip(known, holds, strict=True))
+        straight = [column for column, good in checked if good]
+        bent += [column for column, good in checked if not good]
     found: dict[int, ParameterInterval] = {}
     for column in straight:
         reach = float(quantile * std[column])
         ends = ProfileEnd(reach, "likelihood"), ProfileEnd(reach, "likelihood")
         found[column] = whole_interval(result, column, level, ends, first_order=True)
-    if bent.size and spread.noise == "estimated" and space.has_prior:
+    if spread.noise == "estimated" and space.has_prior:
         why = 'a profile beside a prior needs noise = "stated"'
-        bent, priors = bent[:0], bent
-        found |= {c: _no(fitted, c, level, why) for c in priors}
+        found |= {column: _no(fitted, column, level, why) for column in bent}
+        bent = []
     profiles = []
-    if bent.size:
+    if bent:
         told(result)
         profiles = profile_ends(
             problem,

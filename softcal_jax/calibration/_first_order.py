@@ -111,11 +111,14 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> Job[bool]:
         raise LowerCostFound(z, float(there.cost), float(fit.at.cost))
     # The fit stops where its slope has nearly vanished; with a prior and an estimated
     # noise the slope in these units is not that of the fit.
-    slope = fit.slope(fit.at)
+    slope = np.where(fit.spread.at_bound, 0.0, fit.slope(fit.at))
     rise = fit.cost(there) - fit.cost(fit.at) - 2.0 * slope @ step
-    others = np.flatnonzero(free & (step > down) & (step < up))
+    left = fit.slope(there) - slope
+    # What ended on a bound may leave it again, now that this parameter has moved.
+    leaves = np.where(left < 0.0, up > 0.0, down < 0.0) & fit.spread.at_bound
+    others = np.flatnonzero((free & (step > down) & (step < up)) | leaves)
     others = others[others != column]
-    left = (fit.slope(there) - slope)[others]
+    left = left[others]
     curvature = fit.curvature(there)[np.ix_(others, others)]
     fall = left @ np.linalg.lstsq(curvature, left, rcond=None)[0] if len(left) else 0.0
     roots = np.sqrt(np.maximum([rise, rise - fall], 0.0))

@@ -5,12 +5,9 @@ import math
 import equinox as eqx
 from scipy.special import chdtri
 
-from softcal_jax.calibration import CalibrationResult, MultiStartResult
+from softcal_jax.calibration import EXACT, CalibrationResult, MultiStartResult
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
-
-EXACT = 1e-3
-"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
 
 class Assessment(eqx.Module):

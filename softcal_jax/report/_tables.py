@@ -104,9 +104,9 @@ def _parameter_table(
     result: CalibrationResult, found: Identifiability
 ) -> "rich.table.Table":
     blind = {p.name for p in found.parameters if p.verdict == "not identifiable"}
-    unchecked = "" if result.intervals else " (unchecked)"
-    columns = [f"value ± std. error{unchecked}", "start", "bounds"]
-    table = _start_table("Parameters", "parameter", columns)
+    columns = ["value ± std. error", "start", "bounds"]
+    title = "Parameters" + ("" if result.intervals else ", ± not checked")
+    table = _start_table(title, "parameter", columns)
     for q in result.parameters:
         text = q.estimate
         if q.at_bound:

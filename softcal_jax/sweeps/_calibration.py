@@ -71,9 +71,11 @@ class CalibrationTrial:
         if trial.point.get("start"):
             seed = trial.seed_of("start")
             start = random_starts(space, 1, seed=seed)[0]
-        # Rows hold no intervals. Where starts are an axis, each trial is a single one.
-        starts = 1 if "start" in trial.point else project.starts
-        project = dataclasses.replace(project, intervals=None, starts=starts)
+        # Rows hold no intervals. Where starts are an axis, a trial is a single one,
+        # unless the file says otherwise.
+        alone = 1 if "start" in trial.point else None
+        own = {"intervals": None, "starts": project.starts or alone}
+        project = dataclasses.replace(project, **own)
         result = project.calibrate(start=start)
         figures = _figures(result)
         own_points = not self.layouts.get(trial.point.get("layout", ""))

@@ -121,7 +121,7 @@ SPACE = ParameterSpace(
 )
 
 
-def holds(errors, jacobian, *, column=0, W=None):
+def holds(errors, jacobian, *, column=0, W=None, on_bound=False, space=SPACE):
     """Whether two standard errors of a column hold for errors that are known."""
     W = jacobian(0.0, 0.0) if W is None else W
 
@@ -142,9 +142,13 @@ def holds(errors, jacobian, *, column=0, W=None):
         return at(np.asarray(z))
         yield
 
-    evaluate.problem = SimpleNamespace(space=SPACE)
+    evaluate.problem = SimpleNamespace(space=space)
     covariance = np.linalg.inv(np.transpose(W) @ np.array(W))
-    spread = SimpleNamespace(noise_scale=1.0, covariance=covariance)
+    if on_bound:  # the second one is held there
+        covariance = np.diag([1.0 / np.sum(np.array(W)[:, 0] ** 2), np.nan])
+    spread = SimpleNamespace(
+        noise_scale=1.0, covariance=covariance, at_bound=np.array([False, on_bound])
+    )
     fit = _Checked(evaluate, np.zeros(2), at(np.zeros(2)), spread, 2.0, np.zeros(2))
     with pytest.raises(StopIteration) as end:
         next(_end_holds(fit, column, 1))
@@ -172,6 +176,21 @@ def test_a_floor_that_falls_off_does_not_hold():
         lambda x, y: [x * (1.0 - y), 0.5 * y],
         lambda x, y: [[1.0 - y, -x], [0.0, 0.5]],
     )
+
+
+@pytest.mark.parametrize(("slope", "good"), [(0.0, True), (0.8, False)])
+def test_a_standard_error_may_not_rest_on_a_bound(slope, good):
+    """As x rises y would leave its bound, and the cost be lower than it looks."""
+    x, y = SPACE.parameters
+    space = ParameterSpace([x, replace(y, lower=jnp.asarray(0.0))])
+    J = [[1.0, -slope], [0.0, 0.6]]
+    found = holds(
+        lambda x, y: np.array(J) @ [x, y] + [0.0, 0.1],
+        lambda x, y: J,
+        on_bound=True,
+        space=space,
+    )
+    assert found == good
 
 
 def test_a_lower_cost_is_told():
@@ -220,9 +239,18 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
         return intervals
 
     monkeypatch.setattr("softcal_jax.calibration._checked_intervals._intervals", found)
-    last, none = result.history[-1], np.zeros(0)
-    first = Optimum(last.cost, last.values, (0,))
-    starts = MultiStartResult((), none, none, none, none, none, none, none, (first,))
+    last, none = result.history[-1], np.zeros((0, 2))
+    starts = MultiStartResult(
+        names=tuple(result.space.names),
+        starts=none,
+        values=none,
+        z=none,
+        cost=none[:, 0],
+        steps=none[:, 0].astype(int),
+        converged=none[:, 0].astype(bool),
+        errors=none,
+        optima=(Optimum(last.cost, last.values, (0,)),),
+    )
     fitted = of_problem(replace(result, starts=starts), poses)
 
     def go_on(done, z):
