@@ -162,11 +162,11 @@ class ConfigurationResult(eqx.Module):
 
         Args:
             noise: Where the noise comes from.
-            noise_scale: Factor on the stated standard deviations, 1 for stated noise.
+            noise_scale: Factor on the stated standard deviations, see
+                `Uncertainty.level`.
         """
-        scale = noise_scale if np.isfinite(noise_scale) and noise_scale > 0.0 else 1.0
-        compared = noise == "stated" or self.stays(scale)
-        if compared and self.noise_probability(scale) >= UNLIKELY:
+        compared = noise == "stated" or self.stays(noise_scale)
+        if compared and self.noise_probability(noise_scale) >= UNLIKELY:
             return None
         if self.role == "calibration" and self.rms_after > self.rms_before:
             return "worse than before"

@@ -15,6 +15,10 @@ UNLIKELY = 0.01
 """Probability of a chi-squared as large by chance, below which the fit misfits."""
 
 
+EXACT = 1e-3
+"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
+
+
 class Uncertainty(eqx.Module):
     """Covariance of the parameters, to first order.
 
@@ -34,6 +38,15 @@ class Uncertainty(eqx.Module):
     degrees_of_freedom: int
     chi_squared: float
     at_bound: Bool[HostArray, " n_p"]
+
+    @property
+    def level(self) -> float:
+        """Factor on the stated standard deviations [-].
+
+        1 where data that were made by the model itself left no noise to estimate.
+        """
+        known = np.isfinite(self.noise_scale) and self.noise_scale > EXACT
+        return self.noise_scale if known else 1.0
 
     @property
     def misfit_probability(self) -> float | None:
