@@ -143,13 +143,10 @@ class ConfigurationResult(eqx.Module):
         pairs = [(e, e.simulated) for e in self.effectors]
         return _chance(pairs, noise_scale)
 
-    def stays(self, noise_scale: float = 1.0) -> bool:
-        """Return whether the noise alone explains that its markers are not at rest.
-
-        Args:
-            noise_scale: Factor on the stated standard deviations [-].
-        """
-        return _chance([(e, e.at_rest) for e in self.points], noise_scale) >= UNLIKELY
+    @property
+    def stays(self) -> bool:
+        """Whether the stated noise explains that its markers are not at rest."""
+        return _chance([(e, e.at_rest) for e in self.points], 1.0) >= UNLIKELY
 
     def misfit(
         self, noise: Literal["stated", "estimated"], noise_scale: float = 1.0
@@ -158,14 +155,15 @@ class ConfigurationResult(eqx.Module):
 
         Residuals that a stated noise explains are no misfit, however large. A noise
         that is estimated from the residuals explains nothing, but for a pose whose
-        markers did not move: there is no motion to compare its residuals with.
+        markers did not move (within the stated noise, since a wrong pose raises the
+        estimated one): there is no motion to compare its residuals with.
 
         Args:
             noise: Where the noise comes from.
             noise_scale: Factor on the stated standard deviations, see
                 `Uncertainty.level`.
         """
-        compared = noise == "stated" or self.stays(noise_scale)
+        compared = noise == "stated" or self.stays
         if compared and self.noise_probability(noise_scale) >= UNLIKELY:
             return None
         if self.role == "calibration" and self.rms_after > self.rms_before:
@@ -221,8 +219,8 @@ def configuration_results(
     role: Role,
     before: Float[Array, "n_c n_rows 3"],
     after: Float[Array, "n_c n_rows 3"],
-    W_ep: Float[Array, "n_e n_p"],
     solution: EquilibriumSolution,
+    W_ep: Float[Array, "n_e n_p"] | None = None,
 ) -> tuple[ConfigurationResult, ...]:
     """Describe the fitted or predicted configurations that have an equilibrium.
 
@@ -241,7 +239,9 @@ def configuration_results(
     found = _results(
         model, configurations, lanes.arrays, solution, role=role, effectors=effectors
     )
-    compliances = np.asarray(W_ep).reshape(*np.shape(after), -1)
+    compliances = [None] * len(found)
+    if W_ep is not None:
+        compliances = np.asarray(W_ep).reshape(*np.shape(after), -1)
     return tuple(
         replace(result, W_ep=own)
         for result, own in zip(found, compliances, strict=True)
