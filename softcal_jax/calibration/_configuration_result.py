@@ -233,9 +233,9 @@ def configuration_results(
     role: Role,
     before: Float[Array, "n_c n_rows 3"],
     after: Float[Array, "n_c n_rows 3"],
-    W_ep: Float[Array, "n_e n_p"],
     solution: EquilibriumSolution,
     noise: CorrelatedNoise,
+    W_ep: Float[Array, "n_e n_p"] | None = None,
 ) -> tuple[ConfigurationResult, ...]:
     """Describe the fitted or predicted configurations that have an equilibrium.
 
@@ -255,7 +255,9 @@ def configuration_results(
     found = _results(
         model, configurations, lanes.arrays, solution, role=role, effectors=effectors
     )
-    compliances = np.asarray(W_ep).reshape(*np.shape(after), -1)
+    compliances = [None] * len(found)
+    if W_ep is not None:
+        compliances = np.asarray(W_ep).reshape(*np.shape(after), -1)
     columns = _columns(lanes, noise)
     return tuple(
         replace(result, W_ep=W, columns=A)

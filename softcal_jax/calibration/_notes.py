@@ -72,7 +72,7 @@ def _misfit_notes(
     """Name configurations that the calibrated model does not explain."""
     notes = []
     for fit in fits:
-        misfit = fit.misfit(spread.noise, spread.noise_scale)
+        misfit = fit.misfit(spread.noise, spread.level)
         if misfit == "worse than before":
             notes.append(
                 f"{fit.name} fits worse than before the calibration "

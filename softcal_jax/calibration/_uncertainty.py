@@ -18,6 +18,10 @@ EXACT = 1e-3
 """Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
 
+EXACT = 1e-3
+"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
+
+
 class Uncertainty(eqx.Module):
     """Covariance of the parameters, to first order.
 
@@ -40,6 +44,15 @@ class Uncertainty(eqx.Module):
     degrees_of_freedom: int
     chi_squared: float
     at_bound: Bool[HostArray, " n_p"]
+
+    @property
+    def level(self) -> float:
+        """Factor on the stated standard deviations [-].
+
+        1 where data that were made by the model itself left no noise to estimate.
+        """
+        known = np.isfinite(self.noise_scale) and self.noise_scale > EXACT
+        return self.noise_scale if known else 1.0
 
     @property
     def misfit_probability(self) -> float | None:

@@ -1,7 +1,5 @@
 """Assess what a finished calibration may claim: converged, consistent, identified."""
 
-import math
-
 import equinox as eqx
 import numpy as np
 from scipy.special import chdtri
@@ -81,13 +79,11 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
             calibration by default [-].
     """
     spread = result.uncertainty
-    # Data simulated with the model itself leave no noise to estimate.
-    known = math.isfinite(spread.noise_scale) and spread.noise_scale > EXACT
     report = identifiability(
         result.W_ep,
         result.space,
         result.z,
-        noise_scale=spread.noise_scale if known else 1.0,
+        noise_scale=spread.level,
         W_c=result.budget.W_c,
         precision=result.precision if precision is None else precision,
     )
@@ -106,7 +102,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
     reasons += _locking(result.budget)
     reasons += _wide(report, result)
-    reasons += _rivals(result.starts, spread.noise_scale if known else 1.0)
+    reasons += _rivals(result.starts, spread.level)
     for verdict, words in (
         ("not identifiable", "The data do not determine"),
         ("weakly identifiable", "The data determine only weakly"),
@@ -166,7 +162,7 @@ def _contradictions(result: CalibrationResult) -> list[str]:
         f"{fit.name} is {done[fit.role]} with its markers {fit.off}: the model "
         "contradicts it."
         for fit in result.configurations
-        if fit.misfit(result.uncertainty.noise, result.uncertainty.noise_scale)
+        if fit.misfit(result.uncertainty.noise, result.uncertainty.level)
     ]
 
 
