@@ -63,9 +63,8 @@ def pose(name, angle, effectors=None):
     return Configuration(name, actuation=turned, effectors=sensors)
 
 
-@pytest.mark.parametrize(
-    "method", [pytest.param("direct", marks=pytest.mark.slow), "adjoint"]
-)  # the direct side compiles for a minute
+@pytest.mark.slow  # a minute of compiling, for what `test_every_kind` tells as well
+@pytest.mark.parametrize("method", ["direct", "adjoint"])
 def test_compliances_against_differences(method):
     """Error of second order: a third of the step leaves a ninth of it."""
     sensors = [
