@@ -132,7 +132,7 @@ def with_law(nu):
 
 
 def with_density(density):
-    return eqx.tree_at(lambda m: m.density, robot(), jnp.full(MESH.n_tets, density))
+    return eqx.tree_at(lambda m: m.density, robot(), jnp.asarray(density, float))
 
 
 def with_zero(angle):
