@@ -28,6 +28,7 @@ from softcal_jax.robots import anisotropic_beam
 pypardiso = pytest.importorskip("pypardiso", reason="not installed on this platform")
 compiled = jax.jit(factor_solve)
 LAW = Corotational(Isotropic(YOUNG, POISSON))
+SOFT = jnp.asarray(1e3, float)
 
 
 def built(cells, law=LAW, solver="pardiso-host"):
@@ -80,7 +81,7 @@ def test_another_set_of_right_hand_sides_takes_no_factorization(monkeypatch):
         lambda self, A, b: (phases.append(self.phase), call(self, A, b))[1],
     )
     model, configuration = built((8, 2, 2))
-    softer = eqx.tree_at(lambda m: m.law.elasticity.E, model, jnp.asarray(1e3, float))
+    softer = eqx.tree_at(lambda m: m.law.elasticity.E, model, SOFT)
     for body, seed in ((model, 0), (model, 1), (softer, 2)):
         solved(body, configuration, seed)
     if phases[0] == -1:  # what an earlier test left
