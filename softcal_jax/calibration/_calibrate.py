@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -26,6 +25,7 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
     Evaluator,
+    lane_of,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -94,7 +94,7 @@ def _build(
             )
     space = as_space(parameters)
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism, springs)
-    check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], lanes.arrays))
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
     newton = newton or NewtonSettings()
     return CalibrationProblem(model, space, lanes.arrays, newton), lanes

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import lane_of
 
 from softcal_jax.actuators import Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
@@ -76,7 +77,7 @@ def test_compliances_against_differences(method):
     lanes = configuration_arrays(
         MODEL.mesh, [pose("a", 0.3, tuple(sensors))], MODEL.mechanism
     )
-    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    one = lane_of(lanes)
     tight = NewtonSettings(rtol=1e-12)
 
     @jax.jit
