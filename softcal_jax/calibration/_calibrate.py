@@ -32,7 +32,7 @@ from softcal_jax.calibration._result import (
     HistoryEntry,
     parameter_estimates,
 )
-from softcal_jax.calibration._runs import descend
+from softcal_jax.calibration._runs import admissible, descend
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
@@ -55,6 +55,7 @@ from softcal_jax.fields import (
     as_space,
     check_parameters,
     check_scopes,
+    unnamed,
 )
 
 
@@ -260,7 +261,7 @@ def _admissible(
             f"start must have one scaled value for each of the {len(space.names)} "
             f"parameters, got shape {start.shape}."
         )
-    return space.admissible(start)
+    return admissible(unnamed(space), start)
 
 
 def _predict(

@@ -228,7 +228,8 @@ def build_model(
     chosen = _formulation(formulation, law, n_en)
     check_law(law, law.conservative, chosen)
     n_blocks = -(-n_tets // BLOCK)
-    blocked = lambda per_tet: jnp.asarray(
+    # Put on the device rather than converted there, which compiles for each shape.
+    blocked = lambda per_tet: jax.device_put(
         np.moveaxis(to_blocks(per_tet, n_tets, n_blocks, BLOCK), 1, -1)
     )
     dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
@@ -254,10 +255,10 @@ def build_model(
         mechanism=mechanism,
         shape_gradients=blocked(dN),
         weights=blocked(w),
-        active=jnp.asarray(active.reshape(n_blocks, BLOCK), float),
+        active=jax.device_put(active.reshape(n_blocks, BLOCK).astype(float)),
         nodes=blocked(mesh.tets.astype(np.int32)),
         destination=blocked(destinations(pattern, mesh.tets).T),
-        node_volumes=jnp.asarray(node_volumes),
+        node_volumes=jax.device_put(node_volumes),
         pattern=pattern,
         curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
         reduction=reduction,

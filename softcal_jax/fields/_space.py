@@ -117,11 +117,13 @@ class ParameterSpace(eqx.Module):
 
     def to_scaled(self, p: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
         """Convert values p to scaled coordinates z."""
-        return jnp.stack([q.to_scaled(p[i]) for i, q in enumerate(self.parameters)])
+        pairs = zip(self.parameters, p, strict=True)
+        return jnp.stack([q.to_scaled(value) for q, value in pairs])
 
     def from_scaled(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
         """Convert scaled coordinates z to values p."""
-        return jnp.stack([q.from_scaled(z[i]) for i, q in enumerate(self.parameters)])
+        pairs = zip(self.parameters, z, strict=True)
+        return jnp.stack([q.from_scaled(value) for q, value in pairs])
 
     def _if_periodic(self, periodic, otherwise) -> Float[Array, " n_p"]:
         """Choose entries by whether the parameter is periodic."""

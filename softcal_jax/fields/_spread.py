@@ -168,17 +168,17 @@ class ControlPointParameters(AbstractFieldEntry):
         """The unknowns at control points neither fixed nor tied, in their order."""
         keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
         options: dict[str, Any] = {key: getattr(self, key) for key in keys}
+        names = self.control_points.names
+        values = zip(self.start, self.lower, self.upper, strict=True)
         return tuple(
             Parameter(
                 self.parameter_name(name),
                 self.field,
-                self.start[i],
-                self.lower[i],
-                self.upper[i],
-                periodic=self.periodic[i],
+                *limits,
+                periodic=periodic,
                 **options,
             )
-            for i, name in enumerate(self.control_points.names)
+            for name, limits, periodic in zip(names, values, self.periodic, strict=True)
             if name not in self.fixed and name not in dict(self.tied)
         )
 
