@@ -301,6 +301,14 @@ def both_ways(function):
     return of
 
 
+def lane_of(lanes, index=0):
+    """One lane of a batch.
+
+    Sliced on the host: on the device, each shape of an array compiles two programs.
+    """
+    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], lanes))
+
+
 def straight_mid_nodes(mesh: TetMesh) -> np.ndarray:
     """Positions of the mid nodes of straight edges, tet by tet."""
     return mesh.points[mesh.tets][:, np.array(TET_EDGES)].mean(axis=2)

@@ -144,7 +144,7 @@ def actuator_arrays(
     )
     return ActuatorArrays(
         groups=groups,
-        rest=_contributions(groups, jnp.asarray(points), len(names)),
+        rest=_at_rest(groups, jax.device_put(points), len(names)),
         names=names,
         kinds=tuple(actuator.kind for actuator in actuators),
         motor_body=tuple(
@@ -164,6 +164,9 @@ def _contributions(
             parts = each_clique(type(group).contribution, group, x)
             total = total.at[group.owner].add(parts)
     return total
+
+
+_at_rest = eqx.filter_jit(_contributions)
 
 
 def actuator_displacements(

@@ -273,7 +273,7 @@ def _all_columns(
     """Compute W_c as if each configuration had each error."""
     problem, n_c = evaluate.numbered, len(displacement)
     n_e = problem.configurations.effectors.measured[0].size
-    if n_e == 0 or not found:
+    if n_e == 0 or not any(own.happens for own in found):
         return np.zeros((len(found), n_c, n_e))
     entries = tuple(own.entry for own in found if own.entry is not None)
     errors = ParameterSpace(entries) if entries else None

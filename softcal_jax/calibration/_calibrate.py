@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -37,6 +36,7 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
     Evaluator,
+    lane_of,
 )
 from softcal_jax.calibration._residual_checks import residual_checks
 from softcal_jax.calibration._result import (
@@ -44,6 +44,7 @@ from softcal_jax.calibration._result import (
     HistoryEntry,
     parameter_estimates,
 )
+from softcal_jax.calibration._runs import admissible
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
@@ -72,6 +73,7 @@ from softcal_jax.fields import (
     check_precision,
     check_scopes,
     exactly_known,
+    unnamed,
 )
 
 
@@ -118,7 +120,7 @@ def _build(
             )
     space = as_space(parameters)
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism, shared)
-    check_parameters(model, space, jax.tree.map(lambda leaf: leaf[0], lanes.arrays))
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
     newton = newton or NewtonSettings()
     effectors = lanes.arrays.effectors
@@ -430,7 +432,7 @@ def _admissible(
             f"start must have one scaled value for each of the {len(space.names)} "
             f"parameters, got shape {start.shape}."
         )
-    return space.admissible(start)
+    return admissible(unnamed(space), start)
 
 
 def _predict(

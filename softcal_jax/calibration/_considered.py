@@ -45,6 +45,11 @@ class Considered(NamedTuple):
     shared: tuple[Hashable, ...]
     motions: tuple[HostArray, ...] = ()
 
+    @property
+    def happens(self) -> bool:
+        """Whether any configuration has it."""
+        return any(key is not None for key in self.shared)
+
     def groups(self) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
         """List its independent errors: their names, and which configurations share."""
         keys = [key for key in dict.fromkeys(self.shared) if key is not None]
@@ -59,7 +64,10 @@ def considered(
     problem: CalibrationProblem,
     configurations: Sequence[Configuration],
 ) -> tuple[Considered, ...]:
-    """List the errors that a calibration has and does not calibrate.
+    """List the errors that a calibration may have and does not calibrate.
+
+    Those that cannot occur in any configuration are among them, shared by none: which
+    errors are computed is part of a compiled program, and so one serves all poses.
 
     Args:
         uncertain: Their standard deviations.
@@ -72,8 +80,7 @@ def considered(
         for kind in (_fields, _loads, _supports, _mechanism, _clamps)
         for own in kind(uncertain, posed)
     ]
-    happens = lambda own: any(key is not None for key in own.shared)
-    return tuple(filter(happens, found))
+    return tuple(found)
 
 
 class _Posed:

@@ -111,8 +111,13 @@ class Evaluation(eqx.Module):
 
         Distances from the prior count like errors.
         """
-        squares = jnp.sum(self.error**2) + jnp.sum(self.prior**2)
-        return jnp.where(self.ok, 0.5 * squares, jnp.inf)
+        return _cost(self.ok, self.error, self.prior)
+
+
+@jax.jit
+def _cost(ok, error, prior) -> Float[Array, ""]:
+    squares = jnp.sum(error**2) + jnp.sum(prior**2)
+    return jnp.where(ok, 0.5 * squares, jnp.inf)
 
 
 def simulate(

@@ -27,7 +27,7 @@ NOTHING_LEFT = 1e-6
 # compile, serves the start and every step.
 _propose = eqx.filter_jit(propose)
 _decide = eqx.filter_jit(decide)
-_admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
+admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
 
 
 class Run(eqx.Module):
@@ -84,7 +84,7 @@ def minimise(
     evaluate: Evaluator, settings: CalibrationSettings, start: Float[Array, " n_p"]
 ) -> Job[Run]:
     """Run the outer loop from one start, in scaled parameters, to its end."""
-    z = _admissible(evaluate.numbered.space, start)
+    z = admissible(evaluate.numbered.space, start)
     state = initial_state(settings, z, (yield from evaluate.from_rest(z)))
     costs = [float(state.evaluation.cost)]
     note = lambda state: costs.append(float(state.evaluation.cost))

@@ -139,9 +139,8 @@ def _analyse(sparsity: Sparsity, options: _Options, number: int):
     """
     primitive, kind = _load_pardiso(sparsity)
     return primitive.analyze(
-        jnp.asarray(sparsity.indptr),
-        jnp.asarray(sparsity.indices),
-        jnp.full(sparsity.nnz, 1.0 + number),
+        *jax.device_put((sparsity.indptr, sparsity.indices)),
+        jax.device_put(np.full(sparsity.nnz, 1.0 + number)),
         matrix_type=kind,
         options=dict(options),
     )

@@ -1,7 +1,7 @@
 """The finite-element model of a robot: mesh, law, density, ready for assembly."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -139,13 +139,17 @@ class Model(eqx.Module):
 
 
 def to_blocks(
-    leaf: Shaped[Array, "..."], n_tets: int, n_blocks: int, block: int
-) -> Shaped[Array, "n_blocks block ..."]:
-    """Cut per-tet values into blocks; a single value is repeated for all tets."""
+    leaf: Shaped[Array | HostArray, "..."], n_tets: int, n_blocks: int, block: int
+) -> Shaped[Array | HostArray, "n_blocks block ..."]:
+    """Cut per-tet values into blocks; a single value is repeated for all tets.
+
+    An array of the host stays there, where each shape need not be compiled.
+    """
+    xp: Any = np if isinstance(leaf, np.ndarray) else jnp
     if leaf.ndim == 0:
-        return jnp.broadcast_to(leaf, (n_blocks, block))
+        return xp.broadcast_to(leaf, (n_blocks, block))
     pad = n_blocks * block - n_tets
-    filled = jnp.concatenate([leaf, jnp.broadcast_to(leaf[:1], (pad, *leaf.shape[1:]))])
+    filled = xp.concatenate([leaf, xp.broadcast_to(leaf[:1], (pad, *leaf.shape[1:]))])
     return filled.reshape(n_blocks, block, *leaf.shape[1:])
 
 
@@ -224,8 +228,9 @@ def build_model(
     chosen = _formulation(formulation, law, n_en)
     check_law(law, law.conservative, chosen)
     n_blocks = -(-n_tets // BLOCK)
-    blocked = lambda per_tet: jnp.moveaxis(
-        to_blocks(jnp.asarray(per_tet), n_tets, n_blocks, BLOCK), 1, -1
+    # Put on the device rather than converted there, which compiles for each shape.
+    blocked = lambda per_tet: jax.device_put(
+        np.moveaxis(to_blocks(per_tet, n_tets, n_blocks, BLOCK), 1, -1)
     )
     dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
     conservative = law.conservative and mechanism.actuators.symmetric
@@ -250,10 +255,10 @@ def build_model(
         mechanism=mechanism,
         shape_gradients=blocked(dN),
         weights=blocked(w),
-        active=jnp.asarray(active.reshape(n_blocks, BLOCK), float),
+        active=jax.device_put(active.reshape(n_blocks, BLOCK).astype(float)),
         nodes=blocked(mesh.tets.astype(np.int32)),
         destination=blocked(destinations(pattern, mesh.tets).T),
-        node_volumes=jnp.asarray(node_volumes),
+        node_volumes=jax.device_put(node_volumes),
         pattern=pattern,
         curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
         reduction=reduction,

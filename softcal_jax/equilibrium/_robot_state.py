@@ -136,7 +136,9 @@ def robot_states(
     states: list[RobotState | None] = [None] * len(configurations)
     for i, configuration in enumerate(configurations):
         if bool(solution.converged[i]):
-            lane, found = jax.tree.map(lambda leaf, i=i: leaf[i], (arrays, solution))
+            # Sliced on the host: on the device, each shape compiles a program.
+            own = lambda leaf, i=i: np.asarray(leaf)[i]
+            lane, found = jax.device_put(jax.tree.map(own, (arrays, solution)))
             states[i] = _state(model, configuration, lane, found)
     return tuple(states)
 

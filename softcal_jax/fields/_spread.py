@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._once import once
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
@@ -162,22 +163,22 @@ class ControlPointParameters(AbstractFieldEntry):
         """Return the name of the unknown at a control point, maybe of another field."""
         return dict(self.tied).get(control_point, f"{self.field} of {control_point}")
 
-    @property
+    @once
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknowns at control points neither fixed nor tied, in their order."""
         keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
         options: dict[str, Any] = {key: getattr(self, key) for key in keys}
+        names = self.control_points.names
+        values = zip(self.start, self.lower, self.upper, strict=True)
         return tuple(
             Parameter(
                 self.parameter_name(name),
                 self.field,
-                self.start[i],
-                self.lower[i],
-                self.upper[i],
-                periodic=self.periodic[i],
+                *limits,
+                periodic=periodic,
                 **options,
             )
-            for i, name in enumerate(self.control_points.names)
+            for name, limits, periodic in zip(names, values, self.periodic, strict=True)
             if name not in self.fixed and name not in dict(self.tied)
         )
 

@@ -131,10 +131,10 @@ def _differences(old: Any, new: Any) -> set[str]:
 
 def _check_order(space: ParameterSpace) -> None:
     """Raise unless the start keeps the order and the bounds leave room for it."""
-    A, b = space.order_rows()
-    excess = np.asarray(A @ space.start() - b)
-    low, high = space.lower(), space.upper()
-    best = np.asarray(jnp.minimum(A * low[None], A * high[None]).sum(axis=1) - b)
+    A, b = map(np.asarray, space.order_rows())
+    low, high = np.asarray(space.lower()), np.asarray(space.upper())
+    excess = A @ np.asarray(space.start()) - b
+    best = np.minimum(A * low, A * high).sum(axis=1) - b
     order = "order asks for {0} <= {1}:"
     axes = "axes names the smaller modulus first: swap the two there, or"
     given = zip(space.order_names(), excess, best, strict=True)

@@ -5,7 +5,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from softcal_jax.calibration import (
-    EXACT,
     MESH,
     CalibrationResult,
     ErrorBudget,

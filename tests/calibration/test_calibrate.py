@@ -300,7 +300,7 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     z = problem.space.start()
     evaluation = evaluate(problem, z)
     state = initial_state(settings, z, evaluation)
-    held = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-7))
+    held = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-7, float))
     proposal = _propose(problem, settings, held)
     assert float(jnp.max(jnp.abs(proposal.qp.lambda_p))) <= settings.tol
     state = _decide(problem, settings, held, proposal, evaluation)

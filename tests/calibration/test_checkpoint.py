@@ -1,13 +1,17 @@
 """A calibration that is stopped goes on where it was, or says why it cannot."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
 from softcal_jax.actuators import Cable
 from softcal_jax.calibration import (
     FROM_ANYWHERE,
+    CalibrationResult,
     CalibrationSettings,
     Evaluator,
+    SearchProgress,
     build_problem,
     calibrate,
     multi_start,
@@ -275,28 +279,6 @@ def test_without_a_path_nothing_is_written(tmp_path, fit, monkeypatch):
 STARTS = 5
 
 
-@pytest.fixture(scope="module")
-def searched(fit):
-    """From several starts, without any interruption, and what was told of them."""
-    told = []
-    return fit(starts=STARTS, search_progress=told.append), told
-
-
-def same_search(ours, theirs):
-    for name in ("starts", "values", "z", "cost", "steps", "converged", "errors"):
-        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-
-
-def test_a_search_says_how_far_it_is(searched):
-    result, told = searched
-    assert [p.ended for p in told] == list(range(1, STARTS + 1))
-    assert {p.starts for p in told} == {STARTS}
-    last, found = told[-1], result.starts
-    assert last.converged == found.converged.sum()
-    assert last.cost == found.cost.min()
-    assert str(last).startswith(f"{STARTS} of {STARTS} starts ended, {last.converged} ")
-
-
 class Evaluations:
     """Counts evaluations, and stops at one of them if told to."""
 
@@ -312,18 +294,50 @@ class Evaluations:
         monkeypatch.setattr(Evaluator, "__call__", counted)
 
 
+class Searched(NamedTuple):
+    """From several starts, without any interruption.
+
+    `told` is what was told of them, and `n` counts evaluations.
+    """
+
+    result: CalibrationResult
+    told: list[SearchProgress]
+    n: int
+
+
+@pytest.fixture(scope="module")
+def searched(fit):
+    told = []
+    with pytest.MonkeyPatch.context() as patch:
+        every = Evaluations(patch)
+        result = fit(starts=STARTS, search_progress=told.append)
+    return Searched(result, told, every.n)
+
+
+def same_search(ours, theirs):
+    for name in ("starts", "values", "z", "cost", "steps", "converged", "errors"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def test_a_search_says_how_far_it_is(searched):
+    result, told, _ = searched
+    assert [p.ended for p in told] == list(range(1, STARTS + 1))
+    assert {p.starts for p in told} == {STARTS}
+    last, found = told[-1], result.starts
+    assert last.converged == found.converged.sum()
+    assert last.cost == found.cost.min()
+    assert str(last).startswith(f"{STARTS} of {STARTS} starts ended, {last.converged} ")
+
+
 @pytest.mark.parametrize("share", [0.15, 0.5, 0.9])
 def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
     tmp_path, fit, searched, monkeypatch, share
 ):
     """Wherever it stops; runs that had ended are not run again."""
-    path, (whole, _) = tmp_path / "fit.npz", searched
-    with monkeypatch.context() as patch:
-        every = Evaluations(patch)
-        fit(starts=STARTS)
+    path, whole = tmp_path / "fit.npz", searched.result
     told, resumed_told = [], []
     with monkeypatch.context() as patch:
-        before = Evaluations(patch, stop_at=int(share * every.n))
+        before = Evaluations(patch, stop_at=int(share * searched.n))
         with pytest.raises(Stopped):
             fit(path, starts=STARTS, search_progress=told.append)
     with monkeypatch.context() as patch:
@@ -336,7 +350,7 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
     assert len(told) + len(resumed_told) == STARTS
     # At most an image of each run that was under way is repeated, and the first of all.
     under_way = 4
-    assert before.n + after.n <= every.n + under_way * (FROM_ANYWHERE.max_steps + 2)
+    assert before.n + after.n <= searched.n + under_way * (FROM_ANYWHERE.max_steps + 2)
 
 
 def test_multi_start_keeps_its_runs_as_well(tmp_path, beam, data):
@@ -365,5 +379,5 @@ def test_a_search_that_has_ended_is_not_forgotten(tmp_path, fit, searched, monke
     evaluations = Evaluations(monkeypatch)
     resumed = fit(path, starts=STARTS)
     assert evaluations.n <= len(resumed.history) + 3
-    same_search(resumed.starts, searched[0].starts)
-    np.testing.assert_array_equal(resumed.z, searched[0].z)
+    same_search(resumed.starts, searched.result.starts)
+    np.testing.assert_array_equal(resumed.z, searched.result.z)

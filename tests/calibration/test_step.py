@@ -95,7 +95,7 @@ def test_linear_model_of_a_tensor_step_is_that_of_the_parameters(problem, evalua
     state = random_state(problem, evaluation, seed=3)
     # The angle's derivative is that of a regular tensor, not of an isotropic one.
     assert np.min(state.z[E_T] - state.z[E_L]) > 0.05
-    short = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5))
+    short = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5, float))
     proposal = _propose(problem, CalibrationSettings(), short)
     now = state.evaluation
     change = problem.space.wrap(proposal.z) - state.z
@@ -108,7 +108,7 @@ def test_linear_model_of_a_tensor_step_is_that_of_the_parameters(problem, evalua
 def test_guess_follows_the_tangents_of_the_parameters(problem, evaluation):
     """A warm start to first order: u + du/dz dz, with dz from the tensor."""
     state = initial_state(CalibrationSettings(), problem.space.start(), evaluation)
-    state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5))
+    state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5, float))
     proposal = _propose(problem, CalibrationSettings(), state)
     dz = proposal.z - state.z
     assert np.max(np.abs(dz)) > 1e-6
@@ -265,7 +265,7 @@ def test_a_step_that_gains_next_to_nothing_ends_the_search(
     # Half of the square of an error that no parameter reaches, and of the weakest one.
     error = np.sqrt(20.0) * (left[:, -1] + np.sqrt(promised) * left[:, 5])
     state = eqx.tree_at(lambda s: s.evaluation.error, state, jnp.asarray(error))
-    state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(10.0))
+    state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(10.0, float))
     proposal = _propose(problem, settings, state)
     assert np.max(np.abs(proposal.qp.lambda_p)) > settings.tol
     fall = 1.0 - float(proposal.cost / state.evaluation.cost)
@@ -296,7 +296,7 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     # Nor is one that only the bound on the step holds short.
     away = evaluate(problem, problem.space.start())
     state = initial_state(settings, problem.space.start(), away)
-    state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-8))
+    state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-8, float))
     assert not bool(_propose(problem, settings, state).vanishes)
 
 

@@ -7,7 +7,7 @@ positive angle lifts the tip; the cables run above and below it, from base to ti
 from functools import cache
 
 import equinox as eqx
-import jax
+from problems import lane_of
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import RigidBody, hinge_axes
@@ -73,7 +73,7 @@ def arrays(configuration: Configuration):
     """The configuration as the solver sees it."""
     mechanism = arm().mechanism
     lanes = configuration_arrays(arm().mesh, [configuration], mechanism)
-    return jax.tree.map(lambda leaf: leaf[0], lanes)
+    return lane_of(lanes)
 
 
 EFFECTORS = [

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import central_difference
+from problems import central_difference, lane_of
 
 from softcal_jax.actuators import (
     Chamber,
@@ -116,7 +116,7 @@ def arrays(actuation):
         actuation=actuation,
     )
     lanes = configuration_arrays(block().mesh, [configuration], block().mechanism)
-    return jax.tree.map(lambda leaf: leaf[0], lanes)
+    return lane_of(lanes)
 
 
 @cache

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from problems import lane_of
 
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import (
@@ -42,7 +43,7 @@ solve_as_users = jax.jit(
 
 def lane(lanes, index: int):
     """One lane of a batch of configurations or solutions."""
-    return jax.tree.map(lambda leaf: leaf[index], lanes)
+    return lane_of(lanes, index)
 
 
 def imposed_on(mesh, nodes, u) -> object:

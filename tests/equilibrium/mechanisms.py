@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from problems import lane_of
 
 from softcal_jax.configurations import Configuration, configuration_arrays
 from softcal_jax.equilibrium import (
@@ -39,7 +40,7 @@ def strip(cells: int = 6, order: int = 1) -> TetMesh:
 def arrays(model: Model, configuration: Configuration):
     """One configuration as arrays."""
     stacked = configuration_arrays(model.mesh, [configuration], model.mechanism)
-    return jax.tree.map(lambda leaf: leaf[0], stacked)
+    return lane_of(stacked)
 
 
 @partial(jax.jit, static_argnames="settings")

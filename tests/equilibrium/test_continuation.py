@@ -388,7 +388,7 @@ def test_a_load_that_the_body_cannot_carry(careful):
 
 
 def no_law():
-    nan = jnp.asarray(jnp.nan)
+    nan = jnp.asarray(jnp.nan, float)
     return eqx.tree_at(lambda m: m.law.elasticity.E, MODEL, nan), lane(LANES, HANGING)
 
 

@@ -143,9 +143,10 @@ def compliance(z, lane, u):
     return parameter_compliance(SPACE.model_at(MODEL, z), lane, u, SPACE, z).W_ep
 
 
-@pytest.mark.parametrize(
-    "cable", [pytest.param(BY_FORCE, marks=pytest.mark.slow), BY_DISPLACEMENT]
-)
+# Half a minute of compiling: `test_compliance_of_all_kinds` takes differences of these
+# effectors, and other tests compare compliances with the implicit derivative.
+@pytest.mark.slow
+@pytest.mark.parametrize("cable", [BY_FORCE, BY_DISPLACEMENT])
 def test_parameter_compliance_of_all_kinds_of_effectors(cable):
     """W_ep meets the implicit derivative, and that meets differences."""
     lane, z = arrays(MODEL, watched(cable)), SPACE.start()

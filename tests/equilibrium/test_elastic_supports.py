@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import lane_of
 
 from softcal_jax.configurations import (
     Configuration,
@@ -31,9 +32,7 @@ def solved(support, force):
         SurfaceForce("x_max", (force, 0.0, 0.0)),
         effectors=[SupportReaction("reaction", "x_min", (0.0, 0.0, 0.0))],
     )
-    lane = jax.tree.map(
-        lambda leaf: leaf[0], configuration_arrays(MESH, [c], MODEL.mechanism)
-    )
+    lane = lane_of(configuration_arrays(MESH, [c], MODEL.mechanism))
     found = jax.jit(solve_equilibrium)(MODEL, lane)
     assert bool(found.converged)
     u = np.asarray(found.displacement)
@@ -83,7 +82,7 @@ def test_bad_input():
 def test_tilted_gravity_keeps_its_size():
     """The angle between both is that of the rotation vector."""
     c = Configuration("tilted", "x_min", (0.3, -9.0, 2.0))
-    lane = jax.tree.map(lambda leaf: leaf[0], configuration_arrays(MESH, [c]))
+    lane = lane_of(configuration_arrays(MESH, [c]))
     tilt = jnp.array([0.03, -0.04])
     g = np.asarray(c.gravity)
     np.testing.assert_allclose(lane.acceleration, g, rtol=1e-15)

@@ -28,6 +28,7 @@ from softcal_jax.robots import anisotropic_beam
 pypardiso = pytest.importorskip("pypardiso", reason="not installed on this platform")
 compiled = jax.jit(factor_solve)
 LAW = Corotational(Isotropic(YOUNG, POISSON))
+SOFT = jnp.asarray(1e3, float)
 
 
 def built(cells, law=LAW, solver="pardiso-host"):
@@ -50,7 +51,9 @@ def solved(model, configuration, seed):
 def test_two_patterns_in_turn_and_values_that_change():
     """One set of factors serves them all, and is never taken for that of another."""
     short, long = built((4, 1, 1)), built((8, 2, 2))
-    softer = eqx.tree_at(lambda m: m.law.elasticity.E, short[0], jnp.asarray(1e3))
+    softer = eqx.tree_at(
+        lambda m: m.law.elasticity.E, short[0], jnp.asarray(1e3, float)
+    )
     for seed, (model, configuration) in enumerate(
         [short, (softer, short[1]), long, short, short, long]
     ):
@@ -78,7 +81,7 @@ def test_another_set_of_right_hand_sides_takes_no_factorization(monkeypatch):
         lambda self, A, b: (phases.append(self.phase), call(self, A, b))[1],
     )
     model, configuration = built((8, 2, 2))
-    softer = eqx.tree_at(lambda m: m.law.elasticity.E, model, jnp.asarray(1e3))
+    softer = eqx.tree_at(lambda m: m.law.elasticity.E, model, SOFT)
     for body, seed in ((model, 0), (model, 1), (softer, 2)):
         solved(body, configuration, seed)
     if phases[0] == -1:  # what an earlier test left

@@ -166,7 +166,7 @@ def test_bad_matrices_are_flagged(solver):
     rhs, rest = jnp.ones((1, LINEAR.n_nodes, 3)), jnp.zeros(LINEAR.points.shape)
     compiled = jax.jit(factor_solve)
     where = lambda m: m.law.elasticity.E_t
-    broken = eqx.tree_at(where, model, jnp.asarray(jnp.nan))
+    broken = eqx.tree_at(where, model, jnp.asarray(jnp.nan, float))
     solved = compiled(broken, c, rest, rhs)
     assert not bool(solved.ok)
     np.testing.assert_array_equal(solved.x, 0.0)

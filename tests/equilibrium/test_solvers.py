@@ -105,7 +105,9 @@ def test_an_indefinite_matrix_kills_nothing(solver):
 @each_solver
 def test_a_nan_matrix_is_flagged_and_kills_nothing(solver):
     model = linear_model(solver)
-    broken = eqx.tree_at(lambda m: m.law.elasticity.E, model, jnp.asarray(jnp.nan))
+    broken = eqx.tree_at(
+        lambda m: m.law.elasticity.E, model, jnp.asarray(jnp.nan, float)
+    )
     solved = compiled(broken, CONFIGURATION, REST, jnp.asarray(RHS))
     assert not bool(solved.ok)
     np.testing.assert_array_equal(solved.x, 0.0)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import lane_of
 
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import Batch, Workers, build_model, solve_equilibrium
@@ -22,7 +23,7 @@ def cantilever():
     model = build_model(mesh, Corotational(Isotropic(5e5, 0.3)), density=1000.0)
     own_weight = Configuration("weight", (Support("x_min"),), gravity=(0, 0, -9.81))
     lane = configuration_arrays(mesh, [own_weight])
-    return model, jax.tree.map(lambda leaf: leaf[0], lane)
+    return model, lane_of(lane)
 
 
 @eqx.filter_jit

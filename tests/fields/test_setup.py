@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import lane_of
 
 from softcal_jax.actuators import Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
@@ -63,9 +64,8 @@ def pose(name, angle, effectors=None):
     return Configuration(name, actuation=turned, effectors=sensors)
 
 
-@pytest.mark.parametrize(
-    "method", [pytest.param("direct", marks=pytest.mark.slow), "adjoint"]
-)  # the direct side compiles for a minute
+@pytest.mark.slow  # a minute of compiling, for what `test_every_kind` tells as well
+@pytest.mark.parametrize("method", ["direct", "adjoint"])
 def test_compliances_against_differences(method):
     """Error of second order: a third of the step leaves a ninth of it."""
     sensors = [
@@ -77,7 +77,7 @@ def test_compliances_against_differences(method):
     lanes = configuration_arrays(
         MODEL.mesh, [pose("a", 0.3, tuple(sensors))], MODEL.mechanism
     )
-    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    one = lane_of(lanes)
     tight = NewtonSettings(rtol=1e-12)
 
     @jax.jit

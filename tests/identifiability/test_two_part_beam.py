@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import lane_of
 from two_part_beam import (
     HANG,
     NEAR,
@@ -64,10 +65,6 @@ def potential(model, lane, z, u):
 @jax.jit
 def compliance(model, lane, z, u):
     return energy_compliance(model, lane, u, SPACE, z)
-
-
-def lane_of(lanes, index):
-    return jax.tree.map(lambda leaf: leaf[index], lanes)
 
 
 def curvature(function, direction, h):

@@ -1,11 +1,11 @@
 """Sensitivities per tet against differences of whole equilibria."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from bars import MID, STD, TIP, bar, pose, stretched
+from problems import lane_of
 
 from softcal_jax.configurations import Configuration, configuration_arrays
 from softcal_jax.equilibrium import (
@@ -46,7 +46,7 @@ def moved(field, tet, step, c):
     values = np.array(np.broadcast_to(find_field(model, field)(model), 12))
     values[tet] += step
     batch = configuration_arrays(model.mesh, [c])
-    arrays = jax.tree.map(lambda leaf: leaf[0], batch)
+    arrays = lane_of(batch)
     return np.asarray(solved(set_field(model, field, values), arrays)).ravel() / STD
 
 
@@ -105,7 +105,7 @@ def test_all_tets_together_without_a_potential():
         return parameter_compliance(model, lane, u, space, z, method="direct").W_ep
 
     batch = configuration_arrays(model.mesh, [side])
-    whole = np.asarray(direct(jax.tree.map(lambda leaf: leaf[0], batch)))[:, 0] / STD
+    whole = np.asarray(direct(lane_of(batch)))[:, 0] / STD
     # Rounding of one solve; with the tangent itself it is 0.2 % off.
     np.testing.assert_allclose(
         rows.sum(axis=1), whole, rtol=0, atol=1e-9 * np.max(np.abs(whole))

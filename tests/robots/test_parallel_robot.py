@@ -1,9 +1,9 @@
 """The parallel robot, assembled: its rod, its symmetry, and printed ones."""
 
 import equinox as eqx
-import jax
 import numpy as np
 import pytest
+from problems import lane_of
 
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import effector_values, solve_equilibrium
@@ -25,7 +25,7 @@ def working_point():
     c = eqx.tree_at(lambda c: c.gravity, c, (0.0, 0.0, 0.0))
     model = ROBOT.model
     arrays = configuration_arrays(model.mesh, [c], model.mechanism)
-    one = jax.tree.map(lambda leaf: leaf[0], arrays)
+    one = lane_of(arrays)
     solution = eqx.filter_jit(solve_equilibrium)(model, one)
     assert bool(solution.converged)
     return one, solution

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import both_ways
+from problems import both_ways, lane_of
 
 from softcal_jax.configurations import (
     Configuration,
@@ -141,7 +141,7 @@ def test_reverse_derivative_is_the_transpose_of_forward(body):
 
 def test_force_of_a_denser_body_is_its_weight(body):
     model, lanes = body
-    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    one = lane_of(lanes)
     u = solved(SPACE.start(), model, lanes)[0][0]
     H_p = parameter_forces(model, one, u, SPACE, SPACE.start())
     weight = 1000.0 * 0.1 * 0.02 * 0.02 * -9.81
@@ -150,7 +150,7 @@ def test_force_of_a_denser_body_is_its_weight(body):
 
 def test_derivative_check_finds_second_order(body):
     model, lanes = body
-    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    one = lane_of(lanes)
     u = solved(SPACE.start(), model, lanes)[0][0]
     check = check_parameter_derivatives(model, one, u, SPACE, SPACE.start())
     # Over steps up to 0.1 the terms of fourth order still show in the third digit.
@@ -161,7 +161,7 @@ def test_derivative_check_finds_second_order(body):
 
 def test_derivative_check_of_a_linear_dependence_is_rounding(body):
     model, lanes = body
-    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    one = lane_of(lanes)
     u = solved(SPACE.start(), model, lanes)[0][0]
     space = ParameterSpace((Parameter("E", "E", 1e5, 1e4, 1e6, scale="linear"),))
     check = check_parameter_derivatives(model, one, u, space, space.start())
@@ -171,7 +171,7 @@ def test_derivative_check_of_a_linear_dependence_is_rounding(body):
 
 def test_derivative_check_wants_falling_steps(body):
     model, lanes = body
-    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    one = lane_of(lanes)
     u = jnp.zeros(model.mesh.points.shape)
     with pytest.raises(ValueError, match="at least two falling numbers"):
         check_parameter_derivatives(

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import lane_of
 
 from softcal_jax.configurations import Configuration, Markers, configuration_arrays
 from softcal_jax.equilibrium import (
@@ -70,7 +71,7 @@ def body():
         "down", "x_min", (0.0, -9.81, 4.0), markers=markers, measured=markers.positions
     )
     lanes = configuration_arrays(mesh, [configuration])
-    return model, jax.tree.map(lambda leaf: leaf[0], lanes)
+    return model, lane_of(lanes)
 
 
 @jax.jit

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import both_ways
+from problems import both_ways, lane_of
 
 from softcal_jax.actuators import Cable, Guide, Motor, actuator_rows
 from softcal_jax.bodies import RigidBody, hinge_axes
@@ -116,7 +116,7 @@ SPACE = ParameterSpace(
     )
 )
 LANES = configuration_arrays(MESH, [POSE], MODEL.mechanism)
-LANE = jax.tree.map(lambda leaf: leaf[0], LANES)
+LANE = lane_of(LANES)
 ELSEWHERE = SPACE.names.index("factor of loads in another")
 
 
@@ -314,7 +314,7 @@ def test_relaxation_of_a_modulus_does_not_depend_on_other_parameters():
         bodies=[RigidBody("plate", "x_max", mass=0.2)],
     )
     lanes = configuration_arrays(MESH, [PLAIN], hanging.mechanism)
-    lane = jax.tree.map(lambda leaf: leaf[0], lanes)
+    lane = lane_of(lanes)
     u = jax.jit(solve_equilibrium)(hanging, lane).displacement
     E, tilt = Parameter("E", "E", 5e5, 1e5, 2e6), gravity_tilt(**KNOWN)
 

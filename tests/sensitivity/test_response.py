@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import lane_of
 
 from softcal_jax.configurations import (
     Configuration,
@@ -223,7 +224,7 @@ def test_a_pose_alone_gives_bit_for_bit_the_same():
     c, guess = case("plain"), near("plain")
     together = respond(c, values("plain"), guess)
     for index in range(3):
-        alone = c._replace(lanes=jax.tree.map(lambda leaf, i=index: leaf[i], c.lanes))
+        alone = c._replace(lanes=lane_of(c.lanes, index))
         one = respond(alone, values("plain"), guess[index], one=True)
         same = jax.tree.map(lambda a, b, i=index: (a, b[i]), one, together)
         for ours, theirs in jax.tree.leaves(same, is_leaf=lambda x: type(x) is tuple):
