@@ -20,18 +20,17 @@ from softcal_jax.calibration._checked_intervals import (
 )
 from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
-    ConfigurationResult,
     configuration_results,
 )
 from softcal_jax.calibration._noise import correlated_noise, measured_motion
 from softcal_jax.calibration._notes import (
     fit_notes,
     result_notes,
-    unscoped_notes,
     warn_if_locking,
     warn_if_too_few_data,
 )
 from softcal_jax.calibration._nothing_to_learn import check_effects, check_sensitive
+from softcal_jax.calibration._predict import predict
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
@@ -378,7 +377,7 @@ def _fit(
         if held_out is not None:
             weights = weighed.of_others(begin_noise, held_out[0].noise, validation)
             held_out = held_out[0].with_noise(weights), held_out[1]
-            predicted, missing, others = _predict(
+            predicted, missing, others = predict(
                 workers, validation, *held_out, start=first, z=state.z
             )
             fits += predicted
@@ -433,47 +432,6 @@ def _admissible(
             f"parameters, got shape {start.shape}."
         )
     return admissible(unnamed(space), start)
-
-
-def _predict(
-    workers: Workers,
-    validation: Sequence[Configuration],
-    problem: CalibrationProblem,
-    lanes: ConfigurationLanes,
-    *,
-    start: Float[Array, " n_p"],
-    z: Float[Array, " n_p"],
-) -> tuple[tuple[ConfigurationResult, ...], list[str], Posed]:
-    """Predict held-out configurations with the start and the calibrated parameters.
-
-    Uses the program of the fit, which is compiled already.
-    A configuration without equilibrium is left out with a note: it must neither count
-    as a prediction nor cost the user the fit.
-    """
-    evaluate = Evaluator(problem)
-    first, last = workers.ends(evaluate.from_rest(p) for p in (start, z))
-    # A pose that only the start parameters cannot hold has no "before".
-    held = first.equilibrium.converged[:, None, None]
-    model, arrays = problem.at(z)
-    fits = configuration_results(
-        model,
-        validation,
-        lanes._replace(arrays=arrays),
-        role="validation",
-        before=jnp.where(held, first.effectors, jnp.nan),
-        after=last.effectors,
-        W_ep=last.compliance,
-        solution=last.equilibrium,
-        noise=problem.noise,
-    )
-    notes = [
-        f"{c.name} is not predicted: with the calibrated parameters it has no "
-        "equilibrium. `softcal simulate` or `solve_equilibrium` tells why."
-        for c, ok in zip(validation, last.equilibrium.converged, strict=True)
-        if not ok
-    ]
-    notes += unscoped_notes(problem.space, validation)
-    return fits, notes, Posed(tuple(validation), evaluate, last)
 
 
 def _uncertainty(
