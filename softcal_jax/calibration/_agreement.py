@@ -103,6 +103,8 @@ def single_recordings(
         for k, both in enumerate(zip(names, known, strict=True))
         for name, ok in zip(*both, strict=True)
     ]
+    if len({*lanes} - {None}) < 2:
+        return ()
     rows = np.repeat(np.array(lanes, object), len(W) // len(lanes))
     return recording_estimates(
         W,
@@ -213,7 +215,7 @@ def recording_estimates(
                     value=float(values[i]),
                     standard_error=float(slopes[i] * std[i]),
                     fit=float(fits[i]),
-                    apart=float(shift[i] / apart[i]),
+                    apart=float(shift[i] / max(apart[i], 1e-300)),
                     unit=space.parameters[i].unit,
                 )
             )

@@ -85,7 +85,7 @@ class _Reduced:
 
 def restricted_likelihood(
     errors: Residuals,
-    columns: Sequence[Float[HostArray, "n k"]],
+    columns: Sequence[Float[HostArray, "_ _"]],
     factors: Sequence[float],
     free: Sequence[bool],
 ) -> list[float]:
