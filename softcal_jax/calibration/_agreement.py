@@ -150,9 +150,9 @@ def _errors_of_both(
     empty = np.zeros((n_c, len(fitted.at.error) // len(fitted.configurations)))
     stacked = np.stack([empty, *errors], axis=2)[:, :, 1:]
     split = np.split(stacked, [len(fitted.configurations)])
+    flat = lambda a: jnp.asarray(a.reshape(a.shape[0] * a.shape[1], a.shape[2]))
     in_units = [
-        p.in_noise_units(jnp.asarray(part.reshape(-1, part.shape[2])))
-        for p, part in zip(problems, split, strict=True)
+        p.in_noise_units(flat(part)) for p, part in zip(problems, split, strict=True)
     ]
     return np.concatenate([*map(np.asarray, in_units)])
 

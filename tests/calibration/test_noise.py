@@ -196,14 +196,17 @@ def test_a_left_out_pose_is_that_of_a_fit_to_the_others():
 
 
 def test_a_pose_with_a_wrong_load_is_named_with_either_noise():
-    data = measured(6)
+    known = replace(exactly_known(), recordings=1e-4)
+    data = measured(6, offset=1e-4)
+    assert not fit(data, known).checks.reasons
+    assert not fit(data, known, noise="estimated").checks.reasons
     data[2] = replace(data[2], loads=poses()[1].loads)
     for noise in ("stated", "estimated"):
-        result = fit(data, noise=noise)
-        text = " ".join(result.checks.reasons)
-        assert "load 2" in text, noise
-    assert not fit(measured(6)).checks.reasons
-    assert not fit(measured(6), noise="estimated").checks.reasons
+        result = fit(data, known, noise=noise)
+        assert "load 2 is not predicted by the others" in " ".join(
+            result.checks.reasons
+        ), noise
+        assert set(result.checks.reasons) <= set(assess(result).reasons)
 
 
 def test_recordings_that_agree_and_one_that_does_not():
@@ -236,7 +239,7 @@ def test_an_error_that_all_recordings_share_cancels_in_their_difference():
     loads = replace(known, loads=0.05)
     few, more = (fit(data[1:], own).checks.recordings for own in (known, loads))
     for a, b in zip(few, more, strict=True):
-        assert b.standard_error > 2.0 * a.standard_error
+        assert b.standard_error > 1.1 * a.standard_error
         np.testing.assert_allclose(b.apart, a.apart, rtol=0.5, atol=0.1)
 
 
