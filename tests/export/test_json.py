@@ -115,7 +115,8 @@ def test_noise_and_checks_are_in_millimetres():
     (own,) = data["checks"]["recordings"]
     assert (own["recording"], own["apart"]) == ("monday", -4.0)
     off, far = data["checks"]["reasons"]
-    assert off.startswith("Whole configurations are off") and "most of all beam" in off
+    assert off.startswith("Whole configurations are off")
+    assert "most of all beam" in off
     assert far.startswith("held out is not predicted by the others: its markers would")
     assert "1.00 mm off, 10 % of how far they moved, and 0.2 mm is what err" in far
     (agreement,) = data["checks"]["agreement"]
