@@ -130,21 +130,20 @@ def weighed_fit(
     """
     noise, scale, notes = evaluate.problem.noise, None, []
     assert noise is not None
-    for last in range(MOST_ROUNDS):
+    for n in range(MOST_ROUNDS):
         told = lambda state, noise=noise: note(state, noise)
         state = yield from descend(evaluate, settings, state, told)
         if not state.converged:
             break
         errors = linear_errors(evaluate.problem, state)
-        unknown, left_out = _enough(errors, evaluate.problem, unknown)
-        notes += left_out
+        if n == 0:
+            unknown, notes = _enough(errors, evaluate.problem, unknown)
         new = _estimated(errors, evaluate.problem, unknown)
-        if new is None:
+        known = new is not None and unknown.jitter
+        scale = float(noise.jitter) if known else None
+        if new is None or _change(noise, new) <= SETTLED:
             break
-        scale = float(noise.jitter) if unknown.jitter else None
-        if _change(noise, new) <= SETTLED:
-            break
-        if last == MOST_ROUNDS - 1:
+        if n == MOST_ROUNDS - 1:
             notes.append(
                 "The noise estimated from the residuals did not settle: it still "
                 f"changes by {100.0 * _change(noise, new):.0f} %. State the `std` of "
