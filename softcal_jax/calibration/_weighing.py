@@ -8,7 +8,6 @@ the fit goes on from it, until neither changes.
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
@@ -183,10 +182,9 @@ class _Columns(NamedTuple):
 
 
 def _columns(problem: CalibrationProblem, unknown: Unknown) -> _Columns:
-    effectors = jax.tree.map(np.asarray, problem.configurations.effectors)
-    noise = jax.tree.map(np.asarray, problem.noise)
-    A = np.asarray(noise.columns(effectors)) * noise.jitter
-    A = A[effectors.inverse_std.ravel() > 0.0]
+    assert problem.noise is not None
+    seen = np.ravel(problem.configurations.effectors.inverse_std) > 0.0
+    A = float(problem.noise.jitter) * problem.noise_columns()[seen]
     n_c = len(unknown.share)
     is_offset = np.arange(A.shape[1]) < 3 * n_c
     is_share = np.concatenate([np.zeros(3 * n_c, bool), unknown.share])
