@@ -274,7 +274,8 @@ def calibrate(
         missing, others = [], None
         if held_out is not None:
             other, records = held_out
-            assert begin_noise is not None and other.noise is not None
+            assert begin_noise is not None
+            assert other.noise is not None
             weights = weighed.of_others(begin_noise, other.noise, validation)
             other = other.with_noise(weights)
             predicted, missing, others = _predict(
