@@ -103,6 +103,8 @@ def single_recordings(
         for k, both in enumerate(zip(names, known, strict=True))
         for name, ok in zip(*both, strict=True)
     ]
+    if len({*lanes} - {None}) < 2:
+        return ()
     rows = np.repeat(np.array(lanes, object), len(W) // len(lanes))
     return recording_estimates(
         W,
@@ -148,9 +150,9 @@ def _errors_of_both(
     empty = np.zeros((n_c, len(fitted.at.error) // len(fitted.configurations)))
     stacked = np.stack([empty, *errors], axis=2)[:, :, 1:]
     split = np.split(stacked, [len(fitted.configurations)])
+    flat = lambda a: jnp.asarray(a.reshape(a.shape[0] * a.shape[1], a.shape[2]))
     in_units = [
-        p.in_noise_units(jnp.asarray(part.reshape(-1, part.shape[2])))
-        for p, part in zip(problems, split, strict=True)
+        p.in_noise_units(flat(part)) for p, part in zip(problems, split, strict=True)
     ]
     return np.concatenate([*map(np.asarray, in_units)])
 
@@ -213,7 +215,7 @@ def recording_estimates(
                     value=float(values[i]),
                     standard_error=float(slopes[i] * std[i]),
                     fit=float(fits[i]),
-                    apart=float(shift[i] / apart[i]),
+                    apart=float(shift[i] / max(apart[i], 1e-300)),
                     unit=space.parameters[i].unit,
                 )
             )

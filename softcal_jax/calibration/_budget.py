@@ -219,11 +219,7 @@ def _by_jitter(
     In the units of the noise independent errors are no longer independent: they are
     s (I + A A^T)^-1/2 times numbers that are.
     """
-    noise, effectors = problem.noise, problem.configurations.effectors
-    own = gain
-    if noise is not None:
-        arrays, effectors = jax.tree.map(np.asarray, (noise, effectors))
-        own = whitened(arrays.columns(effectors), gain.T).T
+    own = whitened(problem.noise_columns(), gain.T).T
     known = np.flatnonzero(np.isfinite(np.diag(spread.covariance)))
     covariance = np.full(spread.covariance.shape, np.nan)
     C, own = spread.covariance[np.ix_(known, known)], spread.noise_scale * own[known]

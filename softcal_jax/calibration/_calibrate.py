@@ -375,10 +375,13 @@ def _fit(
         )
         missing, others = [], None
         if held_out is not None:
-            weights = weighed.of_others(begin_noise, held_out[0].noise, validation)
-            held_out = held_out[0].with_noise(weights), held_out[1]
+            other, records = held_out
+            assert begin_noise is not None
+            assert other.noise is not None
+            weights = weighed.of_others(begin_noise, other.noise, validation)
+            other = other.with_noise(weights)
             predicted, missing, others = predict(
-                workers, validation, *held_out, start=first, z=state.z
+                workers, validation, other, records, start=first, z=state.z
             )
             fits += predicted
         singles = workers.end_of(

@@ -234,7 +234,7 @@ def configuration_results(
     before: Float[Array, "n_c n_rows 3"],
     after: Float[Array, "n_c n_rows 3"],
     solution: EquilibriumSolution,
-    noise: CorrelatedNoise,
+    noise: CorrelatedNoise | None,
     W_ep: Float[Array, "n_e n_p"] | None = None,
 ) -> tuple[ConfigurationResult, ...]:
     """Describe the fitted or predicted configurations that have an equilibrium.
@@ -266,13 +266,17 @@ def configuration_results(
     )
 
 
-def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArray]:
+def _columns(
+    lanes: ConfigurationLanes, noise: CorrelatedNoise | None
+) -> list[HostArray | None]:
     """Return the correlated noise of each configuration alone, see its results."""
+    if noise is None:
+        return [None] * len(lanes.effectors)
     arrays = lanes.arrays.effectors
     host_noise, effectors = jax.tree.map(np.asarray, (noise, arrays))
     A = np.asarray(host_noise.columns(effectors)) * host_noise.jitter
     A = A.reshape(*effectors.inverse_std.shape, -1)
-    found = []
+    found: list[HostArray | None] = []
     for own, records in zip(A, lanes.effectors, strict=True):
         rows = [own[e.index, : len(e.std)] for e in records]
         stacked = np.concatenate([np.zeros((0, A.shape[-1])), *rows])

@@ -73,7 +73,8 @@ class CorrelatedNoise(eqx.Module):
         shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, offset, same, axes)
         motion, share = xp.asarray(self.motion), xp.asarray(self.share)
         shares = xp.einsum("crx,c,cd->crxd", weight * motion, share, own)
-        parts = [shifts.reshape(weight.size, -1), shares.reshape(weight.size, -1)]
+        n_e = weight.size
+        parts = [shifts.reshape(n_e, 3 * n_c), shares.reshape(n_e, n_c)]
         return xp.concatenate(parts, axis=1) / xp.asarray(self.jitter)
 
     def scaled(

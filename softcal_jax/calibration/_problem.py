@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise, whitened
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
@@ -67,6 +67,13 @@ class CalibrationProblem(eqx.Module):
         if self.noise is None:
             return x
         return whitened(jnp.asarray(self.noise.columns(effectors)), x)
+
+    def noise_columns(self) -> Float[HostArray, "n_e n_columns"]:
+        """Return A of the noise on the host, see `CorrelatedNoise` [-]."""
+        effectors = jax.tree.map(np.asarray, self.configurations.effectors)
+        if self.noise is None:
+            return np.zeros((effectors.inverse_std.size, 0))
+        return np.asarray(jax.tree.map(np.asarray, self.noise).columns(effectors))
 
     def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
         """Return the calibration with another noise."""

@@ -52,7 +52,9 @@ class _Reduced:
     def __init__(self, errors: Residuals, columns: Sequence[HostArray]):
         W, W_prior = errors.W, errors.W_prior
         # Directions of the parameters that nothing determines do not count.
-        _, singular, Vt = np.linalg.svd(np.concatenate([W, W_prior]))
+        _, singular, Vt = np.linalg.svd(
+            np.concatenate([W, W_prior]), full_matrices=False
+        )
         seen = Vt[: len(singular)][singular > BLIND * max(singular, default=0.0)]
         W, W_prior = W @ seen.T, W_prior @ seen.T
         Q = basis(np.concatenate([W, *columns], axis=1))
@@ -85,7 +87,7 @@ class _Reduced:
 
 def restricted_likelihood(
     errors: Residuals,
-    columns: Sequence[Float[HostArray, "n k"]],
+    columns: Sequence[Float[HostArray, "_ _"]],
     factors: Sequence[float],
     free: Sequence[bool],
 ) -> list[float]:

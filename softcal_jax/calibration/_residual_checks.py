@@ -127,13 +127,13 @@ def residual_checks(
         fits: Fits of the configurations.
     """
     effectors = jax.tree.map(np.asarray, problem.configurations.effectors)
-    noise = jax.tree.map(np.asarray, problem.noise)
+    assert problem.noise is not None
     weight = effectors.inverse_std
     seen, n_c = weight.ravel() > 0.0, len(configurations)
     lane = np.repeat(np.arange(n_c), weight[0].size)
-    B = np.asarray(noise.columns(effectors))
+    B = problem.noise_columns()
     in_std = coloured(B, W_c)[seen]
-    A = (B * noise.jitter)[seen][:, np.any(B != 0.0, axis=0)]
+    A = float(problem.noise.jitter) * B[seen][:, np.any(B != 0.0, axis=0)]
     errors, estimated = linear_errors(problem, state), spread.noise == "estimated"
     scale = spread.noise_scale
     sampled = np.isfinite(scale) and scale > EXACT

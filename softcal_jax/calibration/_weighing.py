@@ -8,7 +8,6 @@ the fit goes on from it, until neither changes.
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
@@ -130,21 +129,20 @@ def weighed_fit(
     """
     noise, scale, notes = evaluate.problem.noise, None, []
     assert noise is not None
-    for last in range(MOST_ROUNDS):
+    for n in range(MOST_ROUNDS):
         told = lambda state, noise=noise: note(state, noise)
         state = yield from descend(evaluate, settings, state, told)
         if not state.converged:
             break
         errors = linear_errors(evaluate.problem, state)
-        unknown, left_out = _enough(errors, evaluate.problem, unknown)
-        notes += left_out
+        if n == 0:
+            unknown, notes = _enough(errors, evaluate.problem, unknown)
         new = _estimated(errors, evaluate.problem, unknown)
-        if new is None:
+        known = new is not None and unknown.jitter
+        scale = float(noise.jitter) if known else None
+        if new is None or _change(noise, new) <= SETTLED:
             break
-        scale = float(noise.jitter) if unknown.jitter else None
-        if _change(noise, new) <= SETTLED:
-            break
-        if last == MOST_ROUNDS - 1:
+        if n == MOST_ROUNDS - 1:
             notes.append(
                 "The noise estimated from the residuals did not settle: it still "
                 f"changes by {100.0 * _change(noise, new):.0f} %. State the `std` of "
@@ -184,10 +182,9 @@ class _Columns(NamedTuple):
 
 
 def _columns(problem: CalibrationProblem, unknown: Unknown) -> _Columns:
-    effectors = jax.tree.map(np.asarray, problem.configurations.effectors)
-    noise = jax.tree.map(np.asarray, problem.noise)
-    A = np.asarray(noise.columns(effectors)) * noise.jitter
-    A = A[effectors.inverse_std.ravel() > 0.0]
+    assert problem.noise is not None
+    seen = np.ravel(problem.configurations.effectors.inverse_std) > 0.0
+    A = float(problem.noise.jitter) * problem.noise_columns()[seen]
     n_c = len(unknown.share)
     is_offset = np.arange(A.shape[1]) < 3 * n_c
     is_share = np.concatenate([np.zeros(3 * n_c, bool), unknown.share])

@@ -197,11 +197,9 @@ def _score(
     fits: list[_Fit],
 ) -> LayoutScore:
     """Score the folds of one layout and the fit to all configurations."""
-    effectors, noise = jax.tree.map(
-        np.asarray, (problem.configurations.effectors, problem.noise)
-    )
-    weight = effectors.inverse_std
-    A = np.asarray(noise.columns(effectors)).reshape(*weight.shape, -1)
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    columns = problem.noise_columns()
+    A = columns.reshape(*weight.shape, columns.shape[1])
     # Distances are of points; turns and forces count in units of the noise.
     n_points = problem.configurations.effectors.nodes.shape[-2]
 
@@ -212,8 +210,8 @@ def _score(
         error, of_lanes = np.asarray(fit.after.delta_e)[lanes], weight[lanes]
         squares = np.sum(error[:, :n_points] ** 2, axis=2)
         there = np.any(of_lanes[:, :n_points] > 0.0, axis=2)
-        columns = A[lanes].reshape(of_lanes.size, -1)
-        over_noise = whitened(columns, np.ravel(of_lanes * error))
+        own = A[lanes].reshape(of_lanes.size, A.shape[-1])
+        over_noise = whitened(own, np.ravel(of_lanes * error))
         over_noise = over_noise[of_lanes.ravel() > 0.0]
         mean = lambda squares: float(np.sqrt(np.mean(squares)))
         return mean(squares[there]), mean(over_noise**2)

@@ -93,7 +93,7 @@ def test_the_standard_error_is_that_of_generalised_least_squares(changed, share)
     data = measured(**changed)
     result = fit(data)
     at = evaluate(build_problem(MODEL, E, data), result.z)
-    error, W = np.asarray(at.error) * STD, np.asarray(at.W_ep) * STD
+    error, W = np.ravel(at.delta_e), np.asarray(at.compliance)
     V = covariance_of(data, OFFSET, share=share)
     information = W.T @ np.linalg.solve(V, W)
     expected = np.linalg.inv(information)
@@ -124,7 +124,7 @@ def test_offsets_of_one_recording_count_once():
 def test_without_correlated_noise_errors_are_divided_by_their_std():
     data = measured()
     none = evaluate(build_problem(MODEL, E, data), fit(data).z)
-    np.testing.assert_array_equal(none.error, np.ravel(none.delta_e) / STD)
+    np.testing.assert_allclose(none.error, np.ravel(none.delta_e) / STD, rtol=1e-14)
 
 
 def test_a_second_optimiser_ends_at_the_same_place():
@@ -146,7 +146,7 @@ def test_the_estimated_jitter_is_that_of_the_residuals_beside_stated_offsets():
     assert result.uncertainty.noise_scale == float(result.noise.jitter)
     V = covariance_of(measured(0), OFFSET, jitter=STD * float(result.noise.jitter))
     data = measured(0, jitter=2e-4)
-    W = np.asarray(evaluate(build_problem(MODEL, E, data), result.z).W_ep) * STD
+    W = np.asarray(evaluate(build_problem(MODEL, E, data), result.z).compliance)
     expected = np.linalg.inv(W.T @ np.linalg.solve(V, W))
     np.testing.assert_allclose(result.budget.covariance, expected, rtol=1e-3)
     # The weights stood still, so fitting again with them changes nothing.
@@ -196,14 +196,17 @@ def test_a_left_out_pose_is_that_of_a_fit_to_the_others():
 
 
 def test_a_pose_with_a_wrong_load_is_named_with_either_noise():
-    data = measured(6)
+    known = replace(exactly_known(), recordings=1e-4)
+    data = measured(6, offset=1e-4)
+    assert not fit(data, known).checks.reasons
+    assert not fit(data, known, noise="estimated").checks.reasons
     data[2] = replace(data[2], loads=poses()[1].loads)
     for noise in ("stated", "estimated"):
-        result = fit(data, noise=noise)
-        text = " ".join(result.checks.reasons)
-        assert "load 2" in text, noise
-    assert not fit(measured(6)).checks.reasons
-    assert not fit(measured(6), noise="estimated").checks.reasons
+        result = fit(data, known, noise=noise)
+        assert "load 2 is not predicted by the others" in " ".join(
+            result.checks.reasons
+        ), noise
+        assert set(result.checks.reasons) <= set(assess(result).reasons)
 
 
 def test_recordings_that_agree_and_one_that_does_not():
@@ -236,7 +239,7 @@ def test_an_error_that_all_recordings_share_cancels_in_their_difference():
     loads = replace(known, loads=0.05)
     few, more = (fit(data[1:], own).checks.recordings for own in (known, loads))
     for a, b in zip(few, more, strict=True):
-        assert b.standard_error > 2.0 * a.standard_error
+        assert b.standard_error > 1.1 * a.standard_error
         np.testing.assert_allclose(b.apart, a.apart, rtol=0.5, atol=0.1)
 
 

@@ -12,7 +12,15 @@ from export.handmade import (
     with_points,
 )
 
-from softcal_jax.calibration import ParameterInterval, Uncertainty
+from softcal_jax.calibration import (
+    CorrelatedNoise,
+    LackOfFit,
+    LeftOut,
+    ParameterInterval,
+    RecordingEstimate,
+    ResidualChecks,
+    Uncertainty,
+)
 from softcal_jax.equilibrium import RESULTS
 from softcal_jax.export import result_dict, simulation_dict
 
@@ -36,6 +44,8 @@ def test_result_is_strict_json_with_all_its_keys(data):
         "settings",
         "uncertainty",
         "budget",
+        "noise",
+        "checks",
         "assessment",
         "identifiability",
         "starts",
@@ -78,9 +88,48 @@ def test_parameters_are_in_si_and_a_missing_error_is_null(data):
         "unit": "Pa",
         "at_bound": False,
         "interval": None,
+        "given": [],
     }
     assert nu["standard_error"] is None
     assert nu["at_bound"] is True
+
+
+def test_noise_and_checks_are_null_where_there_are_none(data):
+    assert data["noise"] is data["checks"] is None
+
+
+def test_noise_and_checks_are_in_millimetres():
+    noise = CorrelatedNoise(
+        recording=np.array([0, 0]),
+        offset=np.full((2, 3), 5e-4),
+        motion=np.zeros((2, 1, 3)),
+        share=np.array([0.0, 0.02]),
+        jitter=np.array(1.5),
+    )
+    predicted = LeftOut("held out", 1e-3, 2e-4, 1e-2, 1e-3, np.nan)
+    test = LackOfFit(4.0, 7, 9, 1e-3, 0.8, np.array([0.75, 0.25]))
+    single = RecordingEstimate("monday", "E", 2e5, 1e4, 2.4e5, -4.0, "Pa")
+    names = ("beam", "held out")
+    checks = ResidualChecks(names, test, (predicted,), (single,))
+    data = result_dict(make_result(noise=noise, checks=checks))
+    json.dumps(data, allow_nan=False)
+    offsets = [[0.5, 0.5, 0.5]] * 2
+    assert data["noise"] == {"jitter": 1.5, "share": [0, 0.02], "offset_mm": offsets}
+    assert data["checks"]["lack_of_fit"]["shares"] == [0.75, 0.25]
+    (own,) = data["checks"]["left_out"]
+    assert (own["rms_mm"], own["expected_mm"], own["by_scatter"]) == (1.0, 0.2, None)
+    (own,) = data["checks"]["recordings"]
+    assert (own["recording"], own["apart"]) == ("monday", -4.0)
+    off, far = data["checks"]["reasons"]
+    assert off.startswith("Whole configurations are off")
+    assert "most of all beam" in off
+    assert far.startswith("held out is not predicted by the others: its markers would")
+    assert "1.00 mm off, 10 % of how far they moved, and 0.2 mm is what err" in far
+    (agreement,) = data["checks"]["agreement"]
+    assert agreement == (
+        "E from each recording alone [kPa]: monday 200 +- 10 (4.0 standard errors from "
+        "the fit): monday disagrees."
+    )
 
 
 def test_markers_are_in_millimetres(data):
