@@ -1,16 +1,23 @@
 """What each recording alone says about the parameters, and whether they agree."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable_unit
+from softcal_jax.calibration._budget import considered_errors
+from softcal_jax.calibration._noise import recording_names
+from softcal_jax.calibration._problem import Evaluation, Evaluator
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.calibration._weighing import EXACT
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Job
+from softcal_jax.fields import ParameterSpace, Uncertain
 
 DETERMINED = 0.5
 """Standard error from which a recording alone does not determine a parameter [-].
@@ -20,6 +27,20 @@ On a log scale half the value, on a linear one half of the range.
 
 APART = 3.0
 """Number of standard errors from which recordings are said to disagree."""
+
+
+class Posed(NamedTuple):
+    """Configurations at the optimum.
+
+    Attributes:
+        configurations: The configurations.
+        evaluate: Their evaluator, with their noise.
+        at: Their evaluation, in units of it.
+    """
+
+    configurations: tuple[Configuration, ...]
+    evaluate: Evaluator
+    at: Evaluation
 
 
 class RecordingEstimate(eqx.Module):
@@ -45,12 +66,102 @@ class RecordingEstimate(eqx.Module):
     unit: str
 
 
+def single_recordings(
+    fitted: Posed,
+    held_out: Posed | None,
+    *,
+    uncertain: Uncertain,
+    z: Float[Array, " n_p"],
+    spread: Uncertainty,
+    W_c: Float[HostArray, "n_e n_errors"],
+) -> Job[tuple[RecordingEstimate, ...]]:
+    """Ask each recording alone, fitted or held out, for the parameters.
+
+    Args:
+        fitted: The fitted configurations.
+        held_out: Those that were only predicted, if any.
+        uncertain: What is uncertain.
+        z: Where the fit ended, scaled [-].
+        spread: Uncertainty by the noise.
+        W_c: Change of the errors of the fitted ones per standard deviation of what is
+            held fixed, in noise units.
+    """
+    if not (np.isfinite(spread.noise_scale) and spread.noise_scale > EXACT):
+        return ()
+    parts = [fitted]
+    if held_out is not None and _stack_up(fitted, held_out):
+        both = yield from _errors_of_both(fitted, held_out, uncertain, z)
+        parts, W_c = [fitted, held_out], both
+    values = lambda name: np.concatenate(
+        [np.nan_to_num(getattr(p.at, name)) for p in parts]
+    )
+    n_fitted, W = len(fitted.at.error), values("W_ep")
+    names = [recording_names(p.configurations) for p in parts]
+    known = [p.at.equilibrium.converged for p in parts]
+    lanes = [
+        name if ok and (k == 0 or name not in names[0]) else None
+        for k, both in enumerate(zip(names, known, strict=True))
+        for name, ok in zip(*both, strict=True)
+    ]
+    rows = np.repeat(np.array(lanes, object), len(W) // len(lanes))
+    return recording_estimates(
+        W,
+        values("error"),
+        np.nan_to_num(W_c),
+        fitted=np.arange(len(W)) < n_fitted,
+        rows={name: rows == name for name in dict.fromkeys(lanes) if name},
+        space=fitted.evaluate.problem.space,
+        z=np.asarray(z),
+        spread=spread,
+    )
+
+
+def _stack_up(one: Posed, other: Posed) -> bool:
+    """Return whether the configurations of both have arrays of the same shapes."""
+    shapes = [
+        jax.tree.map(lambda leaf: np.shape(leaf)[1:], p.evaluate.problem.configurations)
+        for p in (one, other)
+    ]
+    return jax.tree.leaves(shapes[0]) == jax.tree.leaves(shapes[1])
+
+
+def _errors_of_both(
+    fitted: Posed, held_out: Posed, uncertain: Uncertain, z
+) -> Job[Float[HostArray, "n_e n_errors"]]:
+    """Compute W_c of both, with the errors that they have in common, in noise units."""
+    problems = [p.evaluate.problem for p in (fitted, held_out)]
+    join = lambda *leaves: jnp.asarray(np.concatenate([*map(np.asarray, leaves)]))
+    joined = eqx.tree_at(
+        lambda p: p.configurations,
+        problems[0].with_noise(None),
+        jax.tree.map(join, *(p.configurations for p in problems)),
+    )
+    own = yield from considered_errors(
+        Evaluator(joined),
+        (*fitted.configurations, *held_out.configurations),
+        uncertain,
+        z=z,
+        displacement=join(*(p.at.equilibrium.displacement for p in (fitted, held_out))),
+    )
+    errors = [error for those in own.values() for error in those.values()]
+    n_c = len(joined.configurations.gravity)
+    empty = np.zeros((n_c, len(fitted.at.error) // len(fitted.configurations)))
+    stacked = np.stack([empty, *errors], axis=2)[:, :, 1:]
+    split = np.split(stacked, [len(fitted.configurations)])
+    in_units = [
+        p.in_noise_units(jnp.asarray(part.reshape(-1, part.shape[2])))
+        for p, part in zip(problems, split, strict=True)
+    ]
+    return np.concatenate([*map(np.asarray, in_units)])
+
+
 def recording_estimates(
     W: Float[HostArray, "n_e n_p"],
     error: Float[HostArray, " n_e"],
     W_c: Float[HostArray, "n_e n_errors"],
     *,
-    rows: dict[str, Bool[HostArray, " n_e"]],
+    fitted: Bool[HostArray, " n_e"],
+    rows: Mapping[str, Bool[HostArray, " n_e"]],
     space: ParameterSpace,
     z: Float[HostArray, " n_p"],
     spread: Uncertainty,
@@ -65,6 +176,7 @@ def recording_estimates(
         W: Stacked compliances in noise units.
         error: Stacked errors likewise.
         W_c: Their change per standard deviation of what is held fixed.
+        fitted: Rows that were fitted; the others were held out.
         rows: Rows of each recording.
         space: The parameters.
         z: Where the fit ended, scaled [-].
@@ -75,7 +187,8 @@ def recording_estimates(
     """
     prior = np.asarray(space.prior_weights())
     scale = spread.noise_scale if np.isfinite(spread.noise_scale) else 1.0
-    whole = np.nan_to_num(estimator(W, spread, prior))
+    of_fit = np.where(fitted[:, None], W, 0.0)
+    whole = np.nan_to_num(estimator(of_fit, spread, prior))
     by_prior = np.nan_to_num(spread.covariance) * prior
     size = lambda L: np.sqrt(
         np.sum((scale * L) ** 2, axis=1) + np.sum((L @ W_c) ** 2, axis=1)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._agreement import Posed, single_recordings
 from softcal_jax.calibration._budget import error_budget
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,
@@ -324,7 +325,8 @@ def _fit(
                 note=journal.note,
             )
         )
-        state, problem = weighed.state, problem.with_noise(weighed.noise)
+        begin_noise, state = problem.noise, weighed.state
+        problem = problem.with_noise(weighed.noise)
         evaluate = evaluate.with_noise(weighed.noise)
         evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
         fits = configuration_results(
@@ -335,6 +337,7 @@ def _fit(
             before=before.effectors,
             after=evaluation.effectors,
             solution=evaluation.equilibrium,
+            noise=weighed.noise,
         )
         spread = _uncertainty(problem, state.z, evaluation, noise, weighed.scale)
         budget = workers.end_of(
@@ -355,12 +358,25 @@ def _fit(
             spread=spread,
             fits=fits,
         )
-        missing = []
+        missing, others = [], None
         if held_out is not None:
-            predicted, missing = _predict(
+            weights = weighed.of_others(begin_noise, held_out[0].noise, validation)
+            held_out = held_out[0].with_noise(weights), held_out[1]
+            predicted, missing, others = _predict(
                 workers, validation, *held_out, start=first, z=state.z
             )
             fits += predicted
+        singles = workers.end_of(
+            single_recordings(
+                Posed(configurations, evaluate, evaluation),
+                others,
+                uncertain=uncertain,
+                z=state.z,
+                spread=spread,
+                W_c=budget.W_c,
+            )
+        )
+        checks = replace(checks, recordings=singles)
     result = CalibrationResult(
         converged=bool(state.converged),
         parameters=parameter_estimates(problem.space, state.z, spread, budget, start),
@@ -410,10 +426,10 @@ def _predict(
     *,
     start: Float[Array, " n_p"],
     z: Float[Array, " n_p"],
-) -> tuple[tuple[ConfigurationResult, ...], list[str]]:
+) -> tuple[tuple[ConfigurationResult, ...], list[str], Posed]:
     """Predict held-out configurations with the start and the calibrated parameters.
 
-    Uses the program of the fit, which is compiled already; its compliances are ignored.
+    Uses the program of the fit, which is compiled already.
     A configuration without equilibrium is left out with a note: it must neither count
     as a prediction nor cost the user the fit.
     """
@@ -430,6 +446,7 @@ def _predict(
         before=jnp.where(held, first.effectors, jnp.nan),
         after=last.effectors,
         solution=last.equilibrium,
+        noise=problem.noise,
     )
     notes = [
         f"{c.name} is not predicted: with the calibrated parameters it has no "
@@ -437,7 +454,8 @@ def _predict(
         for c, ok in zip(validation, last.equilibrium.converged, strict=True)
         if not ok
     ]
-    return fits, notes + unscoped_notes(problem.space, validation)
+    notes += unscoped_notes(problem.space, validation)
+    return fits, notes, Posed(tuple(validation), evaluate, last)
 
 
 def _uncertainty(

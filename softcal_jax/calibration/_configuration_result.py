@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._noise import CorrelatedNoise, whitened
 from softcal_jax.calibration._uncertainty import UNLIKELY
 from softcal_jax.configurations import (
     Configuration,
@@ -49,6 +50,8 @@ class ConfigurationResult(eqx.Module):
         min_det_F: Its smallest det F [-].
         robot: Rigid bodies, actuators and reactions; None without an equilibrium, and
             for a body without rigid bodies and actuators.
+        columns: Correlated part of the noise of all coordinates, in the order of the
+            effectors, in units of their standard deviations; see `CorrelatedNoise` [-].
     """
 
     name: str
@@ -62,6 +65,7 @@ class ConfigurationResult(eqx.Module):
     residual: float
     min_det_F: float
     robot: RobotState | None = None
+    columns: Float[HostArray, "n_coordinates n_columns"] | None = None
 
     @property
     def points(self) -> tuple[EffectorRecord, ...]:
@@ -137,10 +141,13 @@ class ConfigurationResult(eqx.Module):
 
         From the chi-squared distribution of all measured coordinates; NaN without any.
         """
-        errors = [e.error(e.simulated) / e.std for e in self.effectors]
+        none = [np.zeros(0)]
+        own = [e.error(e.simulated) / e.std for e in self.effectors]
+        errors = np.concatenate(none + own)
+        if self.columns is not None:
+            errors = whitened(self.columns, errors)
         n = sum(int(e.seen.sum()) for e in self.effectors)
-        squares = sum(float(np.sum(own**2)) for own in errors)
-        return float(chdtrc(n, squares)) if n else float("nan")
+        return float(chdtrc(n, np.sum(errors**2))) if n else float("nan")
 
     def misfit(self, noise: Literal["stated", "estimated"]) -> Misfit | None:
         """Say how the calibrated model contradicts it, if it does.
@@ -195,11 +202,12 @@ def configuration_results(
     before: Float[Array, "n_c n_rows 3"],
     after: Float[Array, "n_c n_rows 3"],
     solution: EquilibriumSolution,
+    noise: CorrelatedNoise,
 ) -> tuple[ConfigurationResult, ...]:
     """Describe the fitted or predicted configurations that have an equilibrium.
 
     Effectors `before` are those with the start parameters; `model`, effectors `after`
-    and `solution` those with the calibrated ones.
+    and `solution` those with the calibrated ones. `noise` is theirs.
     """
     effectors = [
         tuple(
@@ -213,7 +221,23 @@ def configuration_results(
     found = _results(
         model, configurations, lanes.arrays, solution, role=role, effectors=effectors
     )
-    return tuple(result for result in found if result.converged)
+    columns = _columns(lanes, noise)
+    both = zip(found, columns, strict=True)
+    return tuple(replace(own, columns=A) for own, A in both if own.converged)
+
+
+def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArray]:
+    """Return the correlated noise of each configuration alone, see its results."""
+    arrays = lanes.arrays.effectors
+    host_noise, effectors = jax.tree.map(np.asarray, (noise, arrays))
+    A = np.asarray(host_noise.columns(effectors)) * host_noise.jitter
+    A = A.reshape(*effectors.inverse_std.shape, -1)
+    found = []
+    for own, records in zip(A, lanes.effectors, strict=True):
+        rows = [own[e.index, : len(e.std)] for e in records]
+        stacked = np.concatenate([np.zeros((0, A.shape[-1])), *rows])
+        found.append(stacked[:, np.any(stacked != 0.0, axis=0)])
+    return found
 
 
 def simulation_result(

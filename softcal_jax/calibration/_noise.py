@@ -65,7 +65,8 @@ class CorrelatedNoise(eqx.Module):
         xp = jnp if isinstance(weight, jax.Array) else np
         n_c, n_rows = weight.shape[:2]
         is_point = xp.arange(n_rows) < effectors.nodes.shape[-2]
-        same = xp.asarray(self.recording)[:, None] == xp.arange(n_c)[None, :]
+        recording = xp.asarray(self.recording)
+        same = recording[:, None] == xp.arange(n_c, dtype=recording.dtype)[None, :]
         own, axes = xp.eye(n_c, dtype=weight.dtype), xp.eye(3, dtype=weight.dtype)
         of_points = weight * is_point.astype(weight.dtype)[None, :, None]
         offset, same = xp.asarray(self.offset), same.astype(weight.dtype)

@@ -117,6 +117,12 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
         "has no standard error."
         for name in names[spread.at_bound]
     ]
+    held, free = names[spread.at_bound], names[~spread.at_bound & np.isfinite(std)]
+    if len(held) and len(free):
+        notes.append(
+            f"Standard errors of {', '.join(free)} hold with {', '.join(held)} kept on "
+            "the bound, and are larger without it."
+        )
     undetermined = np.isnan(std) & ~spread.at_bound
     if np.any(undetermined):
         blind = ", ".join(names[undetermined])

@@ -10,10 +10,9 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration._agreement import (
     RecordingEstimate,
     agreement_sentences,
-    recording_estimates,
 )
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._noise import coloured, recording_names
+from softcal_jax.calibration._noise import coloured
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._residuals import (
     LackOfFit,
@@ -66,13 +65,14 @@ class ResidualChecks(eqx.Module):
             the noise is stated, which is tested by chi-squared, or nothing is left.
         left_out: Each configuration as the others predict it; empty for fewer than
             three.
-        recordings: Parameters from single recordings, if two or more determine them.
+        recordings: Parameters from single recordings, held out or not, if two or more
+            determine them.
     """
 
     names: tuple[str, ...]
     lack_of_fit: LackOfFit | None
     left_out: tuple[LeftOut, ...]
-    recordings: tuple[RecordingEstimate, ...]
+    recordings: tuple[RecordingEstimate, ...] = ()
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -160,23 +160,7 @@ def residual_checks(
                 zip(fits, leave(scale), by_scatter, strict=True)
             )
         )
-    recordings = recording_names(configurations)
-    rows = {
-        name: np.array([own == name for own in recordings])[lane]
-        for name in dict.fromkeys(recordings)
-    }
-    singles = ()
-    if len(rows) > 1 and sampled:
-        singles = recording_estimates(
-            np.asarray(state.evaluation.W_ep),
-            np.asarray(state.evaluation.error),
-            W_c,
-            rows=rows,
-            space=problem.space,
-            z=np.asarray(state.z),
-            spread=spread,
-        )
-    return ResidualChecks(names, test, predicted, singles)
+    return ResidualChecks(names, test, predicted)
 
 
 def _shared_errors(

@@ -29,14 +29,15 @@ class ParameterEstimate(eqx.Module):
     Attributes:
         name: Its name.
         value: Its value.
-        standard_error: Standard error by all causes, see `ErrorBudget`; nan on a bound,
-            or if not determined.
+        standard_error: Standard error by all causes, see `ErrorBudget`: the one to
+            publish. nan on a bound, or if not determined.
         start: Value at the start.
         lower: Lower bound.
         upper: Upper bound.
         unit: SI unit.
         at_bound: Whether it ended on a bound.
         interval: Its confidence interval; None if none was asked for.
+        given: Parameters on a bound: the standard error holds with these kept there.
     """
 
     name: str
@@ -48,6 +49,7 @@ class ParameterEstimate(eqx.Module):
     unit: str
     at_bound: bool
     interval: ParameterInterval | None = None
+    given: tuple[str, ...] = ()
 
     @property
     def is_symmetric(self) -> bool:
@@ -81,6 +83,7 @@ def parameter_estimates(
     if start is not None:
         before = np.asarray(space.from_scaled(start))
     errors = budget.standard_errors
+    held = tuple(np.array(space.names)[spread.at_bound].tolist())
     return tuple(
         ParameterEstimate(
             name=parameter.name,
@@ -91,6 +94,7 @@ def parameter_estimates(
             upper=float(parameter.upper),
             unit=parameter.unit,
             at_bound=bool(spread.at_bound[i]),
+            given=() if spread.at_bound[i] else held,
         )
         for i, (parameter, value) in enumerate(
             zip(space.parameters, values, strict=True)

@@ -78,6 +78,30 @@ class Weighed(NamedTuple):
     scale: float | None
     notes: tuple[str, ...]
 
+    def of_others(
+        self,
+        begin: CorrelatedNoise,
+        others: CorrelatedNoise,
+        configurations: Sequence[Configuration],
+    ) -> CorrelatedNoise:
+        """Return the noise of other configurations with what was found.
+
+        Args:
+            begin: The noise of the fitted ones to begin with.
+            others: That of the others to begin with.
+            configurations: These others.
+        """
+        which, noise = self.unknown.share, self.noise
+        largest = lambda a: float(np.max(np.abs(a), initial=0.0))
+        ratio = lambda a, b: largest(a) / largest(b) if largest(b) > 0.0 else 1.0
+        shares = (np.asarray(n.share)[which] for n in (noise, begin))
+        return others.scaled(
+            jitter=float(noise.jitter),
+            offset=ratio(noise.offset, begin.offset),
+            share=ratio(*shares),
+            of=np.array([c.relative_std == "estimated" for c in configurations]),
+        )
+
 
 def unknown_noise(
     configurations: Sequence[Configuration], *, jitter: bool, offset: bool
@@ -130,6 +154,7 @@ def weighed_fit(
         noise, evaluate = new, evaluate.with_noise(new)
         evaluation = in_other_units(evaluate.numbered, state.evaluation)
         state = initial_state(settings, state.z, evaluation)
+    notes += _found(noise, unknown)
     return Weighed(state, noise, unknown, scale, tuple(notes))
 
 
@@ -227,6 +252,20 @@ def _estimated(
         errors, parts, factors=[float(noise.jitter), 1.0, 1.0, 1.0], free=free
     )
     return noise.scaled(jitter=jitter, offset=offset, share=share, of=unknown.share)
+
+
+def _found(noise: CorrelatedNoise, unknown: Unknown) -> list[str]:
+    """Say what was found for offsets and shares of the motion."""
+    notes = []
+    if unknown.offset:
+        size = 1e3 * float(np.max(noise.offset, initial=0.0))
+        notes.append(f"The residuals show recordings to be off by {size:.2g} mm.")
+    if unknown.share.any():
+        size = 100.0 * float(np.max(np.asarray(noise.share)[unknown.share]))
+        notes.append(
+            f"The residuals show {size:.2g} % of the motion to be creep or hysteresis."
+        )
+    return notes
 
 
 def _change(old: CorrelatedNoise, new: CorrelatedNoise) -> float:

@@ -21,10 +21,17 @@ from softcal_jax.calibration import (
     images_of,
     random_starts,
     run_start,
+    whitened,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Job, Model, NewtonSettings, Workers
-from softcal_jax.fields import ControlPoints, Entry, ParameterSpace, as_space
+from softcal_jax.fields import (
+    ControlPoints,
+    Entry,
+    ParameterSpace,
+    Uncertain,
+    as_space,
+)
 from softcal_jax.identifiability import identifiability
 from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, LayoutScore
 
@@ -107,6 +114,7 @@ def compare_layouts(
     newton: NewtonSettings | None = None,
     starts: int | None = None,
     seed: int = 0,
+    uncertain: Uncertain | None = None,
 ) -> LayoutComparison:
     """Find the layout of control points that best predicts what it was not fitted to.
 
@@ -134,6 +142,8 @@ def compare_layouts(
         starts: Number of starts of each fit: that of the parameters, and random ones
             within the bounds; by default see `default_starts`.
         seed: Seed of the random starts.
+        uncertain: How well everything is known that is not calibrated, of which the
+            offsets of recordings belong to the noise; by default nothing is uncertain.
 
     Returns:
         The layouts, the best first. A fold that did not converge, or whose
@@ -160,7 +170,9 @@ def compare_layouts(
     for name, points in layouts.items():
         try:
             space = as_space(make_parameters(points))
-            problems[name] = build_problem(model, space, configurations, newton)
+            problems[name] = build_problem(
+                model, space, configurations, newton, uncertain=uncertain
+            )
         except ValueError as error:
             raise ValueError(f"layout {name!r}: {error}") from error
     settings = settings or FOR_PREDICTION
@@ -185,7 +197,11 @@ def _score(
     fits: list[_Fit],
 ) -> LayoutScore:
     """Score the folds of one layout and the fit to all configurations."""
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    effectors, noise = jax.tree.map(
+        np.asarray, (problem.configurations.effectors, problem.noise)
+    )
+    weight = effectors.inverse_std
+    A = np.asarray(noise.columns(effectors)).reshape(*weight.shape, -1)
     # Distances are of points; turns and forces count in units of the noise.
     n_points = problem.configurations.effectors.nodes.shape[-2]
 
@@ -196,7 +212,9 @@ def _score(
         error, of_lanes = np.asarray(fit.after.delta_e)[lanes], weight[lanes]
         squares = np.sum(error[:, :n_points] ** 2, axis=2)
         there = np.any(of_lanes[:, :n_points] > 0.0, axis=2)
-        over_noise = (of_lanes * error)[of_lanes > 0.0]
+        columns = A[lanes].reshape(of_lanes.size, -1)
+        over_noise = whitened(columns, np.ravel(of_lanes * error))
+        over_noise = over_noise[of_lanes.ravel() > 0.0]
         mean = lambda squares: float(np.sqrt(np.mean(squares)))
         return mean(squares[there]), mean(over_noise**2)
 

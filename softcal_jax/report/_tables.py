@@ -10,6 +10,8 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
+    LeftOut,
+    ResidualChecks,
     SimulationResult,
 )
 from softcal_jax.configurations import EffectorRecord
@@ -73,11 +75,12 @@ def summary_table(
         _parameter_table(result, found),
         _budget_table(result),
         *_interval_table(result),
-        *_configuration_tables(shown),
+        *_configuration_tables(shown, result.checks),
         *_robot_tables(shown),
         *_outlook(verdict),
         head,
         *([] if result.starts is None else [Text(str(result.starts))]),
+        *(Text(line) for line in (result.checks.agreement if result.checks else ())),
         *(Text(f"Note: {note}", style="yellow") for note in result.notes),
     )
 
@@ -111,6 +114,8 @@ def _parameter_table(
         text = q.estimate
         if q.at_bound:
             text += " (on a bound)"
+        elif q.given:
+            text += f" (with {', '.join(q.given)} on a bound)"
         factor, unit = readable_unit([q.value], q.unit)
         bounds = f"{q.lower * factor:.4g} to {q.upper * factor:.4g} {unit}"
         sound = result.converged and not q.at_bound and q.name not in blind
@@ -141,22 +146,40 @@ def _interval_table(result: CalibrationResult) -> list["rich.table.Table"]:
     return [table]
 
 
-def _configuration_tables(fits: Configurations) -> list["rich.table.Table"]:
-    """Tabulate the errors of points and of orientations."""
+def _configuration_tables(
+    fits: Configurations, checks: ResidualChecks | None
+) -> list["rich.table.Table"]:
+    """Tabulate the errors of points and of orientations.
+
+    With three or more fitted configurations, points also as the others predict them,
+    and in brackets what errors explain of that.
+    """
+    predicted = {} if checks is None else {own.name: own for own in checks.left_out}
     columns = ["role", "before", "after", "moved", "after/moved"]
-    points = _start_table("Rms distance of the markers", "configuration", columns)
+    more = ["by the others"] if predicted else []
+    title = "Rms distance of the markers"
+    points = _start_table(title, "configuration", columns + more)
     turns = _start_table("Rms angle of the orientations", "configuration", columns[:3])
     for fit in fits:
         before, after, moved = map(
             _distance, (fit.rms_before, fit.rms_after, fit.motion)
         )
         share = "-" if math.isnan(fit.rms_share) else f"{100.0 * fit.rms_share:.1f} %"
-        _add_row(points, fit.name, fit.role, before, (after, "bold"), moved, share)
+        by_others = [_by_others(predicted.get(fit.name))] if predicted else []
+        row = fit.role, before, (after, "bold"), moved, share, *by_others
+        _add_row(points, fit.name, *row)
         if math.isfinite(fit.turn_after):
             before, after = _angle(fit.turn_before), _angle(fit.turn_after)
             _add_row(turns, fit.name, fit.role, before, (after, "bold"))
     shown = [points] if any(fit.points for fit in fits) else []
     return shown + ([turns] if turns.row_count else [])
+
+
+def _by_others(own: LeftOut | None) -> str:
+    """Write how far a prediction by the other configurations is off."""
+    if own is None or math.isnan(own.rms):
+        return "-"
+    return f"{_distance(own.rms)} ({_distance(own.expected)})"
 
 
 def _robot_tables(configurations: Configurations) -> list["rich.table.Table"]:

@@ -16,6 +16,7 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import Parameter, exactly_known
+from softcal_jax.identifiability import assess, identify
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -242,3 +243,40 @@ def test_an_error_that_all_recordings_share_cancels_in_their_difference():
 def test_a_share_of_the_motion_is_zero_or_more():
     with pytest.raises(ValueError, match="relative_std of configuration 'load 0' must"):
         poses(relative_std=-0.1)
+
+
+def test_before_measuring_the_outlook_is_that_after_it():
+    """The motion is that of the model then; with a recording that poses share."""
+    data = measured(recording="monday", relative_std=0.03)
+    result = fit(data)
+    before = identify(MODEL, E, data, at=result.z, uncertain=ONLY_OFFSETS)
+    (own,), (after,) = before.parameters, assess(result).identifiability.parameters
+    np.testing.assert_allclose(own.standard_error, after.standard_error, rtol=2e-2)
+    alone = identify(MODEL, E, data, at=result.z, uncertain=exactly_known())
+    assert own.standard_error > 1.05 * alone.parameters[0].standard_error
+
+
+def test_another_recording_tells_more_than_another_pose_of_the_same():
+    """One error of the frame for both poses, or two."""
+    data = measured()
+    same, other = (
+        [replace(c, recording=name) for c in (data[1], data[2])]
+        for name in ("monday", None)
+    )
+    errors = [
+        identify(MODEL, E, both, uncertain=ONLY_OFFSETS).parameters[0].standard_error
+        for both in (same, other)
+    ]
+    assert errors[0] != pytest.approx(errors[1], rel=0.05)
+
+
+def test_a_held_out_recording_is_asked_too():
+    """It is independent of the fit, so the variances add up."""
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    known = replace(exactly_known(), recordings=2e-5)
+    result, alone = fit(data[:3], known, validation=data[3:]), fit(data[3:], known)
+    (own,) = [e for e in result.checks.recordings if e.recording == "load 3"]
+    stds = [r.parameters[0].standard_error for r in (result, alone)]
+    np.testing.assert_allclose(own.value, alone.value("E"), rtol=1e-3)
+    apart = (own.value - result.value("E")) / np.hypot(*stds)
+    np.testing.assert_allclose(own.apart, apart, rtol=3e-2, atol=3e-2)

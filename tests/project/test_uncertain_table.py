@@ -54,6 +54,26 @@ def test_every_key(tmp_path):
     assert vars(own) == pytest.approx(expected, rel=1e-12)
 
 
+def test_offsets_of_recordings_may_be_estimated(tmp_path):
+    assert read(tmp_path, 'recordings = "estimated"').recordings == "estimated"
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [('"2.5 %"', 0.025), ("0", 0.0), ('"estimated"', "estimated")]
+)
+def test_creep_is_a_share_of_the_motion_of_all_poses_or_of_one(tmp_path, text, value):
+    shared = ("[shared]\n", f"[shared]\nrelative_std = {text}\n")
+    project = load_project(write_small_project(tmp_path, shared))
+    assert {c.relative_std for c in project.configurations} == {value}
+
+
+def test_creep_is_no_length(tmp_path):
+    shared = ("[shared]\n", '[shared]\nrelative_std = "1 mm"\n')
+    path = write_small_project(tmp_path, shared)
+    with pytest.raises(ProjectError, match=r'relative_std: got "1 mm"; .* like "3 %"'):
+        load_project(path)
+
+
 def test_zero_needs_no_unit(tmp_path):
     own = read(tmp_path, "nu = 0.0", "density = 0", "clamp = 0", "gravity = 0.0")
     assert (own.nu, own.density, own.clamp, own.gravity) == (0.0, 0.0, 0.0, 0.0)
