@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
+from softcal_jax._once import once
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.fields._order import (
     AxisChart,
@@ -92,7 +93,7 @@ class ParameterSpace(eqx.Module):
         axis_columns(self.entries, self.axes)
         fading_axes(self.entries, self.axes)
 
-    @property
+    @once
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknowns one by one."""
         return tuple(q for entry in self.entries for q in entry.parameters)
@@ -156,7 +157,7 @@ class ParameterSpace(eqx.Module):
         """Compute distances of scaled parameters, the shorter way if periodic."""
         return jnp.abs(self.shorter(z - other))
 
-    @property
+    @once
     def chart(self) -> AxisChart | None:
         """Step coordinates of the axes; None without axes or tensor steps."""
         if not (self.axes and self.tensor_steps):

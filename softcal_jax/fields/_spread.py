@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._once import once
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
@@ -162,7 +163,7 @@ class ControlPointParameters(AbstractFieldEntry):
         """Return the name of the unknown at a control point, maybe of another field."""
         return dict(self.tied).get(control_point, f"{self.field} of {control_point}")
 
-    @property
+    @once
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknowns at control points neither fixed nor tied, in their order."""
         keys = ("scale", "S", "region", "unit", "max_step", "prior_std")

@@ -35,7 +35,7 @@ def test_of_all_calls(name, assembled, monkeypatch):
     monkeypatch.setattr(assembly, name, counting)
     model = small_model()
     u = jnp.zeros((model.n_points, 3))
-    jax.clear_caches()
+    assembly._mapped.clear_cache()
     several = lambda model, u: [assembled(model, u + step) for step in range(3)]
     jax.eval_shape(several, model, u)
     jax.eval_shape(several, model, 2.0 * u)
@@ -46,6 +46,6 @@ def test_of_all_calls(name, assembled, monkeypatch):
 def test_nothing_of_a_program_is_kept(name, assembled):
     model = small_model()
     u = jnp.zeros((model.n_points, 3))
-    jax.clear_caches()
+    assembly._mapped.clear_cache()
     with jax.checking_leaks():
         jax.jit(lambda model, u: assembled(model, u)).trace(model, u)
