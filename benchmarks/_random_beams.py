@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._typing import HostArray
 from softcal_jax.calibration import random_starts
 from softcal_jax.configurations import Configuration, Markers, SurfaceForce
 from softcal_jax.equilibrium import Model, build_model
@@ -47,10 +46,10 @@ class Pose(NamedTuple):
     turn: float
     weight: float = 0.0
 
-    def down(self) -> HostArray:
-        """Where down is: the beam turns about its axis, seen from it gravity turns."""
+    def down(self, size: float) -> tuple[float, float, float]:
+        """A vector down: the beam turns about its axis, seen from it gravity turns."""
         angle = np.deg2rad(self.turn)
-        return np.array([0.0, -np.cos(angle), np.sin(angle)])
+        return 0.0, -size * float(np.cos(angle)), size * float(np.sin(angle))
 
 
 class Layout(NamedTuple):
@@ -138,13 +137,12 @@ def problem(
 
 def _configuration(pose: Pose, markers: Markers) -> Configuration:
     free = "x_max" if pose.held == "x_min" else "x_min"
-    down = pose.down()
     weight = f" with {pose.weight:g} N" if pose.weight else ""
     return Configuration(
         f"{pose.held} turned {pose.turn:g}{weight}",
         pose.held,
-        gravity=tuple(map(float, GRAVITY * down)),
-        loads=[SurfaceForce(free, tuple(map(float, pose.weight * down)))],
+        gravity=pose.down(GRAVITY),
+        loads=[SurfaceForce(free, pose.down(pose.weight))],
         markers=markers,
     )
 
