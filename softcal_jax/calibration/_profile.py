@@ -202,7 +202,8 @@ class _Profile:
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
         """Return how far the parameter is from its pin, and the rise of twice cost."""
-        far, cost = _without_pin(self.space, pin, run.z, run.cost)
+        cost = jnp.asarray(run.cost)  # a float would be compiled in
+        far, cost = _without_pin(self.space, pin, jnp.asarray(run.z), cost)
         higher = 2.0 * (float(cost) - self.at.cost)
         if higher < -LOWER * self.at.rise**2:
             raise LowerCostFound(jnp.asarray(run.z), float(cost), self.at.cost)
