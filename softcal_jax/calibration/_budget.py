@@ -131,13 +131,18 @@ class ErrorBudget(eqx.Module):
         own = {cause: float(std[i]) for cause, std in self.by_cause().items()}
         shown = [c for c in own if c == NOISE or own[c] >= SMALL * total]
         shown.sort(key=lambda c: (c != NOISE, -own[c]))
-        text = ", ".join(f"{cause} {self._readable(i, own[cause])}" for cause in shown)
+        text = ", ".join(f"{cause} {self.readable(i, own[cause])}" for cause in shown)
         worst = max(own, key=lambda c: own[c])
         advice = {NOISE: "", MESH: ": use quadratic tets"}
         return text + advice.get(worst, f": measure {worst} first")
 
-    def _readable(self, i: int, std: float) -> str:
-        """Write an error in percent of the value; angles and offsets as they are."""
+    def readable(self, i: int, std: float) -> str:
+        """Write an error in percent of the value; angles and offsets as they are.
+
+        Args:
+            i: Index of the parameter.
+            std: The error, in SI.
+        """
         value, unit = abs(float(self.values[i])), self.units[i]
         if unit in ("rad", "m") or value == 0.0:
             factor, shown = readable_unit([std], unit)

@@ -99,7 +99,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     reasons += result.checks.reasons if result.checks is not None else ()
     reasons += _contradictions(result)
     reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
-    reasons += _locking(result.budget)
+    reasons += _locking(result.budget, report)
     reasons += _wide(report, result)
     reasons += _rivals(result.starts, spread.level)
     for verdict, words in (
@@ -124,22 +124,23 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     )
 
 
-def _locking(budget: ErrorBudget) -> list[str]:
+def _locking(budget: ErrorBudget, report: Identifiability) -> list[str]:
     """Say what linear tets may do to the values, unless that is switched off."""
     remedy = "Use quadratic tets (to_quadratic)."
-    by_cause = budget.by_cause()
-    if MESH in by_cause:
-        worst = int(np.nanargmax(by_cause[MESH] / np.abs(budget.values)))
-        # A value on a bound has no standard error.
-        if np.isfinite(by_cause[MESH][worst]):
-            share = 100.0 * by_cause[MESH][worst] / abs(budget.values[worst])
-            return [
-                f"Linear tets lock in bending: {budget.names[worst]} may be off by "
-                f"{share:.2g} % of its value by the mesh alone. {remedy}"
-            ]
-    if MESH in by_cause or MESH in budget.unknown:
+    errors = budget.by_cause().get(MESH)
+    if errors is None and MESH not in budget.unknown:
+        return []
+    over_asked = np.array([-1.0])
+    if errors is not None:
+        asked = np.array([p.asked for p in report.parameters])
+        over_asked = np.nan_to_num(errors / asked, nan=-1.0)
+    worst = int(np.argmax(over_asked))
+    if errors is None or over_asked[worst] < 0.0:  # a value on a bound has no error
         return [f"Linear tets lock in bending, by an unknown amount here. {remedy}"]
-    return []
+    return [
+        f"Linear tets lock in bending: {budget.names[worst]} may be off by "
+        f"{budget.readable(worst, errors[worst])} by the mesh alone. {remedy}"
+    ]
 
 
 def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:

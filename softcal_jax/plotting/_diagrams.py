@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 _DPI = 100
-_TITLE_WIDTH = 105
+_TITLE_WIDTH = 85
 """Characters of a line of the reasons below the title."""
 
 _LINE = 0.25
