@@ -244,7 +244,7 @@ def test_identify_help(capsys):
     assert "exit codes: 0 judged, whatever the verdict" in text
 
 
-# Twenty seconds of compiling. `test_anisotropic` calibrates such a project, and the tests
+# Twenty seconds of compiling. `test_anisotropic` calibrates such a project, and tests
 # of tables and results read units, groups of values and verdicts.
 @pytest.mark.slow
 def test_calibrate_fields_of_an_anisotropic_beam(tmp_path, out, capsys):
