@@ -301,7 +301,8 @@ def survey(
 
 def _lane(batch, i: int):
     """Pick one configuration of a batch."""
-    return jax.tree.map(lambda leaf: leaf[i], batch)
+    # Sliced on the host: on the device, each shape compiles a program.
+    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[i], batch))
 
 
 def _scaled_values(
