@@ -301,8 +301,7 @@ def survey(
 
 def _lane(batch, i: int):
     """Pick one configuration of a batch."""
-    # Sliced on the host: on the device, each shape compiles a program.
-    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[i], batch))
+    return jax.tree.map(lambda leaf: leaf[i], batch)
 
 
 def _scaled_values(
