@@ -244,6 +244,9 @@ def test_identify_help(capsys):
     assert "exit codes: 0 judged, whatever the verdict" in text
 
 
+# Twenty seconds of compiling. `test_anisotropic` calibrates such a project, and tests
+# of tables and results read units, groups of values and verdicts.
+@pytest.mark.slow
 def test_calibrate_fields_of_an_anisotropic_beam(tmp_path, out, capsys):
     """Degrees for people, radians in the JSON; the data are too few for six unknowns.
 

@@ -12,15 +12,7 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
-    {
-        "_compilation_cache",
-        "_machine",
-        "_names",
-        "_once",
-        "_results",
-        "_typing",
-        "_units",
-    },
+    {"_compilation_cache", "_machine", "_names", "_typing", "_results", "_units"},
     {"elements"},
     {"mesh"},
     {"materials"},

@@ -365,4 +365,5 @@ def _results(
 
 def _lane(batch, i: int):
     """Pick one configuration of a batch."""
-    return jax.tree.map(lambda leaf: leaf[i], batch)
+    # Sliced on the host: on the device, each shape compiles a program.
+    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[i], batch))

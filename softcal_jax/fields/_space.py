@@ -7,8 +7,8 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from softcal_jax._once import once
 from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.fields._once import once
 from softcal_jax.fields._order import (
     AxisChart,
     axis_columns,

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._once import once
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
 from softcal_jax.fields._model_fields import region_tets, set_field
+from softcal_jax.fields._once import once
 from softcal_jax.fields._parameters import AbstractFieldEntry, Parameter
 from softcal_jax.materials import PointValues
 from softcal_jax.mesh import TetMesh

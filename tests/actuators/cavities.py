@@ -1,13 +1,20 @@
 """Bodies with a cavity, frames of rigid bodies, and motions of both."""
 
+import equinox as eqx
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softcal_jax import actuators
 from softcal_jax.actuators import actuator_arrays
 from softcal_jax.mesh import TetMesh, beam, boundary_faces, to_quadratic
 
 TURN = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
 AXIS_LENGTH = 0.3
+
+# One program each, in place of one for each operation in them.
+actuator_displacements = eqx.filter_jit(actuators.actuator_displacements)
+actuator_rows = eqx.filter_jit(actuators.actuator_rows)
+curvature_entries = eqx.filter_jit(actuators.curvature_entries)
 
 
 def hollow(full, dropped, order=1):

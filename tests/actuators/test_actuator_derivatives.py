@@ -6,7 +6,15 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from cavities import TURN, bent, hollow_cube, with_frames
+from cavities import (
+    TURN,
+    actuator_displacements,
+    actuator_rows,
+    bent,
+    curvature_entries,
+    hollow_cube,
+    with_frames,
+)
 from problems import central_difference
 
 from softcal_jax.actuators import (
@@ -18,10 +26,7 @@ from softcal_jax.actuators import (
     SurfaceForceActuator,
     SurfacePressure,
     actuator_arrays,
-    actuator_displacements,
-    actuator_rows,
     clique_nodes,
-    curvature_entries,
 )
 
 CABLE = Cable(

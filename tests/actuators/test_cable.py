@@ -2,16 +2,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cavities import AXIS_LENGTH, TURN, arrays_of, bent, with_frames
+from cavities import (
+    AXIS_LENGTH,
+    TURN,
+    actuator_displacements,
+    actuator_rows,
+    arrays_of,
+    bent,
+    curvature_entries,
+    with_frames,
+)
 
 from softcal_jax.actuators import (
     Cable,
     Guide,
     actuator_arrays,
-    actuator_displacements,
-    actuator_rows,
     clique_nodes,
-    curvature_entries,
 )
 from softcal_jax.mesh import beam, locate
 

@@ -9,18 +9,21 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from cavities import arrays_of, bent
+from cavities import (
+    actuator_displacements,
+    actuator_rows,
+    arrays_of,
+    bent,
+    curvature_entries,
+)
 from problems import central_difference
 
 from softcal_jax.actuators import (
     Cable,
     Guide,
-    actuator_displacements,
     actuator_geometry,
-    actuator_rows,
     actuators_moving,
     clique_nodes,
-    curvature_entries,
     displacement_rows,
 )
 from softcal_jax.mesh import beam

@@ -1,7 +1,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cavities import TURN, arrays_of, bent, with_frames
+from cavities import (
+    TURN,
+    actuator_displacements,
+    actuator_rows,
+    arrays_of,
+    bent,
+    with_frames,
+)
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.actuators import (
@@ -9,8 +16,6 @@ from softcal_jax.actuators import (
     Motor,
     SurfaceForceActuator,
     actuator_arrays,
-    actuator_displacements,
-    actuator_rows,
     clique_nodes,
 )
 from softcal_jax.configurations import PointForce, SurfaceForce

@@ -3,13 +3,20 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cavities import TURN, area_vectors, arrays_of, bent, hollow, hollow_cube
+from cavities import (
+    TURN,
+    actuator_displacements,
+    actuator_rows,
+    area_vectors,
+    arrays_of,
+    bent,
+    hollow,
+    hollow_cube,
+)
 
 from softcal_jax.actuators import (
     Chamber,
     SurfacePressure,
-    actuator_displacements,
-    actuator_rows,
 )
 from softcal_jax.mesh import TetMesh, beam
 

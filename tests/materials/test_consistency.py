@@ -179,13 +179,17 @@ def test_forward_equals_reverse(law):
     )
 
 
+energy_and_stress = jax.jit(lambda law, F: law.energy_and_stress(F))
+stress_and_tangent = jax.jit(lambda law, F: law.stress_and_tangent(F))
+
+
 @each_law
 def test_what_is_computed_together_is_what_is_computed_alone(law):
     for F in GRADIENTS:
-        psi, P = jax.jit(lambda law, F: law.energy_and_stress(F))(law, F)
+        psi, P = energy_and_stress(law, F)
         np.testing.assert_allclose(psi, energy(law, F), rtol=1e-13)
         np.testing.assert_allclose(P, stress(law, F), rtol=0, atol=1e-14)
-        P, A = jax.jit(lambda law, F: law.stress_and_tangent(F))(law, F)
+        P, A = stress_and_tangent(law, F)
         np.testing.assert_allclose(P, stress(law, F), rtol=0, atol=1e-14)
         np.testing.assert_allclose(A, tangent(law, F), rtol=0, atol=1e-13)
 

@@ -157,6 +157,7 @@ def test_reduced_set_cannot_represent_the_foam():
 def test_derivative_in_theta():
     """dE/dtheta of the reduced set, whose E(theta) is known, through the stress."""
 
+    @jax.jit
     def modulus(theta):
         law = ReducedTransverseIsotropic(1.0, 0.25, 0.3, Fibre(theta))
         unit = jnp.eye(9).reshape(9, 3, 3)

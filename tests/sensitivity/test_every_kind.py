@@ -182,6 +182,9 @@ def test_direct_and_adjoint_side_agree():
     assert adjoint.displacement is None
 
 
+# Twenty seconds of compiling. Every kind is compared with differences above, and other
+# files differentiate equilibria of bodies and actuators both ways.
+@pytest.mark.slow
 def test_forward_equals_reverse():
     """Of the equilibrium itself, differentiated by JAX through every kind."""
     z, W = point(), direct().W_ep
