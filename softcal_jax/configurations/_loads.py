@@ -25,7 +25,7 @@ class AbstractLoad(eqx.Module):
             of one name share a factor.
     """
 
-    name: eqx.AbstractVar[str]
+    name: str = eqx.field(default=UNNAMED_LOADS, kw_only=True)
 
     @abstractmethod
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
@@ -43,12 +43,10 @@ class PointForce(AbstractLoad):
     Attributes:
         point: Where it acts at rest, on or in the mesh [m].
         force: The force [N].
-        name: Its name.
     """
 
     point: tuple[float, float, float]
     force: tuple[float, float, float]
-    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Compute forces on the nodes of the tet that holds the point [N]."""
@@ -64,12 +62,10 @@ class NodalForces(AbstractLoad):
     Attributes:
         nodes: Node indices.
         forces: One force per node [N].
-        name: Its name.
     """
 
     nodes: Int[HostArray, " n"]
     forces: Float[HostArray, "n 3"]
-    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Place the forces, added up where a node is named twice, on all nodes [N]."""
@@ -96,12 +92,10 @@ class EdgeForce(AbstractLoad):
         where: Node group of the edge, or its node indices: all edges of boundary faces
             whose ends both belong to it are loaded.
         force: Total force [N].
-        name: Its name.
     """
 
     where: str | Int[HostArray, " n"]
     force: tuple[float, float, float]
-    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
@@ -127,12 +121,10 @@ class SurfaceForce(AbstractLoad):
     Attributes:
         where: Name of a surface group.
         force: Total force [N].
-        name: Its name.
     """
 
     where: str
     force: tuple[float, float, float]
-    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Consistent forces on the nodes of the surface [N]."""
@@ -147,12 +139,10 @@ class SurfaceTraction(AbstractLoad):
     Attributes:
         where: Name of a surface group.
         traction: Force per reference area [Pa].
-        name: Its name.
     """
 
     where: str
     traction: tuple[float, float, float]
-    name: str = UNNAMED_LOADS
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Consistent forces on the nodes of the surface [N]."""

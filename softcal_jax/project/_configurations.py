@@ -54,38 +54,40 @@ class SupportTable(Maker):
     stiffness: Stiffness | None = None
 
 
-LoadName = Annotated[
-    str, Field(min_length=1, description="name, for `load_factor` in [[setup]]")
-]
+class LoadTable(Maker):
+    by_name = ("name",)
+    name: str = Field(
+        UNNAMED_LOADS,
+        min_length=1,
+        description="name, for `load_factor` in [[setup]]",
+    )
+
+
 TotalForce = Annotated[Force, Field(description='the total force: "(0, 0, -1) N"')]
 
 
-class PointForceTable(Maker):
+class PointForceTable(LoadTable):
     makes = PointForce
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
     force: TotalForce
-    name: LoadName = UNNAMED_LOADS
 
 
-class EdgeForceTable(Maker):
+class EdgeForceTable(LoadTable):
     makes = EdgeForce
     edge: str = Field(description="name of the node group of an edge")
     force: TotalForce
-    name: LoadName = UNNAMED_LOADS
 
 
-class SurfaceForceTable(Maker):
+class SurfaceForceTable(LoadTable):
     makes = SurfaceForce
     surface: Surface
     force: TotalForce
-    name: LoadName = UNNAMED_LOADS
 
 
-class SurfaceTractionTable(Maker):
+class SurfaceTractionTable(LoadTable):
     makes = SurfaceTraction
     surface: Surface
     traction: Traction = Field(description='force per area: "(0, 0, -1) kPa"')
-    name: LoadName = UNNAMED_LOADS
 
 
 AnyLoad = Annotated[

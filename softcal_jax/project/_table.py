@@ -80,13 +80,20 @@ class Maker(Table):
     """A table that makes an object; its keys except `type` are the arguments in order.
 
     What the table is for stands in the class that it `makes`.
+
+    Attributes:
+        makes: What it makes.
+        by_name: Keys that are arguments by name instead.
     """
 
     makes: ClassVar[type[Any]]
+    by_name: ClassVar[tuple[str, ...]] = ()
 
     def build(self, *first: Any) -> Any:
         """Build the object; `first` are arguments before those of the table."""
-        return self.makes(*first, *(_built(own) for key, own in self if key != "type"))
+        own = {key: _built(value) for key, value in self if key != "type"}
+        named = {key: own.pop(key) for key in self.by_name}
+        return self.makes(*first, *own.values(), **named)
 
 
 def _built(value: Any) -> Any:
