@@ -13,7 +13,7 @@ belong to the noise, so W and s are in units of its covariance (see `CorrelatedN
 they are causes too, by the same gain, and what the noise has left is its jitter.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -182,13 +182,13 @@ def error_budget(
     gain = estimator(np.asarray(at.W_ep), spread, np.asarray(space.prior_weights()))
     in_units = lambda those: _stacked(problem, those.values())
     W_c = {name: in_units(errors) for name, errors in own.items()}
-    correlated = {}
+    correlated: Mapping[str, Mapping[str, HostArray]] = {}
     if problem.noise is not None:
         correlated = named_columns(
             configurations, problem.noise, problem.configurations.effectors
         )
     of_noise = {name: in_units(errors) for name, errors in correlated.items()}
-    names = {name: tuple(errors) for name, errors in (own | correlated).items()}
+    names = {name: tuple(errors) for name, errors in {**own, **correlated}.items()}
     causes = [Cause(n, names[n], -gain @ W) for n, W in (W_c | of_noise).items()]
     whole = np.nan_to_num(sum(cause.variance for cause in causes))
     size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))

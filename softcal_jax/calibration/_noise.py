@@ -14,6 +14,7 @@ squares; Seber and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import overload
 
 import equinox as eqx
 import jax
@@ -96,6 +97,14 @@ class CorrelatedNoise(eqx.Module):
             share=like(shares, self.share),
             jitter=like(jitter, self.jitter),
         )
+
+
+@overload
+def whitened(A: HostArray, x: HostArray) -> HostArray: ...
+
+
+@overload
+def whitened(A: Array, x: Array) -> Array: ...
 
 
 def whitened(

@@ -24,6 +24,7 @@ def one_fit(before, y) -> ConfigurationResult:
         before=before,
         after=after,
         solution=solution,
+        noise=None,
     )
     return fit
 
