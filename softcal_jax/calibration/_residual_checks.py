@@ -170,14 +170,16 @@ def _shared_errors(
 ) -> tuple[HostArray, HostArray]:
     """Return what coordinates of a configuration may share, and whose each is.
 
-    For each configuration the offsets of its points along the axes, and its motion.
+    For each configuration the offsets of its points along the axes, and its motion as
+    simulated: the measured one holds the errors that are tested.
     """
     columns, of = [], []
     for c, fit in enumerate(fits):
         own = np.zeros((4, *weight.shape))
         own[[0, 1, 2], c, :n_points, [0, 1, 2]] = weight[c, :n_points].T
         for e in fit.points:
-            own[3, c, e.index] = weight[c, e.index] * e.error(e.at_rest)
+            moved = np.where(e.seen, e.simulated - e.at_rest, 0.0)
+            own[3, c, e.index] = weight[c, e.index] * moved
         columns += list(own.reshape(4, -1))
         of += [c] * 4
     return np.stack(columns, axis=1), np.array(of)

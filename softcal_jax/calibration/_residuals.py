@@ -19,6 +19,13 @@ UNSEEN = 1e-9
 """Eigenvalue, over the largest, below which a direction is only rounding [-]."""
 
 
+ABSORBED = 1e-3
+"""Eigenvalue, over the largest, below which parameters take up a shared error [-].
+
+A modulus moves a pose almost along its motion; what is left beside it is curvature.
+"""
+
+
 class LinearFit:
     """A fit that is linear in its parameters: errors r + W dz, covariance V.
 
@@ -114,16 +121,15 @@ def lack_of_fit(
     jitter = float(np.sqrt(squares / within))
     fit = LinearFit(errors, A, jitter)
     slope, seen = Z.T @ fit.errors_left(), Z.T @ fit.left(Z)
-    between = basis(errors.W).shape[1]
-    between = both.shape[1] - between
-    if between < 1:
-        return None
     by_others = Z.T @ fit.left(W_c)
     size = np.sqrt(np.maximum(np.diag(seen), 1e-300))
     scaled = (seen + by_others @ by_others.T) / np.outer(size, size)
     # Directions that the parameters take up are left out.
     square, U = np.linalg.eigh(seen / np.outer(size, size))
-    U = U[:, np.argsort(-square)[:between]]
+    U = U[:, square > ABSORBED * max(square, default=0.0)]
+    between = U.shape[1]
+    if between == 0:
+        return None
     common = U @ np.linalg.solve(U.T @ scaled @ U, U.T @ (slope / size)) / size
     parts = np.array([np.sum((common * slope)[lane == c]) for c in range(n_c)])
     ratio = float(np.sum(parts)) / between

@@ -41,8 +41,11 @@ SETTLED = 0.01
 MOST_ROUNDS = 10
 """Most estimates of the noise."""
 
-FEWEST = 3
-"""Fewest degrees of freedom from which a component is estimated."""
+FEWEST_OFFSETS = 4
+"""Fewest residuals from which offsets are estimated: one recording has three."""
+
+FEWEST_SHARES = 3
+"""Fewest residuals from which a share of the motion is estimated."""
 
 
 class Unknown(NamedTuple):
@@ -200,13 +203,15 @@ def _enough(
     """Drop what the data cannot tell, with a note that says what counts instead."""
     columns, notes = _columns(problem, unknown), []
 
-    def too_few(what: str, A: HostArray, taken: str, remedy: str) -> bool:
+    def too_few(
+        what: str, A: HostArray, fewest: int, *, taken: str, remedy: str
+    ) -> bool:
         between, within = freedom_between(errors, A)
-        if between >= FEWEST and within >= 1:
+        if between >= fewest and within >= 1:
             return False
         notes.append(
             f"{what} cannot be estimated: of the residuals that parameters leave, at "
-            f"least {FEWEST} must show it and one must not, and there are {between} "
+            f"least {fewest} must show it and one must not, and there are {between} "
             f"and {within}. {taken} is taken; state `{remedy}`, or measure more."
         )
         return True
@@ -214,15 +219,17 @@ def _enough(
     if unknown.offset and too_few(
         "The offset of the recordings",
         columns.offsets,
-        f"{1e3 * OFFSET:g} mm",
-        "recordings",
+        FEWEST_OFFSETS,
+        taken=f"{1e3 * OFFSET:g} mm",
+        remedy="recordings",
     ):
         unknown = unknown._replace(offset=False)
     if unknown.share.any() and too_few(
         "The share of the motion",
         columns.shares,
-        f"{100.0 * FIRST_SHARE:g} %",
-        "relative_std",
+        FEWEST_SHARES,
+        taken=f"{100.0 * FIRST_SHARE:g} %",
+        remedy="relative_std",
     ):
         unknown = unknown._replace(share=np.zeros_like(unknown.share))
     return unknown, notes
