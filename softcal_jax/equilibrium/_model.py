@@ -229,9 +229,8 @@ def build_model(
     check_law(law, law.conservative, chosen)
     n_blocks = -(-n_tets // BLOCK)
     # Put on the device rather than converted there, which compiles for each shape.
-    blocked = lambda per_tet: jax.device_put(
-        np.moveaxis(to_blocks(per_tet, n_tets, n_blocks, BLOCK), 1, -1)
-    )
+    cut = lambda per_tet: np.asarray(to_blocks(per_tet, n_tets, n_blocks, BLOCK))
+    blocked = lambda per_tet: jax.device_put(np.moveaxis(cut(per_tet), 1, -1))
     dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
     conservative = law.conservative and mechanism.actuators.symmetric
     rigid = _within_one_body(mesh, mechanism)

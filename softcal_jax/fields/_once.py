@@ -32,7 +32,7 @@ class once(Generic[Value]):
     @overload
     def __get__(self, module: Any, owner: type) -> Value: ...
 
-    def __get__(self, module, owner):
+    def __get__(self, module: Any, owner: type) -> Any:
         """Compute the value; afterwards the kept one stands before this."""
         if module is None:
             return self

@@ -163,9 +163,13 @@ class ControlPointParameters(AbstractFieldEntry):
         """Return the name of the unknown at a control point, maybe of another field."""
         return dict(self.tied).get(control_point, f"{self.field} of {control_point}")
 
-    @once
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknowns at control points neither fixed nor tied, in their order."""
+        return self._unknowns
+
+    @once
+    def _unknowns(self) -> tuple[Parameter, ...]:
         keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
         options: dict[str, Any] = {key: getattr(self, key) for key in keys}
         names = self.control_points.names
