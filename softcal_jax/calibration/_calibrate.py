@@ -336,6 +336,7 @@ def _fit(
                     jitter=noise == "estimated",
                     offset=uncertain.recordings == "estimated",
                 ),
+                motion=problem.noise.motion,
                 note=journal.note,
             )
         )

@@ -5,10 +5,10 @@ The covariance of the stacked measured coordinates is
     V = s^2 diag(std^2) + U Sigma U^T
 
 with jitter of each coordinate, and few known columns U: a rigid offset of the points of
-each recording along each axis, and for each configuration a share of its measured
-motion. In units of the jitter this is I + A A^T with A = diag(std)^-1 U Sigma^1/2 / s,
-and the errors and compliances of a fit are multiplied by (I + A A^T)^-1/2, after which
-they are independent with the variance s^2 in units of `std` (generalised least
+each recording along each axis, and for each configuration a share of its motion. In
+units of the jitter this is I + A A^T with A = diag(std)^-1 U Sigma^1/2 / s, and the
+errors and compliances of a fit are multiplied by (I + A A^T)^-1/2, after which they are
+independent with the variance s^2 in units of `std` (generalised least
 squares; Seber and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
 """
 
@@ -45,7 +45,8 @@ class CorrelatedNoise(eqx.Module):
     Attributes:
         recording: Index of the first configuration of the same recording.
         offset: Standard deviation of the offset of its points, along each axis [m].
-        motion: Measured motion of the points; 0 for rows that are no points [m].
+        motion: Motion of the points, as `following` says; 0 for rows that are no points
+            [m].
         share: Standard deviation of the share of this motion that is noise [-].
         jitter: Factor on the stated standard deviations of the coordinates [-].
     """
@@ -77,6 +78,26 @@ class CorrelatedNoise(eqx.Module):
         n_e = weight.size
         parts = [shifts.reshape(n_e, 3 * n_c), shares.reshape(n_e, n_c)]
         return xp.concatenate(parts, axis=1) / xp.asarray(self.jitter)
+
+    def following(
+        self,
+        measured: Float[AnyArray, "n_c n_rows 3"],
+        delta_e: Float[AnyArray, "n_c n_rows 3"],
+        n_points: int,
+    ) -> "CorrelatedNoise":
+        """Return it with shares of the simulated motion.
+
+        Shares of the measured motion favour a robot that does not move: a share of
+        minus one then explains all of the data.
+
+        Args:
+            measured: The measured motion, see `measured_motion` [m].
+            delta_e: Simulated minus measured values of the effectors.
+            n_points: Number of rows that are points, which come first.
+        """
+        moved = np.array(measured)
+        moved[:, :n_points] += np.asarray(delta_e)[:, :n_points]
+        return replace(self, motion=jnp.asarray(moved, jnp.asarray(self.motion).dtype))
 
     def scaled(
         self, *, jitter: float, offset: float, share: float, of: Bool[HostArray, " n_c"]

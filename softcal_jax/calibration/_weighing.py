@@ -1,8 +1,9 @@
 """Fit and noise in turn: the noise weighs the errors of the fit that it is found from.
 
 A component of the noise that is not known is found by restricted maximum likelihood
-from the errors linearised at the optimum. These weights move the optimum a little, so
-the fit goes on from it, until neither changes.
+from the errors linearised at the optimum, and a share of the motion is one of that
+simulated there. These weights move the optimum a little, so the fit goes on from it,
+until neither changes.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import FIRST_SHARE, CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -119,18 +120,21 @@ def weighed_fit(
     state: CalibrationState,
     *,
     unknown: Unknown,
+    motion: Float[Array, "n_c n_rows 3"],
     note: Callable[[CalibrationState, CorrelatedNoise], None],
 ) -> Job[Weighed]:
-    """Take steps to the optimum, estimate the noise, and go on until both stand still.
+    """Take steps to the optimum, update the noise, and go on until both stand still.
 
     Args:
         evaluate: Evaluator of the calibration, with the noise to begin with.
         settings: Settings of the outer loop.
         state: State to begin with.
         unknown: What of the noise is estimated.
+        motion: Measured motion of the points [m].
         note: Called with state and noise after each step.
     """
     noise, scale, notes = evaluate.problem.noise, None, []
+    n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
     assert noise is not None
     for n in range(MOST_ROUNDS):
         told = lambda state, noise=noise: note(state, noise)
@@ -143,11 +147,12 @@ def weighed_fit(
         new = _estimated(errors, evaluate.problem, unknown)
         known = new is not None and unknown.jitter
         scale = float(noise.jitter) if known else None
-        if new is None or _change(noise, new) <= SETTLED:
+        new = (new or noise).following(motion, state.evaluation.delta_e, n_points)
+        if _change(noise, new) <= SETTLED:
             break
         if n == MOST_ROUNDS - 1:
             notes.append(
-                "The noise estimated from the residuals did not settle: it still "
+                "The noise did not settle beside the fit: it still "
                 f"changes by {100.0 * _change(noise, new):.0f} %. State the `std` of "
                 'the effectors with noise = "stated", or the offset of recordings.'
             )
@@ -278,4 +283,8 @@ def _change(old: CorrelatedNoise, new: CorrelatedNoise) -> float:
     before, after = (
         np.array([n.jitter, largest(n.offset), largest(n.share)]) for n in (old, new)
     )
-    return float(np.max(np.abs(after - before) / np.maximum(before, 1e-300)))
+    creep = [
+        np.asarray(n.motion) * np.asarray(n.share)[:, None, None] for n in (old, new)
+    ]
+    change = np.append(np.abs(after - before), largest(creep[1] - creep[0]))
+    return float(np.max(change / np.maximum([*before, largest(creep[0])], 1e-300)))
