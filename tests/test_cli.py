@@ -254,6 +254,7 @@ def test_calibrate_fields_of_an_anisotropic_beam(tmp_path, out, capsys):
     that differ by a turn of gravity see hardly anything of the far end.
     """
     path = write_measured_project(tmp_path)
+    path.write_text(path.read_text() + "\n[settings]\nstarts = 1\n")
     assert main(["calibrate", str(path), "-o", str(out)]) in (0, 1)
     text = capsys.readouterr().out
     assert "Corotational of ReducedTransverseIsotropic (displacement)" in text
