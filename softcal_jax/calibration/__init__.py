@@ -8,7 +8,8 @@ from softcal_jax.calibration._budget import (
     ErrorBudget,
     considered_errors,
 )
-from softcal_jax.calibration._calibrate import as_sequence, build_problem, calibrate
+from softcal_jax.calibration._build import as_sequence, build_problem
+from softcal_jax.calibration._calibrate import calibrate
 from softcal_jax.calibration._checked_intervals import LEVEL
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (

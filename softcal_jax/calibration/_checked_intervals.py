@@ -19,7 +19,7 @@ from softcal_jax.calibration._interval import (
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation, Evaluator
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends, room_beside
 from softcal_jax.calibration._result import CalibrationResult, Optimum
-from softcal_jax.calibration._uncertainty import EXACT
+from softcal_jax.calibration._uncertainty import EXACT, estimator
 
 LEVEL = 0.95
 """Confidence of intervals unless another one is asked for [-]."""
@@ -191,6 +191,19 @@ def quantile_of(result: CalibrationResult, level: float) -> float:
     return float(t.ppf(tail, spread.degrees_of_freedom))
 
 
+def _considered_error(result: CalibrationResult, column: int) -> float:
+    """Compute the standard error by what is held fixed and may be wrong [-].
+
+    A parameter on a bound counts as free: its interval ends inside.
+    """
+    at_bound = result.uncertainty.at_bound.copy()
+    at_bound[column] = False
+    spread = replace(result.uncertainty, at_bound=at_bound)
+    prior = np.asarray(result.space.prior_weights())
+    gain = estimator(result.W_ep, spread, prior)[column]
+    return float(np.nan_to_num(np.linalg.norm(gain @ result.budget.W_c)))
+
+
 def whole_interval(
     result: CalibrationResult,
     column: int,
@@ -203,10 +216,7 @@ def whole_interval(
 
     Both move out by what is held fixed and may be wrong, in squares, up to the bounds.
     """
-    # What the likelihood knows of already is in the covariance by the noise.
-    both = result.budget.covariance, result.uncertainty.covariance
-    variance = max(both[0][column, column] - both[1][column, column], 0.0)
-    reach = norm.ppf(0.5 * (1.0 + level)) * np.sqrt(np.nan_to_num(variance))
+    reach = norm.ppf(0.5 * (1.0 + level)) * _considered_error(result, column)
     wider = []
     for end, sign in zip(ends, (-1, 1), strict=True):
         room = room_beside(result.space, result.z, column, sign)

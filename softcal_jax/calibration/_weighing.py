@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.calibration._noise import FIRST_SHARE, CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -120,7 +120,7 @@ def weighed_fit(
     state: CalibrationState,
     *,
     unknown: Unknown,
-    motion: Float[Array, "n_c n_rows 3"],
+    motion: Float[HostArray, "n_c n_rows 3"],
     note: Callable[[CalibrationState, CorrelatedNoise], None],
 ) -> Job[Weighed]:
     """Take steps to the optimum, update the noise, and go on until both stand still.

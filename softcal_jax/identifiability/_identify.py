@@ -333,14 +333,14 @@ def survey(
         jax.tree.map(np.asarray, arrays.effectors),
         weights.reshape(len(names), -1, 3),
     )
-    noise = correlated_noise(
+    correlated = correlated_noise(
         configurations,
         space=space,
         effectors=weighed,
         motion=np.nan_to_num(measured_motion(lanes, weighed.measured.shape[1])),
         uncertain=uncertain,
     )
-    all_A = np.asarray(jax.tree.map(np.asarray, noise).columns(weighed))
+    all_A = np.asarray(jax.tree.map(np.asarray, correlated).columns(weighed))
     all_A = all_A.reshape(len(names), -1, all_A.shape[1])
     errors = [error for own in causes.values() for error in own.values()]
     all_W_c = np.stack([np.zeros_like(weights), *errors], axis=2)[:, :, 1:]

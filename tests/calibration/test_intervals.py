@@ -21,7 +21,7 @@ from softcal_jax.calibration import (
     synthetic_measurements,
 )
 from softcal_jax.calibration import calibrate as calibrate_with
-from softcal_jax.calibration._calibrate import build_problem
+from softcal_jax.calibration._build import build_problem
 from softcal_jax.calibration._notes import uncertainty_notes
 from softcal_jax.calibration._profile import (
     _bracket,

@@ -1,0 +1,92 @@
+"""Stack a calibration into arrays."""
+
+from collections.abc import Sequence
+
+from softcal_jax.calibration._noise import correlated_noise, measured_motion
+from softcal_jax.calibration._notes import (
+    warn_if_locking,
+)
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    lane_of,
+)
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationLanes,
+    SharedNames,
+    configuration_lanes,
+)
+from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.fields import (
+    Entry,
+    ParameterSpace,
+    Uncertain,
+    as_space,
+    check_parameters,
+    exactly_known,
+)
+
+
+def build_problem(
+    model: Model,
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+    configurations: Configuration | Sequence[Configuration],
+    newton: NewtonSettings | None = None,
+    *,
+    uncertain: Uncertain | None = None,
+) -> CalibrationProblem:
+    """Stack a calibration into arrays, for `evaluate` and `multi_start`.
+
+    Args:
+        model: The body.
+        parameters: What is calibrated.
+        configurations: Posed robots; each with markers and measured positions.
+        newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated, of which the
+            offsets of recordings belong to the noise; by default nothing is uncertain.
+
+    Raises:
+        ValueError: If a configuration has no measurement, or a parameter no field.
+    """
+    posed, uncertain = as_sequence(configurations), uncertain or exactly_known()
+    return build(model, parameters, posed, newton, uncertain=uncertain)[0]
+
+
+def build(
+    model: Model,
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+    configurations: Sequence[Configuration],
+    newton: NewtonSettings | None,
+    shared: SharedNames | None = None,
+    *,
+    uncertain: Uncertain,
+) -> tuple[CalibrationProblem, ConfigurationLanes]:
+    """Stack a calibration into arrays, and return its lanes with effector records."""
+    for configuration in configurations:
+        if not configuration.is_measured:
+            raise ValueError(
+                f"configuration {configuration.name!r} has no measured positions: give "
+                "`markers` and `measured`, or `effectors` with measured values."
+            )
+    space = as_space(parameters)
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism, shared)
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
+    warn_if_locking(model, space)
+    newton = newton or NewtonSettings()
+    effectors = lanes.arrays.effectors
+    noise = correlated_noise(
+        configurations,
+        space=space,
+        effectors=effectors,
+        motion=measured_motion(lanes.effectors, effectors.measured.shape[1]),
+        uncertain=uncertain,
+    )
+    return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
+
+
+def as_sequence(
+    configurations: Configuration | Sequence[Configuration],
+) -> tuple[Configuration, ...]:
+    """Return configurations as a tuple; a single one may be given by itself."""
+    one = isinstance(configurations, Configuration)
+    return (configurations,) if one else tuple(configurations)

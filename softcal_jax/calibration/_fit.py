@@ -1,0 +1,260 @@
+"""One fit: search, loop, noise, error budget, checks and predictions."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._agreement import Posed, single_recordings
+from softcal_jax.calibration._budget import error_budget
+from softcal_jax.calibration._build import as_sequence, build
+from softcal_jax.calibration._checked_intervals import (
+    Fitted,
+)
+from softcal_jax.calibration._checkpoint import Clock, Journal
+from softcal_jax.calibration._configuration_result import (
+    configuration_results,
+)
+from softcal_jax.calibration._notes import (
+    fit_notes,
+    result_notes,
+    warn_if_too_few_data,
+)
+from softcal_jax.calibration._nothing_to_learn import check_effects, check_sensitive
+from softcal_jax.calibration._predict import predict
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    Evaluation,
+    Evaluator,
+)
+from softcal_jax.calibration._residual_checks import residual_checks
+from softcal_jax.calibration._result import (
+    CalibrationResult,
+    HistoryEntry,
+    parameter_estimates,
+)
+from softcal_jax.calibration._runs import admissible
+from softcal_jax.calibration._search import (
+    FROM_ANYWHERE,
+    SearchProgress,
+    random_starts,
+    search,
+)
+from softcal_jax.calibration._state import CalibrationSettings, initial_state
+from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
+from softcal_jax.calibration._weighing import unknown_noise, weighed_fit
+from softcal_jax.configurations import (
+    Configuration,
+    shared_names,
+)
+from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
+from softcal_jax.fields import (
+    Entry,
+    ParameterSpace,
+    Uncertain,
+    check_scopes,
+    unnamed,
+)
+
+
+def fit(
+    model: Model,
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+    configurations: Configuration | Sequence[Configuration],
+    *,
+    validation: Configuration | Sequence[Configuration],
+    noise: Literal["estimated", "stated"],
+    uncertain: Uncertain | None,
+    settings: CalibrationSettings | None,
+    newton: NewtonSettings | None,
+    precision: float,
+    starts: int,
+    seed: int,
+    start: Float[Array, " n_p"] | None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: Callable[[HistoryEntry], None] | None = None,
+    search_progress: Callable[[SearchProgress], None] | None = None,
+    begin: Float[Array, " n_p"] | None = None,
+) -> Fitted:
+    """Calibrate as `calibrate` does, without intervals.
+
+    `begin` is where the loop begins; what is reported as start is still `start`.
+    """
+    settings, uncertain = settings or CalibrationSettings(), uncertain or Uncertain()
+    configurations = as_sequence(configurations)
+    validation = as_sequence(validation)
+    shared = shared_names((*configurations, *validation))
+    stack = partial(build, model, parameters, uncertain=uncertain)
+    problem, lanes = stack(configurations, newton, shared)
+    assert problem.noise is not None
+    check_scopes(problem.space, configurations)
+    check_effects(problem)
+    # Built now, so that a wrong held-out configuration is found before the fit.
+    held_out = None
+    if validation:
+        held_out = stack(validation, newton, shared)
+    names = tuple(c.name for c in configurations)
+    for c in validation:
+        if c.name in names:
+            raise ValueError(f"configuration {c.name!r} is named more than once.")
+    warn_if_too_few_data(problem)
+
+    mark = (starts, seed) if start is None else (starts, seed, *start.tolist())
+    journal = Journal(problem, settings, checkpoint, progress, search=mark)
+    evaluate = Evaluator(problem)
+    most = starts * max(len(configurations), 2 * len(validation))
+    with Clock() as clock, Workers(model, most) as workers:
+        first = _admissible(problem.space, start)
+        before = there = workers.end_of(evaluate.from_rest(first))
+        check_converged(before.equilibrium, names)
+        check_sensitive(problem, before)
+        found = None
+        if begin is not None:
+            there = workers.end_of(evaluate.from_rest(begin))
+        elif starts > 1:
+            others = random_starts(problem.space, starts - 1, seed=seed)
+            found = search(
+                workers,
+                evaluate,
+                FROM_ANYWHERE,
+                jnp.concatenate([first[None], others]),
+                mirror=True,
+                journal=journal,
+                progress=search_progress,
+            )
+            begin = jnp.asarray(found.z[found.best])
+            there = workers.end_of(evaluate.from_rest(begin))
+        begin = first if begin is None else begin
+        state, weights = journal.begin(
+            initial_state(settings, begin, there), problem.noise
+        )
+        weighed = workers.end_of(
+            weighed_fit(
+                evaluate.with_noise(weights),
+                settings,
+                state,
+                unknown=unknown_noise(
+                    configurations,
+                    jitter=noise == "estimated",
+                    offset=uncertain.recordings == "estimated",
+                ),
+                motion=np.asarray(problem.noise.motion),
+                note=journal.note,
+            )
+        )
+        begin_noise, state = problem.noise, weighed.state
+        problem = problem.with_noise(weighed.noise)
+        evaluate = evaluate.with_noise(weighed.noise)
+        evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
+        fits = configuration_results(
+            fitted,
+            configurations,
+            lanes._replace(arrays=arrays),
+            role="calibration",
+            before=before.effectors,
+            after=evaluation.effectors,
+            W_ep=evaluation.compliance,
+            solution=evaluation.equilibrium,
+            noise=weighed.noise,
+        )
+        spread = _uncertainty(problem, state.z, evaluation, noise, weighed.scale)
+        budget = workers.end_of(
+            error_budget(
+                evaluate,
+                configurations,
+                uncertain,
+                z=state.z,
+                at=evaluation,
+                spread=spread,
+            )
+        )
+        checks = residual_checks(
+            problem,
+            configurations,
+            state=state,
+            W_c=budget.W_c,
+            spread=spread,
+            fits=fits,
+        )
+        missing, others = [], None
+        if held_out is not None:
+            other, records = held_out
+            assert begin_noise is not None
+            assert other.noise is not None
+            weights = weighed.of_others(begin_noise, other.noise, validation)
+            other = other.with_noise(weights)
+            predicted, missing, others = predict(
+                workers, validation, other, records, start=first, z=state.z
+            )
+            fits += predicted
+        singles = workers.end_of(
+            single_recordings(
+                Posed(configurations, evaluate, evaluation),
+                others,
+                uncertain=uncertain,
+                z=state.z,
+                spread=spread,
+                W_c=budget.W_c,
+            )
+        )
+        checks = replace(checks, recordings=singles)
+    result = CalibrationResult(
+        converged=bool(state.converged),
+        parameters=parameter_estimates(problem.space, state.z, spread, budget, start),
+        uncertainty=spread,
+        budget=budget,
+        configurations=fits,
+        history=tuple(journal.history),
+        space=problem.space,
+        model=fitted,
+        z=state.z,
+        W_ep=np.asarray(evaluation.W_ep),
+        settings=settings,
+        newton=problem.newton,
+        noise=weighed.noise,
+        checks=checks,
+        timing_s=clock.seconds,
+        notes=(
+            *fit_notes(state, settings),
+            *weighed.notes,
+            *missing,
+            *result_notes(problem, fits, state.z, spread),
+        ),
+        starts=found,
+        precision=precision,
+    )
+    return Fitted(result, problem, evaluation)
+
+
+def _admissible(
+    space: ParameterSpace, start: Float[Array, " n_p"] | None
+) -> Float[Array, " n_p"]:
+    """Return the first start, moved within bounds and order."""
+    if start is None:
+        start = space.start()
+    if start.shape != (len(space.names),):
+        raise ValueError(
+            f"start must have one scaled value for each of the {len(space.names)} "
+            f"parameters, got shape {start.shape}."
+        )
+    return admissible(unnamed(space), start)
+
+
+def _uncertainty(
+    problem: CalibrationProblem, z, at: Evaluation, noise, scale: float | None
+) -> Uncertainty:
+    down, up = map(np.asarray, problem.space.room(z))
+    return uncertainty(
+        np.asarray(at.W_ep),
+        np.asarray(at.error),
+        n_measured=int(np.sum(problem.configurations.effectors.inverse_std > 0)),
+        at_bound=(down >= -1e-9) | (up <= 1e-9),
+        noise=noise,
+        prior_weights=np.asarray(problem.space.prior_weights()),
+        scale=scale,
+    )
