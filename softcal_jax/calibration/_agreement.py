@@ -97,7 +97,7 @@ def single_recordings(
     )
     n_fitted, W = len(fitted.at.error), values("W_ep")
     names = [recording_names(p.configurations) for p in parts]
-    known = [p.at.equilibrium.converged for p in parts]
+    known = [np.asarray(p.at.equilibrium.converged) for p in parts]
     lanes = [
         name if ok and (k == 0 or name not in names[0]) else None
         for k, both in enumerate(zip(names, known, strict=True))
@@ -132,7 +132,7 @@ def _errors_of_both(
 ) -> Job[Float[HostArray, "n_e n_errors"]]:
     """Compute W_c of both, with the errors that they have in common, in noise units."""
     problems = [p.evaluate.problem for p in (fitted, held_out)]
-    join = lambda *leaves: jnp.asarray(np.concatenate([*map(np.asarray, leaves)]))
+    join = lambda *leaves: jax.device_put(np.concatenate([*map(np.asarray, leaves)]))
     joined = eqx.tree_at(
         lambda p: p.configurations,
         problems[0].with_noise(None),
@@ -150,11 +150,12 @@ def _errors_of_both(
     empty = np.zeros((n_c, len(fitted.at.error) // len(fitted.configurations)))
     stacked = np.stack([empty, *errors], axis=2)[:, :, 1:]
     split = np.split(stacked, [len(fitted.configurations)])
-    flat = lambda a: jnp.asarray(a.reshape(a.shape[0] * a.shape[1], a.shape[2]))
+    flat = lambda a: a.reshape(a.shape[0] * a.shape[1], a.shape[2])
     in_units = [
-        p.in_noise_units(flat(part)) for p, part in zip(problems, split, strict=True)
+        p.on_host_in_noise_units(flat(part))
+        for p, part in zip(problems, split, strict=True)
     ]
-    return np.concatenate([*map(np.asarray, in_units)])
+    return np.concatenate(in_units)
 
 
 def recording_estimates(
@@ -197,8 +198,8 @@ def recording_estimates(
     )
     log = np.array([q.scale == "log" for q in space.parameters])
     width = np.where(log, 1.0, np.asarray(space.upper() - space.lower()))
-    fits = np.asarray(space.from_scaled(jnp.asarray(z)))
-    at = jnp.asarray(z)
+    at = jax.device_put(z)
+    fits = np.asarray(space.from_scaled(at))
     _, slopes = jax.jvp(space.from_scaled, (at,), (jnp.ones_like(at),))
     slopes = np.abs(np.asarray(slopes))
     found: dict[int, list[RecordingEstimate]] = {}
@@ -206,7 +207,7 @@ def recording_estimates(
         alone = estimator(np.where(own[:, None], W, 0.0), spread, 0.0 * prior)
         shift, std = -alone @ error, size(alone)
         apart = np.hypot(size(alone - whole), np.linalg.norm(by_prior, axis=1))
-        values = np.asarray(space.from_scaled(jnp.asarray(z + np.nan_to_num(shift))))
+        values = np.asarray(space.from_scaled(jax.device_put(z + np.nan_to_num(shift))))
         for i in np.flatnonzero(std < DETERMINED * width):
             found.setdefault(int(i), []).append(
                 RecordingEstimate(

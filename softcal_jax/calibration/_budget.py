@@ -211,7 +211,7 @@ def _stacked(
 ) -> Float[HostArray, "n_e n_errors"]:
     """Stack changes of the effectors as columns, in units of the noise [-]."""
     columns = np.stack([np.ravel(error) for error in errors], axis=1)
-    return np.asarray(problem.in_noise_units(jnp.asarray(columns)))
+    return problem.on_host_in_noise_units(columns)
 
 
 def _by_jitter(
@@ -273,7 +273,7 @@ def _all_columns(
 ) -> Job[Float[HostArray, "n_errors n_c n_e"]]:
     """Compute W_c as if each configuration had each error."""
     problem, n_c = evaluate.numbered, len(displacement)
-    n_e = problem.configurations.effectors.measured[0].size
+    n_e = problem.configurations.effectors.measured.size // n_c
     if n_e == 0 or not any(own.happens for own in found):
         return np.zeros((len(found), n_c, n_e))
     entries = tuple(own.entry for own in found if own.entry is not None)
@@ -282,7 +282,7 @@ def _all_columns(
     lanes = [
         (
             errors,
-            tuple(jnp.asarray(own[c]) for own in motions),
+            tuple(jax.device_put(own[c]) for own in motions),
             z,
             lane_of(problem.configurations, c),
             lane_of(displacement, c),

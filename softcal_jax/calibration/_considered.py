@@ -4,7 +4,6 @@ from collections.abc import Hashable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Bool, HostArray
@@ -104,13 +103,13 @@ def _fields(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
         name = field.rpartition(".")[2]
         share = _not_calibrated(posed, name)
         room = 0.5 * (INCOMPRESSIBLE - float(np.max(value)))
-        entry = FieldError(name, min(uncertain.nu, room), field, jnp.asarray(share))
+        entry = FieldError(name, min(uncertain.nu, room), field, jax.device_put(share))
         open_ = [bool(np.any(share))] * len(posed.configurations)
         yield _same(name, entry, posed.where(posed.everywhere, open_))
     share = _not_calibrated(posed, "density")
     heavy = bool(np.any(share * np.asarray(model.density) > 0.0))
     entry = FieldError(
-        "density", uncertain.density, "density", jnp.asarray(share), relative=True
+        "density", uncertain.density, "density", jax.device_put(share), relative=True
     )
     falls = heavy & np.any(posed.arrays.gravity, axis=1)
     yield _same("density", entry, posed.where(posed.everywhere, falls))

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
@@ -99,11 +99,11 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> Job[bool]:
     if fit.quantile * std >= room_beside(space, fit.z, column, sign):
         return False
     step = np.where(free, sign * fit.quantile * covariance[column] / std, 0.0)
-    down, up = map(np.asarray, space.room(jnp.asarray(fit.z)))
+    down, up = map(np.asarray, space.room(jax.device_put(fit.z)))
     step = np.clip(step, down, up)
     if _breaks_order(space, fit.z + step):
         return False
-    z = jnp.asarray(fit.z + step)
+    z = jax.device_put(fit.z + step)
     there = yield from fit.evaluate(z, fit.at.equilibrium.displacement)
     if not there.ok:
         return False

@@ -14,7 +14,7 @@ squares; Seber and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import overload
+from typing import Any, overload
 
 import equinox as eqx
 import jax
@@ -97,7 +97,7 @@ class CorrelatedNoise(eqx.Module):
         """
         moved = np.array(measured)
         moved[:, :n_points] += np.asarray(delta_e)[:, :n_points]
-        return replace(self, motion=jnp.asarray(moved, jnp.asarray(self.motion).dtype))
+        return replace(self, motion=_on_device(moved, like=self.motion))
 
     def scaled(
         self, *, jitter: float, offset: float, share: float, of: Bool[HostArray, " n_c"]
@@ -110,14 +110,18 @@ class CorrelatedNoise(eqx.Module):
             share: Factor on the shares of the motion [-].
             of: Configurations whose share changes.
         """
-        like = lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype)
         shares = np.where(of, share, 1.0) * np.asarray(self.share)
         return replace(
             self,
-            offset=like(offset * np.asarray(self.offset), self.offset),
-            share=like(shares, self.share),
-            jitter=like(jitter, self.jitter),
+            offset=_on_device(offset * np.asarray(self.offset), like=self.offset),
+            share=_on_device(shares, like=self.share),
+            jitter=_on_device(jitter, like=self.jitter),
         )
+
+
+def _on_device(new: Any, *, like: Float[AnyArray, "..."]) -> Float[Array, "..."]:
+    """Put values on the device, typed like others, without a program of its own."""
+    return jax.device_put(np.asarray(new, like.dtype))
 
 
 @overload

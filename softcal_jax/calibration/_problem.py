@@ -68,6 +68,15 @@ class CalibrationProblem(eqx.Module):
             return x
         return whitened(jnp.asarray(self.noise.columns(effectors)), x)
 
+    def on_host_in_noise_units(
+        self, x: Float[HostArray, "n_e ..."]
+    ) -> Float[HostArray, "n_e ..."]:
+        """Convert as `in_noise_units`, without a compiled program for each shape."""
+        weight = np.asarray(self.configurations.effectors.inverse_std)
+        return whitened(
+            self.noise_columns(), weight.reshape(-1, *(1,) * (x.ndim - 1)) * x
+        )
+
     def noise_columns(self) -> Float[HostArray, "n_e n_columns"]:
         """Return A of the noise on the host, see `CorrelatedNoise` [-]."""
         effectors = jax.tree.map(np.asarray, self.configurations.effectors)
@@ -205,11 +214,11 @@ def stacked(
     )
 
 
-@eqx.filter_jit
 def in_other_units(problem: CalibrationProblem, old: Evaluation) -> Evaluation:
     """Return an evaluation in the units of another noise, that of `problem`."""
     where = lambda e: (e.error, e.W_ep)
-    new = map(problem.in_noise_units, (jnp.ravel(old.delta_e), old.compliance))
+    both = np.ravel(old.delta_e), np.asarray(old.compliance)
+    new = jax.device_put([problem.on_host_in_noise_units(x) for x in both])
     return eqx.tree_at(where, old, tuple(new))
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -270,7 +271,7 @@ def room_beside(
     space: ParameterSpace, z: Float[Array | HostArray, " n_p"], column: int, sign: int
 ) -> float:
     """Return the distance to the bound of a parameter; half a turn if periodic."""
-    down, up = space.room(jnp.asarray(z))
+    down, up = space.room(jax.device_put(z))
     room = float(up[column] if sign > 0 else -down[column])
     turn = float(space.upper()[column] - space.lower()[column])
     return min(room, 0.5 * turn) if np.isinf(room) else room
