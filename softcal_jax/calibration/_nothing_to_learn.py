@@ -82,8 +82,10 @@ def _missing_of_setup(entry: SetupParameter, arrays, falls: bool) -> str:
     """Say why no configuration depends on an entry of the setup, likewise."""
     if entry.kind == "gravity_tilt" and not falls:
         return "no configuration has gravity"
-    if entry.kind == "load_factor" and not np.any(arrays.force != 0.0):
-        return "no configuration has a dead load"
+    if entry.kind == "load_factor":
+        own = arrays.loads.names.index(entry.of)
+        if not np.any(arrays.loads.force[:, own] != 0.0):
+            return "no configuration has such a dead load"
     if entry.kind == "actuator_factor":
         own = arrays.actuation.names.index(entry.of)
         given = (

@@ -74,7 +74,7 @@ def test_a_region_that_is_held(model):
         ),
         (
             load_factor(prior_std=0.05),
-            "'factor of loads': no configuration has a dead load",
+            "'factor of loads': no configuration has such a dead load",
         ),
     ],
     ids=["density", "tilt", "loads"],

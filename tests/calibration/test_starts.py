@@ -1,5 +1,6 @@
 """Many starts in one batch: each as alone, their optima, and mirror images."""
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -93,7 +94,14 @@ def test_a_start_in_the_basin_finds_the_target(measured, plain):
 def test_a_run_is_that_of_calibrate(measured, plain):
     """The same loop step by step, and its errors."""
     beam = measured.beam
-    alone = calibrate(beam.model, beam.space, measured.data, starts=1, intervals=None)
+    alone = calibrate(
+        beam.model,
+        beam.space,
+        measured.data,
+        starts=1,
+        intervals=None,
+        uncertain=exactly_known(),
+    )
     assert alone.intervals == ()
     assert plain.steps[0] == len(alone.history) - 1
     np.testing.assert_allclose(plain.z[0], alone.z, rtol=0, atol=1e-8)
@@ -287,11 +295,13 @@ def test_calibrate_goes_on_from_the_best_of_several_starts(measured, monkeypatch
     p = space.from_scaled(measured.starts[2])
     wrong = [p[E_T], p[E_L], p[THETA]]
     space = eqx.tree_at(lambda s: [e.start for e in s.entries], space, wrong)
-    alone = calibrate(beam.model, space, measured.data, starts=1, intervals=None)
+    fit = partial(
+        calibrate, beam.model, space, measured.data, uncertain=exactly_known()
+    )
+    alone = fit(starts=1, intervals=None)
     assert alone.starts is None
     assert alone.history[-1].cost > 1e-3
-    known = exactly_known()
-    found = calibrate(beam.model, space, measured.data, seed=5, uncertain=known)
+    found = fit(seed=5)
     assert found.converged
     # Data of the model itself show no noise, so that first order cannot be wrong.
     assert {own.kind for own in found.intervals} == {"first-order"}
