@@ -11,6 +11,8 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from softcal_jax.calibration import (
+    CalibrationResult,
+    ErrorBudget,
     Evaluation,
     Evaluator,
     LowerCostFound,
@@ -18,10 +20,12 @@ from softcal_jax.calibration import (
     Optimum,
     build_problem,
     calibrate,
+    uncertainty,
 )
 from softcal_jax.calibration._checked_intervals import (
     MOST_RETURNS,
     Fitted,
+    _considered_error,
     with_intervals,
 )
 from softcal_jax.calibration._first_order import _Checked, _end_holds
@@ -116,9 +120,34 @@ def test_at_a_bound_one_side_is_known(poses):
     )
 
 
+def bare(kind, **values):
+    """An object of a kind with a few of its attributes alone."""
+    own = object.__new__(kind)
+    for name, value in values.items():
+        object.__setattr__(own, name, value)
+    return own
+
+
 SPACE = ParameterSpace(
     [Parameter(n, n, 0.0, -50.0, 50.0, scale="linear", S=1.0) for n in "xy"]
 )
+
+
+@pytest.mark.parametrize("on_bound", [False, True])
+def test_what_is_held_fixed_widens_on_a_bound_too(on_bound):
+    """An error of the data W_c moves least squares by pinv(W) W_c, bound or not."""
+    random = np.random.default_rng(0)
+    W, W_c = random.standard_normal((6, 2)), random.standard_normal((6, 3))
+    spread = uncertainty(W, np.ones(6), 6, np.array([on_bound, False]), "stated")
+    result = bare(
+        CalibrationResult,
+        uncertainty=spread,
+        space=SPACE,
+        W_ep=W,
+        budget=bare(ErrorBudget, W_c=W_c),
+    )
+    expected = np.linalg.norm(np.linalg.pinv(W)[0] @ W_c)
+    np.testing.assert_allclose(_considered_error(result, 0), expected, rtol=1e-12)
 
 
 def holds(errors, jacobian, *, column=0, W=None, on_bound=False, space=SPACE):
@@ -126,17 +155,14 @@ def holds(errors, jacobian, *, column=0, W=None, on_bound=False, space=SPACE):
     W = jacobian(0.0, 0.0) if W is None else W
 
     def at(z):
-        own = object.__new__(Evaluation)  # without equilibria
-        values = {
-            "error": jnp.asarray(errors(*z)),
-            "W_ep": jnp.asarray(jacobian(*z)),
-            "prior": jnp.zeros(2),
-            "ok": jnp.asarray(True),
-            "equilibrium": SimpleNamespace(displacement=None),
-        }
-        for name, value in values.items():
-            object.__setattr__(own, name, value)
-        return own
+        return bare(
+            Evaluation,
+            error=jnp.asarray(errors(*z)),
+            W_ep=jnp.asarray(jacobian(*z)),
+            prior=jnp.zeros(2),
+            ok=jnp.asarray(True),
+            equilibrium=SimpleNamespace(displacement=None),
+        )
 
     def evaluate(z, _):
         return at(np.asarray(z))
