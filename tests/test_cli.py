@@ -316,12 +316,12 @@ def test_warnings_are_lines(tmp_path, out, capsys, monkeypatch):
 
 
 def stop_at_the_first_solve(monkeypatch):
-    from softcal_jax.calibration import _calibrate
+    from softcal_jax.calibration import _fit
 
     def interrupt(*args):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_calibrate.Evaluator, "__call__", interrupt)
+    monkeypatch.setattr(_fit.Evaluator, "__call__", interrupt)
 
 
 def test_interrupted(tmp_path, out, capsys, monkeypatch):

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from softcal_jax._names import UNNAMED_LOADS, name_key
-from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import KINDS
 from softcal_jax.configurations._actuation import (
     Actuation,
@@ -30,6 +30,7 @@ from softcal_jax.configurations._effector_arrays import (
     stack_effectors,
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
+from softcal_jax.configurations._held import check_apart, check_held, motors_of
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers, marker_rows
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
@@ -227,7 +228,7 @@ def _lane(
     for support in c.supports:
         rigid = support.stiffness is None
         support.apply(mesh, *((fixed, imposed) if rigid else (sprung, rest)))
-    _check_apart(mesh, mechanism, fixed | sprung, c.name)
+    check_apart(mesh, mechanism, fixed | sprung, c.name)
     bodies = body_state_arrays(mechanism, c.bodies, c.name)
     actuation = actuation_arrays(mechanism, c.actuation, c.name)
     force = np.zeros((len(shared.loads), len(mechanism.points), 3))
@@ -235,10 +236,19 @@ def _lane(
         own = force[shared.loads.index(load.name), : mesh.n_nodes]
         own += load.nodal_forces(mesh)
     kind = np.asarray(bodies.kind).copy()
-    for name, k in _motors(mechanism):
+    motors = motors_of(mechanism)
+    for name, k in motors:
         by_angle = actuation.by_displacement[mechanism.actuators.names.index(name)]
         kind[k] = KINDS.index("held" if by_angle else "hinged")
-    _check_held(mesh, mechanism, fixed | sprung, kind, c)
+    asked = set(c.actuation) - {name for name, _ in motors}
+    check_held(
+        mesh,
+        mechanism,
+        fixed | sprung,
+        kind,
+        name=c.name,
+        balanced=bool(np.any(c.gravity) or c.loads or asked),
+    )
     # Nodes of the bodies' frames come after those of the mesh.
     more = len(mechanism.points) - mesh.n_nodes
     all_nodes = lambda a: np.concatenate([a, np.zeros((more, 3), a.dtype)])
@@ -271,21 +281,6 @@ def _springs(mesh: TetMesh, c: Configuration, names: tuple[str, ...], rest) -> S
         area[s, : mesh.n_nodes] = support.areas(mesh)
         stiffness[s] = support.stiffness
     return Springs(area, stiffness, rest, names)
-
-
-def _check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:
-    """Raise if a node is both held by a support and part of a rigid body."""
-    bodies = mechanism.bodies
-    both = np.flatnonzero(fixed[bodies.attached].any(axis=1))
-    if both.size:
-        node = bodies.attached[both[0]]
-        body = bodies.names[bodies.body[both[0]]]
-        raise ValueError(
-            f"configuration {name!r}: its supports hold {both.size} nodes of rigid "
-            f"bodies, such as node {node} of {body!r} at "
-            f"{mesh.points[node].tolist()} m. Hold the body instead, with bodies="
-            f'{{{body!r}: "held"}}, or keep the groups apart.'
-        )
 
 
 def _effector_rows(
@@ -348,56 +343,3 @@ def measured_at_rest(
     if c.markers is not None:
         rest[: len(c.markers.names)] = c.markers.positions
     return measured_as(c, rest, mesh, mechanism)
-
-
-def _check_held(
-    mesh: TetMesh,
-    mechanism: Mechanism,
-    fixed: Bool[HostArray, "n_nodes 3"],
-    kind: Int[HostArray, " n_b"],
-    c: Configuration,
-) -> None:
-    """Raise unless all six rigid motions are blocked, or a hinge is balanced.
-
-    The angle of a hinge needs something that balances it: weight, a load, or an
-    actuator other than motors.
-    """
-    motors = [n for n, b in _motors(mechanism) if kind[b] == KINDS.index("hinged")]
-    asked = set(c.actuation) - {name for name, _ in _motors(mechanism)}
-    if motors and (np.any(c.gravity) or c.loads or asked):
-        kind = np.where(kind == KINDS.index("hinged"), KINDS.index("held"), kind)
-    bodies, centre = mechanism.bodies, mesh.points.mean(axis=0)
-    size = np.abs(mesh.points - centre).max()
-    motions = lambda x: np.concatenate(
-        [
-            np.broadcast_to(np.eye(3)[:, None], (3, len(x), 3)),
-            np.cross(np.eye(3)[:, None], ((x - centre) / size)[None]),
-        ]
-    )
-    rows = [motions(mesh.points)[:, fixed]]
-    for k in np.flatnonzero(kind != KINDS.index("free")):
-        rows.append(motions(bodies.origin[k][None])[:, 0])
-        turns = np.concatenate([np.zeros((3, 3)), bodies.axes[k].T])
-        rows.append(turns if kind[k] == KINDS.index("held") else turns[:, :2])
-    held = np.concatenate(rows, axis=1)
-    rank = np.linalg.matrix_rank(held @ held.T) if held.size else 0
-    if rank < 6:
-        nodes = int(fixed.any(axis=1).sum())
-        problem = (
-            f"configuration {c.name!r} is not held: its supports ({nodes} nodes) leave "
-            f"{6 - rank} of the 6 rigid motions free. Clamp a surface, add supports, "
-            "or hold a rigid body."
-        )
-        if motors:
-            problem += (
-                f" Motor {motors[0]!r} is driven by its torque and only a hinge: "
-                "nothing that could balance it is given."
-            )
-        raise ValueError(problem)
-
-
-def _motors(mechanism: Mechanism) -> list[tuple[str, int]]:
-    """Return names of the motors, and indices of the bodies that they turn."""
-    actuators = mechanism.actuators
-    both = zip(actuators.names, actuators.motor_body, strict=True)
-    return [(name, body) for name, body in both if body >= 0]

@@ -151,6 +151,7 @@ def test_history_falls_to_the_solution(recovered):
     assert all(entry.kkt_residual < 1e-8 for entry in recovered.history)
 
 
+@pytest.mark.slow  # programs of two meshes; silicone_mesh compares more
 def test_modulus_is_recovered_from_data_of_another_mesh_and_element():
     """Data: finer tets with mean dilatation; model: the displacement formulation."""
     fine = beam(0.1, 0.02, 0.02, (16, 6, 6), order=2)
@@ -194,6 +195,7 @@ def test_both_optimisers_agree(model):
     assert to_gain <= SMALLEST_FALL * last.cost
 
 
+@pytest.mark.slow  # noise_coverage records it
 def test_standard_error_predicts_the_scatter_of_noisy_data(model):
     """Sixty noisy data sets: the scatter of E is what its standard error says."""
     sigma, estimates, errors = 5e-4, [], []

@@ -13,7 +13,6 @@ from light_beam import MODEL, STD, measured, relative_error, unknowns
 from scipy.stats import t
 
 from softcal_jax.calibration import (
-    Cause,
     LowerCostFound,
     ParameterInterval,
     profile_ends,
@@ -79,9 +78,8 @@ def test_what_is_held_fixed_widens_it(result, poses):
     low, high = (abs(np.log(end) - fitted) for end in (plain.lower, plain.upper))
 
     def with_error(size):
-        deviations = np.array([[size], [0.0]])
-        causes = (Cause("clamp", ("clamp",), deviations),)
-        known = replace(result, budget=replace(result.budget, causes=causes))
+        W_c = result.W_ep @ np.array([[size], [0.0]])
+        known = replace(result, budget=replace(result.budget, W_c=W_c))
         (found,) = profile_intervals(known, poses, parameters="E")
         return found
 

@@ -19,11 +19,13 @@ def curves(measured):
     return paper_fig3.descend(measured, counts=(1, 4))
 
 
+@pytest.mark.slow  # paper_fig3 records it; another start reaches it in test_starts
 def test_four_configurations_reach_p_target(curves):
     assert recovered(curves[4].errors)
     assert curves[4].steps <= 12
 
 
+@pytest.mark.slow  # paper_fig3 records it
 def test_one_configuration_fits_with_wrong_values_and_says_so(measured, curves):
     """3 data for 6 parameters."""
     assert curves[1].sizes[-1] < 1e-9

@@ -8,6 +8,7 @@ from benchmarks import paper_fig4
 CELLS = (4, 1, 1)
 
 
+@pytest.mark.slow  # paper_fig4 records it
 def test_every_start_reaches_p_target():
     ends = paper_fig4.runs_from_random(paper_fig4.WAYS[""], "xy", CELLS, 6)
     assert ends.found.all()
