@@ -2,7 +2,7 @@
 
 import difflib
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
 """Length units of meshes and marker files."""
@@ -24,6 +24,11 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     listed = ", ".join(map(repr, names)) or "none"
     hint = suggestion(name, names)
     return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")
+
+
+def listed(names: Sequence[str]) -> str:
+    """Join names as in a sentence: "a, b and c"."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def name_key(name: str) -> int:

@@ -5,24 +5,23 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._budget import considered_errors
 from softcal_jax.calibration._noise import recording_names
 from softcal_jax.calibration._problem import Evaluation, Evaluator
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
-from softcal_jax.calibration._weighing import EXACT
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Job
-from softcal_jax.fields import ParameterSpace, Uncertain
+from softcal_jax.fields import ParameterSpace, Uncertain, asked_errors
 
-DETERMINED = 0.5
+DETERMINED = 5.0
 """Standard error from which a recording alone does not determine a parameter [-].
 
-On a log scale half the value, on a linear one half of the range.
+In units of the one that is asked for by default: half the value of a modulus.
 """
 
 APART = 3.0
@@ -86,7 +85,7 @@ def single_recordings(
         W_c: Change of the errors of the fitted ones per standard deviation of what is
             held fixed, in noise units.
     """
-    if not (np.isfinite(spread.noise_scale) and spread.noise_scale > EXACT):
+    if not spread.has_noise:
         return ()
     parts = [fitted]
     if held_out is not None and _stack_up(fitted, held_out):
@@ -189,26 +188,22 @@ def recording_estimates(
         Estimates of the parameters that two or more recordings determine.
     """
     prior = np.asarray(space.prior_weights())
-    scale = spread.noise_scale if np.isfinite(spread.noise_scale) else 1.0
+    scale = spread.level
     of_fit = np.where(fitted[:, None], W, 0.0)
     whole = np.nan_to_num(estimator(of_fit, spread, prior))
     by_prior = np.nan_to_num(spread.covariance) * prior
     size = lambda L: np.sqrt(
         np.sum((scale * L) ** 2, axis=1) + np.sum((L @ W_c) ** 2, axis=1)
     )
-    log = np.array([q.scale == "log" for q in space.parameters])
-    width = np.where(log, 1.0, np.asarray(space.upper() - space.lower()))
-    at = jax.device_put(z)
-    fits = np.asarray(space.from_scaled(at))
-    _, slopes = jax.jvp(space.from_scaled, (at,), (jnp.ones_like(at),))
-    slopes = np.abs(np.asarray(slopes))
+    fits = np.asarray(space.from_scaled(jax.device_put(z)))
+    slopes, asked = space.slopes(z), asked_errors(space, z)
     found: dict[int, list[RecordingEstimate]] = {}
     for name, own in rows.items():
         alone = estimator(np.where(own[:, None], W, 0.0), spread, 0.0 * prior)
         shift, std = -alone @ error, size(alone)
         apart = np.hypot(size(alone - whole), np.linalg.norm(by_prior, axis=1))
         values = np.asarray(space.from_scaled(jax.device_put(z + np.nan_to_num(shift))))
-        for i in np.flatnonzero(std < DETERMINED * width):
+        for i in np.flatnonzero(std < DETERMINED * asked):
             found.setdefault(int(i), []).append(
                 RecordingEstimate(
                     recording=name,
@@ -235,8 +230,9 @@ def agreement_sentences(estimates: Sequence[RecordingEstimate]) -> list[str]:
             for e in own
         )
         far = [e.recording for e in own if abs(e.apart) > APART]
-        verdict = f"{', '.join(far)} disagrees" if far else "they agree"
+        verdict = "they agree"
+        if far:
+            verdict = f"{listed(far)} disagree{'s' * (len(far) == 1)} with it"
         of_each = f"{name} from each recording alone" + f" [{unit}]" * bool(unit)
         sentences.append(f"{of_each}: {each}: {verdict}.")
-
     return sentences

@@ -193,11 +193,10 @@ def error_budget(
     whole = np.nan_to_num(sum(cause.variance for cause in causes))
     size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))
     locks = problem.model.mesh.order == 1 and uncertain.mesh > 0.0
-    _, slopes = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
     return ErrorBudget(
         names=tuple(space.names),
         values=np.asarray(space.from_scaled(z)),
-        slopes=np.abs(np.asarray(slopes)),
+        slopes=space.slopes(z),
         units=tuple(q.unit for q in space.parameters),
         noise=_by_jitter(problem, spread, gain),
         causes=tuple(sorted(causes, key=size, reverse=True)),

@@ -248,12 +248,11 @@ def _admissible(
 def _uncertainty(
     problem: CalibrationProblem, z, at: Evaluation, noise, scale: float | None
 ) -> Uncertainty:
-    down, up = map(np.asarray, problem.space.room(z))
     return uncertainty(
         np.asarray(at.W_ep),
         np.asarray(at.error),
         n_measured=int(np.sum(problem.configurations.effectors.inverse_std > 0)),
-        at_bound=(down >= -1e-9) | (up <= 1e-9),
+        at_bound=problem.space.at_bound(z),
         noise=noise,
         prior_weights=np.asarray(problem.space.prior_weights()),
         scale=scale,

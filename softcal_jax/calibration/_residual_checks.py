@@ -23,7 +23,7 @@ from softcal_jax.calibration._residuals import (
 )
 from softcal_jax.calibration._state import CalibrationState
 from softcal_jax.calibration._uncertainty import UNLIKELY, Uncertainty
-from softcal_jax.calibration._weighing import EXACT, linear_errors
+from softcal_jax.calibration._weighing import linear_errors
 from softcal_jax.configurations import Configuration
 
 FEWEST = 3
@@ -135,15 +135,13 @@ def residual_checks(
     in_std = coloured(B, W_c)[seen]
     A = float(problem.noise.jitter) * B[seen][:, np.any(B != 0.0, axis=0)]
     errors, estimated = linear_errors(problem, state), spread.noise == "estimated"
-    scale = spread.noise_scale
-    sampled = np.isfinite(scale) and scale > EXACT
     names = tuple(c.name for c in configurations)
     test = None
-    if estimated and sampled:
+    if estimated and spread.has_noise:
         Z, of = _shared_errors(weight, effectors.nodes.shape[-2], fits)
         test = lack_of_fit(errors, A=A, W_c=in_std, Z=Z[seen], lane=of, n_c=n_c)
     predicted: tuple[LeftOut, ...] = ()
-    if n_c >= FEWEST and (sampled or not estimated):
+    if n_c >= FEWEST and (spread.has_noise or not estimated):
         leave = lambda jitter: left_out(
             errors, A=A, W_c=in_std, jitter=jitter, lane=lane[seen]
         )
@@ -157,7 +155,7 @@ def residual_checks(
                 by_scatter=_by_scatter(other, test),
             )
             for c, (fit, own, other) in enumerate(
-                zip(fits, leave(scale), by_scatter, strict=True)
+                zip(fits, leave(spread.noise_scale), by_scatter, strict=True)
             )
         )
     return ResidualChecks(names, test, predicted)

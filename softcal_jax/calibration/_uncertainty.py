@@ -18,10 +18,6 @@ EXACT = 1e-3
 """Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
 
-EXACT = 1e-3
-"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
-
-
 class Uncertainty(eqx.Module):
     """Covariance of the parameters, to first order.
 
@@ -46,13 +42,17 @@ class Uncertainty(eqx.Module):
     at_bound: Bool[HostArray, " n_p"]
 
     @property
+    def has_noise(self) -> bool:
+        """Whether the residuals are a sample of noise, not of data without any."""
+        return bool(np.isfinite(self.noise_scale) and self.noise_scale > EXACT)
+
+    @property
     def level(self) -> float:
         """Factor on the stated standard deviations [-].
 
         1 where data that were made by the model itself left no noise to estimate.
         """
-        known = np.isfinite(self.noise_scale) and self.noise_scale > EXACT
-        return self.noise_scale if known else 1.0
+        return self.noise_scale if self.has_noise else 1.0
 
     @property
     def misfit_probability(self) -> float | None:

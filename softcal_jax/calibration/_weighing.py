@@ -29,12 +29,10 @@ from softcal_jax.calibration._state import (
     CalibrationState,
     initial_state,
 )
+from softcal_jax.calibration._uncertainty import EXACT
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Job
 from softcal_jax.fields import OFFSET
-
-EXACT = 1e-3
-"""Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
 SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""
@@ -169,8 +167,7 @@ def linear_errors(problem: CalibrationProblem, state: CalibrationState) -> Resid
     at, space = state.evaluation, problem.space
     weight = np.asarray(problem.configurations.effectors.inverse_std).ravel()
     seen = weight > 0.0
-    down, up = map(np.asarray, space.room(state.z))
-    free = ~((down >= -1e-9) | (up <= 1e-9))
+    free = ~space.at_bound(state.z)
     prior = np.asarray(space.prior_weights())
     known = prior[free] > 0.0
     return Residuals(

@@ -13,9 +13,9 @@ Value = TypeVar("Value")
 class once(Generic[Value]):
     """Property whose first value is kept, for what loops on the host ask for often.
 
-    The outer loop asks for parameters and bounds at every step, and each small array
-    made for them costs as much as a step of the QP. A traced value is not kept, since
-    it is of no use outside its trace.
+    The outer loop asks for parameters and bounds at every step. Unlike with
+    `functools.cached_property`, a traced value is not kept: it is of no use outside
+    its trace.
     """
 
     def __init__(self, compute: Callable[[Any], Value]):

@@ -14,7 +14,7 @@ so that an error of the setup counts as found once it is known as well as carefu
 leaves it. Bounds do not enter: they are typed, not measured.
 """
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
@@ -55,7 +55,7 @@ def asked_errors(
         ValueError: If the precision is not positive and finite.
     """
     check_precision(precision)
-    values = np.asarray(space.from_scaled(jnp.asarray(z)))
+    values = np.asarray(space.from_scaled(jax.device_put(z)))
     kinds = [
         entry.kind if isinstance(entry, SetupParameter) else ""
         for entry in space.entries

@@ -5,9 +5,11 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.fields._once import once
 from softcal_jax.fields._order import (
     AxisChart,
@@ -125,6 +127,12 @@ class ParameterSpace(eqx.Module):
         pairs = zip(self.parameters, z, strict=True)
         return jnp.stack([q.from_scaled(value) for q, value in pairs])
 
+    def slopes(self, z: Float[Array | HostArray, " n_p"]) -> Float[HostArray, " n_p"]:
+        """Compute |dp/dz| of each parameter, in its SI unit per unit of z."""
+        z = jax.device_put(z)
+        _, slopes = jax.jvp(self.from_scaled, (z,), (jnp.ones_like(z),))
+        return np.abs(np.asarray(slopes))
+
     def _if_periodic(self, periodic, otherwise) -> Float[Array, " n_p"]:
         """Choose entries by whether the parameter is periodic."""
         flags = jnp.asarray([q.periodic for q in self.parameters])
@@ -136,6 +144,11 @@ class ParameterSpace(eqx.Module):
         """Return the largest steps down and up within bounds; infinite if periodic."""
         down = self._if_periodic(-jnp.inf, self.lower() - z)
         return down, self._if_periodic(jnp.inf, self.upper() - z)
+
+    def at_bound(self, z: Float[Array | HostArray, " n_p"]) -> Bool[HostArray, " n_p"]:
+        """Tell which parameters are on a bound, up to rounding."""
+        down, up = map(np.asarray, self.room(jax.device_put(z)))
+        return (down >= -1e-9) | (up <= 1e-9)
 
     def max_step(self) -> Float[Array, " n_p"]:
         """Return the step limits of the parameters, infinite by default."""

@@ -51,7 +51,6 @@ from softcal_jax.identifiability._spread import (
     count_informed,
     information,
     named_directions,
-    si_slope,
     spread_of,
     verdict,
 )
@@ -140,11 +139,11 @@ def _outlooks(
     alone: Spread,
 ) -> tuple[ParameterOutlook, ...]:
     """Convert spreads in units of the asked standard errors to SI."""
-    slope, ratios = si_slope(space, z), spread.errors()
+    slope, ratios = space.slopes(z), spread.errors()
     in_si = slope * asked
     errors, data_only = in_si * ratios, in_si * alone.errors()
     weights = np.asarray(space.prior_weights())
-    values = np.asarray(space.from_scaled(jnp.asarray(z)))
+    values = np.asarray(space.from_scaled(jax.device_put(z)))
     outlooks = []
     for i, parameter in enumerate(space.parameters):
         plain = parameter.unit == "rad" or values[i] == 0.0

@@ -25,7 +25,6 @@ from softcal_jax.identifiability._spread import (
     Spread,
     information,
     named_directions,
-    si_slope,
     spread_of,
 )
 
@@ -260,7 +259,7 @@ def _gain(
     bounded = [np.sqrt(np.diag(np.linalg.inv(t.information))) for t in (before, after)]
     best = int(np.argmax(bounded[0] - bounded[1]))
     parameter = found.space.parameters[best]
-    in_si = (si_slope(found.space, found.z) * asked)[best]
+    in_si = (found.space.slopes(found.z) * asked)[best]
     value = np.asarray(found.space.from_scaled(found.z))[best]
     old, new = (np.linalg.eigvalsh(t.information) for t in (before, after))
     return Gain(

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.fields import ParameterSpace
+from softcal_jax._names import listed
+from softcal_jax._typing import Bool, Float, HostArray
 
 Verdict = Literal["identifiable", "weakly identifiable", "not identifiable"]
 
@@ -101,15 +99,6 @@ def verdict(ratio: float) -> Verdict:
     if ratio <= IDENTIFIABLE_UP_TO:
         return "identifiable"
     return "weakly identifiable" if ratio <= WEAK_UP_TO else "not identifiable"
-
-
-def si_slope(
-    space: ParameterSpace, z: Float[Array | HostArray, " n_p"]
-) -> Float[HostArray, " n_p"]:
-    """Compute |dp/dz| of each parameter, in its SI unit per unit of z."""
-    z = jnp.asarray(z)
-    _, slope = jax.jvp(space.from_scaled, (z,), (jnp.ones_like(z),))
-    return np.abs(np.asarray(slope))
 
 
 # Below, G holds noise-weighted compliances per asked standard error, so that moduli and
@@ -236,9 +225,5 @@ def direction_words(v: Float[HostArray, " n_p"], names: Sequence[str]) -> str:
     rest = f" and {more} more" if more > 0 else ""
     if not down:
         together = " up together" if len(up) > 1 or rest else ""
-        return f"{_listed(up)}{rest}{together}"
-    return f"{_listed(up)} up while {_listed(down)} down{rest}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+        return f"{listed(up)}{rest}{together}"
+    return f"{listed(up)} up while {listed(down)} down{rest}"
