@@ -217,6 +217,7 @@ def fit(
         settings=settings,
         newton=problem.newton,
         noise=weighed.noise,
+        noise_settled=weighed.settled,
         checks=checks,
         timing_s=clock.seconds,
         notes=(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.calibration import (
+    _weighing,
     build_problem,
     calibrate,
     evaluate,
@@ -298,3 +299,14 @@ def test_a_held_out_recording_is_asked_too():
     np.testing.assert_allclose(own.value, alone.value("E"), rtol=1e-3)
     apart = (own.value - result.value("E")) / np.hypot(*stds)
     np.testing.assert_allclose(own.apart, apart, rtol=3e-2, atol=3e-2)
+
+
+def test_noise_that_still_changes_at_the_end_is_not_settled(monkeypatch):
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    result = fit(data, noise="estimated")
+    assert result.noise_settled
+    monkeypatch.setattr(_weighing, "MOST_ROUNDS", 1)
+    result = fit(data, noise="estimated")
+    assert not result.noise_settled
+    assert "The noise did not settle" in " ".join(result.notes)
+    assert "noise did not settle beside the fit" in " ".join(assess(result).reasons)
