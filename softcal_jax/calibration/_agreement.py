@@ -117,6 +117,21 @@ def single_recordings(
     )
 
 
+def not_asked(fitted: Posed, held_out: Posed | None) -> tuple[str, ...]:
+    """Note the held-out recordings that `single_recordings` leaves out, if any."""
+    if held_out is None or _stack_up(fitted, held_out):
+        return ()
+    of_fit = recording_names(fitted.configurations)
+    own = [n for n in recording_names(held_out.configurations) if n not in of_fit]
+    if not own:
+        return ()
+    names = listed([repr(name) for name in dict.fromkeys(own)])
+    return (
+        f"Held-out {names} cannot be asked alone for the parameters: not measured by "
+        "as many markers or effectors as the fitted configurations.",
+    )
+
+
 def _stack_up(one: Posed, other: Posed) -> bool:
     """Return whether the configurations of both have arrays of the same shapes."""
     shapes = [

@@ -185,15 +185,16 @@ def _history_entry(
     evaluation = state.evaluation
     effectors = problem.configurations.effectors
     n_points = effectors.nodes.shape[-2]  # rms of distances: leave out angles, forces
-    weight = effectors.inverse_std[:, :n_points]
-    delta_e = evaluation.delta_e[:, :n_points]
-    squares = jnp.sum(jnp.where(weight > 0, delta_e, 0.0) ** 2)
-    markers = max(int(jnp.sum(jnp.any(weight > 0, axis=-1))), 1)
+    # On the host: on the device, each shape of the data would be more programs.
+    seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
+    delta_e = np.asarray(evaluation.delta_e)[:, :n_points]
+    squares = np.sum(np.where(seen, delta_e, 0.0) ** 2)
+    markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
     p = problem.space.from_scaled(state.z)
     return HistoryEntry(
         step=int(state.step),
         cost=float(evaluation.cost),
-        rms=float(jnp.sqrt(squares / markers)),
+        rms=float(np.sqrt(squares / markers)),
         lambda_p=tuple(float(v) for v in state.lambda_p),
         step_bound=float(state.step_bound),
         accepted=bool(state.accepted),

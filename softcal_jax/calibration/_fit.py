@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._agreement import Posed, single_recordings
+from softcal_jax.calibration._agreement import Posed, not_asked, single_recordings
 from softcal_jax.calibration._budget import error_budget
 from softcal_jax.calibration._build import as_sequence, build
 from softcal_jax.calibration._checked_intervals import (
@@ -192,9 +192,10 @@ def fit(
                 workers, validation, other, records, start=first, z=state.z
             )
             fits += predicted
+        posed = Posed(configurations, evaluate, evaluation)
         singles = workers.end_of(
             single_recordings(
-                Posed(configurations, evaluate, evaluation),
+                posed,
                 others,
                 uncertain=uncertain,
                 z=state.z,
@@ -217,12 +218,14 @@ def fit(
         settings=settings,
         newton=problem.newton,
         noise=weighed.noise,
+        noise_settled=weighed.settled,
         checks=checks,
         timing_s=clock.seconds,
         notes=(
             *fit_notes(state, settings),
             *weighed.notes,
             *missing,
+            *(not_asked(posed, others) if spread.has_noise else ()),
             *result_notes(problem, fits, state.z, spread),
         ),
         starts=found,

@@ -241,6 +241,7 @@ class CalibrationResult(eqx.Module):
         notes: What the user should know before using the values.
         starts: Result of the search from many starts, if there was one.
         noise: Covariance of the stacked errors that weighed them.
+        noise_settled: Whether an estimated noise stood still beside the fit.
         checks: What the residuals say about the model.
     """
 
@@ -260,6 +261,7 @@ class CalibrationResult(eqx.Module):
     notes: tuple[str, ...]
     starts: MultiStartResult | None = None
     noise: CorrelatedNoise | None = None
+    noise_settled: bool = True
     checks: ResidualChecks | None = None
     precision: float = PRECISION
 

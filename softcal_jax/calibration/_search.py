@@ -182,12 +182,10 @@ def search(
     )
 
 
-def _optima(
-    space, z, values, cost, converged, n_starts: int | None = None
-) -> tuple[Optimum, ...]:
+def _optima(space, z, values, cost, converged, *, n_starts: int) -> tuple[Optimum, ...]:
     """Group converged ends by where they are, the lowest cost first.
 
-    The first `n_starts` are ends of starts, all by default; others were passed.
+    The first `n_starts` are ends of starts; others were passed.
     """
     found: list[tuple[int, list[int]]] = []
     numbered = unnamed(space)
@@ -201,7 +199,7 @@ def _optima(
                 break
         else:
             found.append((int(i), [int(i)]))
-    ended = range(len(z) if n_starts is None else n_starts)
+    ended = range(n_starts)
     return tuple(
         Optimum(
             float(cost[first]),

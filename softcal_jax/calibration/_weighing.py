@@ -71,6 +71,7 @@ class Weighed(NamedTuple):
         scale: Factor on the stated standard deviations of coordinates that was
             estimated beside correlated noise; None if it was not [-].
         notes: What went otherwise than asked for.
+        settled: Whether the noise stood still in the end.
     """
 
     state: CalibrationState
@@ -78,6 +79,7 @@ class Weighed(NamedTuple):
     unknown: Unknown
     scale: float | None
     notes: tuple[str, ...]
+    settled: bool
 
     def of_others(
         self,
@@ -131,7 +133,7 @@ def weighed_fit(
         motion: Measured motion of the points [m].
         note: Called with state and noise after each step.
     """
-    noise, scale, notes = evaluate.problem.noise, None, []
+    noise, scale, notes, settled = evaluate.problem.noise, None, [], True
     n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
     assert noise is not None
     for n in range(MOST_ROUNDS):
@@ -149,6 +151,7 @@ def weighed_fit(
         if _change(noise, new) <= SETTLED:
             break
         if n == MOST_ROUNDS - 1:
+            settled = False
             notes.append(
                 "The noise did not settle beside the fit: it still "
                 f"changes by {100.0 * _change(noise, new):.0f} %. State the `std` of "
@@ -159,7 +162,14 @@ def weighed_fit(
         evaluation = in_other_units(evaluate.numbered, state.evaluation)
         state = initial_state(settings, state.z, evaluation)
     notes += _found(noise, unknown)
-    return Weighed(state, noise, unknown, scale, tuple(notes))
+    return Weighed(
+        state=state,
+        noise=noise,
+        unknown=unknown,
+        scale=scale,
+        notes=tuple(notes),
+        settled=settled,
+    )
 
 
 def linear_errors(problem: CalibrationProblem, state: CalibrationState) -> Residuals:

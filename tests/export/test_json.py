@@ -128,7 +128,7 @@ def test_noise_and_checks_are_in_millimetres():
     (agreement,) = data["checks"]["agreement"]
     assert agreement == (
         "E from each recording alone [kPa]: monday 200 +- 10 (4.0 standard errors from "
-        "the fit): monday disagrees."
+        "the fit): monday disagrees with it."
     )
 
 
