@@ -1,7 +1,6 @@
 """Confidence intervals from the profile of the likelihood."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,7 +11,7 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._interval import ProfileEnd
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
-from softcal_jax.calibration._runs import Run, minimise
+from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Job, Workers
 from softcal_jax.fields import ParameterSpace, Pin
@@ -30,6 +29,18 @@ CLOSE_ENOUGH = 0.005
 
 NARROW = 0.02
 """Gap to a fit that failed, over the distance, below which the search ends [-]."""
+
+STEEP = 20.0
+"""Slope of the root of the rise within such a gap, over its mean, that is a jump [-].
+
+The fit beyond is then repeated from its neighbour.
+"""
+
+STEADY = 8
+"""Steps over which the cost of a fit that stands still falls by next to nothing."""
+
+MOST_RESUMED = 6
+"""How often an end is sought farther out, where a fit nearer by was too bad."""
 
 LOWER = 1e-3
 """Fall of twice the cost, over its rise at an end, that means another optimum [-].
@@ -63,7 +74,7 @@ class LowerCostFound(RuntimeError):
 
 
 class _NotFound(Exception):
-    """A fit along the profile did not converge, or the profile jumps."""
+    """Fits along the profile did not converge."""
 
 
 def profile_ends(
@@ -128,16 +139,40 @@ class _Fit(NamedTuple):
 
 
 def _end(profile: "_Profile") -> Job[ProfileEnd]:
-    """Find one end of the interval of one parameter."""
-    excess, rise = profile.excess, profile.at.rise
+    """Find one end of the interval of one parameter.
+
+    A fit with the parameter far away may end in a worse optimum than one that follows
+    the profile outwards. Where the search closes in on such a fit, it is repeated from
+    its neighbour inside, and the search goes on beyond if the end is not there.
+    """
+    excess, rise, inside, span = profile.excess, profile.at.rise, 0.0, None
+    steep = STEEP
     try:
-        bracket = yield from _bracket(excess, rise, profile.reach, profile.limit)
-        if bracket is None:
-            return ProfileEnd(max(profile.limit, 0.0), "bound")
-        found = yield from _root(excess, *bracket)
+        for _ in range(MOST_RESUMED):
+            span = span or (
+                yield from _bracket(
+                    excess,
+                    rise=rise,
+                    inside=inside,
+                    reach=profile.reach,
+                    limit=profile.limit,
+                )
+            )
+            if span is None:
+                return ProfileEnd(max(profile.limit, 0.0), "bound")
+            inside, found = yield from _root(excess, *span, steep=steep * rise)
+            if inside == found:
+                return ProfileEnd(profile.seen[found].distance, "likelihood")
+            before = profile.seen[found].excess
+            value = yield from profile.follow(inside, found)
+            if value == before and np.isinf(steep):
+                return ProfileEnd(profile.seen[found].distance, "likelihood")
+            steep = np.inf if value == before else STEEP
+            span = (inside, found) if value >= 0.0 else None
+            inside = found
     except _NotFound:
-        return ProfileEnd(float("nan"), "not found")
-    return ProfileEnd(profile.seen[found].distance, "likelihood")
+        pass
+    return ProfileEnd(float("nan"), "not found")
 
 
 class _Rest(NamedTuple):
@@ -169,13 +204,20 @@ class _Profile:
     def excess(self, distance: float) -> Job[float]:
         """Return the excess of the fit at a distance; 0 within the tolerance."""
         if distance not in self.seen:
-            self.seen[distance] = yield from self._fit(distance)
+            within = [other for other, rest in self.seen.items() if rest.excess <= 0.0]
+            near = min(within, key=lambda other: abs(other - distance))
+            self.seen[distance] = yield from self._fit(near, distance)
         return self.seen[distance].excess
 
-    def _fit(self, distance: float) -> Job[_Rest]:
+    def follow(self, inside: float, distance: float) -> Job[float]:
+        """Repeat a fit from a neighbour inside; return the lower excess of both."""
+        again = yield from self._fit(inside, distance)
+        if again.excess < self.seen[distance].excess:
+            self.seen[distance] = again
+        return self.seen[distance].excess
+
+    def _fit(self, near: float, distance: float) -> Job[_Rest]:
         at = self.at
-        within = [other for other, rest in self.seen.items() if rest.excess <= 0.0]
-        near = min(within, key=lambda other: abs(other - distance))  # start inside
         start = self.seen[near].z + (distance - near) * self.path
         firm = FIRM if distance < self.limit else 10.0 * FIRM
         pin = Pin(
@@ -184,22 +226,49 @@ class _Profile:
             jnp.asarray(firm / self.std),
         )
         run = yield from self._pinned(self.space, pin, start)
-        if not run.converged:
-            self._check(pin, run)
+        rest = self._rest(distance, pin, run)
+        if rest is None or (not run.converged and rest.excess > 0.0):
             again = run.z if np.isfinite(run.cost) else self.seen[near].z
             run = yield from self._pinned(in_plain_steps(self.space), pin, again)
-        far, higher = self._check(pin, run)
-        if not run.converged:
+            rest = self._rest(distance, pin, run)
+        if rest is None:
             raise _NotFound
-        value = np.sqrt(max(higher, 0.0)) - at.rise
-        value = 0.0 if abs(value) <= CLOSE_ENOUGH * at.rise else float(value)
+        return rest
+
+    def _rest(self, distance: float, pin: Pin, run: Run) -> _Rest | None:
+        """Return the end of a fit, or None if it says nothing about the profile.
+
+        A fit that has not converged bounds the profile from above. So it says enough
+        where that bound is below the end, or where it hardly falls any more.
+        """
+        far, higher = self._check(pin, run)
+        if not np.isfinite(higher):
+            return None
+        rise = self.at.rise
+        value = float(np.sqrt(max(higher, 0.0)) - rise)
+        if not run.converged and value > 0.0 and not self._is_steady(run):
+            return None
+        value = 0.0 if abs(value) <= CLOSE_ENOUGH * rise else value
         return _Rest(distance + self.sign * far, run.z, value)
+
+    @property
+    def _steady(self) -> tuple[int, float]:
+        """Steps and fall of twice the cost that are small for an end, see `STEADY`."""
+        return STEADY, CLOSE_ENOUGH * self.at.rise**2
+
+    def _is_steady(self, run: Run) -> bool:
+        """Return whether a fit stands still, as exactly as an end is sought."""
+        squares = run.errors[np.isfinite(run.errors)] ** 2
+        steps, least = self._steady
+        return len(squares) > steps and squares[-1 - steps] - squares[-1] <= least
 
     def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Job[Run]:
         """Calibrate with the parameter held."""
         own = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
         evaluate = self.at.evaluate.with_space(own)
-        return minimise(evaluate, self.at.settings, jnp.asarray(start))
+        return minimise(
+            evaluate, self.at.settings, jnp.asarray(start), steady=self._steady
+        )
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
         """Return how far the parameter is from its pin, and the rise of twice cost."""
@@ -214,19 +283,34 @@ class _Profile:
 Excess = Callable[[float], Job[float]]
 
 
-def _root(excess: Excess, inside: float, outside: float) -> Job[float]:
+def _root(
+    excess: Excess, inside: float, outside: float, *, steep: float = np.inf
+) -> Job[tuple[float, float]]:
     """Find the zero of an excess between two distances where its signs differ.
 
     Uses inverse quadratic interpolation, and bisection where that is not safe
     (Chandrupatla, Adv. Eng. Softw. 28, 1997). Where the cost is a parabola the excess
-    is linear, and the first guess is the root. Where it jumps over zero there is none.
+    is linear, and the first guess is the root.
+
+    Args:
+        excess: The function.
+        inside: Distance where it is negative.
+        outside: Distance where it is positive.
+        steep: Difference of the excess, over that of the distance relative to
+            `outside`, at which a narrow bracket is a jump.
+
+    Returns:
+        The root, twice; or the distances on both sides of a jump, the inner one first.
     """
     a, b = outside, inside  # the newest point, and one where the sign differs
     f_a, f_b = (yield from excess(a)), (yield from excess(b))
     share, smallest = f_a / (f_a - f_b), 0.01 * CLOSE_ENOUGH * outside
     while f_a != 0.0:
-        if abs(b - a) < 2.0 * smallest:
-            raise _NotFound
+        width, jump = abs(b - a), abs(f_a - f_b)
+        if width < NARROW * outside and jump * outside > steep * width:
+            return min(a, b), max(a, b)
+        if width < 2.0 * smallest:
+            return min(a, b), max(a, b)
         least = smallest / abs(b - a)
         x = a + float(np.clip(share, least, 1.0 - least)) * (b - a)
         f_x = yield from excess(x)
@@ -239,17 +323,17 @@ def _root(excess: Excess, inside: float, outside: float) -> Job[float]:
         if phi**2 < xi and (1.0 - phi) ** 2 < 1.0 - xi:
             share = f_a / (f_b - f_a) * f_c / (f_b - f_c)
             share += (c - a) / (b - a) * f_a / (f_c - f_a) * f_b / (f_c - f_b)
-    return a
+    return a, a
 
 
 def _bracket(
-    excess: Excess, rise: float, reach: float, limit: float
+    excess: Excess, *, rise: float, inside: float, reach: float, limit: float
 ) -> Job[tuple[float, float] | None]:
     """Return two distances with the end between them; None if it is beyond the limit.
 
     The distance grows step by step; where a fit does not converge, the step is halved.
     """
-    inside, outside, lost = 0.0, reach, np.inf
+    outside, lost = max(reach, 1.2 * inside), np.inf
     while inside < limit:
         outside = min(outside, limit)
         try:
@@ -275,20 +359,6 @@ def room_beside(
     room = float(up[column] if sign > 0 else -down[column])
     turn = float(space.upper()[column] - space.lower()[column])
     return min(room, 0.5 * turn) if np.isinf(room) else room
-
-
-def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
-    """Return the parameters with steps of moduli and angles instead of tensors.
-
-    Where both moduli of an axis are equal, a step of tensors has a kink, since the axis
-    switches there. With their order as a constraint such an optimum is regular.
-    """
-    if space.chart is None:
-        return space
-    names, chart = space.names, space.chart
-    pairs = zip(chart.small, chart.large, strict=True)
-    order = [(names[small], names[large]) for small, large in pairs]
-    return replace(space, order=(*space.order, *order), tensor_steps=False)
 
 
 @eqx.filter_jit
