@@ -23,6 +23,12 @@ from softcal_jax.fields import ParameterSpace
 NOTHING_LEFT = 1e-6
 """Mean squared error, in noise units, below which no other optimum is searched for."""
 
+MOST_SETTLED = 3
+"""How often steps of tensors and plain ones take turns."""
+
+NO_FALL = 1e-6
+"""Relative fall of the cost that is no way down [-]."""
+
 # Several programs instead of one per step: the evaluation, which takes seconds to
 # compile, serves the start and every step.
 _propose = eqx.filter_jit(propose)
@@ -142,16 +148,28 @@ def settle(
 ) -> Job[CalibrationState]:
     """Take steps to an optimum, also to one where both moduli of an axis are equal.
 
-    Steps of tensors do not end there, see `in_plain_steps`; plain ones do, and go on
-    where the others gave up.
+    Steps of tensors do not end there, see `in_plain_steps`: plain ones go on where they
+    gave up. These cannot leave a body that is isotropic, right or wrong, since the
+    angle has no effect on it; so their end only counts if tensors find no way down.
     """
     state = yield from descend(evaluate, settings, state, note)
     space = evaluate.numbered.space
-    if state.converged or not state.evaluation.ok or space.chart is None:
+    if space.chart is None:
         return state
     plain = evaluate.with_space(in_plain_steps(space))
-    state = initial_state(settings, state.z, state.evaluation)
-    return (yield from descend(plain, settings, state, note))
+    again = lambda state: initial_state(settings, state.z, state.evaluation)
+    for _ in range(MOST_SETTLED):
+        if state.converged or not state.evaluation.ok:
+            break
+        end = yield from descend(plain, settings, again(state), note)
+        if not end.converged:
+            return end
+        state = yield from descend(evaluate, settings, again(end), lambda _: None)
+        fall = float(end.evaluation.cost) - float(state.evaluation.cost)
+        if fall <= NO_FALL * float(end.evaluation.cost):
+            return end
+        note(state)
+    return state
 
 
 class Image(NamedTuple):

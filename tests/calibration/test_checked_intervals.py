@@ -316,5 +316,5 @@ def test_kinds_and_reasons():
     assert str(kind(far, bound)) == "181 to 400 (bound) kPa"
     assert kind(far, bound).kind == "one-sided"
     assert "exclude no value within its bounds" in str(kind(bound, bound))
-    assert str(kind(lost, far)).endswith("or jump (the end above is 221 kPa)")
+    assert str(kind(lost, far)).endswith("do not converge (the end above is 221 kPa)")
     assert kind(lost, far).kind == "none"
