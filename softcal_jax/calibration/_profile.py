@@ -39,7 +39,7 @@ The fit beyond is then repeated from its neighbour.
 STEADY = 8
 """Steps over which the cost of a fit that stands still falls by next to nothing."""
 
-MOST_RESUMED = 6
+MOST_RESUMED = 10
 """How often an end is sought farther out, where a fit nearer by was too bad."""
 
 LOWER = 1e-3

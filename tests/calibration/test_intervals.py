@@ -180,7 +180,7 @@ def known(excess):
 class Valleys:
     """A profile with its end at `end`; beyond `other`, fits from afar end too high.
 
-    Those that follow the profile from their neighbour inside stay in their valley.
+    Those that begin close to an end inside stay in their valley.
     """
 
     def __init__(self, end, other):
@@ -192,7 +192,9 @@ class Valleys:
         return 0.0 if abs(value) < 1e-3 else value
 
     def excess(self, distance):
-        high = 50.0 if distance > self.other else self.value(distance)
+        inside = [d for d, rest in self.seen.items() if rest.excess <= 0.0]
+        far = min([abs(distance - d) for d in (0.0, *inside)]) > 0.4
+        high = 50.0 if distance > self.other and far else self.value(distance)
         known = self.seen.get(distance)
         value = known.excess if known else high
         self.seen[distance] = SimpleNamespace(distance=distance, excess=value)
@@ -207,7 +209,9 @@ class Valleys:
         yield
 
 
-@pytest.mark.parametrize(("end", "other"), [(2.3, 1.0), (1.2, 1.3), (2.3, 2.0)])
+@pytest.mark.parametrize(
+    ("end", "other"), [(2.3, 1.0), (1.2, 1.3), (2.3, 2.0), (6.0, 1.0)]
+)
 def test_a_fit_in_another_valley_is_repeated_from_inside(end, other):
     found = end_of(_end(Valleys(end, other)))
     assert found.why == "likelihood"
@@ -217,7 +221,7 @@ def test_a_fit_in_another_valley_is_repeated_from_inside(end, other):
 def test_a_profile_that_jumps_ends_there():
     """Beyond 1 the cost is far too high, from wherever a fit begins."""
     jumps = Valleys(20.0, 1.0)
-    jumps.follow = lambda inside, distance: jumps.excess(distance)
+    jumps.value = lambda distance: 50.0 if distance > 1.0 else -1.0
     found = end_of(_end(jumps))
     assert found.why == "likelihood"
     np.testing.assert_allclose(found.distance, 1.0, rtol=1e-3)
