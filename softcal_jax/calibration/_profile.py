@@ -1,6 +1,6 @@
 """Confidence intervals from the profile of the likelihood."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,6 +11,13 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._interval import ProfileEnd
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
+from softcal_jax.calibration._profile_search import (
+    CLOSE_ENOUGH,
+    STEEP,
+    NotFound,
+    bracket,
+    root,
+)
 from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Job, Workers
@@ -22,18 +29,6 @@ FIRM = 10.0
 On a parabolic profile the parameter yields by a hundredth of its distance from the fit;
 the distance counts where it ends, not at the pin. At a bound the pin is ten times as
 firm, since the question is what the data say there.
-"""
-
-CLOSE_ENOUGH = 0.005
-"""Relative error allowed in the root of the rise at an end of an interval [-]."""
-
-NARROW = 0.02
-"""Gap to a fit that failed, over the distance, below which the search ends [-]."""
-
-STEEP = 20.0
-"""Slope of the root of the rise within such a gap, over its mean, that is a jump [-].
-
-The fit beyond is then repeated from its neighbour.
 """
 
 STEADY = 8
@@ -71,10 +66,6 @@ class LowerCostFound(RuntimeError):
             "calibrate from more `starts`, or in Python with `start` = the `z` of this "
             "error."
         )
-
-
-class _NotFound(Exception):
-    """Fits along the profile did not converge."""
 
 
 def profile_ends(
@@ -150,7 +141,7 @@ def _end(profile: "_Profile") -> Job[ProfileEnd]:
     try:
         for _ in range(MOST_RESUMED):
             span = span or (
-                yield from _bracket(
+                yield from bracket(
                     excess,
                     rise=rise,
                     inside=inside,
@@ -160,17 +151,18 @@ def _end(profile: "_Profile") -> Job[ProfileEnd]:
             )
             if span is None:
                 return ProfileEnd(max(profile.limit, 0.0), "bound")
-            inside, found = yield from _root(excess, *span, steep=steep * rise)
-            if inside == found:
-                return ProfileEnd(profile.seen[found].distance, "likelihood")
-            before = profile.seen[found].excess
-            value = yield from profile.follow(inside, found)
+            inside, outside = yield from root(excess, *span, steep=steep * rise)
+            if inside == outside:
+                return ProfileEnd(profile.seen[outside].distance, "likelihood")
+            before = profile.seen[outside].excess
+            value = yield from profile.follow(inside, outside)
             if value == before and np.isinf(steep):
-                return ProfileEnd(profile.seen[found].distance, "likelihood")
+                return ProfileEnd(profile.seen[outside].distance, "likelihood")
+            # The same again: no fit in another valley, but a profile that is steep.
             steep = np.inf if value == before else STEEP
-            span = (inside, found) if value >= 0.0 else None
-            inside = found
-    except _NotFound:
+            span = (inside, outside) if value >= 0.0 else None
+            inside = outside
+    except NotFound:
         pass
     return ProfileEnd(float("nan"), "not found")
 
@@ -232,7 +224,7 @@ class _Profile:
             run = yield from self._pinned(in_plain_steps(self.space), pin, again)
             rest = self._rest(distance, pin, run)
         if rest is None:
-            raise _NotFound
+            raise NotFound
         return rest
 
     def _rest(self, distance: float, pin: Pin, run: Run) -> _Rest | None:
@@ -278,77 +270,6 @@ class _Profile:
         if higher < -LOWER * self.at.rise**2:
             raise LowerCostFound(jnp.asarray(run.z), float(cost), self.at.cost)
         return float(far), higher
-
-
-Excess = Callable[[float], Job[float]]
-
-
-def _root(
-    excess: Excess, inside: float, outside: float, *, steep: float = np.inf
-) -> Job[tuple[float, float]]:
-    """Find the zero of an excess between two distances where its signs differ.
-
-    Uses inverse quadratic interpolation, and bisection where that is not safe
-    (Chandrupatla, Adv. Eng. Softw. 28, 1997). Where the cost is a parabola the excess
-    is linear, and the first guess is the root.
-
-    Args:
-        excess: The function.
-        inside: Distance where it is negative.
-        outside: Distance where it is positive.
-        steep: Difference of the excess, over that of the distance relative to
-            `outside`, at which a narrow bracket is a jump.
-
-    Returns:
-        The root, twice; or the distances on both sides of a jump, the inner one first.
-    """
-    a, b = outside, inside  # the newest point, and one where the sign differs
-    f_a, f_b = (yield from excess(a)), (yield from excess(b))
-    share, smallest = f_a / (f_a - f_b), 0.01 * CLOSE_ENOUGH * outside
-    while f_a != 0.0:
-        width, jump = abs(b - a), abs(f_a - f_b)
-        if width < NARROW * outside and jump * outside > steep * width:
-            return min(a, b), max(a, b)
-        if width < 2.0 * smallest:
-            return min(a, b), max(a, b)
-        least = smallest / abs(b - a)
-        x = a + float(np.clip(share, least, 1.0 - least)) * (b - a)
-        f_x = yield from excess(x)
-        if np.sign(f_x) == np.sign(f_a):
-            c, f_c = a, f_a
-        else:
-            c, f_c, b, f_b = b, f_b, a, f_a
-        a, f_a = x, f_x
-        xi, phi, share = (a - b) / (c - b), (f_a - f_b) / (f_c - f_b), 0.5
-        if phi**2 < xi and (1.0 - phi) ** 2 < 1.0 - xi:
-            share = f_a / (f_b - f_a) * f_c / (f_b - f_c)
-            share += (c - a) / (b - a) * f_a / (f_c - f_a) * f_b / (f_c - f_b)
-    return a, a
-
-
-def _bracket(
-    excess: Excess, *, rise: float, inside: float, reach: float, limit: float
-) -> Job[tuple[float, float] | None]:
-    """Return two distances with the end between them; None if it is beyond the limit.
-
-    The distance grows step by step; where a fit does not converge, the step is halved.
-    """
-    outside, lost = max(reach, 1.2 * inside), np.inf
-    while inside < limit:
-        outside = min(outside, limit)
-        try:
-            value = yield from excess(outside)
-        except _NotFound:
-            value, lost = -rise, outside
-        else:
-            if value >= 0.0:
-                return inside, outside
-            inside = outside
-        if lost - inside < NARROW * (inside + reach):
-            raise _NotFound
-        grown = float(np.clip(1.05 * rise / (value + rise + 1e-300), 1.2, 2.0))
-        outside = min(inside * grown if inside else np.inf, 0.5 * (inside + lost))
-    return None
 
 
 def room_beside(

@@ -22,12 +22,8 @@ from softcal_jax.calibration import (
 from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._build import build_problem
 from softcal_jax.calibration._notes import uncertainty_notes
-from softcal_jax.calibration._profile import (
-    _bracket,
-    _end,
-    _NotFound,
-    _root,
-)
+from softcal_jax.calibration._profile import _end
+from softcal_jax.calibration._profile_search import NotFound, bracket, root
 from softcal_jax.calibration._runs import in_plain_steps
 from softcal_jax.fields import (
     ParameterSpace,
@@ -244,7 +240,7 @@ def test_an_end_is_found_in_few_fits(excess, most):
         value = excess(distance)
         return 0.0 if abs(value) < 1e-3 else value
 
-    found, same = end_of(_root(known(rounded), 0.0, 2.0))
+    found, same = end_of(root(known(rounded), 0.0, 2.0))
     assert found == same
     assert rounded(found) == 0.0
     assert len(tried) - 1 <= most
@@ -256,20 +252,20 @@ def test_a_fit_that_is_lost_is_gone_back_from():
     def excess(end):
         def of(distance):
             if distance > 1.4:
-                raise _NotFound
+                raise NotFound
             return distance - end
 
         return known(of)
 
-    def bracket(end, limit):
+    def of(end, limit):
         sizes = {"rise": end, "inside": 0.0, "reach": 2.0, "limit": limit}
-        return _bracket(excess(end), **sizes)
+        return bracket(excess(end), **sizes)
 
-    inside, outside = end_of(bracket(1.2, 10.0))
+    inside, outside = end_of(of(1.2, 10.0))
     assert inside <= 1.2 <= outside <= 1.4
-    with pytest.raises(_NotFound):
-        next(bracket(1.5, 10.0))
-    assert end_of(bracket(1.2, 1.1)) is None
+    with pytest.raises(NotFound):
+        next(of(1.5, 10.0))
+    assert end_of(of(1.2, 1.1)) is None
 
 
 def test_bad_input(result, poses):
