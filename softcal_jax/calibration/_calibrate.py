@@ -13,7 +13,7 @@ from softcal_jax.calibration._checked_intervals import (
     check_level,
     with_intervals,
 )
-from softcal_jax.calibration._fit import fit
+from softcal_jax.calibration._fit import Begin, fit
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
@@ -151,7 +151,7 @@ def calibrate(
             if progress is not None and entry.step:
                 progress(later(entry))
 
-        new = run(starts=1, progress=told, begin=z)
+        new = run(starts=1, progress=told, begin=Begin(z, old.noise))
         history = (*old.history, *map(later, new.result.history[1:]))
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         changed = {"history": history, "starts": old.starts, "timing_s": timing}

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +20,7 @@ from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
     configuration_results,
 )
+from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import (
     fit_notes,
     result_notes,
@@ -62,6 +63,13 @@ from softcal_jax.fields import (
 )
 
 
+class Begin(NamedTuple):
+    """Where a loop begins: scaled parameters, and the noise that weighs the data."""
+
+    z: Float[Array, " n_p"]
+    noise: CorrelatedNoise
+
+
 def fit(
     model: Model,
     parameters: ParameterSpace | Entry | Sequence[Entry],
@@ -79,7 +87,7 @@ def fit(
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
-    begin: Float[Array, " n_p"] | None = None,
+    begin: Begin | None = None,
 ) -> Fitted:
     """Calibrate as `calibrate` does, without intervals.
 
@@ -113,9 +121,11 @@ def fit(
         before = there = workers.end_of(evaluate.from_rest(first))
         check_converged(before.equilibrium, names)
         check_sensitive(problem, before)
-        found = None
+        found, place, weights = None, first, problem.noise
         if begin is not None:
-            there = workers.end_of(evaluate.from_rest(begin))
+            place, weights = begin
+            evaluate = evaluate.with_noise(weights)
+            there = workers.end_of(evaluate.from_rest(place))
         elif starts > 1:
             others = random_starts(problem.space, starts - 1, seed=seed)
             found = search(
@@ -127,12 +137,9 @@ def fit(
                 journal=journal,
                 progress=search_progress,
             )
-            begin = jnp.asarray(found.z[found.best])
-            there = workers.end_of(evaluate.from_rest(begin))
-        begin = first if begin is None else begin
-        state, weights = journal.begin(
-            initial_state(settings, begin, there), problem.noise
-        )
+            place = jnp.asarray(found.z[found.best])
+            there = workers.end_of(evaluate.from_rest(place))
+        state, weights = journal.begin(initial_state(settings, place, there), weights)
         weighed = workers.end_of(
             weighed_fit(
                 evaluate.with_noise(weights),

@@ -23,7 +23,7 @@ from softcal_jax.calibration._reml import (
     freedom_between,
     restricted_likelihood,
 )
-from softcal_jax.calibration._runs import descend
+from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,
@@ -138,7 +138,7 @@ def weighed_fit(
     assert noise is not None
     for n in range(MOST_ROUNDS):
         told = lambda state, noise=noise: note(state, noise)
-        state = yield from descend(evaluate, settings, state, told)
+        state = yield from settle(evaluate, settings, state, told)
         if not state.converged:
             break
         errors = linear_errors(evaluate.problem, state)
