@@ -45,15 +45,12 @@ class EquilibriumSolution(eqx.Module):
         return self.result == RESULTS.converged
 
 
-def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
-    """Raise an error that names every configuration of a batch without an equilibrium.
+def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
+    """Say which configurations of a batch have no equilibrium, and why; empty if none.
 
-    Raises:
-        RuntimeError: If a lane did not converge; the message says which and why.
+    One line for each, with its outcome and the share of the load that it carries.
     """
     bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
-    if bad.size == 0:
-        return
 
     def why(lane):
         of = lambda leaf: np.atleast_1d(np.asarray(leaf))[lane]
@@ -78,4 +75,14 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
             f"{of(solution.residual):.1e}, smallest det F {of(solution.min_det_F):.3g})"
         )
 
-    raise RuntimeError("no equilibrium found.\n" + "\n".join(map(why, bad)))
+    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad.size else ""
+
+
+def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
+    """Raise an error that names every configuration of a batch without an equilibrium.
+
+    Raises:
+        RuntimeError: If a lane did not converge; the message says which and why.
+    """
+    if text := no_equilibrium(solution, names):
+        raise RuntimeError(text)
