@@ -57,12 +57,14 @@ def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str
         result = jax.tree.map(lambda a: jnp.asarray(of(a)), solution.result)
         negative, share = int(of(solution.n_negative)), of(solution.load_reached)
         what = RESULTS[result]
+        count = f"{negative} negative eigenvalue{'s' * (negative != 1)}"
         if result == RESULTS.limit_point:
-            some = "eigenvalue" if negative == 1 else "eigenvalues"
             what = (
                 f"at {100 * share:.3g} % of the load the body balloons or buckles: "
-                f"{negative} negative {some}. This is {what}"
+                f"{count}. This is {what}"
             )
+        elif result == RESULTS.unstable:
+            what += f": {count}"
         elif result == RESULTS.load_step_too_small and negative < 0:
             what += (
                 "; whether it is a limit point is not known, since negative "
