@@ -202,7 +202,8 @@ def _columns(problem: CalibrationProblem, unknown: Unknown) -> _Columns:
     A = float(problem.noise.jitter) * problem.noise_columns()[seen]
     n_c = len(unknown.share)
     is_offset = np.arange(A.shape[1]) < 3 * n_c
-    is_share = np.concatenate([np.zeros(3 * n_c, bool), unknown.share])
+    is_share = np.zeros(A.shape[1], bool)
+    is_share[3 * n_c : 4 * n_c] = unknown.share
     offsets = is_offset & unknown.offset
     used = np.any(A != 0.0, axis=0)
     pick = lambda which: A[:, which & used]
@@ -257,7 +258,9 @@ def _estimated(
     parts = [columns.offsets, columns.shares, columns.stated]
     used = [part.shape[1] > 0 for part in parts]
     dof = len(errors.r) - errors.W.shape[1] + len(errors.r_prior)
-    level = float(np.sqrt(np.mean(errors.r**2))) if len(errors.r) else 0.0
+    level = 0.0
+    if len(errors.r):
+        level = float(np.sqrt(np.mean(_without_offsets(errors.r, problem) ** 2)))
     # Without columns the jitter weighs nothing: `uncertainty` finds it in closed form.
     if not any(used) or dof <= 0 or level < EXACT:
         return None
@@ -268,6 +271,21 @@ def _estimated(
         errors, parts, factors=[float(noise.jitter), 1.0, 1.0, 1.0], free=free
     )
     return noise.scaled(jitter=jitter, offset=offset, share=share, of=unknown.share)
+
+
+def _without_offsets(
+    r: Float[HostArray, " n"], problem: CalibrationProblem
+) -> Float[HostArray, " n"]:
+    """Return errors in stated units without the offsets of markers."""
+    noise, weight = (
+        problem.noise,
+        np.asarray(problem.configurations.effectors.inverse_std),
+    )
+    assert noise is not None
+    delta_e = np.zeros(weight.shape)
+    delta_e[weight > 0.0] = r / weight[weight > 0.0]
+    rest = noise.without_marker_offsets(delta_e, weight)
+    return (weight * rest)[weight > 0.0]
 
 
 def _found(noise: CorrelatedNoise, unknown: Unknown) -> list[str]:

@@ -43,7 +43,11 @@ from softcal_jax.equilibrium._sensitivity import (
     input_rows,
     sensitivity,
 )
-from softcal_jax.equilibrium._solution import EquilibriumSolution, check_converged
+from softcal_jax.equilibrium._solution import (
+    EquilibriumSolution,
+    check_converged,
+    no_equilibrium,
+)
 from softcal_jax.equilibrium._solve import (
     begin_newton,
     continue_newton,
@@ -94,6 +98,7 @@ __all__ = [
     "lane_by_lane",
     "linearise",
     "marker_positions",
+    "no_equilibrium",
     "program_key",
     "residual",
     "robot_states",

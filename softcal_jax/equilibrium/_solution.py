@@ -45,27 +45,26 @@ class EquilibriumSolution(eqx.Module):
         return self.result == RESULTS.converged
 
 
-def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
-    """Raise an error that names every configuration of a batch without an equilibrium.
+def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
+    """Say which configurations of a batch have no equilibrium, and why; empty if none.
 
-    Raises:
-        RuntimeError: If a lane did not converge; the message says which and why.
+    One line for each, with its outcome and the share of the load that it carries.
     """
     bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
-    if bad.size == 0:
-        return
 
     def why(lane):
         of = lambda leaf: np.atleast_1d(np.asarray(leaf))[lane]
         result = jax.tree.map(lambda a: jnp.asarray(of(a)), solution.result)
         negative, share = int(of(solution.n_negative)), of(solution.load_reached)
         what = RESULTS[result]
+        count = f"{negative} negative eigenvalue{'s' * (negative != 1)}"
         if result == RESULTS.limit_point:
-            some = "eigenvalue" if negative == 1 else "eigenvalues"
             what = (
                 f"at {100 * share:.3g} % of the load the body balloons or buckles: "
-                f"{negative} negative {some}. This is {what}"
+                f"{count}. This is {what}"
             )
+        elif result == RESULTS.unstable:
+            what += f": {count}"
         elif result == RESULTS.load_step_too_small and negative < 0:
             what += (
                 "; whether it is a limit point is not known, since negative "
@@ -78,4 +77,14 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
             f"{of(solution.residual):.1e}, smallest det F {of(solution.min_det_F):.3g})"
         )
 
-    raise RuntimeError("no equilibrium found.\n" + "\n".join(map(why, bad)))
+    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad.size else ""
+
+
+def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
+    """Raise an error that names every configuration of a batch without an equilibrium.
+
+    Raises:
+        RuntimeError: If a lane did not converge; the message says which and why.
+    """
+    if text := no_equilibrium(solution, names):
+        raise RuntimeError(text)

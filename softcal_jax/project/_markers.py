@@ -77,7 +77,7 @@ class MeasuredTable(Table):
     recording: Selection = Field(default_factory=dict)
     select: Selection = Field(default_factory=dict)
     registration: RegistrationTable | None = None
-    displacement_from: Selection | None = None
+    displacement_from: Selection | str | None = None
     effectors: dict[str, Measured] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -96,8 +96,10 @@ class MeasuredTable(Table):
     ) -> tuple[Float[HostArray, "n_markers 3"], Registration | None]:
         """Read positions of `markers` in the frame of the mesh; `nominal` are all [m].
 
-        With `displacement_from` they are the nominal positions plus the motion between
-        the two states, so that it does not matter exactly where a marker was glued.
+        With a selection as `displacement_from` they are the nominal positions plus the
+        motion between the two states, so that it does not matter exactly where a marker
+        was glued. With the name of a configuration they are as read: the calibration
+        compares displacements from that one.
         """
 
         def read(select: Selection, names: Sequence[str]):
@@ -108,7 +110,7 @@ class MeasuredTable(Table):
             ).positions_of(names)
 
         loaded, start, registration = read(self.select, markers.names), None, None
-        if self.displacement_from is not None:
+        if isinstance(self.displacement_from, dict):
             start = read(self.displacement_from, markers.names)
         if self.registration is not None:
             names = self.registration.markers

@@ -16,6 +16,7 @@ from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.equilibrium import (
     RESULTS,
+    LoadPath,
     NewtonSettings,
     build_model,
     solve_equilibrium,
@@ -89,6 +90,25 @@ def test_the_end_does_not_depend_on_the_path():
     np.testing.assert_allclose(at_once.displacement, u, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
+def test_a_path_leads_there_too():
+    """States along the load of a held body, each an arc of the same length."""
+    path = solve_equilibrium(robot(), bent(0.25), path=LoadPath(first=0.25))
+    assert bool(path.result == RESULTS.converged), RESULTS[path.result]
+    solution = from_rest(0.25)
+    np.testing.assert_allclose(
+        path.displacement[-1], solution.displacement, rtol=0, atol=1e-7
+    )
+    node = nearest_node(robot().mesh, MIDDLE)
+    half = path.load[1:, None] * 0.25 * np.pi
+    x, _, z = np.stack([arc(float(a), 0.5 * LENGTH) for a in half[:, 0]]).T
+    found = path.displacement[1:, node]
+    np.testing.assert_allclose(found[:, 0] + MIDDLE[0], x, atol=0.01 * LENGTH)
+    np.testing.assert_allclose(found[:, 2], z, atol=0.01 * LENGTH)
+    np.testing.assert_array_equal(path.n_negative, 0)
+
+
+@pytest.mark.slow
 def test_sensitivities_are_those_of_the_end():
     """By the held pose, forward and reverse, and by differences of second order."""
     lane, model = bent(0.75), robot()
