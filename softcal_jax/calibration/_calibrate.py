@@ -141,6 +141,7 @@ def calibrate(
 
     def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
         old, last = done.result, done.result.history[-1]
+        assert old.noise is not None
         later = lambda entry: replace(
             entry,
             step=entry.step + last.step,
