@@ -20,6 +20,9 @@ half-widths off in a fit that `assess` calls identified; `far_off` counts all of
 `intervals_printed_percent` is the share of parameters that have an interval.
 
 The mesh is coarse, since all fits share it with their data, and their programs.
+
+Intervals are far off where a body is nearly isotropic at a control point: noise then
+makes an axis there, and the angle has no regular likelihood.
 """
 
 import time

@@ -238,9 +238,10 @@ class _Profile:
             return None
         rise = self.at.rise
         value = float(np.sqrt(max(higher, 0.0)) - rise)
-        if not run.converged and value > 0.0 and not self._is_steady(run):
+        near = abs(value) <= CLOSE_ENOUGH * rise
+        if not (run.converged or self._is_steady(run)) and (near or value > 0.0):
             return None
-        value = 0.0 if abs(value) <= CLOSE_ENOUGH * rise else value
+        value = 0.0 if near else value
         return _Rest(distance + self.sign * far, run.z, value)
 
     @property
@@ -252,7 +253,9 @@ class _Profile:
         """Return whether a fit stands still, as exactly as an end is sought."""
         squares = run.errors[np.isfinite(run.errors)] ** 2
         steps, least = self._steady
-        return len(squares) > steps and squares[-1 - steps] - squares[-1] <= least
+        if len(squares) <= steps:
+            return False
+        return bool(squares[-1 - steps] - squares[-1] <= least)
 
     def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Job[Run]:
         """Calibrate with the parameter held."""

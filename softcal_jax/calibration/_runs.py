@@ -26,6 +26,12 @@ NOTHING_LEFT = 1e-6
 MOST_SETTLED = 3
 """How often steps of tensors and plain ones take turns."""
 
+LITTLE = 1e-3
+"""Relative contrast of an axis and change of the cost at which steps of tensors end.
+
+They go to and fro there if the best body is isotropic.
+"""
+
 NO_FALL = 1e-6
 """Relative fall of the cost that is no way down [-]."""
 
@@ -152,14 +158,28 @@ def settle(
     gave up. These cannot leave a body that is isotropic, right or wrong, since the
     angle has no effect on it; so their end only counts if tensors find no way down.
     """
-    state = yield from descend(evaluate, settings, state, note)
     space = evaluate.numbered.space
     if space.chart is None:
-        return state
+        return (yield from descend(evaluate, settings, state, note))
+    small, large = space.chart.small, space.chart.large
+
+    def to_and_fro(state: CalibrationState) -> bool:
+        z, recent = np.asarray(state.z), np.asarray(state.recent_costs)
+        if not np.isfinite(recent).all() or np.ptp(recent) > LITTLE * recent[0]:
+            return False
+        return bool(np.min(z[large] - z[small]) <= LITTLE)
+
+    state = yield from descend(evaluate, settings, state, note, to_and_fro)
     plain = evaluate.with_space(in_plain_steps(space))
-    again = lambda state: initial_state(settings, state.z, state.evaluation)
+
+    def again(state: CalibrationState) -> CalibrationState:
+        """Begin anew, but count on."""
+        new = initial_state(settings, state.z, state.evaluation)
+        return eqx.tree_at(lambda s: s.step, new, state.step)
+
     for _ in range(MOST_SETTLED):
-        if state.converged or not state.evaluation.ok:
+        done = state.converged or state.step >= settings.max_steps
+        if done or not state.evaluation.ok:
             break
         end = yield from descend(plain, settings, again(state), note)
         if not end.converged:
