@@ -64,6 +64,12 @@ class FibreReinforced(AbstractLaw):
     tension_only: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
+        if not isinstance(self.matrix, AbstractLaw):
+            raise ValueError(
+                f"matrix must be a law, like NeoHookean(264e3, 0.499), got "
+                f"{self.matrix!r}. The law of E_t, E_l, nu and mu_l is "
+                "TransverseHyperelastic."
+            )
         if not self.matrix.conservative:
             raise ValueError(
                 f"matrix must have a potential, and {type(self.matrix).__name__} has "

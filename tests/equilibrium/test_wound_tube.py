@@ -15,7 +15,7 @@ from softcal_jax.mesh import TetMesh, beam
 
 E, E_F, OUTER = 1.0, 80.0, 1.2
 PRESSURE = 1.0
-"""Moves the inner wall by 5 % of its radius; without threads the tube would burst."""
+"""Moves the inner wall by 8.6 % of its radius; without threads it would burst."""
 
 
 def quarter(cells, tension_only):
@@ -62,7 +62,7 @@ def closed_form(pressure, slack):
 def test_threads_hold_the_tube(tension_only):
     """Threads are straight in a tet: the error falls with the square of its angle."""
     exact = closed_form(PRESSURE, 0.5e-4 if tension_only else 0.0)
-    assert 0.04 < exact < 0.08
+    assert 0.08 < exact < 0.09
     supports = [Support("y_min", "y"), Support("y_max", "x")]
     supports += [Support("z_min", "z"), Support("z_max", "z")]
     inflated = Configuration(

@@ -143,6 +143,13 @@ def test_bad_fibres():
         FibreReinforced(classical, 1.0, Fibre(0.0))
 
 
+def test_bad_calls(unchecked):
+    with pytest.raises(ValueError, match="families must be 1 or 2, got 3"):
+        FibreReinforced(MATRIX, 1.0, Fibre(0.0), families=3)
+    with pytest.raises(ValueError, match=r"got 264000\.0\. .* TransverseHyper"):
+        FibreReinforced(264e3, 20e6, 0.49, 1e5, Fibre(0.0))
+
+
 def test_the_matrix_may_be_tabulated():
     law = FibreReinforced(Corotational(Isotropic(E, NU)), E_F, Fibre(0.2))
     table = law.tabulated()
