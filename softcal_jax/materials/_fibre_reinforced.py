@@ -99,10 +99,10 @@ class FibreReinforced(AbstractLaw):
         """Energy w of a fibre over E_f, and its derivatives by the strain e."""
         if not self.tension_only:
             return 0.5 * e * e, e, jnp.ones_like(e)
-        pulled, pushed = jnp.maximum(e, 0.0), jnp.minimum(e, 0.0) / BUCKLING
+        pushed = jnp.minimum(e, 0.0) / BUCKLING
         given = jnp.expm1(pushed)
-        energy = 0.5 * pulled * pulled + BUCKLING**2 * (given - pushed)
-        return energy, pulled + BUCKLING * given, jnp.exp(pushed)
+        energy = jnp.where(e >= 0.0, 0.5 * e * e, BUCKLING**2 * (given - pushed))
+        return energy, jnp.where(e >= 0.0, e, BUCKLING * given), jnp.exp(pushed)
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
         """Energy of matrix and fibres [J/m3]."""

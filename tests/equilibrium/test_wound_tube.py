@@ -81,8 +81,7 @@ def test_threads_hold_the_tube(tension_only):
         u = np.mean(np.linalg.norm(x[:, :2], axis=1)) - 1.0
         errors.append(abs(u / exact - 1.0))
         steps.append(int(solution.steps))
-    print(errors, steps)
     assert errors[1] < 0.02
     assert errors[0] / errors[1] > 3.0
-    # Threads do not spoil Newton's method, though they are slack here and there.
-    assert max(steps) < 60, steps
+    # 41 and 34 with either kind of fibre; 167 if threads carried nothing at rest.
+    assert max(steps) < 60
