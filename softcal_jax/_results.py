@@ -17,6 +17,10 @@ class RESULTS(eqx.Enumeration):
         "equilibrium follows at a higher load; check modulus, wall and units, reduce "
         "the load, or trace the branch with solve_equilibrium(..., path=LoadPath())"
     )
+    states_used_up = (
+        "the path along the load needs more states to reach the full load; raise "
+        "`states` of LoadPath"
+    )
     load_step_too_small = (
         "load stepping gave up: no Newton step succeeded on the smallest load "
         "increment; the load may be beyond what the body can carry (buckling, collapse)"

@@ -86,8 +86,8 @@ class EquilibriumPath(eqx.Module):
             model is not conservative.
         readings: Effectors of each state, in rows of three.
         result: `converged` if the last state carries the full load, `limit_point` if
-            the states ended beyond one, `max_steps` if they ended before, and otherwise
-            why no further state was found.
+            the states ended beyond one, `states_used_up` if they ended before, and
+            otherwise why no further state was found.
     """
 
     load: Float[HostArray, " n"]
@@ -328,7 +328,7 @@ def trace(
     state = _begin(model, configuration, settings)
     states = [state]
     ds = first = path.first * float(state.length)
-    full, result = jnp.asarray(True), RESULTS.max_steps
+    full, result = jnp.asarray(True), RESULTS.states_used_up
     while bool(state.ok) and len(states) <= path.states:
         new = _step(model, configuration, state, jnp.asarray(ds), ~full, settings)
         last = bool(new.ok) and float(new.load) >= 1.0
@@ -352,7 +352,7 @@ def trace(
         result = RESULTS.singular
     stack = lambda pick: np.stack([np.asarray(pick(s)) for s in states])
     load = stack(lambda s: s.load)
-    if result == RESULTS.max_steps and np.any(np.diff(load) < 0.0):
+    if result == RESULTS.states_used_up and np.any(np.diff(load) < 0.0):
         result = RESULTS.limit_point
     return EquilibriumPath(
         load=load,

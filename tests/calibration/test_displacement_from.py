@@ -31,6 +31,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
 )
 from softcal_jax.fields import Parameter, exactly_known, set_field
+from softcal_jax.identifiability import identify
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -159,6 +160,17 @@ def test_the_reference_may_be_any_pose(data):
         other.parameters[0].standard_error,
         rtol=1e-6,
     )
+
+
+def test_what_it_would_tell_is_known_before(result):
+    """`identify` predicts the standard error, at the values that were found."""
+    there = replace(E, start=result.value("E"))
+    outlook = identify(
+        MODEL, there, poses()[:3], newton=TIGHT, uncertain=exactly_known()
+    )
+    (own,) = outlook.parameters
+    expected = result.parameters[0].standard_error
+    np.testing.assert_allclose(own.standard_error, expected, rtol=1e-5)
 
 
 def test_the_noise_is_estimated_from_displacements(data):
