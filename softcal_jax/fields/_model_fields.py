@@ -77,6 +77,8 @@ def find_field(model: Any, field: str):
     """
     leaves = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
     paths = ["density"] + ["law" + jax.tree_util.keystr(path) for path, _ in leaves]
+    # Entries of a tuple, like the local axes of a fibre, are no fields.
+    paths = [path for path in paths if "[" not in path]
     found = [path for path in paths if ("." + path).endswith("." + field)]
     if len(found) != 1:
         problem = "is not unique" if found else "does not exist"

@@ -13,14 +13,19 @@ from softcal_jax.materials._elasticity import (
     StVenantKirchhoff,
     lame,
 )
+from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
 from softcal_jax.materials._fibre_reinforced import FibreReinforced
+from softcal_jax.materials._gent import Gent
 from softcal_jax.materials._law import AbstractLaw
+from softcal_jax.materials._mooney_rivlin import MooneyRivlin
 from softcal_jax.materials._neo_hookean import NeoHookean
+from softcal_jax.materials._ogden import Ogden
 from softcal_jax.materials._transverse import (
-    Fibre,
     ReducedTransverseIsotropic,
     TransverseIsotropic,
 )
+from softcal_jax.materials._transverse_hyperelastic import TransverseHyperelastic
+from softcal_jax.materials._yeoh import Yeoh
 
 ELASTICITIES: dict[str, type[AbstractElasticity]] = {
     "isotropic": Isotropic,
@@ -31,9 +36,14 @@ ELASTICITIES: dict[str, type[AbstractElasticity]] = {
 
 LAWS: dict[str, type[AbstractLaw]] = {
     "neo-hookean": NeoHookean,
+    "mooney-rivlin": MooneyRivlin,
+    "yeoh": Yeoh,
+    "ogden": Ogden,
+    "gent": Gent,
     "corotational": Corotational,
     "classical-corotational": ClassicalCorotational,
     "st-venant-kirchhoff": StVenantKirchhoff,
+    "transverse-hyperelastic": TransverseHyperelastic,
     "fibre-reinforced": FibreReinforced,
 }
 """The laws, as project files name them."""
@@ -47,13 +57,20 @@ __all__ = [
     "Corotational",
     "Fibre",
     "FibreReinforced",
+    "Gent",
     "Isotropic",
+    "MooneyRivlin",
     "NeoHookean",
+    "Ogden",
     "PointValues",
     "ReducedTransverseIsotropic",
     "StVenantKirchhoff",
+    "TransverseHyperelastic",
     "TransverseIsotropic",
+    "Yeoh",
     "constant",
+    "frames_along",
+    "frames_around",
     "is_point_values",
     "lame",
     "law_at_points",

@@ -50,7 +50,11 @@ def law_at_points(law: Any) -> tuple[Any, Any]:
 
 
 def constant(
-    unit: str, words: str, *, within: tuple[float, float] | None = None
+    unit: str,
+    words: str,
+    *,
+    within: tuple[float, float] | None = None,
+    may_vanish: bool = False,
 ) -> dict[str, Any]:
     """What the metadata of a field of a law say of a constant; project files read it.
 
@@ -59,15 +63,17 @@ def constant(
         words: What it is, with an example: 'bulk modulus: "2 MPa"'.
         within: Open interval that the bounds of a parameter must lie in; by default
             what is positive for a modulus, and anything for a number or an angle.
+        may_vanish: Whether 0 is allowed too, where nothing of the kind is there.
     """
     if within is None:
         within = (-math.inf if unit in ("", "rad") else 0.0, math.inf)
-    return {"unit": unit, "words": words, "within": within}
+    return {"unit": unit, "words": words, "within": within, "may_vanish": may_vanish}
 
 
 MODULUS = constant("Pa", 'Young\'s modulus: "200 kPa"')
 ACROSS = constant("Pa", 'Young\'s modulus across the fibre: "700 kPa"')
 ALONG = constant("Pa", 'Young\'s modulus along the fibre: "400 kPa"')
+FIBRES = constant("Pa", 'modulus that fibres add along them: "20 MPa"', may_vanish=True)
 SHEAR = constant("Pa", 'shear modulus along the fibre: "200 kPa"')
 PLANE_RATIO = constant(
     "", "Poisson's ratio in the plane across the fibre: 0.3", within=(-1.0, 1.0)
@@ -96,12 +102,16 @@ def check_constants(module: eqx.Module) -> None:
         )
         if values is None or not (unit or math.isfinite(low)):
             continue
-        bad = values[~((values > low) & (values < high))]
+        none = (values == 0.0) & field.metadata.get("may_vanish", False)
+        bad = values[~(none | ((values > low) & (values < high)))]
         if not bad.size:
             continue
         expected, hint = f"lie in ({low:g}, {high:g})", ""
         if math.isinf(high):
-            expected = f"be {'positive and ' if low == 0.0 else ''}finite [{unit}]"
+            sign = (
+                "not negative and " if field.metadata["may_vanish"] else "positive and "
+            )
+            expected = f"be {sign if low == 0.0 else ''}finite [{unit}]"
         elif high == RATIO["within"][1] and values.max() >= high:
             hint = " For an incompressible rubber take 0.499."
         raise ValueError(f"{field.name} must {expected}, got {bad[0]:g}.{hint}")

@@ -1,182 +1,134 @@
-"""Hyperelastic law with one fibre axis, for large strain."""
+"""An isotropic matrix with fibres as stiff as thread, in one or two families."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.elements import cofactor, determinant, matmul
-from softcal_jax.materials._constants import (
-    ACROSS,
-    ALONG,
-    SHEAR,
-    as_field,
-    check_constants,
-    check_shared_ratio,
-    constant,
-)
+from softcal_jax.elements import sum_of
+from softcal_jax.materials._constants import FIBRES, as_field, check_constants
+from softcal_jax.materials._fibre import Fibre
 from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import crossed, outer, paired
-from softcal_jax.materials._transverse import Fibre, PlaneStiffness, plane_stiffness
+from softcal_jax.materials._products import outer, paired
+
+CRIMP = 1e-4
+"""Strain over which a fibre that carries tension only is drawn straight [-]."""
 
 
-def _outer(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    return a[:, None] * b[None, :]
+class _Fibre(NamedTuple):
+    """State of one family; energy w, w' (pull) and w'' (slope) are over E_f [-]."""
 
-
-class _Modes(NamedTuple):
-    """Strain measures of the law and their first derivatives in F [-]."""
-
-    I4: Float[Array, ""]
-    a: Float[Array, ""]  # ln of the fibre stretch
-    w: Float[Array, ""]  # ln of the area of its section
-    z: Float[Array, ""]  # one over this area
-    section: Float[Array, ""]  # (I1 - I5/I4) / 2
-    f: Float[Array, "3"]  # F u
-    q: Float[Array, "3"]  # C u
-    h: Float[Array, "3"]  # F^-T u
-    G: Float[Array, "3 3"]  # F^-T, derivative of ln J
-    da: Float[Array, "3 3"]
-    dw: Float[Array, "3 3"]
-    e: Float[Array, "3 3"]  # derivative of I5 over 2 I4
-    b: Float[Array, "3 3"]  # minus half the derivative of h . h
-    d_section: Float[Array, "3 3"]
-
-
-def _modes(F: Float[Array, "3 3"], u: Float[Array, "3"]) -> _Modes:
-    J = determinant(F)
-    G = cofactor(F) / J
-    f = jnp.sum(F * u[None, :], axis=1)
-    h = jnp.sum(G * u[None, :], axis=1)
-    q = jnp.sum(F * f[:, None], axis=0)
-    I4, I5 = jnp.sum(f * f), jnp.sum(q * q)
-    a = 0.5 * jnp.log(I4)
-    da = _outer(f / I4, u)
-    e = (_outer(f, q) + _outer(jnp.sum(F * q[None, :], axis=1), u)) / I4
-    return _Modes(
-        I4=I4,
-        a=a,
-        w=jnp.log(J) - a,
-        z=jnp.sqrt(I4) / J,
-        section=0.5 * (jnp.sum(F * F) - I5 / I4),
-        f=f,
-        q=q,
-        h=h,
-        G=G,
-        da=da,
-        dw=G - da,
-        e=e,
-        b=_outer(h, jnp.sum(G * h[:, None], axis=0)),
-        d_section=F - e + I5 / I4 * da,
-    )
+    u: Float[Array, "3"]
+    n: Float[Array, "3 3"]  # F u / l times u^T, derivative of l
+    stretch: Float[Array, ""]
+    energy: Float[Array, ""]
+    pull: Float[Array, ""]
+    slope: Float[Array, ""]
 
 
 class FibreReinforced(AbstractLaw):
-    """Large-strain law with one fibre axis; energy in four uncoupled strain modes.
+    """An isotropic matrix and, along its fibres, the energy of pulled thread.
 
-    With the fibre stretch l = sqrt(I4), a = ln l, the area of the section across the
-    fibre w = ln(J / l), I4 = u . C u, I5 = u . C^2 u and C = F^T F,
+        psi = psi_matrix(F) + sum over families of w(l - 1),   l = |F u|
 
-        psi = C33/2 a^2 + C13 a w + (C11 + C12)/4 w^2      stretch and area
-              + mu_l/2 (I4 (u . C^-1 u) - 1)               shear along the fibre
-              + mu_t ((I1 - I5/I4) l / (2 J) - 1)          shear across the fibre
+    with w(e) = E_f e^2 / 2: the nominal stress of a fibre is E_f (l - 1), as in a
+    thread of constant modulus. (A matrix and a function of the fibre stretch: Spencer,
+    Deformations of Fibre-Reinforced Materials, 1972; Holzapfel, Gasser and Ogden, J.
+    Elasticity 61, 2000.) The matrix may be any isotropic law, nearly incompressible
+    too: its `nu` chooses the formulation of the tets.
 
-    in the modes of Criscione, Douglas and Hunter (J. Mech. Phys. Solids 49, 2001) with
-    the fibre invariants of Blemker, Pinsky and Delp (J. Biomech. 38, 2005). Deviations:
-    the shear along the fibre is tan^2 of the angle between the fibre and the normal of
-    its section instead of I5/I4^2 - 1 (equal at small strain), so that both simple
-    shears have the energy mu_l gamma^2/2; the shear across is taken without arccosh.
+    With `tension_only`, a fibre that is not longer than at rest carries nothing, and
 
-    The small-strain limit is `TransverseIsotropic` with nu_t = nu_tl = nu, stiffnesses
-    C_ij included. No line of psi is negative for a stable set of constants, whether the
-    fibre is the soft or the stiff axis. (The law of Bonet and Burton, Comput. Methods
-    Appl. Mech. Eng. 162, 1998, loses its strength where a soft fibre is stretched.)
-    With E_t = E_l it is isotropic at small strain only. A bar under tension along the
-    fibre carries P = E_l ln(l) / l, with its maximum at l = e. Not defined for J <= 0,
-    where it returns NaN and the solver steps back.
+        w' = E_f e^2 / (2 c)    up to the crimp c = 1e-4,     E_f (e - c/2)    above it.
+
+    So the stress is smooth and the tangent continuous, as Newton's method needs, at the
+    price of 5e-5 of strain before the fibre is taut. At rest such a body is as soft as
+    its matrix.
+
+    For fibres that are the soft axis of a foam see `TransverseHyperelastic`.
 
     Attributes:
-        E_t: Young's modulus across the fibre at small strain [Pa].
-        E_l: Young's modulus along the fibre at small strain [Pa].
-        nu: Poisson's ratio for stress across the fibre, the same in the transverse
-            plane and along the fibre [-]; -1 < nu and 1 - nu - 2 nu^2 E_l/E_t > 0.
-        mu_l: Shear modulus along the fibre [Pa].
-        fibre: Direction of the fibre in the rest shape.
+        matrix: Isotropic law of the matrix.
+        E_f: Young's modulus that each family adds along itself: that of the thread
+            times its share of the volume [Pa]; 0 where there are no fibres.
+        fibre: Direction of the fibres in the rest shape.
+        families: 1, or 2 for a second family at -theta: a body wound both ways.
+        tension_only: Whether fibres go slack when they are shortened.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu: Float[Array, "..."] = eqx.field(
-        converter=as_field,
-        metadata=constant("", "Poisson's ratio: 0.499"),
-    )
-    mu_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=SHEAR)
+    matrix: AbstractLaw
+    E_f: Float[Array, "..."] = eqx.field(converter=as_field, metadata=FIBRES)
     fibre: Fibre
+    families: Literal[1, 2] = eqx.field(static=True, default=1)
+    tension_only: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
+        if not self.matrix.conservative:
+            raise ValueError(
+                f"matrix must have a potential, and {type(self.matrix).__name__} has "
+                "none; take Corotational, NeoHookean or another law."
+            )
+        if self.families not in (1, 2):
+            raise ValueError(f"families must be 1 or 2, got {self.families!r}.")
         check_constants(self)
-        check_shared_ratio(self.E_t, self.E_l, self.nu)
 
-    def _constants(self) -> tuple[PlaneStiffness, Float[Array, ""]]:
-        C = plane_stiffness(self.E_t, self.E_l, self.nu, self.nu)
-        return C, self.E_t / (2.0 * (1.0 + self.nu))
+    def directions(self) -> list[Float[Array, "3"]]:
+        """Compute the unit vectors along the families [-]."""
+        both = (self.fibre, self.fibre.mirrored())
+        return [fibre.direction() for fibre in both[: self.families]]
+
+    def _fibres(self, F: Float[Array, "3 3"]) -> list[_Fibre]:
+        """Compute the state of each family."""
+        found = []
+        for u in self.directions():
+            f = jnp.sum(F * u[None, :], axis=1)
+            stretch = jnp.sqrt(jnp.sum(f * f))
+            n = (f / stretch)[:, None] * u[None, :]
+            found.append(_Fibre(u, n, stretch, *self._pull(stretch - 1.0)))
+        return found
+
+    def _pull(self, e: Float[Array, ""]) -> tuple[Float[Array, ""], ...]:
+        """Energy w of a fibre over E_f, and its derivatives by the strain e."""
+        if not self.tension_only:
+            return 0.5 * e * e, e, jnp.ones_like(e)
+        drawn, taut = jnp.clip(e, 0.0, CRIMP), jnp.maximum(e - CRIMP, 0.0)
+        energy = drawn**3 / (6.0 * CRIMP) + 0.5 * taut * (taut + CRIMP)
+        return energy, drawn * drawn / (2.0 * CRIMP) + taut, drawn / CRIMP
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy of the four modes [J/m3]."""
-        C, mu_t = self._constants()
-        s = _modes(F, self.fibre.direction())
-        return (
-            0.5 * C.C33 * s.a * s.a
-            + C.C13 * s.a * s.w
-            + 0.25 * (C.C11 + C.C12) * s.w * s.w
-            + 0.5 * self.mu_l * (s.I4 * jnp.sum(s.h * s.h) - 1.0)
-            + mu_t * (s.section * s.z - 1.0)
-        )
+        """Energy of matrix and fibres [J/m3]."""
+        pulled = sum_of(fibre.energy for fibre in self._fibres(F))
+        return self.matrix.energy_density(F) + self.E_f * pulled
 
     def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """First Piola-Kirchhoff stress, mode by mode [Pa]."""
-        C, mu_t = self._constants()
-        s = _modes(F, self.fibre.direction())
-        along = C.C33 * s.a + C.C13 * s.w
-        area = C.C13 * s.a + 0.5 * (C.C11 + C.C12) * s.w
-        shear_along = s.I4 * (jnp.sum(s.h * s.h) * s.da - s.b)
-        shear_across = s.z * (s.d_section - s.section * s.dw)
-        normal = along * s.da + area * s.dw
-        return normal + self.mu_l * shear_along + mu_t * shear_across
+        """First Piola-Kirchhoff stress: that of the matrix, and w' n u^T each [Pa]."""
+        pulled = sum_of(fibre.pull * fibre.n for fibre in self._fibres(F))
+        return self.matrix.stress(F) + self.E_f * pulled
 
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
-        """Tangent, from the second derivatives of I4, I5, J and u . C^-1 u [Pa].
+        """Tangent of the matrix and of each family [Pa].
 
-        d2a = (u u) I / I4 - 2 da da, d2(ln J) = -G_iL G_kJ with G = F^-T.
+        That of a family is (w'/l delta_ik + (w'' - w'/l) n_i n_k) u_J u_L, n = F u / l.
         """
-        C, mu_t = self._constants()
-        u = self.fibre.direction()
-        s = _Modes(*jax.lax.optimization_barrier(_modes(F, u)))
-        eye = jnp.eye(3)
-        C_w = 0.5 * (C.C11 + C.C12)
-        along, area = C.C33 * s.a + C.C13 * s.w, C.C13 * s.a + C_w * s.w
-        m, k = mu_t * s.z, self.mu_l * s.I4
-        I5_I4 = jnp.sum(s.q * s.q) / s.I4
-        second_G = m * s.section - area  # factor of -d2(ln J)
-        second_a = along + second_G  # factor of d2a
+        return self.matrix.tangent(F) + self._fibre_tangent(F)
 
-        X_a = (0.5 * C.C33 - second_a - 2.0 * m * I5_I4) * s.da
-        X_a = X_a + C.C13 * s.dw + 2.0 * m * s.e - 2.0 * k * s.b
-        X_w = 0.5 * (C_w + m * s.section) * s.dw - m * s.d_section
-        X_G = 0.5 * second_G * s.G + k * s.b
-        uu, uq = _outer(u, u), _outer(u, s.q)
-        normal = (second_a + m * I5_I4) / s.I4 + self.mu_l * jnp.sum(s.h * s.h)
-        D = m * (eye - (uq + uq.T) / s.I4) + normal * uu
-        X_a, X_w, X_G, D = jax.lax.optimization_barrier((X_a, X_w, X_G, D))
-        return (
-            (outer(s.da, X_a) + outer(X_a, s.da))
-            + (outer(s.dw, X_w) + outer(X_w, s.dw))
-            + (crossed(s.G, X_G) + crossed(X_G, s.G))
-            - m * (crossed(F, s.da) + crossed(s.da, F))
-            + paired(eye, D)
-            - m / s.I4 * paired(matmul(F, F.T), uu)
-            - m / s.I4 * paired(_outer(s.f, s.f), eye)
-            + k * paired(_outer(s.h, s.h), matmul(s.G.T, s.G))
-        )
+    def _fibre_tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        def of(fibre: _Fibre) -> Float[Array, "3 3 3 3"]:
+            turning = fibre.pull / fibre.stretch
+            along = paired(jnp.eye(3), fibre.u[:, None] * fibre.u[None, :])
+            return turning * along + (fibre.slope - turning) * outer(fibre.n, fibre.n)
+
+        return self.E_f * sum_of(map(of, self._fibres(F)))
+
+    def stress_and_tangent(
+        self, F: Float[Array, "3 3"]
+    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
+        """Stress and tangent [Pa], sharing what the matrix shares."""
+        P, A = self.matrix.stress_and_tangent(F)
+        pulled = sum_of(fibre.pull * fibre.n for fibre in self._fibres(F))
+        return P + self.E_f * pulled, A + self._fibre_tangent(F)
+
+    def tabulated(self) -> "FibreReinforced":
+        """Compute what does not depend on F in the matrix once."""
+        return eqx.tree_at(lambda law: law.matrix, self, self.matrix.tabulated())

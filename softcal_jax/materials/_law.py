@@ -23,7 +23,7 @@ class AbstractLaw(eqx.Module):
     Example:
         A user's own law::
 
-            class Yeoh(AbstractLaw):
+            class Polynomial(AbstractLaw):
                 c1: Array = eqx.field(metadata=constant("Pa", 'stiffness: "30 kPa"'))
                 c2: Array = eqx.field(metadata=constant("Pa", 'hardening: "1 kPa"'))
                 bulk: Array = eqx.field(metadata=constant("Pa", 'bulk: "2 MPa"'))

@@ -9,7 +9,7 @@ import meshio
 import numpy as np
 
 from softcal_jax._names import METRES, unknown_name
-from softcal_jax._typing import HostArray
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._conversion import to_linear, to_quadratic
 from softcal_jax.mesh._meshio import MeshWarning, RawGroups, raw_groups, read_raw
@@ -81,6 +81,35 @@ def read_mesh(
     if order == 1 and mesh.order == 2:
         return to_linear(mesh)
     return mesh
+
+
+def read_tet_data(
+    path: str | os.PathLike[str], name: str
+) -> Float[HostArray, "n_tets n_components"]:
+    """Read an array of a mesh file with values for each tet, in their order.
+
+    Args:
+        path: A file that `read_mesh` reads.
+        name: Name of the cell array.
+
+    Returns:
+        The values, one row per tet, in the units of the file.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If the file cannot be read or has no such array; the text lists
+            those that it has.
+    """
+    path, notes = Path(path), []
+    raw = read_raw(path, notes)
+    if name not in raw.cell_data:
+        raise ValueError(f"{path}: {unknown_name('cell array', name, raw.cell_data)}")
+    parts = [
+        np.asarray(values, float).reshape(len(block), -1)
+        for block, values in zip(raw.cells, raw.cell_data[name], strict=True)
+        if block.type in _TETS and len(block)
+    ]
+    return np.concatenate(parts)
 
 
 def _build(

@@ -113,6 +113,11 @@ class TetMesh(eqx.Module):
         return self.tets.shape[0]
 
     @property
+    def centroids(self) -> Float[HostArray, "n_tets 3"]:
+        """Means of the corners of each tet [m]."""
+        return self.points[self.tets[:, :4]].mean(axis=1)
+
+    @property
     def order(self) -> int:
         """Polynomial order of the tets, 1 or 2."""
         return 1 if self.tets.shape[1] == 4 else 2

@@ -21,15 +21,22 @@ from softcal_jax.materials import (
     LAWS,
     AbstractElasticity,
     AbstractLaw,
+    Fibre,
+    Isotropic,
     constant,
 )
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._problems import one_of
+from softcal_jax.project._directions import AnyDirections, TetData
+from softcal_jax.project._problems import one_of, under
 from softcal_jax.project._quantities import dimension_of, scalar
-from softcal_jax.project._table import Density, Number, Table
+from softcal_jax.project._table import Density, Flag, Number, Table
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
+
+
+_FRAME = "directions"
+"""Key of the formula for the directions of fibres."""
 
 
 class Constant(NamedTuple):
@@ -39,11 +46,13 @@ class Constant(NamedTuple):
         unit: SI unit, as results name it.
         words: What it is, with an example.
         within: Open interval in which the bounds of a parameter must lie.
+        may_vanish: Whether the constant itself may be 0 too.
     """
 
     unit: str
     words: str
     within: tuple[float, float]
+    may_vanish: bool
 
     @property
     def is_angle(self) -> bool:
@@ -53,7 +62,8 @@ class Constant(NamedTuple):
     @property
     def scale(self) -> Literal["log", "linear"]:
         """Default scale: moduli are positive, so that their steps are ratios."""
-        return "linear" if self.unit in ("", "rad") else "log"
+        signed = self.within[0] < 0.0
+        return "linear" if self.unit in ("", "rad") or signed else "log"
 
     @property
     def type(self) -> Any:
@@ -107,8 +117,13 @@ class Material(_OfLaw):
         own = getattr(self.regions.get(region or ""), key, None)
         return getattr(self, key) if own is None else own
 
-    def values(self, key: str, mesh: TetMesh) -> Float[HostArray, "..."]:
-        """Return a constant, as one value per tet where regions differ [SI]."""
+    def values(self, key: str, mesh: TetMesh) -> Float[HostArray, "..."] | None:
+        """Return a constant, as one value per tet where regions differ [SI].
+
+        None for one that the law need not have and that the file leaves out.
+        """
+        if getattr(self, key) is None:
+            return self._none(key)
         base = np.asarray(getattr(self, key), float)
         for name, region in self.regions.items():
             tets = mesh.tets_of(name)
@@ -117,12 +132,44 @@ class Material(_OfLaw):
                 base[tets] = getattr(region, key)
         return base
 
-    def build(self, mesh: TetMesh) -> AbstractLaw:
-        """Build the law."""
-        own = self.constants
-        return type(self).makes(
-            lambda key: self.values(key, mesh) if key in own else getattr(self, key)
-        )
+    def _none(self, key: str) -> None:
+        """Check that no region has a constant that the body lacks."""
+        for name, region in self.regions.items():
+            if getattr(region, key) is not None:
+                raise ValueError(
+                    f"regions.{name} has {key}, which the body lacks; give {key} in "
+                    "[material] too."
+                )
+
+    def build(self, mesh: TetMesh, data: TetData) -> AbstractLaw:
+        """Build the law; `data` returns arrays of the mesh file."""
+
+        def value(key: str) -> Any:
+            if key in self.constants:
+                return self.values(key, mesh)
+            return self._frames(mesh, data) if key == _FRAME else getattr(self, key)
+
+        return type(self).makes(value)
+
+    def _frames(
+        self, mesh: TetMesh, data: TetData
+    ) -> Float[HostArray, "n_tets 3 3"] | None:
+        """Compute the local axes of the fibres; None where they are the mesh's."""
+        base = getattr(self, _FRAME)
+        owners = {n: own for n, own in self.regions.items() if getattr(own, _FRAME)}
+        if base is None and not owners:
+            return None
+        frames = np.broadcast_to(np.eye(3), (mesh.n_tets, 3, 3)).copy()
+        others = np.arange(mesh.n_tets)
+        for name, own in owners.items():
+            tets = np.asarray(mesh.tets_of(name))
+            with under(f"regions.{name}.{_FRAME}"):
+                frames[tets] = getattr(own, _FRAME).frames(mesh, tets, data)
+            others = np.setdiff1d(others, tets)
+        if base is not None and others.size:
+            with under(_FRAME):
+                frames[others] = base.frames(mesh, others, data)
+        return frames
 
 
 class _Undecided(Material):
@@ -140,53 +187,109 @@ def material_table(raw: Any) -> type[Material]:
     """
     named = raw if isinstance(raw, dict) else {}
     # Anything else than a text is no name: the schema says so.
-    law, elasticity = str(named.get("law")), str(named.get("elasticity", "isotropic"))
+    law = str(named.get("law"))
     found = LAWS.get(law)
     if found is None:
         plug_ins = entry_points(group=GROUP)
         if law not in plug_ins.names:
             return _undecided("law", {**LAWS, **dict.fromkeys(sorted(plug_ins.names))})
         found = _plug_in(law, plug_ins.select(name=law))
-    if not _takes_elasticity(found):
-        return _table(law, found, "")
-    if elasticity not in ELASTICITIES:
-        return _undecided("elasticity", ELASTICITIES)
-    return _table(law, found, elasticity)
+    part = _part_of(found)
+    aimed = _is_aimed(named)
+    if part is None:
+        return _table(law, found, "", aimed)
+    choice = str(named.get(part.key, part.default))
+    if choice not in part.known:
+        return _undecided(part.key, part.known)
+    return _table(law, found, choice, aimed)
+
+
+def _is_aimed(named: dict[str, Any]) -> bool:
+    """Return whether fibres have directions that need no angle, as a helix does."""
+    regions = named.get("regions")
+    tables = [named, *(regions.values() if isinstance(regions, dict) else ())]
+    given = [own.get(_FRAME) for own in tables if isinstance(own, dict)]
+    kinds = [own.get("type") for own in given if isinstance(own, dict)]
+    return bool(kinds) and "helix" not in kinds
 
 
 def _undecided(key: str, names: Iterable[str]) -> type[Material]:
     choice: Any = (Literal[*names], Field(description=one_of("", names).rstrip(".")))
     table = create_model("Material", __base__=_Undecided, **{key: choice})
     table.constants = {"density": DENSITY}
-    for kind in _without_parts().values():
-        table.constants |= _constants(kind, "")
+    for kind in _choices().values():
+        table.constants |= _constants(kind, None)
     return table
 
 
 @functools.cache
-def _table(name: str, law: type[AbstractLaw], elasticity: str) -> type[Material]:
-    """Build the schema of a law and of its regions."""
-    constants, choice = _constants(law, elasticity), f'law = "{name}"'
+def _table(
+    name: str, law: type[AbstractLaw], choice: str, aimed: bool
+) -> type[Material]:
+    """Build the schema of a law, with the choice of its part, and of its regions.
+
+    `aimed` fibres have a direction without an angle, which is 0 by default.
+    """
+    part = _part_of(law)
+    words, chosen = f'law = "{name}"', None
     own: dict[str, Any] = {"law": (Literal[name], ...)}
-    if elasticity:
-        choice += f' with elasticity = "{elasticity}"'
-        own["elasticity"] = (Literal[elasticity], elasticity)
-    recipe = _recipe(law, elasticity)
+    if part is not None:
+        words += f' with {part.key} = "{choice}"'
+        own[part.key] = (Literal[choice], choice)
+        chosen = part.known[choice]
+    constants, recipe = _constants(law, chosen), _recipe(law, chosen)
     for key, (field, hint) in recipe.keys.items():
         kind = constants[key].type if key in constants else hint
         default = ... if field.default is dataclasses.MISSING else field.default
-        words = field.metadata.get("words")
-        own[key] = (kind, Field(default, description=words))
+        if key in constants and default is None:
+            kind = kind | None
+        if key == "theta" and aimed:
+            default = 0.0
+        description = field.metadata.get("words")
+        own[key] = (kind, Field(default, description=description))
     listed = ", ".join(recipe.keys)
     constants["density"] = DENSITY
     others: dict[str, Any] = {k: (c.type | None, None) for k, c in constants.items()}
+    if _FRAME in recipe.keys:
+        others[_FRAME] = (AnyDirections | None, None)
     region = create_model("Region", __base__=_OfLaw, **others)
     own["regions"] = (dict[str, region], Field(default_factory=dict))
     table = create_model("Material", __base__=Material, **own)
     for made in (region, table):
-        made.choice, made.constants, made.listed = choice, constants, listed
+        made.choice, made.constants, made.listed = words, constants, listed
     table.makes = recipe.make
     return table
+
+
+class _Part(NamedTuple):
+    """A part of a law that a file chooses: its key, its default and what is known."""
+
+    key: str
+    default: str
+    abstract: type[eqx.Module]
+    known: Mapping[str, type[eqx.Module]]
+
+
+@functools.cache
+def _part_of(law: type[eqx.Module]) -> _Part | None:
+    """Return the part of a law that a file chooses; None if it has none."""
+    hints = typing.get_type_hints(law).values()
+    if AbstractElasticity in hints:
+        return _Part("elasticity", "isotropic", AbstractElasticity, ELASTICITIES)
+    if AbstractLaw in hints:
+        return _Part("matrix", "neo-hookean", AbstractLaw, _matrices())
+    return None
+
+
+@functools.cache
+def _matrices() -> Mapping[str, type[AbstractLaw]]:
+    """Return the laws that may be a matrix: with a potential and without fibres."""
+    return {
+        name: law
+        for name, law in LAWS.items()
+        if law.conservative
+        and not {Fibre, AbstractLaw} & set(typing.get_type_hints(law).values())
+    }
 
 
 class _Recipe(NamedTuple):
@@ -200,20 +303,29 @@ class _Recipe(NamedTuple):
 
 
 @functools.cache
-def _recipe(kind: type[eqx.Module], elasticity: str) -> _Recipe:
-    """Derive the recipe of a class from its fields."""
+def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
+    """Derive the recipe of a class from its fields.
+
+    `chosen` is the class of its part that a file chooses; None leaves the keys of the
+    part out. The elasticity of a matrix is isotropic.
+    """
     keys, arguments = {}, {}
     hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
         hint, key = hints[field.name], field.metadata.get("key", field.name)
-        if hint is AbstractElasticity:
-            hint = ELASTICITIES[elasticity]
+        if hint in (AbstractElasticity, AbstractLaw):
+            if chosen is None:
+                continue
+            hint = chosen
         if isinstance(hint, type) and issubclass(hint, eqx.Module):
-            part = _recipe(hint, elasticity)
+            part = _recipe(hint, Isotropic)
             keys |= part.keys
             arguments[field.name] = part.make
+        elif key == _FRAME:
+            keys[key] = (field, AnyDirections | None)
+            arguments[field.name] = lambda value: value(_FRAME)
         elif "unit" in field.metadata or field.metadata.get("static"):
-            keys[key] = (field, hint)
+            keys[key] = (field, Flag if hint is bool else hint)
             arguments[field.name] = lambda value, key=key: value(key)
         else:
             raise ValueError(
@@ -223,22 +335,19 @@ def _recipe(kind: type[eqx.Module], elasticity: str) -> _Recipe:
     return _Recipe(keys, lambda v: kind(**{k: get(v) for k, get in arguments.items()}))
 
 
-def _constants(kind: type[eqx.Module], elasticity: str) -> dict[str, Constant]:
+def _constants(
+    kind: type[eqx.Module], chosen: type[eqx.Module] | None
+) -> dict[str, Constant]:
     return {
         key: Constant(*(field.metadata[k] for k in Constant._fields))
-        for key, (field, _) in _recipe(kind, elasticity).keys.items()
+        for key, (field, _) in _recipe(kind, chosen).keys.items()
         if "unit" in field.metadata
     }
 
 
-def _takes_elasticity(law: type[AbstractLaw]) -> bool:
-    return AbstractElasticity in typing.get_type_hints(law).values()
-
-
-def _without_parts() -> dict[str, type[eqx.Module]]:
-    """Return elasticities and laws with constants of their own, by their choice."""
-    plain = {name: law for name, law in LAWS.items() if not _takes_elasticity(law)}
-    kinds = {"elasticity": ELASTICITIES, "law": plain}
+def _choices() -> dict[str, type[eqx.Module]]:
+    """Return elasticities and laws by their choice in a file."""
+    kinds = {"elasticity": ELASTICITIES, "law": LAWS}
     return {
         f'{key} = "{name}"': kind
         for key, own in kinds.items()
@@ -248,11 +357,13 @@ def _without_parts() -> dict[str, type[eqx.Module]]:
 
 def _owners(key: str) -> list[str]:
     """List what has a key, as a file chooses it; empty for keys that all have."""
-    if key == "elasticity":
-        linear = [name for name, law in LAWS.items() if _takes_elasticity(law)]
-        return [f'law = "{name}"' for name in linear]
-    kinds = _without_parts().items()
-    return [choice for choice, kind in kinds if key in _recipe(kind, "").keys]
+    parts = {name: _part_of(law) for name, law in LAWS.items()}
+    owners = [
+        f'law = "{name}"' for name, part in parts.items() if part and part.key == key
+    ]
+    return owners or [
+        choice for choice, kind in _choices().items() if key in _recipe(kind, None).keys
+    ]
 
 
 def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
@@ -278,7 +389,7 @@ def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
             "softcal_jax.materials.AbstractLaw."
         )
     try:
-        _recipe(law, "isotropic")
+        _recipe(law, Isotropic)
     except (ValueError, NameError) as error:
         raise ValueError(f"{what} cannot be used: {error}") from error
     return law

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def _model(folder: Path, table: ProjectTable) -> Model:
     with under("material"):
         return build_model(
             mesh,
-            table.material.build(mesh),
+            table.material.build(mesh, partial(table.mesh.tet_data, folder)),
             density=table.material.values("density", mesh),
             bodies=bodies,
             actuators=actuators,

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.mesh import (
     Box,
     Plane,
@@ -13,6 +14,7 @@ from softcal_jax.mesh import (
     TetMesh,
     beam,
     read_mesh,
+    read_tet_data,
     select_faces,
     select_nodes,
 )
@@ -54,6 +56,10 @@ class MeshFileTable(_MeshTable):
             unused=self.unused_nodes,
         )
 
+    def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
+        """Read an array of the file with values for each tet."""
+        return read_tet_data(folder / self.file, name)
+
 
 class BeamTable(Table):
     """A box of tets, long along x; its sides are the groups "x_min" to "z_max"."""
@@ -76,6 +82,14 @@ class BeamMeshTable(_MeshTable):
         del folder
         options = self.beam.model_dump(exclude={"size"})
         return beam(*self.beam.size, order=self.order, **options)
+
+    def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
+        """Raise, since there is no file."""
+        del folder
+        raise ValueError(
+            f"there is no mesh file to read {name!r} from; the mesh is a beam. Take "
+            'type = "along", "hoop" or "helix", or a mesh of a file.'
+        )
 
 
 MeshTable = Annotated[MeshFileTable | BeamMeshTable, ByKeys()]
@@ -115,8 +129,7 @@ class _GroupTable(Table):
             return mesh.with_node_group(name, select_nodes(mesh, region))
         if self.of == "faces":
             return mesh.with_surface_group(name, select_faces(mesh, region))
-        centres = mesh.points[mesh.tets[:, :4]].mean(axis=1)
-        tets = np.flatnonzero(region(centres))
+        tets = np.flatnonzero(region(mesh.centroids))
         if not tets.size:
             raise ValueError("no tet has its centre there; check the length unit.")
         return mesh.with_tet_group(name, tets)

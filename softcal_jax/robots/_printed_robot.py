@@ -17,8 +17,8 @@ from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.materials import (
     Corotational,
     Fibre,
-    FibreReinforced,
     ReducedTransverseIsotropic,
+    TransverseHyperelastic,
 )
 from softcal_jax.robots._parallel_robot import mechanism
 from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
@@ -50,7 +50,7 @@ class PrintedRobot(eqx.Module):
     """A synthetic robot.
 
     Attributes:
-        model: The robot: fibre-reinforced, finer, with all its errors.
+        model: The robot: at large strain, finer, with all its errors.
         first: The same with the corotational law, whose equilibria serve as guesses.
         errors: Its differences from the ordered robot.
         parameters: What a calibration should find: E_t, E_l [Pa] and theta [rad] at the
@@ -98,10 +98,10 @@ def printed_robot(
         theta = np.arctan2(places[:, 1], places[:, 0]) + geometry.spiral_angle
         return E_t, E_l, theta + errors.theta * vary[2](places)
 
-    E_t, E_l, theta = fields(mesh.points[mesh.tets[:, :4]].mean(axis=1)[:, [0, 2]])
+    E_t, E_l, theta = fields(mesh.centroids[:, [0, 2]])
     fibre = Fibre(theta, plane="xz")
     shear = np.sqrt(E_t * E_l) / (2.0 * (1.0 + geometry.nu))
-    law = FibreReinforced(E_t, E_l, geometry.nu, shear, fibre)
+    law = TransverseHyperelastic(E_t, E_l, geometry.nu, shear, fibre)
     bodies, motors = mechanism(geometry)
     zero = errors.motor_zero * random.standard_normal(len(motors))
     shift = np.zeros((len(bodies), 3))

@@ -13,11 +13,16 @@ from softcal_jax.materials import (
     Corotational,
     Fibre,
     FibreReinforced,
+    Gent,
     Isotropic,
+    MooneyRivlin,
     NeoHookean,
+    Ogden,
     ReducedTransverseIsotropic,
     StVenantKirchhoff,
+    TransverseHyperelastic,
     TransverseIsotropic,
+    Yeoh,
 )
 
 E, NU = 1.0, 0.3
@@ -43,6 +48,10 @@ ISOTROPIC = {
     "corotational": Corotational(Isotropic(E, NU)),
     "st-venant-kirchhoff": StVenantKirchhoff(Isotropic(E, NU)),
     "neo-hookean": NeoHookean(E, NU),
+    "mooney-rivlin": MooneyRivlin(0.35 * MU, 0.15 * MU, NU),
+    "yeoh": Yeoh(0.5 * MU, -0.01, 0.003, NU),
+    "ogden": Ogden(0.6 * MU, 1.7, nu=NU, mu_2=-0.49 * MU, alpha_2=-2.0),
+    "gent": Gent(MU, 40.0, NU),
     "energy-only": EnergyOnly(jnp.asarray(MU), jnp.asarray(LAM + 2 * MU / 3)),
 }
 
@@ -53,7 +62,7 @@ ELASTICITIES = {
     "full": TransverseIsotropic(E_T, E_L, NU_T, NU_TL, MU_L, FIBRE),
     "reduced": ReducedTransverseIsotropic(E_T, E_L, NU, FIBRE),
 }
-FIBRE_REINFORCED = FibreReinforced(E_T, E_L, NU, MU_L, FIBRE)
+TRANSVERSE = TransverseHyperelastic(E_T, E_L, NU, MU_L, FIBRE)
 SMALL_STRAIN = TransverseIsotropic(E_T, E_L, NU, NU, MU_L, FIBRE)
 
 # Each law with the elasticity that is its small-strain limit.
@@ -71,13 +80,24 @@ ANISOTROPIC = {
         StVenantKirchhoff(ELASTICITIES["reduced"]),
         ELASTICITIES["reduced"],
     ),
-    "fibre-reinforced": (FIBRE_REINFORCED, SMALL_STRAIN),
-    "fibre-reinforced stiff": (
-        FibreReinforced(0.3, 1.0, 0.2, 0.4, Fibre(-1.0)),
+    "transverse-hyperelastic": (TRANSVERSE, SMALL_STRAIN),
+    "transverse-hyperelastic stiff": (
+        TransverseHyperelastic(0.3, 1.0, 0.2, 0.4, Fibre(-1.0)),
         TransverseIsotropic(0.3, 1.0, 0.2, 0.2, 0.4, Fibre(-1.0)),
     ),
 }
-LAWS = ISOTROPIC | {name: law for name, (law, _) in ANISOTROPIC.items()}
+
+# Matrices with fibres as stiff as they are, so that both matter to the tolerances.
+REINFORCED = {
+    "neo-hookean with fibres": FibreReinforced(NeoHookean(E, NU), 2.0, FIBRE),
+    "corotational with two families": FibreReinforced(
+        Corotational(Isotropic(E, NU)), 2.0, FIBRE, families=2
+    ),
+    "neo-hookean with threads": FibreReinforced(
+        NeoHookean(E, NU), 2.0, FIBRE, families=2, tension_only=True
+    ),
+}
+LAWS = ISOTROPIC | {name: law for name, (law, _) in ANISOTROPIC.items()} | REINFORCED
 CLASSICAL = {
     "isotropic": ClassicalCorotational(Isotropic(E, NU)),
     "full": ClassicalCorotational(ELASTICITIES["full"]),

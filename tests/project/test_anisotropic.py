@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,8 +18,10 @@ from softcal_jax.materials import (
     Fibre,
     FibreReinforced,
     Isotropic,
+    NeoHookean,
     ReducedTransverseIsotropic,
     StVenantKirchhoff,
+    TransverseHyperelastic,
     TransverseIsotropic,
 )
 from softcal_jax.project import ProjectError, load_project
@@ -68,16 +71,39 @@ LAWS = {
         f'E_t = "700 kPa"\nE_l = "400 kPa"\nnu = 0.3\n{FIBRE}',
         lambda: ClassicalCorotational(ReducedTransverseIsotropic(*SOFT, 0.3, fibre())),
     ),
-    "fibre-reinforced": (
-        'law = "fibre-reinforced"',
+    "transverse hyperelastic": (
+        'law = "transverse-hyperelastic"',
         f'E_t = "700 kPa"\nE_l = "400 kPa"\nnu = 0.3\nmu_l = "150 kPa"\n{FIBRE}',
-        lambda: FibreReinforced(*SOFT, 0.3, 150e3, fibre()),
+        lambda: TransverseHyperelastic(*SOFT, 0.3, 150e3, fibre()),
     ),
     "angle out of the plane left out": (
-        'law = "fibre-reinforced"',
+        'law = "transverse-hyperelastic"',
         'E_t = "700 kPa"\nE_l = "400 kPa"\nnu = 0.3\nmu_l = "150 kPa"\n'
         'theta = "20 deg"\n',
-        lambda: FibreReinforced(*SOFT, 0.3, 150e3, Fibre(20.0 * DEGREE)),
+        lambda: TransverseHyperelastic(*SOFT, 0.3, 150e3, Fibre(20.0 * DEGREE)),
+    ),
+    "fibre-reinforced": (
+        'law = "fibre-reinforced"',
+        f'E = "264 kPa"\nnu = 0.499\nE_f = "20 MPa"\n{FIBRE}',
+        lambda: FibreReinforced(NeoHookean(264e3, 0.499), 20e6, fibre()),
+    ),
+    "fibre-reinforced with another matrix": (
+        'law = "fibre-reinforced"\nmatrix = "corotational"',
+        'E = "264 kPa"\nnu = 0.3\nE_f = "20 MPa"\nfamilies = 2\ntension_only = true\n'
+        + FIBRE,
+        lambda: FibreReinforced(
+            Corotational(Isotropic(264e3, 0.3)),
+            20e6,
+            fibre(),
+            families=2,
+            tension_only=True,
+        ),
+    ),
+    "along an axis": (
+        'law = "fibre-reinforced"',
+        'E = "264 kPa"\nnu = 0.3\nE_f = "20 MPa"\ndirections = { type = "along", axis '
+        '= "x" }\n',
+        lambda: FibreReinforced(NeoHookean(264e3, 0.3), 20e6, Fibre(0.0)),
     ),
 }
 
@@ -89,6 +115,9 @@ def test_laws(tmp_path, case):
     got, wanted = law_of(tmp_path, law, constants), expected()
     F = jnp.asarray([[1.1, 0.05, 0.02], [-0.03, 0.95, 0.04], [0.01, 0.06, 1.03]])
     assert type(got) is type(wanted)
+    # One tet, where the directions of fibres are given for each.
+    one = lambda leaf: leaf if jnp.ndim(leaf) == 0 else leaf[0]
+    got = jax.tree.map(one, got)
     np.testing.assert_allclose(got.stress(F), wanted.stress(F), rtol=1e-12)
 
 

@@ -42,7 +42,7 @@ CASES = {
     "constant of another elasticity": (
         ("nu = 0.3", 'nu = 0.3\nmu_l = "200 kPa"'),
         'material.mu_l: mu_l belongs to elasticity = "transverse-isotropic" or law = '
-        '"fibre-reinforced". This is law = "corotational" with elasticity = '
+        '"transverse-hyperelastic". This is law = "corotational" with elasticity = '
         '"reduced-transverse-isotropic", which has E_t, E_l, nu, theta, phi, print_p',
     ),
     "isotropic constant": (
@@ -61,10 +61,10 @@ CASES = {
         'parameters.mu_l.field: mu_l belongs to elasticity = "transverse-isotropic" ',
     ),
     "elasticity of a law that has none": (
-        ('law = "corotational"', 'law = "fibre-reinforced"'),
+        ('law = "corotational"', 'law = "transverse-hyperelastic"'),
         'material.elasticity: elasticity belongs to law = "corotational", law = '
-        '"classical-corotational" or law = "st-venant-kirchhoff". This is law = "fibre'
-        '-reinforced", which has E_t, E_l, nu, mu_l, theta, phi, print_plane.',
+        '"classical-corotational" or law = "st-venant-kirchhoff". This is law = "tran'
+        'sverse-hyperelastic", which has E_t, E_l, nu, mu_l, theta, phi, print_plane, ',
     ),
     "unknown elasticity": (
         ('"reduced-transverse-isotropic"', '"reduced"'),

@@ -99,7 +99,8 @@ CASES = {
     "unknown law": (
         ('law = "neo-hookean"', 'law = "neo-hokean"'),
         'material.law: got "neo-hokean"; expected one of "neo-hookean", '
-        '"corotational", "classical-corotational", "st-venant-kirchhoff", '
+        '"mooney-rivlin", "yeoh", "ogden", "gent", "corotational", '
+        '"classical-corotational", "st-venant-kirchhoff", "transverse-hyperelastic", '
         '"fibre-reinforced". Did you mean "neo-hookean"?',
     ),
     "a law that is a list": (

@@ -82,10 +82,10 @@ def refusal(path):
 
 
 def test_its_constants_are_keys_and_can_be_calibrated(tmp_path, install):
-    install("yeoh = soft_yeoh:Yeoh")
+    install("mine = soft_yeoh:Yeoh")
     changes = (OF_C1[0], f"{OF_C1[1]}{BOUNDS}")
     project = load_project(
-        with_law(tmp_path, 'law = "yeoh"', f"{CONSTANTS}power = 3\n", changes)
+        with_law(tmp_path, 'law = "mine"', f"{CONSTANTS}power = 3\n", changes)
     )
     law = project.model.law
     assert type(law).__module__ == "soft_yeoh"
@@ -101,13 +101,13 @@ def test_its_constants_are_keys_and_can_be_calibrated(tmp_path, install):
 
 
 def test_regions_have_its_constants(tmp_path, install):
-    install("yeoh = soft_yeoh:Yeoh")
+    install("mine = soft_yeoh:Yeoh")
     regions = (
         '\n[groups.half]\nof = "tets"\n'
         'sphere = { centre = "(60, 10, 10) mm", radius = "20 mm" }\n'
         '[material.regions.half]\nc2 = "7 kPa"\n'
     )
-    path = with_law(tmp_path, 'law = "yeoh"', CONSTANTS)
+    path = with_law(tmp_path, 'law = "mine"', CONSTANTS)
     path.write_text(path.read_text().replace("[markers]\n", f"{regions}\n[markers]\n"))
     c2 = load_project(path).model.law.c2
     assert set(np.round(np.unique(c2), 9)) == {1e3, 7e3}
@@ -131,7 +131,7 @@ def test_regions_have_its_constants(tmp_path, install):
         (
             f'{CONSTANTS}E = "1 MPa"\n',
             'material.E: E belongs to elasticity = "isotropic" or law = "neo-hookean". '
-            'This is law = "yeoh", which has c1, c2, bulk, skew, theta, phi, print_pl',
+            'This is law = "mine", which has c1, c2, bulk, skew, theta, phi, print_pl',
         ),
         (
             f"{CONSTANTS}c3 = 1\n",
@@ -140,16 +140,16 @@ def test_regions_have_its_constants(tmp_path, install):
     ],
 )
 def test_its_keys_are_checked(tmp_path, install, constants, message):
-    install("yeoh = soft_yeoh:Yeoh")
-    said = refusal(with_law(tmp_path, 'law = "yeoh"', constants))
+    install("mine = soft_yeoh:Yeoh")
+    said = refusal(with_law(tmp_path, 'law = "mine"', constants))
     assert said.startswith(message)
 
 
 def test_an_unknown_law_lists_it(tmp_path, install):
-    install("yeoh = soft_yeoh:Yeoh", code="raise RuntimeError")
-    said = refusal(with_law(tmp_path, 'law = "yeo"', ""))
-    assert said.startswith('material.law: got "yeo"; expected one of "neo-hookean", ')
-    assert said.endswith('"fibre-reinforced", "yeoh". Did you mean "yeoh"?')
+    install("mine = soft_yeoh:Yeoh", code="raise RuntimeError")
+    said = refusal(with_law(tmp_path, 'law = "min"', ""))
+    assert said.startswith('material.law: got "min"; expected one of "neo-hookean", ')
+    assert said.endswith('"fibre-reinforced", "mine". Did you mean "mine"?')
     assert "soft_yeoh" not in sys.modules
 
 
@@ -159,25 +159,25 @@ def test_an_unknown_law_lists_it(tmp_path, install):
         (
             "soft_yeoh:Yeoh",
             "import not_there",
-            'material.law: the law "yeoh" of the package soft-yeoh (soft_yeoh:Yeoh) '
+            'material.law: the law "mine" of the package soft-yeoh (soft_yeoh:Yeoh) '
             "cannot be loaded: ModuleNotFoundError: No module named 'not_there'. Up",
         ),
         (
             "soft_yeoh:Yoeh",
             YEOH,
-            'material.law: the law "yeoh" of the package soft-yeoh (soft_yeoh:Yoeh) '
+            'material.law: the law "mine" of the package soft-yeoh (soft_yeoh:Yoeh) '
             "cannot be loaded: AttributeError: ",
         ),
         (
             "soft_yeoh:YEOH",
             "YEOH = 5",
-            'material.law: the law "yeoh" of the package soft-yeoh (soft_yeoh:YEOH) is '
+            'material.law: the law "mine" of the package soft-yeoh (soft_yeoh:YEOH) is '
             "5, expected a subclass of softcal_jax.materials.AbstractLaw.",
         ),
         (
             "soft_yeoh:Bare",
             YEOH,
-            'material.law: the law "yeoh" of the package soft-yeoh (soft_yeoh:Bare) '
+            'material.law: the law "mine" of the package soft-yeoh (soft_yeoh:Bare) '
             "cannot be used: Bare.c1 has no unit: declare it with ",
         ),
     ],
@@ -185,18 +185,18 @@ def test_an_unknown_law_lists_it(tmp_path, install):
 def test_a_broken_package_matters_where_it_is_named(
     tmp_path, install, entry, code, message
 ):
-    install(f"yeoh = {entry}", code=code)
+    install(f"mine = {entry}", code=code)
     assert load_project(write_small_project(tmp_path / "other")).name == "small"
     assert "soft_yeoh" not in sys.modules
-    assert refusal(with_law(tmp_path, 'law = "yeoh"', "")).startswith(message)
+    assert refusal(with_law(tmp_path, 'law = "mine"', "")).startswith(message)
 
 
 def test_two_packages_with_one_name(tmp_path, install):
-    install("yeoh = soft_yeoh:Yeoh")
-    install("yeoh = other_yeoh:Yeoh", package="other-yeoh", module="other_yeoh")
-    said = refusal(with_law(tmp_path, 'law = "yeoh"', CONSTANTS))
+    install("mine = soft_yeoh:Yeoh")
+    install("mine = other_yeoh:Yeoh", package="other-yeoh", module="other_yeoh")
+    said = refusal(with_law(tmp_path, 'law = "mine"', CONSTANTS))
     assert said.startswith("material.law: the packages ")
-    assert 'both have a law "yeoh"; uninstall one of them.' in said
+    assert 'both have a law "mine"; uninstall one of them.' in said
     assert "other_yeoh" not in sys.modules
 
 
@@ -211,7 +211,7 @@ def test_a_law_of_this_package_is_not_replaced(tmp_path, install):
 )
 def test_a_file_on_disk_is_never_imported(tmp_path, install, monkeypatch, name):
     """Neither one beside the project, nor a module that Python could import."""
-    install("yeoh = soft_yeoh:Yeoh")
+    install("mine = soft_yeoh:Yeoh")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     trace = "from pathlib import Path\nPath('imported').touch()\n"

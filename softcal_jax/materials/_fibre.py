@@ -1,0 +1,191 @@
+"""Direction of a fibre in the rest shape, one for the body or one per tet."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.materials._constants import as_field, check_constants, constant
+
+Plane = Literal["xy", "xz", "yz"]
+Vector = HostArray | Sequence
+"""Three numbers, as a user types them."""
+
+_ON_AXIS = 1e-9
+"""Distance from an axis, relative to that of the farthest point, that is none [-]."""
+
+
+def _as_components(frame: Any) -> tuple[Float[Array, "..."], ...] | None:
+    """Convert frames, whose rows are the local axes, to nine fields row by row."""
+    if frame is None or isinstance(frame, tuple):
+        return frame
+    rows = np.asarray(frame, float)
+    return tuple(jnp.asarray(rows[..., i, j]) for i in range(3) for j in range(3))
+
+
+class Fibre(eqx.Module):
+    """Axis of a fibre in the rest shape, by its angles.
+
+    u = cos(phi) (cos(theta) a + sin(theta) b) + sin(phi) n, with a and b the axes that
+    `plane` names, in this order, and n the third axis (not a x b: for "xz" n is +y).
+    The paper (Vanneste, Goury, Duriez, RA-L 2022, Sec. IV.A) has phi = 0. Laws depend
+    on u u^T only, so u and -u mean the same material.
+
+    The axes are those of the mesh, or local ones in each tet: `Fibre.along`,
+    `Fibre.hoop`, `Fibre.helix` and `Fibre.of` make these, with theta turning the
+    fibre from there.
+
+    Attributes:
+        theta: Angle from a towards b [rad], one value or one per tet.
+        phi: Elevation out of the plane towards n [rad], one value or one per tet.
+        plane: The print plane: "xy", "xz" or "yz".
+        frame: Local axes, a 3x3 matrix per tet whose rows are unit vectors, kept as
+            nine fields; None for the axes of the mesh [-].
+    """
+
+    theta: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        metadata=constant("rad", 'angle of the fibre in its print plane: "20 deg"'),
+    )
+    phi: Float[Array, "..."] = eqx.field(
+        converter=as_field,
+        default=0.0,
+        metadata=constant("rad", 'angle of the fibre out of its plane: "10 deg"'),
+    )
+    plane: Plane = eqx.field(static=True, default="xz", metadata={"key": "print_plane"})
+    frame: tuple[Float[Array, "..."], ...] | None = eqx.field(
+        converter=_as_components, default=None, metadata={"key": "directions"}
+    )
+
+    def __check_init__(self):
+        if self.plane not in ("xy", "xz", "yz"):
+            raise ValueError(
+                f'plane must be "xy", "xz" or "yz", got {self.plane!r}; '
+                "theta counts from its first axis towards its second."
+            )
+        check_constants(self)
+
+    @classmethod
+    def along(cls, axis: Vector, theta: Float[ArrayLike, "..."] = 0.0) -> "Fibre":
+        """Fibres along one axis [-], of any length above zero."""
+        return cls(theta, frame=frames_along(np.asarray(axis, float)[None])[0])
+
+    @classmethod
+    def hoop(
+        cls,
+        centroids: Float[HostArray, "n_tets 3"],
+        axis: Vector,
+        through: Vector = (0.0, 0.0, 0.0),
+        theta: Float[ArrayLike, "..."] = 0.0,
+    ) -> "Fibre":
+        """Fibres around an axis through a point, turned by theta towards the axis.
+
+        Args:
+            centroids: `TetMesh.centroids`, where the directions are taken [m].
+            axis: Direction of the axis [-].
+            through: A point on it [m].
+            theta: Angle from the hoop [rad].
+
+        Raises:
+            ValueError: If a centroid lies on the axis.
+        """
+        return cls(theta, frame=frames_around(centroids, axis, through)[:, [2, 1, 0]])
+
+    @classmethod
+    def helix(
+        cls,
+        theta: Float[ArrayLike, "..."],
+        centroids: Float[HostArray, "n_tets 3"],
+        axis: Vector,
+        through: Vector = (0.0, 0.0, 0.0),
+    ) -> "Fibre":
+        """Fibres wound around an axis at the angle theta from it; see `hoop`.
+
+        Raises:
+            ValueError: If a centroid lies on the axis.
+        """
+        return cls(theta, frame=frames_around(centroids, axis, through))
+
+    @classmethod
+    def of(
+        cls,
+        vectors: Float[HostArray, "n_tets 3"],
+        theta: Float[ArrayLike, "..."] = 0.0,
+    ) -> "Fibre":
+        """Fibres along one vector per tet [-], of any length above zero.
+
+        Raises:
+            ValueError: If a vector is zero or not finite.
+        """
+        return cls(theta, frame=frames_along(vectors))
+
+    def direction(self) -> Float[Array, "3 ..."]:
+        """Unit vector u along the fibre [-], for each tet where it differs."""
+        a, b = ("xyz".index(letter) for letter in self.plane)
+        parts = {
+            a: jnp.cos(self.phi) * jnp.cos(self.theta),
+            b: jnp.cos(self.phi) * jnp.sin(self.theta),
+            3 - a - b: jnp.sin(self.phi) * jnp.ones_like(self.theta),
+        }
+        own = [parts[axis] for axis in range(3)]
+        if self.frame is None:
+            return jnp.stack(own)
+        rows = [jnp.stack(self.frame[3 * k : 3 * k + 3]) for k in range(3)]
+        return own[0] * rows[0] + own[1] * rows[1] + own[2] * rows[2]
+
+    def mirrored(self) -> "Fibre":
+        """The fibre at -theta."""
+        return eqx.tree_at(lambda fibre: fibre.theta, self, -self.theta)
+
+
+def frames_along(vectors: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3 3"]:
+    """Build local axes whose first one is along a vector; the others are any.
+
+    Raises:
+        ValueError: If a vector is zero or not finite; the text names its index.
+    """
+    vectors = np.asarray(vectors, float)
+    length = np.linalg.norm(vectors, axis=1)
+    bad = np.flatnonzero(~((length > 0.0) & np.isfinite(length)))
+    if bad.size:
+        raise ValueError(
+            f"the fibre direction {vectors[bad[0]].tolist()} with index {bad[0]} has "
+            "no finite length above zero; give a vector along the fibre there."
+        )
+    x = vectors / length[:, None]
+    # The axis of the mesh that is farthest from x.
+    other = np.eye(3)[np.argmin(np.abs(x), axis=1)]
+    y = np.cross(other, x)
+    y /= np.linalg.norm(y, axis=1)[:, None]
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def frames_around(
+    points: Float[HostArray, "n 3"],
+    axis: Vector,
+    through: Vector,
+) -> Float[HostArray, "n 3 3"]:
+    """Build local axes along an axis, away from it and around it (hoop).
+
+    Raises:
+        ValueError: If the axis is zero or a point lies on it; the text names the point.
+    """
+    along = frames_along(np.asarray(axis, float)[None])[0, 0]
+    away = np.asarray(points, float) - np.asarray(through, float)
+    away = away - (away @ along)[:, None] * along
+    radius = np.linalg.norm(away, axis=1)
+    bad = np.flatnonzero(~(radius > _ON_AXIS * np.max(radius, initial=1e-300)))
+    if bad.size:
+        where = ", ".join(f"{1e3 * x:.4g}" for x in np.asarray(points)[bad[0]])
+        raise ValueError(
+            f"{bad.size} of {len(radius)} tets have their centroid on the axis, where "
+            f"there is no direction around it (index {bad[0]}, at ({where}) mm): move "
+            "the axis, or give these tets directions of their own."
+        )
+    radial = away / radius[:, None]
+    x = np.broadcast_to(along, radial.shape)
+    return np.stack([x, radial, np.cross(x, radial)], axis=1)

@@ -1,0 +1,168 @@
+"""What nearly incompressible rubbers share: change of volume, and two invariants."""
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax.elements import cofactor, determinant, matmul
+from softcal_jax.materials._constants import constant, is_point_values
+from softcal_jax.materials._law import AbstractLaw
+from softcal_jax.materials._products import crossed, outer, paired
+
+RUBBER_RATIO = constant("", "Poisson's ratio at small strain: 0.499", within=(0.0, 0.5))
+INCOMPRESSIBLE = 0.499
+"""Default of Poisson's ratio: 500 times as stiff against volume change as in shear."""
+
+
+def signed(words: str):
+    """Return what the metadata of a stiffness of either sign say [Pa]."""
+    return constant("Pa", words, within=(-np.inf, np.inf))
+
+
+class AbstractRubber(AbstractLaw):
+    """A law psi = W(F_iso) + K/4 (J^2 - 1 - 2 ln J) with F_iso = J^(-1/3) F.
+
+    W costs the distortion alone (Flory, Trans. Faraday Soc. 57, 1961), the second term
+    the change of volume (Simo and Taylor, Comput. Methods Appl. Mech. Eng. 85, 1991),
+    with the bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)). So at small strain it is
+    Hooke's law of the shear modulus mu and Poisson's ratio nu, E = 2 mu (1 + nu).
+    Not defined for J <= 0, where it returns NaN and the solver steps back.
+
+    Attributes:
+        nu: Poisson's ratio at small strain [-] in (0, 0.5), one value or one per tet.
+            From 0.49 on, quadratic tets take the mean dilatation.
+    """
+
+    nu: eqx.AbstractVar[Float[Array, "..."]]
+
+    @abstractmethod
+    def shear_modulus(self) -> Float[Array, "..."]:
+        """Shear modulus at small strain, mu [Pa]."""
+
+    def bulk_modulus(self) -> Float[Array, "..."]:
+        """Bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)) [Pa]."""
+        nu = self.nu
+        return self.shear_modulus() * (2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu)))
+
+    def volume_energy(self, J: Float[Array, ""]) -> Float[Array, ""]:
+        """Energy K/4 (J^2 - 1 - 2 ln J) [J/m3]."""
+        return 0.25 * self.bulk_modulus() * ((J - 1.0) * (J + 1.0) - 2.0 * jnp.log(J))
+
+    def volume_stress(self, J: Float[Array, ""]) -> Float[Array, ""]:
+        """Its derivative by ln J, K/2 (J^2 - 1) [Pa]; NaN for J <= 0."""
+        return jnp.where(
+            J > 0.0, 0.5 * self.bulk_modulus() * (J - 1.0) * (J + 1.0), jnp.nan
+        )
+
+    def check_shear_modulus(self) -> None:
+        """Raise ValueError unless the shear modulus is positive at rest."""
+        leaves = [getattr(self, name) for name in self.__dataclass_fields__]
+        if any(is_point_values(leaf) or is_traced(leaf) for leaf in leaves):
+            return
+        mu = np.atleast_1d(np.asarray(self.shear_modulus()))
+        bad = mu[~((mu > 0.0) & np.isfinite(mu))]
+        if bad.size:
+            raise ValueError(
+                f"these constants give the shear modulus {bad[0]:g} Pa at small "
+                "strain; it must be positive and finite."
+            )
+
+
+class Distortion(NamedTuple):
+    """Energy W of the distortion and its derivatives by the invariants i1 and i2 [Pa].
+
+    Mixed derivatives are zero.
+    """
+
+    W: Float[Array, ""]
+    W_1: Float[Array, ""]
+    W_2: Float[Array, ""] | float = 0.0
+    W_11: Float[Array, ""] | float = 0.0
+
+
+class AbstractInvariantRubber(AbstractRubber):
+    """A rubber whose W depends on i1 = J^(-2/3) I1 and linearly on i2 = J^(-4/3) I2.
+
+    With C = F^T F, I1 = tr C, I2 = (I1^2 - C : C) / 2, G = F^-T and H = I1 F - F C,
+
+        d i1 / dF = 2 J^(-2/3) (F - I1/3 G),   d i2 / dF = 2 J^(-4/3) (H - 2/3 I2 G)
+
+    (Holzapfel, Nonlinear Solid Mechanics, 2000, Secs. 6.2 to 6.4).
+    """
+
+    @abstractmethod
+    def distortion(self, i1: Float[Array, ""], i2: Float[Array, ""]) -> Distortion:
+        """Compute W and its derivatives."""
+
+    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+        """Energy W(i1, i2) + K/4 (J^2 - 1 - 2 ln J) [J/m3]."""
+        s = _invariants(F)
+        return self.distortion(s.i1, s.i2).W + self.volume_energy(s.J)
+
+    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Stress P = W_1 di1/dF + W_2 di2/dF + K/2 (J^2 - 1) G [Pa]."""
+        s = _invariants(F)
+        w = self.distortion(s.i1, s.i2)
+        return w.W_1 * s.d1 + w.W_2 * s.d2 + self.volume_stress(s.J) * s.G
+
+    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        """Tangent, from the second derivatives of i1, i2 and J [Pa]."""
+        s = _invariants(F)
+        w = self.distortion(s.i1, s.i2)
+        eye = jnp.eye(3)
+        first, second = w.W_1 * s.a, w.W_2 * s.b
+        volume = self.volume_stress(s.J)
+        bulk = self.bulk_modulus() * s.J * s.J
+        X = -4.0 / 3.0 * (first * F + 2.0 * second * s.H)
+        X = (
+            X
+            + (2.0 / 9.0 * first * s.I1 + 8.0 / 9.0 * second * s.I2 + 0.5 * bulk) * s.G
+        )
+        turning = 2.0 / 3.0 * first * s.I1 + 4.0 / 3.0 * second * s.I2 - volume
+        D = (2.0 * first + 2.0 * second * s.I1) * eye - 2.0 * second * s.C
+        return (
+            (outer(X, s.G) + outer(s.G, X))
+            + turning * crossed(s.G, s.G)
+            + paired(eye, D)
+            + second * (4.0 * outer(F, F) - 2.0 * crossed(F, F))
+            - 2.0 * second * paired(matmul(F, F.T), eye)
+            + w.W_11 * outer(s.d1, s.d1)
+        )
+
+
+class _Invariants(NamedTuple):
+    J: Float[Array, ""]
+    I1: Float[Array, ""]
+    I2: Float[Array, ""]
+    a: Float[Array, ""]  # J^(-2/3)
+    b: Float[Array, ""]  # J^(-4/3)
+    C: Float[Array, "3 3"]
+    G: Float[Array, "3 3"]
+    H: Float[Array, "3 3"]
+    d1: Float[Array, "3 3"]
+    d2: Float[Array, "3 3"]
+
+    @property
+    def i1(self) -> Float[Array, ""]:
+        return self.a * self.I1
+
+    @property
+    def i2(self) -> Float[Array, ""]:
+        return self.b * self.I2
+
+
+def _invariants(F: Float[Array, "3 3"]) -> _Invariants:
+    J = determinant(F)
+    G = cofactor(F) / J
+    C = matmul(F.T, F)
+    I1 = C[0, 0] + C[1, 1] + C[2, 2]
+    I2 = 0.5 * (I1 * I1 - jnp.sum(C * C))
+    a = 1.0 / jnp.cbrt(J * J)
+    H = I1 * F - matmul(F, C)
+    d1 = 2.0 * a * (F - I1 / 3.0 * G)
+    d2 = 2.0 * a * a * (H - 2.0 / 3.0 * I2 * G)
+    return _Invariants(J=J, I1=I1, I2=I2, a=a, b=a * a, C=C, G=G, H=H, d1=d1, d2=d2)

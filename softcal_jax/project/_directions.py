@@ -1,0 +1,97 @@
+"""Tables of a project file that say where the fibres of each tet point."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.materials import frames_along, frames_around
+from softcal_jax.mesh import TetMesh
+from softcal_jax.project._table import Direction, Position, Table
+
+TetData = Callable[[str], Float[HostArray, "n_tets _"]]
+"""Returns an array of the mesh file by its name."""
+
+
+class _DirectionsTable(Table):
+    """Fibre directions by a formula; `theta` turns the fibre from there."""
+
+    @abstractmethod
+    def frames(
+        self, mesh: TetMesh, tets: HostArray, data: TetData
+    ) -> Float[HostArray, "n 3 3"]:
+        """Compute the local axes of some tets, see `Fibre`."""
+
+
+class _AroundTable(_DirectionsTable):
+    axis: Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
+    through: Position = (0.0, 0.0, 0.0)
+
+
+class AlongTable(_DirectionsTable):
+    """Along an axis."""
+
+    type: Literal["along"]
+    axis: Direction = Field(description='direction of the fibres: "z" or [0, 0, 1]')
+
+    def frames(
+        self, mesh: TetMesh, tets: HostArray, data: TetData
+    ) -> Float[HostArray, "n 3 3"]:
+        """Repeat the axis."""
+        del mesh, data
+        return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))
+
+
+class HoopTable(_AroundTable):
+    """Around an axis."""
+
+    type: Literal["hoop"]
+
+    def frames(
+        self, mesh: TetMesh, tets: HostArray, data: TetData
+    ) -> Float[HostArray, "n 3 3"]:
+        """Compute the directions around the axis."""
+        del data
+        around = frames_around(mesh.centroids[tets], self.axis, self.through)
+        return around[:, [2, 1, 0]]
+
+
+class HelixTable(_AroundTable):
+    """Around an axis, at the angle `theta` from it."""
+
+    type: Literal["helix"]
+
+    def frames(
+        self, mesh: TetMesh, tets: HostArray, data: TetData
+    ) -> Float[HostArray, "n 3 3"]:
+        """Compute the directions along the axis, from which theta counts."""
+        del data
+        return frames_around(mesh.centroids[tets], self.axis, self.through)
+
+
+class CellsTable(_DirectionsTable):
+    """From an array of the mesh file, with a vector for each tet."""
+
+    type: Literal["cells"]
+    array: str = Field(description='name of a cell array of the mesh file: "fibre"')
+
+    def frames(
+        self, mesh: TetMesh, tets: HostArray, data: TetData
+    ) -> Float[HostArray, "n 3 3"]:
+        """Read the vectors."""
+        del mesh
+        vectors = data(self.array)
+        if vectors.shape[1:] != (3,):
+            raise ValueError(
+                f"the cell array {self.array!r} has the shape {vectors.shape}; "
+                "expected a vector of three components for each tet."
+            )
+        return frames_along(vectors[tets])
+
+
+AnyDirections = Annotated[
+    AlongTable | HoopTable | HelixTable | CellsTable, Field(discriminator="type")
+]
