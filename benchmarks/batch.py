@@ -91,7 +91,9 @@ def loaded(measured: MeasuredBeam, n: int) -> CalibrationProblem:
     lanes = jax.tree.map(lambda leaf: leaf[np.arange(n) % n_c], poses)
     weight = jnp.linspace(0.8, 1.2, n)[:, None]
     lanes = eqx.tree_at(lambda c: c.gravity, lanes, weight * lanes.gravity)
-    return eqx.tree_at(lambda p: p.configurations, measured.problem, lanes)
+    # The noise of the beam is of its own configurations.
+    own = measured.problem.with_noise(None)
+    return eqx.tree_at(lambda p: p.configurations, own, lanes)
 
 
 def evaluation_seconds(
