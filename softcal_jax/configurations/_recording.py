@@ -76,9 +76,10 @@ class Recording(eqx.Module):
                 f"between {since[0]:g} and {since[-1]:g} s."
             )
         part = self.positions[inside]
-        seen = np.isfinite(part).all(axis=2)
+        seen = np.all(np.isfinite(part), axis=2)
         total = np.sum(np.where(seen[:, :, None], part, 0.0), axis=0)
-        count = np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
+        count = np.sum(seen, axis=0)
+        count = np.where(count > 0, count, np.nan)
         return MarkerTable(
             names=self.names,
             positions=total / count[:, None],
