@@ -2,8 +2,8 @@
 
 The packaged `softcal demo arm`: silicone with hoop fibres in the outer wall, fitted to
 100, 200 and 300 mbar. Held out are 150 and 250 mbar, between the fitted ones, and 350
-and 400 mbar, beyond them. All errors are root mean squares over the markers, relative to
-how far these moved. The same is done with plain silicone, which is the wrong law: it
+and 400 mbar, beyond them. All errors are root mean squares over the markers, over
+those of their motion. The same is done with plain silicone, which is the wrong law: it
 must not be called identified.
 """
 
