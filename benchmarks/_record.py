@@ -3,15 +3,13 @@
 import json
 import os
 import platform
-import re
 import subprocess
 import tempfile
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from benchmarks._problem import Outcome
-from softcal_jax._machine import available_cores
+from softcal_jax._machine import available_cores, cpu_name, installed_version
 
 _PACKAGES = (
     "jax",
@@ -57,7 +55,7 @@ def record(name: str, outcome: Outcome, load_before: float | None) -> dict[str, 
 def hardware() -> dict[str, Any]:
     """The machine: processor, cores, memory [GB], operating system."""
     return {
-        "cpu": _cpu(),
+        "cpu": cpu_name(),
         "cores": available_cores(),
         "memory_gb": _memory_gb(),
         "os": platform.platform(),
@@ -76,9 +74,9 @@ def versions() -> dict[str, str]:
     """Versions of Python, this package and its commit, and all that computes."""
     return {
         "python": platform.python_version(),
-        "softcal_jax": _version("softcal-jax"),
+        "softcal_jax": installed_version("softcal-jax"),
         "commit": _commit(),
-        **{package: _version(package) for package in _PACKAGES},
+        **{package: installed_version(package) for package in _PACKAGES},
     }
 
 
@@ -105,28 +103,12 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
         raise
 
 
-def _cpu() -> str:
-    info = Path("/proc/cpuinfo")  # Linux; elsewhere `platform` knows
-    if info.exists():
-        found = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
-        if found:
-            return found.group(1).strip()
-    return platform.processor() or platform.machine()
-
-
 def _memory_gb() -> float | None:
     try:
         size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return None  # Windows has no sysconf
     return round(size / 1e9, 1)
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _commit() -> str:

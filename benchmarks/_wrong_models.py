@@ -175,16 +175,27 @@ def _one_modulus() -> Problem:
 
     size = (0.10, 0.015, 0.015)
     markers = _markers(size, (0.4, 0.7, 1.0))
+    poses = (_pose("alone", DOWN, markers), _pose("loaded", DOWN, markers, 0.05))
+    return _of_one_modulus("one modulus", size, model, poses)
+
+
+def _of_one_modulus(
+    title: str,
+    size: tuple[float, float, float],
+    model: Callable[[TetMesh, float, float], Model],
+    poses: tuple[Configuration, ...],
+) -> Problem:
+    """A problem of an isotropic beam of which E is unknown."""
     E = Parameter("E", "E", 200e3, 50e3, 2e6, unit="Pa")
     return Problem(
-        title="one modulus",
+        title=title,
         size=size,
         cells=(4, 1, 1),
         model=model,
         nu=0.3,
         space=ParameterSpace((E,)),
         truth={"E": 300e3},
-        poses=(_pose("alone", DOWN, markers), _pose("loaded", DOWN, markers, 0.05)),
+        poses=poses,
     )
 
 
@@ -266,26 +277,17 @@ def _cable_beam() -> Problem:
         )
 
     sensor = BodyFrame("sensor", "plate", std=STD, std_angle=STD_ANGLE)
-    E = Parameter("E", "E", 200e3, 50e3, 2e6, unit="Pa")
-    return Problem(
-        title="cable beam with a 6-D sensor",
-        size=size,
-        cells=(4, 1, 1),
-        model=model,
-        nu=0.3,
-        space=ParameterSpace((E,)),
-        truth={"E": 300e3},
-        poses=tuple(
-            Configuration(
-                f"{force:g} N",
-                "x_min",
-                gravity=DOWN,
-                actuation={"cable": ImposedForce(force)},
-                effectors=[sensor],
-            )
-            for force in (0.5, 1.0, 2.0)
-        ),
+    poses = tuple(
+        Configuration(
+            f"{force:g} N",
+            "x_min",
+            gravity=DOWN,
+            actuation={"cable": ImposedForce(force)},
+            effectors=[sensor],
+        )
+        for force in (0.5, 1.0, 2.0)
     )
+    return _of_one_modulus("cable beam with a 6-D sensor", size, model, poses)
 
 
 def _markers(size: Sequence[float], along: Sequence[float]) -> Markers:

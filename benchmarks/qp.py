@@ -94,7 +94,8 @@ def _stages(problems) -> jax.Array:
 
     def one(problem):
         *box, A, b = problem
-        qp, _ = _qp._scaled(*box, A=A, b=b, damping=_qp.DAMPING)
+        W, error, low, high = box
+        qp = _qp.scaled_qp(W, error, _qp.Limits(low, high, A, b, _qp.DAMPING)).qp
         start = _qp._no_step(qp)
         ends = (_qp._polished(qp, start), _qp._iterated(qp, start), _qp._solve(qp))
         return jnp.stack([end.kkt for end in ends])

@@ -41,6 +41,7 @@ from softcal_jax.fields import (
     ParameterSpace,
 )
 from softcal_jax.identifiability import assess, identify, rank_configurations
+from softcal_jax.layouts import compare_laws
 from softcal_jax.materials import (
     Corotational,
     Fibre,
@@ -90,6 +91,7 @@ __all__ = [
     "beam",
     "build_model",
     "calibrate",
+    "compare_laws",
     "identify",
     "load_project",
     "profile_intervals",

@@ -12,6 +12,11 @@ class RESULTS(eqx.Enumeration):
         "meant (units of force, density, modulus) and that no region is over 1e5 times "
         "stiffer than another, or raise max_steps ([newton] in a project file)"
     )
+    limit_point = (
+        "a limit point: the body balloons, buckles or snaps through, and no stable "
+        "equilibrium follows at a higher load; check modulus, wall and units, reduce "
+        "the load, or trace the branch with solve_equilibrium(..., path=LoadPath())"
+    )
     load_step_too_small = (
         "load stepping gave up: no Newton step succeeded on the smallest load "
         "increment; the load may be beyond what the body can carry (buckling, collapse)"

@@ -1,6 +1,7 @@
 """The command line: exit codes, what is printed, and what is left on the disk."""
 
 import json
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
@@ -10,7 +11,7 @@ import pytest
 from anisotropic_project import write_measured_project
 from small_project import write_small_project
 
-from softcal_jax.cli import main
+from softcal_jax.cli import _commands, main
 from softcal_jax.robots import silicone_beam_path
 
 
@@ -116,6 +117,31 @@ def test_force_replaces_and_not_converged_says_so(tmp_path, out, capsys):
     assert errors == "not converged after 1 steps: do not use the values.\n"
     assert "NOT CONVERGED" in text
     assert json.loads((out / "result.json").read_text())["converged"] is False
+
+
+def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch):
+    path = write_small_project(tmp_path)
+    lines = _commands._step_lines
+
+    def interrupted(project, show):
+        told = lines(project, show)
+
+        def progress(entry):
+            told(entry)
+            if entry.step == 1:
+                signal.raise_signal(signal.SIGINT)
+
+        return progress
+
+    monkeypatch.setattr(_commands, "_step_lines", interrupted)
+    assert main(["calibrate", str(path), "-o", str(out)]) == 130
+    text, errors = capsys.readouterr()
+    end = "interrupted after 1 steps, not converged: do not use the values.\n"
+    assert errors == end
+    assert "NOT CONVERGED" in text
+    result = json.loads((out / "result.json").read_text())
+    assert result["converged"] is False
+    assert result["notes"][0].startswith("Interrupted after step 1: the values are")
 
 
 def test_simulate(tmp_path, out, capsys):

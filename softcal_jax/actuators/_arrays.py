@@ -138,10 +138,9 @@ def actuator_arrays(
     for some in cliques:
         sizes = [leaf.shape[1:] for leaf in jax.tree.leaves(some)]
         alike.setdefault((type(some), *sizes), []).append(some)
-    groups = tuple(
-        jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *same)
-        for same in alike.values()
-    )
+    # Joined on the host: on the device, each number of actuators is another program.
+    join = lambda *leaves: jax.device_put(np.concatenate(leaves))
+    groups = tuple(jax.tree.map(join, *same) for same in alike.values())
     return ActuatorArrays(
         groups=groups,
         rest=_at_rest(groups, jax.device_put(points), len(names)),

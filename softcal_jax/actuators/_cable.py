@@ -183,10 +183,9 @@ def _along(guides, n_nodes: int | None = None):
 
 def _stacked(pieces, owner: int) -> tuple[Array, Array, Array, Array]:
     """Stack what `_along` returns of several pieces, with their owner."""
-    nodes, weights, fixed = (
-        jnp.asarray(np.stack(part)) for part in zip(*pieces, strict=True)
-    )
-    return nodes, jnp.full(len(pieces), owner, nodes.dtype), weights, fixed
+    nodes, weights, fixed = map(np.stack, zip(*pieces, strict=True))
+    of = np.full(len(pieces), owner, nodes.dtype)
+    return jax.device_put((nodes, of, weights, fixed))
 
 
 def _length(v: Float[Array, "3"]) -> Float[Array, ""]:

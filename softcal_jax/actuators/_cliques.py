@@ -13,7 +13,6 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
@@ -115,7 +114,8 @@ def each_clique(
 
 def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
     """Return nodes and owner of the cliques of one actuator."""
-    return jnp.asarray(nodes), jnp.full(len(nodes), owner, nodes.dtype)
+    # Not jnp.asarray, which would compile a program for every shape.
+    return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype)))
 
 
 def draw_faces(cliques: AbstractCliques) -> ActuatorGeometry:

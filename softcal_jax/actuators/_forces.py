@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -76,7 +77,7 @@ class SurfaceForceActuator(AbstractActuator):
 
 def _weighted_nodes(nodes, weights, direction, owner: int) -> "WeightedNodes":
     unit = direction / np.linalg.norm(direction)
-    parts = jnp.asarray((weights[:, None] * unit)[:, None])
+    parts = jax.device_put((weights[:, None] * unit)[:, None])
     return WeightedNodes(*owned(nodes[:, None], owner), parts)
 
 
@@ -124,7 +125,7 @@ class Motor(AbstractActuator):
         """Return the frame of the body."""
         nodes = rest.frame_nodes(self.body, self.label)
         origin, first, second, _ = rest.points[nodes]
-        plane = jnp.asarray([[first - origin, second - origin]])
+        plane = jax.device_put(np.array([[first - origin, second - origin]]))
         return MotorFrames(*owned(nodes[None], owner), plane)
 
 

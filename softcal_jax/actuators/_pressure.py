@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -43,10 +44,10 @@ class Chamber(AbstractActuator):
         """
         faces = _outward_faces(rest.mesh, self.surface, self.label)
         _check_closed(rest.mesh, faces, self.surface, self.label)
-        points = jnp.asarray(rest.points)
-        centre = jnp.mean(points[np.unique(faces)], axis=0)
-        centres = jnp.tile(centre, (len(faces), 1))
+        centre = np.mean(rest.points[np.unique(faces)], axis=0)
+        centres = jax.device_put(np.tile(centre, (len(faces), 1)))
         wall = ChamberFaces(*owned(faces, owner), centres)
+        points = jax.device_put(rest.points)
         volume = float(jnp.sum(each_clique(ChamberFaces.contribution, wall, points)))
         if not volume > 0.0:
             raise ValueError(

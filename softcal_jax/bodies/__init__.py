@@ -22,6 +22,7 @@ from softcal_jax.bodies._kinematics import (
     place,
     rotation_matrix,
     rotation_vector,
+    winding,
 )
 
 __all__ = [
@@ -46,4 +47,5 @@ __all__ = [
     "place",
     "rotation_matrix",
     "rotation_vector",
+    "winding",
 ]

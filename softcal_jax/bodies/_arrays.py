@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -108,9 +109,10 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
         origin=stacked(origins, 3),
         axes=stacked(axes, 3, 3),
         owner=_owners(bodies, names),
-        mounting_translation=jnp.asarray(translations),
-        mounting_rotation=jnp.asarray(rotations),
-        mass=jnp.asarray(stacked([b.mass for b in bodies])),
+        # Not jnp.asarray, which would compile a program for every shape.
+        mounting_translation=jax.device_put(translations),
+        mounting_rotation=jax.device_put(rotations),
+        mass=jax.device_put(stacked([b.mass for b in bodies])),
         mass_weights=stacked(centres, 4),
         length=length,
         names=names,

@@ -18,6 +18,9 @@ from softcal_jax.bodies._body import KINDS
 # Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
 
+WIND = 0.05
+"""Singular value of a screw below which its strain is no longer followed [-]."""
+
 
 # Signs of the permutations: hat(w)_ij = sum_k _SIGNS_ijk w_k.
 _SIGNS = np.zeros((3, 3, 3))
@@ -138,17 +141,85 @@ class Mounted(NamedTuple):
         load: The share, which also applies to imposed poses [-].
         rotation: Rotations of the mountings.
         axes: Axes of the frames, by rows [-].
+        arm: Origin of each body at rest from the point about which the path of an
+            imposed pose winds, see `winding` [m].
     """
 
     load: Float[Array, ""]
     rotation: Float[Array, "n_b 3 3"]
     axes: Float[Array, "n_b 3 3"]
+    arm: Float[Array, "n_b 3"]
 
 
-def mounted(bodies: BodyArrays, load: Float[Array, ""]) -> Mounted:
+def mounted(
+    bodies: BodyArrays, load: Float[Array, ""], arm: Float[Array, "n_b 3"]
+) -> Mounted:
     """Turn the frames by a share of their mounting."""
     R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
-    return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)))
+    return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)), arm)
+
+
+def _screw(w: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
+    """Return V of the screw (R, V e) = exp(w, e), and a V^+ that is bounded.
+
+    With the cross product W of w and the angle a = |w| (Murray, Li and Sastry, A
+    Mathematical Introduction to Robotic Manipulation, 1994, ch. 2),
+
+        V = I + (1 - cos a) / a^2 W + (a - sin a) / a^3 W^2.
+
+    It has the singular value 1 along the axis and m = 2 sin(a / 2) / a across, which
+    vanishes after a full turn: V^+ = V^T (V V^T + WIND^2)^-1.
+    """
+    square = jnp.sum(w * w)
+    small = square < _SMALL
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    first = jnp.where(
+        small,
+        0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
+        (1.0 - jnp.cos(angle)) / angle**2,
+    )
+    second = jnp.where(
+        small,
+        1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0)),
+        (angle - jnp.sin(angle)) / angle**3,
+    )
+    W = cross_matrix(w)
+    W2 = W @ W
+    V = jnp.eye(3) + first * W + second * W2
+    across = jnp.where(small, 1.0 - square / 12.0, 2.0 * first)
+    along = 1.0 / (1.0 + WIND**2)
+    # -W^2 / a^2 projects onto the plane across the axis.
+    more = jnp.where(small, 0.0, (along - 1.0 / (across + WIND**2)) / angle**2)
+    return V, V.T @ (along * jnp.eye(3) + more * W2)
+
+
+def winding(
+    arm: Float[Array, "3"],
+    translation: Float[Array, "3"],
+    rotation: Float[Array, "3"],
+    load: Float[Array, ""],
+) -> Float[Array, "3"]:
+    """Return how far the path to an imposed pose lies from a straight line [m].
+
+    Seen from the point about which it winds, a body at p with the rotation vector w is
+    the end of a rod with the constant strain e: p = V(w) e. On its path, e and w change
+    in proportion to the load, so that a beam is bent along arcs of circles without
+    being stretched or crushed in between; on a straight line the end of a beam would
+    come as close as 0.4 of its length on the way to three quarters of a circle. The
+    result is zero at both ends of the path, whatever the pose, and has no derivative by
+    it: sensitivities are of the end alone.
+
+    Args:
+        arm: Origin of the body at rest from that point [m].
+        translation: Imposed translation at full load [m].
+        rotation: Imposed rotation vector at full load [rad].
+        load: Share of the load [-].
+    """
+    arm, translation, rotation = jax.lax.stop_gradient((arm, translation, rotation))
+    V, inverse = _screw(rotation)
+    strain = arm + inverse @ (arm + translation - V @ arm)
+    on_path = _screw(load * rotation)[0] @ ((1.0 - load) * arm + load * strain)
+    return on_path - arm - load * (V @ strain - arm)
 
 
 def place(
@@ -162,10 +233,13 @@ def place(
 
     The twist of each body is along its mounted axes, angles in metres [m].
     """
-    load, mounting, axes = mounted
+    load, mounting, axes, arm = mounted
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
     rest = jnp.asarray(bodies.origin)
     home = rest + load * (bodies.mounting_translation + state.translation)
+    home = home + jax.vmap(winding, (0, 0, 0, None))(
+        arm, jnp.asarray(state.translation), jnp.asarray(state.rotation), load
+    )
     turned = _product(frames.rotation, jnp.swapaxes(mounting, 1, 2))
     angle = _hinge_angle(turned, axes) + twist[:, 5] / bodies.length
     turns = [

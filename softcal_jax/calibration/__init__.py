@@ -1,6 +1,7 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
 from softcal_jax.calibration._agreement import RecordingEstimate
+from softcal_jax.calibration._begin import EquilibriumProgress
 from softcal_jax.calibration._budget import (
     MESH,
     NOISE,
@@ -85,6 +86,7 @@ __all__ = [
     "Clock",
     "ConfigurationResult",
     "CorrelatedNoise",
+    "EquilibriumProgress",
     "ErrorBudget",
     "Evaluation",
     "Evaluator",

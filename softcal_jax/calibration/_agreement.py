@@ -11,8 +11,8 @@ from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._budget import considered_errors
-from softcal_jax.calibration._noise import recording_names
 from softcal_jax.calibration._problem import Evaluation, Evaluator
+from softcal_jax.calibration._references import independent_recordings
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Job
@@ -95,7 +95,7 @@ def single_recordings(
         [np.nan_to_num(getattr(p.at, name)) for p in parts]
     )
     n_fitted, W = len(fitted.at.error), values("W_ep")
-    names = [recording_names(p.configurations) for p in parts]
+    names = [independent_recordings(p.configurations) for p in parts]
     known = [np.asarray(p.at.equilibrium.converged) for p in parts]
     lanes = [
         name if ok and (k == 0 or name not in names[0]) else None
@@ -114,6 +114,23 @@ def single_recordings(
         space=fitted.evaluate.problem.space,
         z=np.asarray(z),
         spread=spread,
+    )
+
+
+def not_asked(fitted: Posed, held_out: Posed | None) -> tuple[str, ...]:
+    """Note the held-out recordings that `single_recordings` leaves out, if any."""
+    if held_out is None or _stack_up(fitted, held_out):
+        return ()
+    of_fit, others = map(
+        independent_recordings, (fitted.configurations, held_out.configurations)
+    )
+    own = [name for name in others if name and name not in of_fit]
+    if not own:
+        return ()
+    names = listed([repr(name) for name in dict.fromkeys(own)])
+    return (
+        f"Held-out {names} cannot be asked alone for the parameters: not measured by "
+        "as many markers or effectors as the fitted configurations.",
     )
 
 

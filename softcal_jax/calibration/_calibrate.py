@@ -7,13 +7,14 @@ from functools import partial
 from typing import Literal
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._begin import EquilibriumProgress
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,
     Fitted,
     check_level,
     with_intervals,
 )
-from softcal_jax.calibration._fit import fit
+from softcal_jax.calibration._fit import Resume, fit
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
@@ -55,6 +56,7 @@ def calibrate(
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
+    equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
     profiling: Callable[[CalibrationResult], None] = lambda _: None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.
@@ -94,18 +96,24 @@ def calibrate(
         progress: Called after the first evaluation and after each step.
         search_progress: Called when a run of a search from many starts has ended, see
             `multi_start`.
+        equilibrium_progress: Called while the first equilibria are solved, every few
+            Newton iterations of a configuration.
         profiling: Called with the result so far before profiles of the likelihood are
             computed, which takes a while.
 
     Returns:
-        The result; `result.converged` says whether lambda_p vanished.
+        The result; `result.converged` says whether lambda_p vanished. Ctrl-C ends the
+        steps, or the intervals, and returns what was found so far, with a note and
+        `result.interrupted`; a second Ctrl-C, and one before the first step, raises.
 
     Raises:
         ValueError: If an input is wrong, nothing that is measured depends on a
             parameter, or the checkpoint is of another calibration.
-        RuntimeError: If a fitted configuration has no equilibrium at the start; the
-            text names it. Later failures only shorten the step, and a held-out
-            configuration without equilibrium is left out with a note.
+        RuntimeError: If a fitted configuration has no equilibrium at the start, nor
+            with the moduli raised up to their bounds; the text names it. If raising
+            them helps, the fit begins there, with a note. Later failures only shorten
+            the step, and a held-out configuration without equilibrium is left out with
+            a note.
     """
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
@@ -135,12 +143,14 @@ def calibrate(
         checkpoint=checkpoint,
         progress=progress,
         search_progress=search_progress,
+        equilibrium_progress=equilibrium_progress,
     )
-    if intervals is None:
+    if intervals is None or first.result.interrupted:
         return first.result
 
     def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
         old, last = done.result, done.result.history[-1]
+        assert old.noise is not None
         later = lambda entry: replace(
             entry,
             step=entry.step + last.step,
@@ -151,10 +161,15 @@ def calibrate(
             if progress is not None and entry.step:
                 progress(later(entry))
 
-        new = run(starts=1, progress=told, begin=z)
+        new = run(starts=1, progress=told, resume=Resume(z, old.noise))
         history = (*old.history, *map(later, new.result.history[1:]))
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         changed = {"history": history, "starts": old.starts, "timing_s": timing}
         return new._replace(result=replace(new.result, **changed))
 
-    return with_intervals(first, intervals, go_on, profiling)
+    try:
+        return with_intervals(first, intervals, go_on, profiling)
+    except KeyboardInterrupt:
+        note = "Interrupted before the intervals of the parameters were known."
+        notes = (*first.result.notes, note)
+        return replace(first.result, notes=notes, interrupted=True)

@@ -16,7 +16,12 @@ from softcal_jax.calibration._interval import (
     interval_between,
     no_interval,
 )
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluation, Evaluator
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    Evaluation,
+    Evaluator,
+    in_other_units,
+)
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends, room_beside
 from softcal_jax.calibration._result import CalibrationResult, Optimum
 from softcal_jax.calibration._uncertainty import EXACT, estimator
@@ -91,10 +96,11 @@ def _settled(
             return fitted, _intervals(fitted, level, told)
         except LowerCostFound as lower:
             other = go_on(fitted, lower.z)
-        before, after = fitted.result, other.result
-        if not (after.converged and after.history[-1].cost < before.history[-1].cost):
+        # Where the noise follows the motion, each fit has weights of its own.
+        cost = in_other_units(fitted.problem, other.evaluation).cost
+        if not (other.result.converged and float(cost) < float(fitted.evaluation.cost)):
             break
-        fitted = Fitted(_with_optimum(after), *other[1:])
+        fitted = Fitted(_with_optimum(other.result), *other[1:])
     why = "the cost still falls along its profile: calibrate from more `starts`"
     return fitted, _none(fitted, level, why)
 

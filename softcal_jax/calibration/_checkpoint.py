@@ -83,6 +83,8 @@ class Journal:
             ValueError: If the file is no checkpoint, or one of another calibration.
         """
         self.history: list[HistoryEntry] = []
+        self.interrupted = False
+        self.last: tuple[CalibrationState, CorrelatedNoise | None] | None = None
         self._problem, self._progress = problem, progress
         self._path = None if checkpoint is None else Path(checkpoint)
         self._begin = time.perf_counter()
@@ -97,6 +99,7 @@ class Journal:
 
     def note(self, state: CalibrationState, noise: CorrelatedNoise | None) -> None:
         """Record a step, and the noise in whose units it was taken."""
+        self.last = state, noise
         seconds = time.perf_counter() - self._begin
         entry = _history_entry(state, self._problem, seconds)
         self.history.append(replace(entry, step=len(self.history)))
@@ -111,7 +114,8 @@ class Journal:
         kept = self.kept("state", (state, noise))
         if kept is None:
             self.note(state, noise)
-        return kept or (state, noise)
+        self.last = kept or (state, noise)
+        return self.last
 
     def keep(self, name: str, tree: Any) -> None:
         """Save a state or run: the file is replaced whole or not at all."""
@@ -185,15 +189,18 @@ def _history_entry(
     evaluation = state.evaluation
     effectors = problem.configurations.effectors
     n_points = effectors.nodes.shape[-2]  # rms of distances: leave out angles, forces
-    weight = effectors.inverse_std[:, :n_points]
-    delta_e = evaluation.delta_e[:, :n_points]
-    squares = jnp.sum(jnp.where(weight > 0, delta_e, 0.0) ** 2)
-    markers = max(int(jnp.sum(jnp.any(weight > 0, axis=-1))), 1)
+    # On the host: on the device, each shape of the data would be more programs.
+    weight, delta_e = np.asarray(effectors.inverse_std), np.asarray(evaluation.delta_e)
+    if problem.noise is not None:
+        delta_e = problem.noise.without_marker_offsets(delta_e, weight)
+    seen = weight[:, :n_points] > 0.0
+    squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
+    markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
     p = problem.space.from_scaled(state.z)
     return HistoryEntry(
         step=int(state.step),
         cost=float(evaluation.cost),
-        rms=float(jnp.sqrt(squares / markers)),
+        rms=float(np.sqrt(squares / markers)),
         lambda_p=tuple(float(v) for v in state.lambda_p),
         step_bound=float(state.step_bound),
         accepted=bool(state.accepted),

@@ -275,7 +275,8 @@ def _columns(
     arrays = lanes.arrays.effectors
     host_noise, effectors = jax.tree.map(np.asarray, (noise, arrays))
     A = np.asarray(host_noise.columns(effectors)) * host_noise.jitter
-    A = A.reshape(*effectors.inverse_std.shape, -1)
+    # Measured values are without the offsets of markers.
+    A = A[:, : host_noise.n_common].reshape(*effectors.inverse_std.shape, -1)
     found: list[HostArray | None] = []
     for own, records in zip(A, lanes.effectors, strict=True):
         rows = [own[e.index, : len(e.std)] for e in records]

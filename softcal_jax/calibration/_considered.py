@@ -9,6 +9,7 @@ import numpy as np
 from softcal_jax._typing import Bool, HostArray
 from softcal_jax.calibration._held_faces import grounded, held_nodes, outward_motion
 from softcal_jax.calibration._noise import not_calibrated
+from softcal_jax.calibration._present import with_forces, with_gravity, with_loads
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
@@ -136,17 +137,16 @@ def _not_calibrated(posed: _Posed, field: str) -> HostArray:
 
 def _loads(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     """List errors of gravity, dead loads and imposed forces."""
-    gravity, forces = posed.arrays.gravity, posed.arrays.actuation
-    keys = posed.where([tuple(g) for g in gravity], np.any(gravity, axis=1))
+    arrays = posed.arrays
+    gravities = [tuple(g) for g in arrays.gravity]
+    keys = posed.where(gravities, with_gravity(arrays))
     for axis in QUANTITIES["gravity_tilt"].components:
         entry = _error("gravity_tilt", uncertain.gravity, axis=axis)
         yield _same("gravity", entry, keys)
-    dead = posed.arrays.loads
-    for name, there in zip(dead.names, np.any(dead.force, axis=(2, 3)).T, strict=True):
+    for name, there in zip(arrays.loads.names, with_loads(arrays).T, strict=True):
         entry = _error("load_factor", uncertain.loads, name, relative=True)
         yield _same("loads", entry, posed.where(posed.everywhere, there))
-    forced = ~forces.by_displacement & (forces.value != 0.0)
-    for name, there in zip(forces.names, forced.T, strict=True):
+    for name, there in zip(arrays.actuation.names, with_forces(arrays).T, strict=True):
         entry = _error("actuator_factor", uncertain.actuators, name, relative=True)
         yield _same("actuators", entry, posed.where(posed.everywhere, there))
 

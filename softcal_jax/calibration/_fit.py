@@ -4,13 +4,14 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._agreement import Posed, single_recordings
+from softcal_jax.calibration._agreement import Posed, not_asked, single_recordings
+from softcal_jax.calibration._begin import EquilibriumProgress, begin
 from softcal_jax.calibration._budget import error_budget
 from softcal_jax.calibration._build import as_sequence, build
 from softcal_jax.calibration._checked_intervals import (
@@ -20,18 +21,22 @@ from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
     configuration_results,
 )
+from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import (
     fit_notes,
     result_notes,
     warn_if_too_few_data,
 )
 from softcal_jax.calibration._nothing_to_learn import check_effects, check_sensitive
+from softcal_jax.calibration._offsets import marker_offsets, with_offsets
 from softcal_jax.calibration._predict import predict
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
     Evaluator,
+    n_measured,
 )
+from softcal_jax.calibration._references import check_references
 from softcal_jax.calibration._residual_checks import residual_checks
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -47,12 +52,17 @@ from softcal_jax.calibration._search import (
 )
 from softcal_jax.calibration._state import CalibrationSettings, initial_state
 from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
-from softcal_jax.calibration._weighing import unknown_noise, weighed_fit
+from softcal_jax.calibration._weighing import (
+    Unknown,
+    Weighed,
+    unknown_noise,
+    weighed_fit,
+)
 from softcal_jax.configurations import (
     Configuration,
     shared_names,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
+from softcal_jax.equilibrium import Job, Model, NewtonSettings, Workers
 from softcal_jax.fields import (
     Entry,
     ParameterSpace,
@@ -60,6 +70,13 @@ from softcal_jax.fields import (
     check_scopes,
     unnamed,
 )
+
+
+class Resume(NamedTuple):
+    """Where a loop goes on: scaled parameters, and the noise that weighs the data."""
+
+    z: Float[Array, " n_p"]
+    noise: CorrelatedNoise
 
 
 def fit(
@@ -79,15 +96,17 @@ def fit(
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
-    begin: Float[Array, " n_p"] | None = None,
+    equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
+    resume: Resume | None = None,
 ) -> Fitted:
     """Calibrate as `calibrate` does, without intervals.
 
-    `begin` is where the loop begins; what is reported as start is still `start`.
+    `resume` is where the loop begins; what is reported as start is still `start`.
     """
     settings, uncertain = settings or CalibrationSettings(), uncertain or Uncertain()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
+    check_references(configurations, validation)
     shared = shared_names((*configurations, *validation))
     stack = partial(build, model, parameters, uncertain=uncertain)
     problem, lanes = stack(configurations, newton, shared)
@@ -110,12 +129,16 @@ def fit(
     most = starts * max(len(configurations), 2 * len(validation))
     with Clock() as clock, Workers(model, most) as workers:
         first = _admissible(problem.space, start)
-        before = there = workers.end_of(evaluate.from_rest(first))
-        check_converged(before.equilibrium, names)
+        begun = workers.end_of(begin(evaluate, first, names, equilibrium_progress))
+        before = there = begun.evaluation
+        if begun.notes:
+            first = start = begun.z
         check_sensitive(problem, before)
-        found = None
-        if begin is not None:
-            there = workers.end_of(evaluate.from_rest(begin))
+        found, place, weights = None, first, problem.noise
+        if resume is not None:
+            place, weights = resume
+            evaluate = evaluate.with_noise(weights)
+            there = workers.end_of(evaluate.from_rest(place))
         elif starts > 1:
             others = random_starts(problem.space, starts - 1, seed=seed)
             found = search(
@@ -127,34 +150,32 @@ def fit(
                 journal=journal,
                 progress=search_progress,
             )
-            begin = jnp.asarray(found.z[found.best])
-            there = workers.end_of(evaluate.from_rest(begin))
-        begin = first if begin is None else begin
-        state, weights = journal.begin(
-            initial_state(settings, begin, there), problem.noise
+            place = jnp.asarray(found.z[found.best])
+            there = workers.end_of(evaluate.from_rest(place))
+        state, weights = journal.begin(initial_state(settings, place, there), weights)
+        unknown = unknown_noise(
+            configurations,
+            jitter=noise == "estimated",
+            offset=uncertain.recordings == "estimated",
         )
-        weighed = workers.end_of(
-            weighed_fit(
-                evaluate.with_noise(weights),
-                settings,
-                state,
-                unknown=unknown_noise(
-                    configurations,
-                    jitter=noise == "estimated",
-                    offset=uncertain.recordings == "estimated",
-                ),
-                motion=np.asarray(problem.noise.motion),
-                note=journal.note,
-            )
+        job = weighed_fit(
+            evaluate.with_noise(weights),
+            settings,
+            state,
+            unknown=unknown,
+            motion=np.asarray(problem.noise.motion),
+            note=journal.note,
         )
+        weighed = _to_its_end(workers, job, journal, unknown)
         begin_noise, state = problem.noise, weighed.state
         problem = problem.with_noise(weighed.noise)
         evaluate = evaluate.with_noise(weighed.noise)
         evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
+        offsets = marker_offsets(problem, configurations, evaluation)
         fits = configuration_results(
             fitted,
             configurations,
-            lanes._replace(arrays=arrays),
+            with_offsets(configurations, lanes._replace(arrays=arrays), offsets),
             role="calibration",
             before=before.effectors,
             after=evaluation.effectors,
@@ -189,12 +210,18 @@ def fit(
             weights = weighed.of_others(begin_noise, other.noise, validation)
             other = other.with_noise(weights)
             predicted, missing, others = predict(
-                workers, validation, other, records, start=first, z=state.z
+                workers,
+                validation,
+                other,
+                with_offsets(validation, records, offsets),
+                start=first,
+                z=state.z,
             )
             fits += predicted
+        posed = Posed(configurations, evaluate, evaluation)
         singles = workers.end_of(
             single_recordings(
-                Posed(configurations, evaluate, evaluation),
+                posed,
                 others,
                 uncertain=uncertain,
                 z=state.z,
@@ -217,18 +244,49 @@ def fit(
         settings=settings,
         newton=problem.newton,
         noise=weighed.noise,
+        noise_settled=weighed.settled,
         checks=checks,
         timing_s=clock.seconds,
         notes=(
-            *fit_notes(state, settings),
+            *begun.notes,
+            *(() if journal.interrupted else fit_notes(state, settings)),
             *weighed.notes,
             *missing,
+            *(not_asked(posed, others) if spread.has_noise else ()),
             *result_notes(problem, fits, state.z, spread),
         ),
         starts=found,
         precision=precision,
+        interrupted=journal.interrupted,
     )
     return Fitted(result, problem, evaluation)
+
+
+def _to_its_end(
+    workers: Workers, job: Job[Weighed], journal: Journal, unknown: Unknown
+) -> Weighed:
+    """Run a fit to its end, or to its last step before the user interrupts it."""
+    if not journal.interrupted:
+        try:
+            return workers.end_of(job)
+        except KeyboardInterrupt:
+            journal.interrupted = True
+    assert journal.last is not None
+    state, noise = journal.last
+    assert noise is not None
+    note = (
+        f"Interrupted after step {journal.history[-1].step}: the values are those of "
+        "that step, and the noise is that which weighed it. Do not use them as a "
+        "result."
+    )
+    return Weighed(
+        state=state,
+        noise=noise,
+        unknown=unknown,
+        scale=None,
+        notes=(note,),
+        settled=True,
+    )
 
 
 def _admissible(
@@ -251,7 +309,7 @@ def _uncertainty(
     return uncertainty(
         np.asarray(at.W_ep),
         np.asarray(at.error),
-        n_measured=int(np.sum(problem.configurations.effectors.inverse_std > 0)),
+        n_measured=n_measured(problem),
         at_bound=problem.space.at_bound(z),
         noise=noise,
         prior_weights=np.asarray(problem.space.prior_weights()),

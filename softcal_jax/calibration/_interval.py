@@ -35,8 +35,7 @@ class ParameterInterval(eqx.Module):
         upper: Upper end; likewise. A periodic angle may lie beyond its bounds.
         lower_end: What ends it below: "likelihood"; "bound", if the data do not exclude
             the bound of the parameter (or half a turn of a periodic angle); or "not
-            found", if fits along the profile did not converge, or jumped, or were not
-            tried.
+            found", if fits along the profile did not converge, or were not tried.
         upper_end: The same above.
         unit: SI unit.
         kind: How it was found: "first-order", from a standard error that the cost
@@ -116,7 +115,7 @@ def _kind(low, high, own: Parameter, z, first_order: bool) -> tuple[IntervalKind
     """Name the kind of an interval, and why it is none."""
     found = [end.why for end in (low, high)]
     if "not found" in found:
-        why = "fits along its profile do not converge, or jump"
+        why = "fits along its profile do not converge"
         for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
             if end.why == "likelihood":
                 value = float(own.from_scaled(z + sign * end.distance))

@@ -5,11 +5,13 @@ The covariance of the stacked measured coordinates is
     V = s^2 diag(std^2) + U Sigma U^T
 
 with jitter of each coordinate, and few known columns U: a rigid offset of the points of
-each recording along each axis, and for each configuration a share of its motion. In
-units of the jitter this is I + A A^T with A = diag(std)^-1 U Sigma^1/2 / s, and the
-errors and compliances of a fit are multiplied by (I + A A^T)^-1/2, after which they are
-independent with the variance s^2 in units of `std` (generalised least
-squares; Seber and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
+each recording along each axis, for each configuration a share of its motion, and of
+markers whose displacement from a reference counts the offset of each, see
+`_references`. In units of the jitter this is I + A A^T with
+A = diag(std)^-1 U Sigma^1/2 / s, and the errors and compliances of a fit are multiplied
+by (I + A A^T)^-1/2, after which they are independent with the variance s^2 in units of
+`std` (generalised least squares; Seber and Wild, Nonlinear Regression, 1989,
+sec. 2.1.4).
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.calibration._references import GLUED, referred_markers
 from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
 from softcal_jax.fields import OFFSET, ParameterSpace, SetupParameter, Uncertain
 
@@ -49,6 +52,8 @@ class CorrelatedNoise(eqx.Module):
             [m].
         share: Standard deviation of the share of this motion that is noise [-].
         jitter: Factor on the stated standard deviations of the coordinates [-].
+        marker: Index of the marker whose offset each row has; -1 for none.
+        marker_std: Standard deviation of the offset of each marker [m].
     """
 
     recording: Int[AnyArray, " n_c"]
@@ -56,12 +61,20 @@ class CorrelatedNoise(eqx.Module):
     motion: Float[AnyArray, "n_c n_rows 3"]
     share: Float[AnyArray, " n_c"]
     jitter: Float[AnyArray, ""]
+    marker: Int[AnyArray, "n_c n_rows"]
+    marker_std: Float[AnyArray, " n_markers"]
+
+    @property
+    def n_common(self) -> int:
+        """Number of columns that are not offsets of markers; they come first."""
+        return 4 * self.share.shape[-1]
 
     def columns(self, effectors: EffectorArrays) -> Float[AnyArray, "n_e n_columns"]:
-        """Return A: three offsets per configuration, then one share of each motion.
+        """Return A: offsets of configurations, shares of their motion, then of markers.
 
-        Configurations share the columns of the first one of their recording; those of
-        the others are zero, so that the shape depends on the batch alone.
+        Offsets have three columns, one along each axis. Configurations share those of
+        the first one of their recording; those of the others are zero, so that the
+        shape depends on the batch alone.
         """
         weight = effectors.inverse_std
         xp = jnp if isinstance(weight, jax.Array) else np
@@ -77,7 +90,52 @@ class CorrelatedNoise(eqx.Module):
         shares = xp.einsum("crx,c,cd->crxd", weight * motion, share, own)
         n_e = weight.size
         parts = [shifts.reshape(n_e, 3 * n_c), shares.reshape(n_e, n_c)]
+        n = self.marker_std.shape[-1]
+        if n > 0:
+            marker = xp.asarray(self.marker)
+            own = marker[:, :, None] == xp.arange(n, dtype=marker.dtype)[None, None]
+            own = own.astype(weight.dtype) * xp.asarray(self.marker_std)[None, None]
+            glued = xp.einsum("crx,crm,xy->crxmy", weight, own, axes)
+            parts.append(glued.reshape(n_e, 3 * n))
         return xp.concatenate(parts, axis=1) / xp.asarray(self.jitter)
+
+    def marker_offsets(
+        self,
+        delta_e: Float[HostArray, "n_c n_rows 3"],
+        weight: Float[HostArray, "n_c n_rows 3"],
+    ) -> Float[HostArray, "n_markers 3"]:
+        """Return what the errors of each marker have in common, by least squares [m].
+
+        Args:
+            delta_e: Simulated minus measured values of the effectors.
+            weight: 1 / standard deviations.
+        """
+        n, marker = self.marker_std.shape[-1], np.asarray(self.marker)
+        squares, of = np.asarray(weight)[marker >= 0] ** 2, marker[marker >= 0]
+        total, parts = np.zeros((2, n, 3))
+        np.add.at(total, of, squares)
+        np.add.at(parts, of, squares * np.asarray(delta_e)[marker >= 0])
+        return parts / np.where(total > 0.0, total, 1.0)
+
+    def n_marker_offsets(self, weight: Float[HostArray, "n_c n_rows 3"]) -> int:
+        """Return how many coordinates have an offset, each found from the data."""
+        marker, seen = np.asarray(self.marker), np.asarray(weight) > 0.0
+        found = np.zeros((self.marker_std.shape[-1], 3), bool)
+        np.logical_or.at(found, marker[marker >= 0], seen[marker >= 0])
+        return int(found.sum())
+
+    def without_marker_offsets(
+        self,
+        delta_e: Float[HostArray, "n_c n_rows 3"],
+        weight: Float[HostArray, "n_c n_rows 3"],
+    ) -> Float[HostArray, "n_c n_rows 3"]:
+        """Subtract from errors what those of each marker have in common [m]."""
+        if self.marker_std.shape[-1] == 0:
+            return np.asarray(delta_e)
+        marker = np.asarray(self.marker)
+        offsets = self.marker_offsets(delta_e, weight)
+        common = np.where((marker >= 0)[:, :, None], offsets[marker], 0.0)
+        return np.where(np.asarray(weight) > 0.0, delta_e - common, 0.0)
 
     def following(
         self,
@@ -182,12 +240,15 @@ def correlated_noise(
     std = [c.relative_std for c in configurations]
     shares = np.array([FIRST_SHARE if s == "estimated" else s for s in std], float)
     dtype = np.asarray(effectors.inverse_std).dtype
+    marker, keys = referred_markers(configurations, motion.shape[1])
     arrays = CorrelatedNoise(
         recording=np.array([names.index(name) for name in names], np.int32),
         offset=np.asarray(offset * np.array(free, float).T, dtype),
         motion=np.asarray(motion, dtype),
         share=np.asarray(shares, dtype),
         jitter=np.ones((), dtype),
+        marker=marker,
+        marker_std=np.full(len(keys), GLUED, dtype),
     )
     return jax.device_put(arrays)
 
@@ -242,6 +303,8 @@ def named_columns(
 ) -> Mapping[str, Mapping[str, Float[HostArray, " n_e"]]]:
     """Return the columns of U Sigma^1/2 that are not zero, by cause and name.
 
+    Offsets of markers are left out, since a fit to displacements does not feel them.
+
     Args:
         configurations: The configurations.
         noise: Their noise.
@@ -263,7 +326,7 @@ def named_columns(
     ]
     names += [(CREEP, f"creep in {c.name}") for c in configurations]
     found: dict[str, dict[str, HostArray]] = {}
-    for (cause, name), column in zip(names, U.T, strict=True):
+    for (cause, name), column in zip(names, U.T[: noise.n_common], strict=True):
         if np.any(column):
             found.setdefault(cause, {})[name] = column
     return found

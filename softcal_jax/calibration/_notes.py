@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, n_measured
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.configurations import Configuration
@@ -181,7 +181,7 @@ def warn_if_locking(model: Model, space: ParameterSpace) -> None:
 
 def warn_if_too_few_data(problem: CalibrationProblem) -> None:
     """Warn if there are fewer measured coordinates than parameters."""
-    measured = int(np.sum(problem.configurations.effectors.inverse_std > 0))
+    measured = n_measured(problem)
     # A prior counts as a measurement of its parameter.
     wanted = int(np.sum(np.asarray(problem.space.prior_weights()) == 0.0))
     if wanted > measured:

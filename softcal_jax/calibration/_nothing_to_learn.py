@@ -5,6 +5,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, HostArray
 from softcal_jax.calibration._held_faces import held_nodes
+from softcal_jax.calibration._present import with_forces, with_gravity, with_loads
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
 from softcal_jax.fields import AbstractFieldEntry, SetupParameter
 
@@ -62,7 +63,6 @@ def _all_on_held(effectors, counts: Bool[HostArray, "n_c n_rows"], held) -> bool
 
 def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
     """Say why no configuration depends on an entry; empty if one may."""
-    falls = np.any(arrays.gravity != 0.0)
     if isinstance(entry, AbstractFieldEntry):
         mesh = problem.model.mesh
         tets = (
@@ -71,27 +71,24 @@ def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
         if held[:, tets].all():
             where = "the body" if entry.region is None else repr(entry.region)
             return f"all tets of {where} are held in every pose"
-        if entry.fields == ("density",) and not falls:
+        if entry.fields == ("density",) and not np.any(with_gravity(arrays)):
             return "no configuration has gravity"
     if isinstance(entry, SetupParameter):
-        return _missing_of_setup(entry, arrays, bool(falls))
+        return _missing_of_setup(entry, arrays)
     return ""
 
 
-def _missing_of_setup(entry: SetupParameter, arrays, falls: bool) -> str:
+def _missing_of_setup(entry: SetupParameter, arrays) -> str:
     """Say why no configuration depends on an entry of the setup, likewise."""
-    if entry.kind == "gravity_tilt" and not falls:
+    if entry.kind == "gravity_tilt" and not np.any(with_gravity(arrays)):
         return "no configuration has gravity"
     if entry.kind == "load_factor":
         own = arrays.loads.names.index(entry.of)
-        if not np.any(arrays.loads.force[:, own] != 0.0):
+        if not np.any(with_loads(arrays)[:, own]):
             return "no configuration has such a dead load"
     if entry.kind == "actuator_factor":
         own = arrays.actuation.names.index(entry.of)
-        given = (
-            arrays.actuation.value[:, own] * ~arrays.actuation.by_displacement[:, own]
-        )
-        if not np.any(given != 0.0):
+        if not np.any(with_forces(arrays)[:, own]):
             return f"no configuration imposes a force on {entry.of!r}"
     return ""
 

@@ -95,6 +95,13 @@ def without_names(problem: CalibrationProblem) -> CalibrationProblem:
     return eqx.tree_at(lambda p: p.space, problem, unnamed(problem.space))
 
 
+def n_measured(problem: CalibrationProblem) -> int:
+    """Return the number of measured coordinates, less those that find offsets."""
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    spent = 0 if problem.noise is None else problem.noise.n_marker_offsets(weight)
+    return int(np.sum(weight > 0.0)) - spent
+
+
 class Evaluation(eqx.Module):
     """Equilibria, errors and compliances of all configurations at one z.
 
@@ -270,6 +277,8 @@ class Evaluator:
     Attributes:
         problem: The calibration.
         numbered: The same without names, for compiled programs.
+        shared: What all lanes share, without configurations.
+        lanes: The configurations.
     """
 
     def __init__(self, problem: CalibrationProblem):
@@ -280,11 +289,10 @@ class Evaluator:
         space = replace(self.numbered.space, order=(), tensor_steps=True, pin=None)
         where = lambda p: (p.configurations, p.space)
         alone = self.numbered.with_noise(None)
-        self._shared = eqx.tree_at(where, alone, (None, space))
+        self.shared = eqx.tree_at(where, alone, (None, space))
         n_c = problem.configurations.gravity.shape[0]
-        self._configurations = [lane_of(problem.configurations, c) for c in range(n_c)]
-        one = self._configurations[0]
-        self._program = program_key("evaluate_lane", self._shared, one)
+        self.lanes = [lane_of(problem.configurations, c) for c in range(n_c)]
+        self._program = program_key("evaluate_lane", self.shared, self.lanes[0])
         self._on: dict[int, tuple[Any, CalibrationProblem]] = {}
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":
@@ -317,7 +325,7 @@ class Evaluator:
             precise: Whether the compliances are exact, see `evaluate_lane`.
         """
         before = guess if before is None else before
-        lanes = zip(self._configurations, guess, before, strict=True)
+        lanes = zip(self.lanes, guess, before, strict=True)
         jobs = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
         found = yield Batch(self._evaluate, jobs, self._program)
         return _stacked(self.numbered, z, found)
@@ -333,7 +341,7 @@ class Evaluator:
     def _evaluate(self, solver, lane) -> Response:
         # The solver is kept beside, so that its id is not given to another one.
         if id(solver) not in self._on:
-            self._on[id(solver)] = solver, with_solver(self._shared, solver)
+            self._on[id(solver)] = solver, with_solver(self.shared, solver)
         shared = self._on[id(solver)][1]
         return jax.block_until_ready(_evaluate_lane(shared, *lane))
 

@@ -1,7 +1,6 @@
 """Confidence intervals from the profile of the likelihood."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,7 +11,14 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._interval import ProfileEnd
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
-from softcal_jax.calibration._runs import Run, minimise
+from softcal_jax.calibration._profile_search import (
+    CLOSE_ENOUGH,
+    STEEP,
+    NotFound,
+    bracket,
+    root,
+)
+from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Job, Workers
 from softcal_jax.fields import ParameterSpace, Pin
@@ -25,11 +31,11 @@ the distance counts where it ends, not at the pin. At a bound the pin is ten tim
 firm, since the question is what the data say there.
 """
 
-CLOSE_ENOUGH = 0.005
-"""Relative error allowed in the root of the rise at an end of an interval [-]."""
+STEADY = 8
+"""Steps over which the cost of a fit that stands still falls by next to nothing."""
 
-NARROW = 0.02
-"""Gap to a fit that failed, over the distance, below which the search ends [-]."""
+MOST_RESUMED = 10
+"""How often an end is sought farther out, where a fit nearer by was too bad."""
 
 LOWER = 1e-3
 """Fall of twice the cost, over its rise at an end, that means another optimum [-].
@@ -60,10 +66,6 @@ class LowerCostFound(RuntimeError):
             "calibrate from more `starts`, or in Python with `start` = the `z` of this "
             "error."
         )
-
-
-class _NotFound(Exception):
-    """A fit along the profile did not converge, or the profile jumps."""
 
 
 def profile_ends(
@@ -128,16 +130,41 @@ class _Fit(NamedTuple):
 
 
 def _end(profile: "_Profile") -> Job[ProfileEnd]:
-    """Find one end of the interval of one parameter."""
-    excess, rise = profile.excess, profile.at.rise
+    """Find one end of the interval of one parameter.
+
+    A fit with the parameter far away may end in a worse optimum than one that follows
+    the profile outwards. Where the search closes in on such a fit, it is repeated from
+    its neighbour inside, and the search goes on beyond if the end is not there.
+    """
+    excess, rise, inside, span = profile.excess, profile.at.rise, 0.0, None
+    steep = STEEP
     try:
-        bracket = yield from _bracket(excess, rise, profile.reach, profile.limit)
-        if bracket is None:
-            return ProfileEnd(max(profile.limit, 0.0), "bound")
-        found = yield from _root(excess, *bracket)
-    except _NotFound:
-        return ProfileEnd(float("nan"), "not found")
-    return ProfileEnd(profile.seen[found].distance, "likelihood")
+        for _ in range(MOST_RESUMED):
+            span = span or (
+                yield from bracket(
+                    excess,
+                    rise=rise,
+                    inside=inside,
+                    reach=profile.reach,
+                    limit=profile.limit,
+                )
+            )
+            if span is None:
+                return ProfileEnd(max(profile.limit, 0.0), "bound")
+            inside, outside = yield from root(excess, *span, steep=steep * rise)
+            if inside == outside:
+                return ProfileEnd(profile.seen[outside].distance, "likelihood")
+            before = profile.seen[outside].excess
+            value = yield from profile.follow(inside, outside)
+            if value == before and np.isinf(steep):
+                return ProfileEnd(profile.seen[outside].distance, "likelihood")
+            # The same again: no fit in another valley, but a profile that is steep.
+            steep = np.inf if value == before else STEEP
+            span = (inside, outside) if value >= 0.0 else None
+            inside = outside
+    except NotFound:
+        pass
+    return ProfileEnd(float("nan"), "not found")
 
 
 class _Rest(NamedTuple):
@@ -169,13 +196,20 @@ class _Profile:
     def excess(self, distance: float) -> Job[float]:
         """Return the excess of the fit at a distance; 0 within the tolerance."""
         if distance not in self.seen:
-            self.seen[distance] = yield from self._fit(distance)
+            within = [other for other, rest in self.seen.items() if rest.excess <= 0.0]
+            near = min(within, key=lambda other: abs(other - distance))
+            self.seen[distance] = yield from self._fit(near, distance)
         return self.seen[distance].excess
 
-    def _fit(self, distance: float) -> Job[_Rest]:
+    def follow(self, inside: float, distance: float) -> Job[float]:
+        """Repeat a fit from a neighbour inside; return the lower excess of both."""
+        again = yield from self._fit(inside, distance)
+        if again.excess < self.seen[distance].excess:
+            self.seen[distance] = again
+        return self.seen[distance].excess
+
+    def _fit(self, near: float, distance: float) -> Job[_Rest]:
         at = self.at
-        within = [other for other, rest in self.seen.items() if rest.excess <= 0.0]
-        near = min(within, key=lambda other: abs(other - distance))  # start inside
         start = self.seen[near].z + (distance - near) * self.path
         firm = FIRM if distance < self.limit else 10.0 * FIRM
         pin = Pin(
@@ -184,22 +218,49 @@ class _Profile:
             jnp.asarray(firm / self.std),
         )
         run = yield from self._pinned(self.space, pin, start)
-        if not run.converged:
-            self._check(pin, run)
+        rest = self._rest(distance, pin, run)
+        if rest is None or (not run.converged and rest.excess > 0.0):
             again = run.z if np.isfinite(run.cost) else self.seen[near].z
             run = yield from self._pinned(in_plain_steps(self.space), pin, again)
+            rest = self._rest(distance, pin, run)
+        if rest is None:
+            raise NotFound
+        return rest
+
+    def _rest(self, distance: float, pin: Pin, run: Run) -> _Rest | None:
+        """Return the end of a fit, or None if it says nothing about the profile.
+
+        A fit that has not converged bounds the profile from above. So it says enough
+        where that bound is below the end, or where it hardly falls any more.
+        """
         far, higher = self._check(pin, run)
-        if not run.converged:
-            raise _NotFound
-        value = np.sqrt(max(higher, 0.0)) - at.rise
-        value = 0.0 if abs(value) <= CLOSE_ENOUGH * at.rise else float(value)
+        if not np.isfinite(higher):
+            return None
+        rise = self.at.rise
+        value = float(np.sqrt(max(higher, 0.0)) - rise)
+        if not run.converged and value > 0.0 and not self._is_steady(run):
+            return None
+        value = 0.0 if abs(value) <= CLOSE_ENOUGH * rise else value
         return _Rest(distance + self.sign * far, run.z, value)
+
+    @property
+    def _steady(self) -> tuple[int, float]:
+        """Steps and fall of twice the cost that are small for an end, see `STEADY`."""
+        return STEADY, CLOSE_ENOUGH * self.at.rise**2
+
+    def _is_steady(self, run: Run) -> bool:
+        """Return whether a fit stands still, as exactly as an end is sought."""
+        squares = run.errors[np.isfinite(run.errors)] ** 2
+        steps, least = self._steady
+        return len(squares) > steps and squares[-1 - steps] - squares[-1] <= least
 
     def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Job[Run]:
         """Calibrate with the parameter held."""
         own = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
         evaluate = self.at.evaluate.with_space(own)
-        return minimise(evaluate, self.at.settings, jnp.asarray(start))
+        return minimise(
+            evaluate, self.at.settings, jnp.asarray(start), steady=self._steady
+        )
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
         """Return how far the parameter is from its pin, and the rise of twice cost."""
@@ -211,62 +272,6 @@ class _Profile:
         return float(far), higher
 
 
-Excess = Callable[[float], Job[float]]
-
-
-def _root(excess: Excess, inside: float, outside: float) -> Job[float]:
-    """Find the zero of an excess between two distances where its signs differ.
-
-    Uses inverse quadratic interpolation, and bisection where that is not safe
-    (Chandrupatla, Adv. Eng. Softw. 28, 1997). Where the cost is a parabola the excess
-    is linear, and the first guess is the root. Where it jumps over zero there is none.
-    """
-    a, b = outside, inside  # the newest point, and one where the sign differs
-    f_a, f_b = (yield from excess(a)), (yield from excess(b))
-    share, smallest = f_a / (f_a - f_b), 0.01 * CLOSE_ENOUGH * outside
-    while f_a != 0.0:
-        if abs(b - a) < 2.0 * smallest:
-            raise _NotFound
-        least = smallest / abs(b - a)
-        x = a + float(np.clip(share, least, 1.0 - least)) * (b - a)
-        f_x = yield from excess(x)
-        if np.sign(f_x) == np.sign(f_a):
-            c, f_c = a, f_a
-        else:
-            c, f_c, b, f_b = b, f_b, a, f_a
-        a, f_a = x, f_x
-        xi, phi, share = (a - b) / (c - b), (f_a - f_b) / (f_c - f_b), 0.5
-        if phi**2 < xi and (1.0 - phi) ** 2 < 1.0 - xi:
-            share = f_a / (f_b - f_a) * f_c / (f_b - f_c)
-            share += (c - a) / (b - a) * f_a / (f_c - f_a) * f_b / (f_c - f_b)
-    return a
-
-
-def _bracket(
-    excess: Excess, rise: float, reach: float, limit: float
-) -> Job[tuple[float, float] | None]:
-    """Return two distances with the end between them; None if it is beyond the limit.
-
-    The distance grows step by step; where a fit does not converge, the step is halved.
-    """
-    inside, outside, lost = 0.0, reach, np.inf
-    while inside < limit:
-        outside = min(outside, limit)
-        try:
-            value = yield from excess(outside)
-        except _NotFound:
-            value, lost = -rise, outside
-        else:
-            if value >= 0.0:
-                return inside, outside
-            inside = outside
-        if lost - inside < NARROW * (inside + reach):
-            raise _NotFound
-        grown = float(np.clip(1.05 * rise / (value + rise + 1e-300), 1.2, 2.0))
-        outside = min(inside * grown if inside else np.inf, 0.5 * (inside + lost))
-    return None
-
-
 def room_beside(
     space: ParameterSpace, z: Float[Array | HostArray, " n_p"], column: int, sign: int
 ) -> float:
@@ -275,20 +280,6 @@ def room_beside(
     room = float(up[column] if sign > 0 else -down[column])
     turn = float(space.upper()[column] - space.lower()[column])
     return min(room, 0.5 * turn) if np.isinf(room) else room
-
-
-def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
-    """Return the parameters with steps of moduli and angles instead of tensors.
-
-    Where both moduli of an axis are equal, a step of tensors has a kink, since the axis
-    switches there. With their order as a constraint such an optimum is regular.
-    """
-    if space.chart is None:
-        return space
-    names, chart = space.names, space.chart
-    pairs = zip(chart.small, chart.large, strict=True)
-    order = [(names[small], names[large]) for small, large in pairs]
-    return replace(space, order=(*space.order, *order), tensor_steps=False)
 
 
 @eqx.filter_jit

@@ -42,6 +42,16 @@ class QPStep(NamedTuple):
     kkt_residual: Float[Array, ""]
 
 
+class Limits(NamedTuple):
+    """Constraints of a step, lower <= l <= upper and A l <= b, and its damping [-]."""
+
+    lower: Float[Array, " n_p"]
+    upper: Float[Array, " n_p"]
+    A: Float[Array, "n_rows n_p"]
+    b: Float[Array, " n_rows"]
+    damping: float | Float[Array, ""]
+
+
 class _Scaled(NamedTuple):
     """min y.Q.y / 2 + c.y for low <= y <= high and R y <= r, all of unit size [-]."""
 
@@ -51,6 +61,18 @@ class _Scaled(NamedTuple):
     high: Float[Array, " n_p"]
     R: Float[Array, "n_rows n_p"]
     r: Float[Array, " n_rows"]
+
+
+class ScaledQP(NamedTuple):
+    """A QP in scaled form, and how to return to its units.
+
+    Its size is that of the step and of the rows, whatever the number of errors.
+    """
+
+    qp: _Scaled
+    unit: Float[Array, " n_p"]
+    lower: Float[Array, " n_p"]
+    upper: Float[Array, " n_p"]
 
 
 class _Point(NamedTuple):
@@ -118,14 +140,14 @@ def bounded_step(
         raise ValueError(f"damping must be positive, got {damping}.")
     if A is None or b is None:
         A, b = jnp.zeros((0, W.shape[1]), W.dtype), jnp.zeros(0, W.dtype)
-    qp, unit = _scaled(W, error, lower, upper, A=A, b=b, damping=damping)
-    best = _solve(qp)
-    # Clipped once more, since scaling back rounds.
-    return QPStep(jnp.clip(best.y * unit, lower, upper), best.kkt)
+    return solved_qp(scaled_qp(W, error, Limits(lower, upper, A, b, damping)))
 
 
-def _scaled(W, error, lower, upper, *, A, b, damping) -> tuple[_Scaled, Array]:
-    """Scale to unit columns, rows and error; also return the unit of a step."""
+def scaled_qp(
+    W: Float[Array, "n_e n_p"], error: Float[Array, " n_e"], limits: Limits
+) -> ScaledQP:
+    """Scale the QP of `bounded_step` to unit columns, rows and error."""
+    lower, upper, A, b, damping = limits
     size = jnp.linalg.norm(W, axis=0)
     # A parameter without any effect keeps its scale and does not move.
     size = jnp.where(size > 0.0, size, 1.0)
@@ -147,7 +169,15 @@ def _scaled(W, error, lower, upper, *, A, b, damping) -> tuple[_Scaled, Array]:
         R=R / length[:, None],
         r=b / length / level,
     )
-    return qp, level / size
+    return ScaledQP(qp, level / size, lower, upper)
+
+
+def solved_qp(scaled: ScaledQP) -> QPStep:
+    """Solve a QP and return the step in its own units."""
+    best = _solve(scaled.qp)
+    # Clipped once more, since scaling back rounds.
+    step = jnp.clip(best.y * scaled.unit, scaled.lower, scaled.upper)
+    return QPStep(step, best.kkt)
 
 
 def _solve(qp: _Scaled) -> _Point:

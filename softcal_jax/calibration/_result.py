@@ -237,10 +237,12 @@ class CalibrationResult(eqx.Module):
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         precision: Standard error that is asked for, relative to the value [-].
+        interrupted: Whether the user has stopped it, with Ctrl-C.
         timing_s: Wall time of "compile" (JAX tracing and compiling) and "solve" [s].
         notes: What the user should know before using the values.
         starts: Result of the search from many starts, if there was one.
         noise: Covariance of the stacked errors that weighed them.
+        noise_settled: Whether an estimated noise stood still beside the fit.
         checks: What the residuals say about the model.
     """
 
@@ -260,8 +262,10 @@ class CalibrationResult(eqx.Module):
     notes: tuple[str, ...]
     starts: MultiStartResult | None = None
     noise: CorrelatedNoise | None = None
+    noise_settled: bool = True
     checks: ResidualChecks | None = None
     precision: float = PRECISION
+    interrupted: bool = False
 
     @property
     def intervals(self) -> tuple[ParameterInterval, ...]:

@@ -23,6 +23,12 @@ from softcal_jax.fields import ParameterSpace
 NOTHING_LEFT = 1e-6
 """Mean squared error, in noise units, below which no other optimum is searched for."""
 
+MOST_SETTLED = 3
+"""How often steps of tensors and plain ones take turns."""
+
+NO_FALL = 1e-6
+"""Relative fall of the cost that is no way down [-]."""
+
 # Several programs instead of one per step: the evaluation, which takes seconds to
 # compile, serves the start and every step.
 _propose = eqx.filter_jit(propose)
@@ -55,6 +61,7 @@ def descend(
     settings: CalibrationSettings,
     state: CalibrationState,
     note: Callable[[CalibrationState], None],
+    enough: Callable[[CalibrationState], bool] = lambda _: False,
 ) -> Job[CalibrationState]:
     """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
 
@@ -63,10 +70,11 @@ def descend(
         settings: Settings of the outer loop.
         state: State to begin with, its evaluation included.
         note: Called with the state after each step.
+        enough: Whether to stop at a state before that.
     """
     problem = evaluate.numbered
     while not (state.converged or state.stalled or not state.evaluation.ok) and (
-        state.step < settings.max_steps
+        state.step < settings.max_steps and not enough(state)
     ):
         proposal = _propose(problem, settings, state)
         tried = state.evaluation
@@ -81,14 +89,32 @@ def descend(
 
 
 def minimise(
-    evaluate: Evaluator, settings: CalibrationSettings, start: Float[Array, " n_p"]
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    start: Float[Array, " n_p"],
+    *,
+    steady: tuple[int, float] | None = None,
 ) -> Job[Run]:
-    """Run the outer loop from one start, in scaled parameters, to its end."""
+    """Run the outer loop from one start, in scaled parameters, to its end.
+
+    Args:
+        evaluate: Evaluator of the calibration.
+        settings: Settings of the outer loop.
+        start: Scaled parameters to start from [-].
+        steady: Steps, and the fall of twice the cost over them at which the run may
+            stop before it has converged; none by default.
+    """
     z = admissible(evaluate.numbered.space, start)
     state = initial_state(settings, z, (yield from evaluate.from_rest(z)))
     costs = [float(state.evaluation.cost)]
     note = lambda state: costs.append(float(state.evaluation.cost))
-    state = yield from descend(evaluate, settings, state, note)
+
+    def enough(_: CalibrationState) -> bool:
+        if steady is None or len(costs) <= steady[0]:
+            return False
+        return 2.0 * (costs[-1 - steady[0]] - costs[-1]) <= steady[1]
+
+    state = yield from descend(evaluate, settings, state, note, enough)
     errors = np.full(settings.max_steps + 1, np.nan)
     errors[: len(costs)] = np.sqrt(2.0 * np.array(costs))
     return Run(
@@ -98,6 +124,52 @@ def minimise(
         converged=bool(state.converged),
         errors=errors,
     )
+
+
+def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
+    """Return the parameters with steps of moduli and angles instead of tensors.
+
+    Where both moduli of an axis are equal, a step of tensors has a kink, since the axis
+    switches there. With their order as a constraint such an optimum is regular.
+    """
+    if space.chart is None:
+        return space
+    names, chart = space.names, space.chart
+    pairs = zip(chart.small, chart.large, strict=True)
+    order = [(names[small], names[large]) for small, large in pairs]
+    return replace(space, order=(*space.order, *order), tensor_steps=False)
+
+
+def settle(
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    note: Callable[[CalibrationState], None],
+) -> Job[CalibrationState]:
+    """Take steps to an optimum, also to one where both moduli of an axis are equal.
+
+    Steps of tensors do not end there, see `in_plain_steps`: plain ones go on where they
+    gave up. These cannot leave a body that is isotropic, right or wrong, since the
+    angle has no effect on it; so their end only counts if tensors find no way down.
+    """
+    state = yield from descend(evaluate, settings, state, note)
+    space = evaluate.numbered.space
+    if space.chart is None:
+        return state
+    plain = evaluate.with_space(in_plain_steps(space))
+    again = lambda state: initial_state(settings, state.z, state.evaluation)
+    for _ in range(MOST_SETTLED):
+        if state.converged or not state.evaluation.ok:
+            break
+        end = yield from descend(plain, settings, again(state), note)
+        if not end.converged:
+            return end
+        state = yield from descend(evaluate, settings, again(end), lambda _: None)
+        fall = float(end.evaluation.cost) - float(state.evaluation.cost)
+        if fall <= NO_FALL * float(end.evaluation.cost):
+            return end
+        note(state)
+    return state
 
 
 class Image(NamedTuple):

@@ -85,6 +85,8 @@ def multi_start(
         ValueError: If there are no starts, they do not fit the parameters, or the
             checkpoint is of another search.
         RuntimeError: If no start has an equilibrium.
+        KeyboardInterrupt: If it is interrupted before a run has come to an end; later
+            the result holds what was found so far.
     """
     space = problem.space
     if isinstance(starts, int):
@@ -120,7 +122,10 @@ def search(
     journal: Journal,
     progress: Callable[[SearchProgress], None] | None,
 ) -> MultiStartResult:
-    """Run the search of `multi_start`; the journal returns the runs saved before."""
+    """Run the search of `multi_start`; the journal returns the runs saved before.
+
+    Ctrl-C ends it with the best ends so far, which the journal then knows.
+    """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
     run_from = partial(run_start, evaluate, settings, images=images)
     jobs, ended, begun = [], {}, {}
@@ -146,7 +151,13 @@ def search(
             lowest = min(run.cost for run in ended.values())
             progress(SearchProgress(len(ended), len(starts), converged, lowest))
 
-    runs = workers.ends(jobs, told)
+    try:
+        runs = workers.ends(jobs, told)
+    except KeyboardInterrupt:
+        runs = [begun[i].best for i in range(len(jobs))]
+        if not any(np.isfinite(run.cost) for run in runs):
+            raise
+        journal.interrupted = True
     cost = np.array([run.cost for run in runs])
     converged = np.array([run.converged for run in runs])
     if not np.any(np.isfinite(cost)):
@@ -182,12 +193,10 @@ def search(
     )
 
 
-def _optima(
-    space, z, values, cost, converged, n_starts: int | None = None
-) -> tuple[Optimum, ...]:
+def _optima(space, z, values, cost, converged, *, n_starts: int) -> tuple[Optimum, ...]:
     """Group converged ends by where they are, the lowest cost first.
 
-    The first `n_starts` are ends of starts, all by default; others were passed.
+    The first `n_starts` are ends of starts; others were passed.
     """
     found: list[tuple[int, list[int]]] = []
     numbered = unnamed(space)
@@ -201,7 +210,7 @@ def _optima(
                 break
         else:
             found.append((int(i), [int(i)]))
-    ended = range(len(z) if n_starts is None else n_starts)
+    ended = range(n_starts)
     return tuple(
         Optimum(
             float(cost[first]),

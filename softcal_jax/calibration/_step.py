@@ -7,7 +7,6 @@ highest of the last few (`MEMORY`). The model is linear in the errors (Gauss-New
 includes their curvature from past steps where that predicts the cost better.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,7 +17,7 @@ import numpy as np
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._curvature import Curvature, convex_model, learned
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
-from softcal_jax.calibration._qp import QPStep, bounded_step
+from softcal_jax.calibration._qp import Limits, QPStep, scaled_qp, solved_qp
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
 
@@ -66,26 +65,25 @@ def propose(
     """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11)."""
     now, space = state.evaluation, problem.space
     W, error, J = _linear_model(space, state.z, now)
-    solve = _qp_within_limits(problem, settings, state, J)
-    gauss_newton = lambda: solve(W, error)
+    limits = _limits(problem, settings, state, J)
     S = state.curvature.matrix
-    curved = lambda: solve(*convex_model(W, error, S))
-    qp = jax.lax.cond(state.curvature.used, curved, gauss_newton)
+    # In one loop, so that the QP, most of this program, is compiled once.
+    models = (W, error), convex_model(W, error, S)
+    scaled = [scaled_qp(*model, limits) for model in models]
+    both = jax.lax.map(solved_qp, jax.tree.map(lambda *x: jnp.stack(x), *scaled))
+    used = state.curvature.used.astype(jnp.int32)
+    qp = jax.tree.map(lambda steps: steps[used], both)
 
     def costs(step):
         cost = 0.5 * jnp.sum((W @ step + error) ** 2)
         return jnp.stack([cost, cost + 0.5 * jnp.sum(step * (S @ step))])
 
     predicted = costs(qp.lambda_p)
-    cost = predicted[state.curvature.used.astype(jnp.int32)]
+    cost = predicted[used]
     # A wrong curvature may shorten a step: both models must find it small.
+    linear = jax.tree.map(lambda steps: steps[0], both)
     vanishes = _small(problem, settings, state, qp, cost) & now.ok
-
-    def linearly():
-        step = gauss_newton()
-        return _small(problem, settings, state, step, costs(step.lambda_p)[0])
-
-    vanishes = jax.lax.cond(vanishes & state.curvature.used, linearly, lambda: vanishes)
+    vanishes &= _small(problem, settings, state, linear, costs(linear.lambda_p)[0])
     guess = before = now.equilibrium.displacement
     if now.tangents is not None:
         dz = J @ qp.lambda_p
@@ -136,13 +134,13 @@ def _moved(
     return space.admissible(chart.from_tensor(chart.to_tensor(z) + step))
 
 
-def _qp_within_limits(
+def _limits(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
     state: CalibrationState,
     J: Float[Array, "n_p n_p"],
-):
-    """Return the QP of W and error, with the constraints of a step filled in."""
+) -> Limits:
+    """Return the constraints of a step, and its damping."""
     space, chart = problem.space, problem.space.chart
     limit = jnp.minimum(state.step_bound, space.max_step())
     down, up = space.room(state.z)
@@ -157,9 +155,7 @@ def _qp_within_limits(
         high = high.at[free].set(state.step_bound)
         A = jnp.concatenate([A @ J, J[moduli], -J[moduli]])
         b = jnp.concatenate([b, up[moduli], -down[moduli]])
-    return partial(
-        bounded_step, lower=low, upper=high, A=A, b=b, damping=settings.damping
-    )
+    return Limits(low, high, A, b, settings.damping)
 
 
 def _small(

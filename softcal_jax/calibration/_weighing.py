@@ -23,7 +23,7 @@ from softcal_jax.calibration._reml import (
     freedom_between,
     restricted_likelihood,
 )
-from softcal_jax.calibration._runs import descend
+from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,
@@ -71,6 +71,7 @@ class Weighed(NamedTuple):
         scale: Factor on the stated standard deviations of coordinates that was
             estimated beside correlated noise; None if it was not [-].
         notes: What went otherwise than asked for.
+        settled: Whether the noise stood still in the end.
     """
 
     state: CalibrationState
@@ -78,6 +79,7 @@ class Weighed(NamedTuple):
     unknown: Unknown
     scale: float | None
     notes: tuple[str, ...]
+    settled: bool
 
     def of_others(
         self,
@@ -131,12 +133,12 @@ def weighed_fit(
         motion: Measured motion of the points [m].
         note: Called with state and noise after each step.
     """
-    noise, scale, notes = evaluate.problem.noise, None, []
+    noise, scale, notes, settled = evaluate.problem.noise, None, [], True
     n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
     assert noise is not None
     for n in range(MOST_ROUNDS):
         told = lambda state, noise=noise: note(state, noise)
-        state = yield from descend(evaluate, settings, state, told)
+        state = yield from settle(evaluate, settings, state, told)
         if not state.converged:
             break
         errors = linear_errors(evaluate.problem, state)
@@ -149,6 +151,7 @@ def weighed_fit(
         if _change(noise, new) <= SETTLED:
             break
         if n == MOST_ROUNDS - 1:
+            settled = False
             notes.append(
                 "The noise did not settle beside the fit: it still "
                 f"changes by {100.0 * _change(noise, new):.0f} %. State the `std` of "
@@ -159,7 +162,14 @@ def weighed_fit(
         evaluation = in_other_units(evaluate.numbered, state.evaluation)
         state = initial_state(settings, state.z, evaluation)
     notes += _found(noise, unknown)
-    return Weighed(state, noise, unknown, scale, tuple(notes))
+    return Weighed(
+        state=state,
+        noise=noise,
+        unknown=unknown,
+        scale=scale,
+        notes=tuple(notes),
+        settled=settled,
+    )
 
 
 def linear_errors(problem: CalibrationProblem, state: CalibrationState) -> Residuals:
@@ -192,7 +202,8 @@ def _columns(problem: CalibrationProblem, unknown: Unknown) -> _Columns:
     A = float(problem.noise.jitter) * problem.noise_columns()[seen]
     n_c = len(unknown.share)
     is_offset = np.arange(A.shape[1]) < 3 * n_c
-    is_share = np.concatenate([np.zeros(3 * n_c, bool), unknown.share])
+    is_share = np.zeros(A.shape[1], bool)
+    is_share[3 * n_c : 4 * n_c] = unknown.share
     offsets = is_offset & unknown.offset
     used = np.any(A != 0.0, axis=0)
     pick = lambda which: A[:, which & used]
@@ -247,7 +258,9 @@ def _estimated(
     parts = [columns.offsets, columns.shares, columns.stated]
     used = [part.shape[1] > 0 for part in parts]
     dof = len(errors.r) - errors.W.shape[1] + len(errors.r_prior)
-    level = float(np.sqrt(np.mean(errors.r**2))) if len(errors.r) else 0.0
+    level = 0.0
+    if len(errors.r):
+        level = float(np.sqrt(np.mean(_without_offsets(errors.r, problem) ** 2)))
     # Without columns the jitter weighs nothing: `uncertainty` finds it in closed form.
     if not any(used) or dof <= 0 or level < EXACT:
         return None
@@ -258,6 +271,21 @@ def _estimated(
         errors, parts, factors=[float(noise.jitter), 1.0, 1.0, 1.0], free=free
     )
     return noise.scaled(jitter=jitter, offset=offset, share=share, of=unknown.share)
+
+
+def _without_offsets(
+    r: Float[HostArray, " n"], problem: CalibrationProblem
+) -> Float[HostArray, " n"]:
+    """Return errors in stated units without the offsets of markers."""
+    noise, weight = (
+        problem.noise,
+        np.asarray(problem.configurations.effectors.inverse_std),
+    )
+    assert noise is not None
+    delta_e = np.zeros(weight.shape)
+    delta_e[weight > 0.0] = r / weight[weight > 0.0]
+    rest = noise.without_marker_offsets(delta_e, weight)
+    return (weight * rest)[weight > 0.0]
 
 
 def _found(noise: CorrelatedNoise, unknown: Unknown) -> list[str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from softcal_jax.cli._shared import (
     BAD_INPUT,
+    INTERRUPTED,
     NOT_CONVERGED,
     OK,
     Display,
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from softcal_jax.calibration import (
         CalibrationResult,
         ConfigurationResult,
+        EquilibriumProgress,
         HistoryEntry,
     )
     from softcal_jax.configurations import Configuration
@@ -102,6 +104,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
             checkpoint=args.checkpoint,
             progress=_step_lines(project, show),
             search_progress=lambda search: show.line(f"search   {search}"),
+            equilibrium_progress=_equilibrium_lines(show),
             profiling=profiling,
         )
     if written:
@@ -114,14 +117,22 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     show.line(report.summary_table(result, assessment))
     _print_held_out(result.configurations, show)
     show.results(where)
-    if not result.converged:
-        steps = len(result.history) - 1
-        raise Stop(
-            NOT_CONVERGED, f"not converged after {steps} steps: do not use the values."
-        )
+    _stop_unless_finished(result)
     if not assessment.identified:
         show.line("Take the values with care: " + " ".join(assessment.reasons))
     return OK
+
+
+def _stop_unless_finished(result: "CalibrationResult") -> None:
+    """End the command if the fit was interrupted or did not converge."""
+    steps = len(result.history) - 1
+    if result.interrupted:
+        end = "" if result.converged else ", not converged: do not use the values"
+        raise Stop(INTERRUPTED, f"interrupted after {steps} steps{end}.")
+    if not result.converged:
+        raise Stop(
+            NOT_CONVERGED, f"not converged after {steps} steps: do not use the values."
+        )
 
 
 def simulate(args: argparse.Namespace, show: Display) -> int:
@@ -235,6 +246,25 @@ def _step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], 
             show.now(f"predicting {_names(project.validation)}")
         else:
             show.now(f"step {entry.step + 1}", log=False)
+
+    return progress
+
+
+def _equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":
+    """Return a callback that shows how far the first equilibria are.
+
+    A line stays where the moduli of the start are raised.
+    """
+    raised = 1.0
+
+    def progress(now: "EquilibriumProgress") -> None:
+        nonlocal raised
+        if now.stiffer > raised:
+            raised = now.stiffer
+            show.line(
+                f"no equilibrium yet: moduli raised to {raised:g} times the start"
+            )
+        show.now(str(now), log=False)
 
     return progress
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from softcal_jax.cli._commands import calibrate, demo, identify, simulate
+from softcal_jax.cli._compare import add_compare
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Display,
@@ -29,6 +30,7 @@ examples:
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
   softcal identify my_robot/project.toml  would the data suffice? before measuring
+  softcal compare a.toml b.toml           which law or mesh predicts best?
   softcal sweep sweep.toml                many calibrations, side by side
   softcal sweep show sweep.sqlite         what they found
 
@@ -145,5 +147,6 @@ ranked by what measuring them as well would add.""",
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
         command.add_argument("--force", action="store_true", help=again)
+    add_compare(commands, raw)
     add_sweep(commands, raw)
     return parser

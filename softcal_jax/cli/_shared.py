@@ -174,8 +174,10 @@ def load(path: Path, show: Display) -> "Project":
 
 def _law(model: "Model") -> str:
     name = type(model.law).__name__
-    elasticity = getattr(model.law, "elasticity", None)  # not every law has one
-    return name if elasticity is None else f"{name} of {type(elasticity).__name__}"
+    parts = (getattr(model.law, key, None) for key in ("elasticity", "matrix"))
+    return " of ".join(
+        [name, *(type(part).__name__ for part in parts if part is not None)]
+    )
 
 
 @contextmanager

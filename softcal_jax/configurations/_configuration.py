@@ -75,6 +75,9 @@ class Configuration(eqx.Module):
         relative_std: Standard deviation of a share of the measured motion of its
             points, common to all of them: creep, or hysteresis [-]. It belongs to the
             noise. "estimated" finds one share for all configurations that say so.
+        displacement_from: Name of a configuration, fitted as well, from which the
+            displacement of the markers counts instead of their positions: the robot
+            at rest under gravity, say. Where a marker is glued then does not matter.
     """
 
     name: str
@@ -90,6 +93,7 @@ class Configuration(eqx.Module):
     actuation: Actuation = eqx.field(default_factory=dict)
     recording: str | None = None
     relative_std: float | Literal["estimated"] = 0.0
+    displacement_from: str | None = None
 
     @property
     def is_measured(self) -> bool:

@@ -26,6 +26,7 @@ from softcal_jax.equilibrium._linearisation import (
 )
 from softcal_jax.equilibrium._model import Model, build_model
 from softcal_jax.equilibrium._newton import NewtonSettings
+from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath
 from softcal_jax.equilibrium._posed import external_force
 from softcal_jax.equilibrium._robot_state import (
     ActuatorState,
@@ -42,9 +43,14 @@ from softcal_jax.equilibrium._sensitivity import (
     input_rows,
     sensitivity,
 )
-from softcal_jax.equilibrium._solve import (
+from softcal_jax.equilibrium._solution import (
     EquilibriumSolution,
     check_converged,
+    no_equilibrium,
+)
+from softcal_jax.equilibrium._solve import (
+    begin_newton,
+    continue_newton,
     solve_equilibrium,
 )
 from softcal_jax.equilibrium._workers import (
@@ -60,10 +66,12 @@ __all__ = [
     "ActuatorState",
     "Batch",
     "BodyPlace",
+    "EquilibriumPath",
     "EquilibriumSolution",
     "InputRows",
     "Job",
     "Linearisation",
+    "LoadPath",
     "Model",
     "NewtonSettings",
     "Reaction",
@@ -74,9 +82,11 @@ __all__ = [
     "actuator_forces",
     "add_weighted",
     "adjoint_rows",
+    "begin_newton",
     "build_model",
     "check_converged",
     "continue_equilibrium",
+    "continue_newton",
     "effector_values",
     "energy_and_force",
     "external_force",
@@ -88,6 +98,7 @@ __all__ = [
     "lane_by_lane",
     "linearise",
     "marker_positions",
+    "no_equilibrium",
     "program_key",
     "residual",
     "robot_states",

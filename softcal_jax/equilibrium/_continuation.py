@@ -32,7 +32,8 @@ from softcal_jax.equilibrium._linearisation import Linearisation, linearise
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings, newton
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solve import EquilibriumSolution, as_solution
+from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._solve import as_solution
 
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which the guess counts as bad."""

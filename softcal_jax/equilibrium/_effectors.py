@@ -9,7 +9,7 @@ from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solve import EquilibriumSolution
+from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
 def effector_values(

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._balance import (
     Point,
@@ -32,6 +33,12 @@ from softcal_jax.equilibrium._direction import (
 )
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
+
+_HELD_TURN = 0.5
+"""Longest rotation of a held body in one load step from rest [rad].
+
+In longer ones Newton's method spends more iterations on crushed tets than it saves.
+"""
 
 _NEAR = 1e-3
 """Residual relative to internal forces below which a step hardly moves the tangent."""
@@ -74,6 +81,8 @@ class NewtonState(NamedTuple):
     `ok` and `*_ok` belong to the last equilibrium on the load path. `theta` holds the
     volume ratios of the mixed Newton step; everything else, including the stopping
     rule, uses theta = J_bar(u). `turned`: the last trial step inverted a tet.
+    `lost` is the fewest negative eigenvalues of an unstable iterate since this load was
+    set, `limit` of those at loads that count as beyond a limit point; 0 for none.
     `merit_before` is the norm of the residual one step ago; inf at the start of a load
     step, None if the line search always uses the potential.
     """
@@ -92,6 +101,8 @@ class NewtonState(NamedTuple):
     merit_before: Float[Array, ""] | None
     residual: Float[Array, ""]
     n_negative: Int[Array, ""]
+    lost: Int[Array, ""]
+    limit: Int[Array, ""]
     any_singular: Bool[Array, ""]
     turned: Bool[Array, ""]
     result: RESULTS
@@ -115,6 +126,21 @@ class NewtonLoop:
             # Full steps could end in an unstable state unnoticed.
             return jnp.ones((), bool)
         return s.increment < self.settings.strict_below
+
+    @property
+    def longest(self) -> Float[Array, ""]:
+        """Longest load increment on the way from rest [-].
+
+        A held body turns by at most `_HELD_TURN` in it: the first step of a longer one
+        is a linear motion that crushes the tets beside the body.
+        """
+        states = self.posed.states
+        if states is None:
+            return jnp.ones(())
+        held = jnp.asarray(states.kind) == KINDS.index("held")
+        turns = jnp.linalg.norm(jnp.asarray(states.rotation), axis=1)
+        turn = jnp.max(jnp.where(held, turns, 0.0))
+        return 1.0 / jnp.ceil(jnp.maximum(turn / _HELD_TURN, 1.0))
 
     def remembered(self, merit):
         """Return the norm of a residual, or None if the line search never needs it."""
@@ -145,6 +171,7 @@ class NewtonLoop:
             step=s.step + 1,
             step_in_load=s.step_in_load + 1,
             n_negative=factor.n_negative,
+            lost=_fewest(s.lost, factor.n_negative),
             any_singular=~factor.ok,
             # A singular tangent gives no step; keep the flag of the step before.
             turned=jnp.where(factor.ok, tried.at.min_det_F <= 0.0, s.turned),
@@ -176,6 +203,11 @@ class NewtonLoop:
         s = _select(converged, self.next_load(s), s)
         return jax.lax.cond(failed, self.back, lambda s: s, s)
 
+    def run(self, s: NewtonState, most: int | Int[Array, ""]) -> NewtonState:
+        """Iterate until the end, or until so many iterations are done in all."""
+        keep_going = lambda s: ~s.done & (s.step < most)
+        return jax.lax.while_loop(keep_going, self.step, s)
+
     def suspicious(self, s: NewtonState, det):
         """Tell whether full steps may have left the load path; load steps find it.
 
@@ -189,7 +221,8 @@ class NewtonLoop:
 
     def next_load(self, s: NewtonState) -> NewtonState:
         """Store the equilibrium, then raise the load or finish."""
-        increment = jnp.minimum(2.0 * s.increment, 1.0 - s.load)
+        longest = jnp.minimum(2.0 * s.increment, self.longest)
+        increment = jnp.minimum(longest, 1.0 - s.load)
         finished = s.load >= 1.0
         sound = s.at.min_det_F > 0.0
         outcome = RESULTS.where(sound, RESULTS.converged, RESULTS.inverted)
@@ -203,19 +236,27 @@ class NewtonLoop:
             merit_before=self.remembered(jnp.inf),
             step_in_load=jnp.zeros_like(s.step),
             load_steps=s.load_steps + 1,
-            result=RESULTS.where(finished, outcome, s.result),
+            lost=jnp.zeros_like(s.lost),
+            result=RESULTS.where(finished, outcome, RESULTS.max_steps),
             done=finished,
         )
 
     def back(self, s: NewtonState) -> NewtonState:
-        """Return to the last equilibrium and halve the load increment."""
+        """Return to the last equilibrium and halve the load increment.
+
+        A load that is only a little higher and whose steps lose stability, but invert
+        no tet, is beyond a limit point, also if the iterations end before the smallest
+        increment is tried.
+        """
         increment = 0.5 * s.increment
         give_up = increment < self.settings.smallest_load_step
-        buckled = RESULTS.where(
-            s.n_negative > 0, RESULTS.unstable, RESULTS.load_step_too_small
+        beyond = (s.lost > 0) & self.strict(s) & self.model.conservative & ~s.turned
+        why = RESULTS.where(
+            s.any_singular, RESULTS.singular, RESULTS.load_step_too_small
         )
-        why = RESULTS.where(s.any_singular, RESULTS.singular, buckled)
         why = RESULTS.where(s.turned, RESULTS.inverted, why)
+        why = RESULTS.where(beyond, RESULTS.limit_point, why)
+        so_far = RESULTS.where(beyond, RESULTS.limit_point, s.result)
         return s._replace(
             at=s.ok,
             theta=dilatation(self.model, s.theta, s.ok.u, jnp.zeros_like(s.ok.u)),
@@ -224,19 +265,23 @@ class NewtonLoop:
             increment=increment,
             merit_before=self.remembered(jnp.inf),
             step_in_load=jnp.zeros_like(s.step),
-            result=RESULTS.where(give_up, why, s.result),
+            limit=jnp.where(beyond, _fewest(s.limit, s.lost), s.limit),
+            lost=jnp.zeros_like(s.lost),
+            result=RESULTS.where(give_up, why, so_far),
             done=give_up,
         )
 
     def start(self, u0: Float[Array, "n_points 3"]) -> NewtonState:
-        """Return the state before the first iteration, at full load."""
+        """Return the state before the first iteration, from a guess at full load."""
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
         rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
         guess = evaluate(self.model, self.posed.rigid(u0))
         # Rest is a better start than inverted tets or infinite energy.
         usable = guess.finite & (guess.min_det_F > 0.0)
         at = _select(usable, guess, rest)
-        warm = jnp.any(at.u != 0.0)
+        # Making bodies rigid leaves rounding: ask the guess itself.
+        warm = usable & jnp.any(u0 != 0.0)
+        load = jnp.where(warm, one, self.longest)
         lambda_a = jnp.where(warm, estimated_forces(self.posed, at), 0.0)
         state = NewtonState(
             at=at,
@@ -244,15 +289,17 @@ class NewtonLoop:
             lambda_a=lambda_a,
             ok=rest,
             lambda_ok=jnp.zeros_like(lambda_a),
-            load=one,
+            load=load,
             load_ok=zero,
-            increment=one,
+            increment=load,
             step=count,
             step_in_load=count,
             load_steps=count,
             merit_before=self.remembered(jnp.inf),
             residual=jnp.full_like(zero, jnp.inf),
             n_negative=count,
+            lost=count,
+            limit=count,
             any_singular=jnp.zeros((), bool),
             turned=jnp.zeros((), bool),
             result=RESULTS.max_steps,
@@ -269,11 +316,22 @@ def newton(
 ) -> NewtonState:
     """Solve one configuration from the guess `u0`, first at full load.
 
-    If that does not lead to a solution, load stepping starts from rest.
+    If that does not lead to a solution, load stepping starts from rest, as it does at
+    once where a held body turns far and there is no guess.
     """
     loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
-    keep_going = lambda s: ~s.done & (s.step < settings.max_steps)
-    return jax.lax.while_loop(keep_going, loop.step, loop.start(u0))
+    return loop.run(loop.start(u0), settings.max_steps)
+
+
+def _fewest(old: Int[Array, ""], new: Int[Array, ""]) -> Int[Array, ""]:
+    """Return the smaller of two numbers of negative eigenvalues, where both have any.
+
+    Newton's iterates beyond a limit point wander off to ever less stable states: those
+    that are closest to the path have lost the fewest.
+    """
+    new = jnp.maximum(new, 0)
+    both = (old > 0) & (new > 0)
+    return jnp.where(both, jnp.minimum(old, new), jnp.maximum(old, new))
 
 
 def _select(flag, new, old):

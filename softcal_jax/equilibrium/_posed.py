@@ -57,6 +57,35 @@ def _body_states(
     return BodyStateArrays(kind, jnp.asarray(state.translation), rotation)
 
 
+def _arms_from_supports(
+    model: Model, configuration: ConfigurationArrays, states: BodyStateArrays
+) -> Float[Array, "n_b 3"]:
+    """Return the origins of bodies from where the robot is held, all at rest [m].
+
+    That is the mean of the supported nodes, or without any that of the origins of the
+    other held bodies. The arm of a body that a motor turns is zero, since its axis
+    stays.
+    """
+    bodies, points = model.mechanism.bodies, jnp.asarray(model.mechanism.points)
+    held = jnp.any(jnp.asarray(configuration.fixed), axis=1)
+    if configuration.springs.names:
+        area = jnp.asarray(configuration.springs.area)
+        held = held | jnp.any(area > 0.0, axis=(0, 2))
+    n_held = jnp.sum(held, dtype=points.dtype)
+    total = jnp.sum(jnp.where(held[:, None], points, 0.0), axis=0)
+    origin = jnp.asarray(bodies.origin)
+    others = (states.kind == KINDS.index("held"))[None] & ~jnp.eye(
+        bodies.n_bodies, dtype=bool
+    )
+    n_others = jnp.sum(others, axis=1, dtype=points.dtype)
+    of_others = jnp.sum(jnp.where(others[:, :, None], origin[None], 0.0), axis=1)
+    of_others = of_others / jnp.maximum(n_others, 1.0)[:, None]
+    of_others = jnp.where(n_others[:, None] > 0.0, of_others, origin)
+    base = jnp.where(n_held > 0.0, total[None] / jnp.maximum(n_held, 1.0), of_others)
+    driven = np.isin(np.arange(bodies.n_bodies), model.mechanism.actuators.motor_body)
+    return jnp.where(jnp.asarray(driven)[:, None], 0.0, origin - base)
+
+
 def external_force(
     model: Model, configuration: ConfigurationArrays
 ) -> Float[Array, "n_points 3"]:
@@ -94,15 +123,18 @@ class Posed(NamedTuple):
             model = eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
         load, states, frames = jnp.ones((), f_ext.dtype), None, None
         if model.reduction is not None:
-            frames = mounted(model.mechanism.bodies, load)
+            bodies = model.mechanism.bodies
+            frames = mounted(bodies, load, jnp.zeros((bodies.n_bodies, 3)))
             states = _body_states(model, configuration, frames)
+            arms = _arms_from_supports(model, configuration, states)
+            frames = frames._replace(arm=arms)
         return cls(model, configuration, f_ext, load, states, frames)
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
         """Return the same configuration under another share of its load."""
         if self.mounted is None:
             return self._replace(load=load)
-        frames = mounted(self.model.mechanism.bodies, load)
+        frames = mounted(self.model.mechanism.bodies, load, self.mounted.arm)
         return self._replace(load=load, mounted=frames)
 
     @property

@@ -21,7 +21,7 @@ from softcal_jax.equilibrium._effectors import actuator_forces
 from softcal_jax.equilibrium._linearisation import residual
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solve import EquilibriumSolution
+from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
 class BodyPlace(eqx.Module):

@@ -1,9 +1,10 @@
 """Static equilibrium of a configuration, differentiable and batched."""
 
+from typing import overload
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Float, Int
@@ -11,48 +12,22 @@ from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState, newton
+from softcal_jax.equilibrium._newton import (
+    NewtonLoop,
+    NewtonSettings,
+    NewtonState,
+    newton,
+)
+from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath, trace
+from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sensitivity import input_rows, sensitivity
-
-
-class EquilibriumSolution(eqx.Module):
-    """Equilibrium of one configuration, or of a batch (leading axis on every field).
-
-    Attributes:
-        displacement: Displacement u of the nodes of the mesh, then of the four nodes
-            of each rigid body's frame [m]; nan where no equilibrium was found.
-        multipliers: Forces of the actuators whose displacement is imposed, 0 for the
-            others; `actuator_forces` gives those of all.
-        result: Outcome; only `RESULTS.converged` is an equilibrium.
-        steps: Newton iterations, each on a factor of its own, all load steps together.
-        load_steps: Load increments that were taken (1: full load at once).
-        load_reached: Share of the load at the last equilibrium [-]; 1 if converged.
-        residual: Residual relative to the larger of external and internal force [-].
-        min_det_F: Smallest det F over all quadrature points [-].
-        n_negative: Number of negative eigenvalues of the last tangent, 0 for a stable
-            state; -1 if unknown, because the linear solver does not count them or the
-            model is not conservative.
-    """
-
-    displacement: Float[Array, "*batch n_points 3"]
-    multipliers: Float[Array, "*batch n_a"]
-    result: RESULTS
-    steps: Int[Array, "*batch"]
-    load_steps: Int[Array, "*batch"]
-    load_reached: Float[Array, "*batch"]
-    residual: Float[Array, "*batch"]
-    min_det_F: Float[Array, "*batch"]
-    n_negative: Int[Array, "*batch"]
-
-    @property
-    def converged(self) -> Array:
-        """Whether each configuration reached a regular equilibrium."""
-        return self.result == RESULTS.converged
+from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
 def as_solution(state: NewtonState) -> EquilibriumSolution:
     """Turn the final state of Newton's loop into a solution."""
     carried = state.done & (state.load_ok >= 1.0)
+    beyond = state.result == RESULTS.limit_point
     return EquilibriumSolution(
         # Without an equilibrium, no displacement may be mistaken for one.
         displacement=jnp.where(carried, state.at.u, jnp.nan),
@@ -63,8 +38,38 @@ def as_solution(state: NewtonState) -> EquilibriumSolution:
         load_reached=state.load_ok,
         residual=state.residual,
         min_det_F=state.at.min_det_F,
-        n_negative=state.n_negative,
+        n_negative=jnp.where(beyond, state.limit, state.n_negative),
     )
+
+
+def begin_newton(
+    model: Model,
+    configuration: ConfigurationArrays,
+    guess: Float[Array, "n_points 3"],
+    settings: NewtonSettings,
+) -> NewtonState:
+    """Return the state before the first iteration, for `continue_newton`."""
+    posed = Posed.of(model.tabulated(), configuration)
+    return NewtonLoop(posed, settings).start(guess)
+
+
+def continue_newton(
+    model: Model,
+    configuration: ConfigurationArrays,
+    state: NewtonState,
+    steps: Int[Array, ""],
+    settings: NewtonSettings,
+) -> tuple[NewtonState, EquilibriumSolution]:
+    """Do some more iterations, for a caller that reports in between.
+
+    Returns:
+        The state, and the solution, which is one if the state is `done` or no
+        iterations are left.
+    """
+    loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
+    most = jnp.minimum(state.step + steps, settings.max_steps)
+    state = loop.run(state, most)
+    return state, as_solution(state)
 
 
 @eqx.filter_custom_jvp
@@ -106,13 +111,36 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     )
 
 
+@overload
 def solve_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
     *,
     guess: Float[Array, "n_points 3"] | None = None,
     settings: NewtonSettings | None = None,
-) -> EquilibriumSolution:
+    path: None = None,
+) -> EquilibriumSolution: ...
+
+
+@overload
+def solve_equilibrium(
+    model: Model,
+    configuration: ConfigurationArrays,
+    *,
+    guess: None = None,
+    settings: NewtonSettings | None = None,
+    path: LoadPath,
+) -> EquilibriumPath: ...
+
+
+def solve_equilibrium(
+    model: Model,
+    configuration: ConfigurationArrays,
+    *,
+    guess: Float[Array, "n_points 3"] | None = None,
+    settings: NewtonSettings | None = None,
+    path: LoadPath | None = None,
+) -> EquilibriumSolution | EquilibriumPath:
     """Solve for the static equilibrium of one configuration.
 
     Works under `jit`, `vmap` and autodiff. Derivatives by model and configuration
@@ -123,33 +151,19 @@ def solve_equilibrium(
         configuration: Supports and loads of one configuration.
         guess: Displacement to start from [m]; rest by default.
         settings: Settings of Newton's method.
+        path: Traces all states from rest along the load by arc length, also past limit
+            points where a body balloons or buckles; not under `jit`.
 
     Returns:
         The solution with its outcome. Nothing is raised here, since some lanes of a
-        batch may fail; `check_converged` raises.
-    """
-    u0 = jnp.zeros((model.n_points, 3)) if guess is None else guess
-    return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())
-
-
-def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
-    """Raise an error that names every configuration of a batch without an equilibrium.
+        batch may fail; `check_converged` raises. With `path` the states along the load.
 
     Raises:
-        RuntimeError: If a lane did not converge; the message says which and why.
+        ValueError: If a path is asked for together with a guess, or under `jit`.
     """
-    bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
-    if bad.size == 0:
-        return
-
-    def why(lane):
-        of = lambda leaf: np.atleast_1d(np.asarray(leaf))[lane]
-        result = jax.tree.map(lambda a: jnp.asarray(of(a)), solution.result)
-        return (
-            f"configuration {names[lane]!r}: {RESULTS[result]} "
-            f"({of(solution.steps)} Newton steps, "
-            f"{100 * of(solution.load_reached):.0f} % of the load carried, residual "
-            f"{of(solution.residual):.1e}, smallest det F {of(solution.min_det_F):.3g})"
-        )
-
-    raise RuntimeError("no equilibrium found.\n" + "\n".join(map(why, bad)))
+    if path is not None:
+        if guess is not None:
+            raise ValueError("a path begins at rest: leave out `guess`.")
+        return trace(model, configuration, path, settings or NewtonSettings())
+    u0 = jnp.zeros((model.n_points, 3)) if guess is None else guess
+    return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())

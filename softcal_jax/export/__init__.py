@@ -7,6 +7,7 @@ from softcal_jax._units import (
     readable_values,
 )
 from softcal_jax.export._budget import budget_dict
+from softcal_jax.export._comparison import comparison_dict
 from softcal_jax.export._csv import (
     write_effectors_csv,
     write_markers_csv,
@@ -31,6 +32,7 @@ __all__ = [
     "Readable",
     "budget_dict",
     "check_results_folder",
+    "comparison_dict",
     "file_stems",
     "identifiability_dict",
     "outlook_dict",

@@ -9,7 +9,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-INDEX_FILES = ("result.json", "simulation.json", "identifiability.json")
+INDEX_FILES = (
+    "result.json",
+    "simulation.json",
+    "identifiability.json",
+    "comparison.json",
+)
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 
 _RESERVED = {"convergence", "markers", "result", "simulation"}

@@ -6,13 +6,13 @@ import math
 import platform
 import re
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from softcal_jax._machine import cpu_name, installed_version
 from softcal_jax.equilibrium import Model
 
 _PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
@@ -57,25 +57,9 @@ def versions(model: Model) -> dict[str, str]:
     packages = [*_PACKAGES, *re.findall(r"\((.+)\)", model.solver.name)]
     return {
         "python": platform.python_version(),
-        "softcal_jax": _version("softcal-jax"),
-        **{name: _version(name) for name in packages},
+        "softcal_jax": installed_version("softcal-jax"),
+        **{name: installed_version(name) for name in packages},
         "platform": platform.platform(),
-        "cpu": _cpu(),
+        "cpu": cpu_name(),
         "device": jax.devices()[0].device_kind,
     }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"  # run from a checkout
-
-
-def _cpu() -> str:
-    info = Path("/proc/cpuinfo")  # Linux; elsewhere `platform` knows
-    if info.exists():
-        found = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
-        if found:
-            return found.group(1).strip()
-    return platform.processor() or platform.machine()

@@ -19,11 +19,11 @@ class Assessment(eqx.Module):
     """Verdict on a calibration.
 
     Attributes:
-        identified: Whether all parameters may be trusted: the fit converged, its
-            residuals are no larger than the stated noise, every configuration, held
-            out or not, is explained, no parameter sits on a bound, no other optimum
-            fits as well, tets do not lock, and every parameter is known as well as was
-            asked.
+        identified: Whether all parameters may be trusted: the fit converged, the noise
+            settled beside it, its residuals are no larger than the stated noise, every
+            configuration, held out or not, is explained, no parameter sits on a bound,
+            no other optimum fits as well, tets do not lock, and every parameter is
+            known as well as was asked.
         reasons: Why not, one sentence each; empty if identified.
         misfit_probability: Probability of residuals this large if model and stated
             noise are right; None if the noise was estimated from them [-].
@@ -89,6 +89,11 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     reasons = []
     if not result.converged:
         reasons.append("The calibration did not converge.")
+    if not result.noise_settled:
+        reasons.append(
+            "The noise did not settle beside the fit, so neither the weights of the "
+            "data nor the standard errors can be trusted."
+        )
     if spread.misfits:
         reasons.append(
             "The model cannot match the data within the stated noise: chi-squared "

@@ -1,16 +1,27 @@
-"""Where to put control points, and how many the data can determine (Sec. V-C)."""
+"""Models compared by what they predict: layouts of control points (Sec. V-C), laws."""
 
-from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, LayoutScore
+from softcal_jax.layouts._compare_laws import compare_laws, compare_models
+from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, ModelScore
 from softcal_jax.layouts._cross_validation import compare_layouts
+from softcal_jax.layouts._model_comparison import (
+    LEVEL_OF_COMPARISON,
+    ModelComparison,
+    PairedDifference,
+)
 from softcal_jax.layouts._placement import LayoutWarning, place_control_points
 from softcal_jax.layouts._tet_sensitivities import tet_sensitivities
 
 __all__ = [
+    "LEVEL_OF_COMPARISON",
     "FoldScore",
     "LayoutComparison",
-    "LayoutScore",
     "LayoutWarning",
+    "ModelComparison",
+    "ModelScore",
+    "PairedDifference",
+    "compare_laws",
     "compare_layouts",
+    "compare_models",
     "place_control_points",
     "tet_sensitivities",
 ]

@@ -27,12 +27,12 @@ class FoldScore(eqx.Module):
     failure: str = ""
 
 
-class LayoutScore(eqx.Module):
-    """Cross-validation of one layout.
+class ModelScore(eqx.Module):
+    """Cross-validation of one model: of a layout of control points, a law or a mesh.
 
     Attributes:
-        name: Name of the layout.
-        n_points: Control points.
+        name: Its name.
+        n_points: Control points of a layout; 0 where laws or meshes are compared.
         n_parameters: Parameters.
         folds: One entry per configuration.
         fit_rms: Root mean square marker distance with all configurations fitted; nan if
@@ -112,23 +112,23 @@ class LayoutComparison(eqx.Module):
         layouts: Those without a failed fold first.
     """
 
-    layouts: tuple[LayoutScore, ...]
+    layouts: tuple[ModelScore, ...]
 
     @classmethod
-    def ranked(cls, scores: Sequence[LayoutScore]) -> "LayoutComparison":
+    def ranked(cls, scores: Sequence[ModelScore]) -> "LayoutComparison":
         """Rank scores by failed folds, then prediction error, then parameters."""
         last = lambda s: np.inf if np.isnan(s.score) else s.score
         key = lambda s: (len(s.failed) > 0, last(s), s.n_parameters)
         return cls(tuple(sorted(scores, key=key)))
 
     @property
-    def best(self) -> LayoutScore | None:
+    def best(self) -> ModelScore | None:
         """The layout that predicts best; None if none predicted every fold."""
         first = self.layouts[0]
         return None if first.failed else first
 
     @property
-    def preferred(self) -> LayoutScore | None:
+    def preferred(self) -> ModelScore | None:
         """The layout with fewest parameters within a standard error of the best."""
         best = self.best
         if best is None:
@@ -185,7 +185,7 @@ def _conclusion(comparison: LayoutComparison) -> list[str]:
     return lines
 
 
-def _against(other: LayoutScore, preferred: LayoutScore) -> list[str]:
+def _against(other: ModelScore, preferred: ModelScore) -> list[str]:
     """Write why a layout was not preferred, if not just for its error."""
     closer = other.fit_noise_rms < preferred.fit_noise_rms
     if other.n_parameters > preferred.n_parameters:
@@ -197,16 +197,16 @@ def _against(other: LayoutScore, preferred: LayoutScore) -> list[str]:
     return []
 
 
-def _points(score: LayoutScore) -> str:
+def _points(score: ModelScore) -> str:
     return f"{score.n_points} control point{'s' * (score.n_points != 1)}"
 
 
-def _blind(score: LayoutScore) -> str:
+def _blind(score: ModelScore) -> str:
     are = "is" if score.n_blind == 1 else "are"
     return f"{score.n_blind} of {score.n_parameters} directions {are} blind"
 
 
-def _table(scores: Sequence[LayoutScore]) -> list[str]:
+def _table(scores: Sequence[ModelScore]) -> list[str]:
     """Write a table, one line per layout."""
     head = ("layout", "points", "parameters", "held-out [mm]", "in noise", "fit [mm]")
     head += ("blind", "verdict", "failed folds")

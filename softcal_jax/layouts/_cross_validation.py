@@ -33,7 +33,7 @@ from softcal_jax.fields import (
     as_space,
 )
 from softcal_jax.identifiability import identifiability
-from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, LayoutScore
+from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, ModelScore
 
 MakeParameters = Callable[[ControlPoints], ParameterSpace | Entry | Sequence[Entry]]
 
@@ -158,13 +158,7 @@ def compare_layouts(
         raise ValueError("at least one layout is needed, got none.")
     if isinstance(configurations, Configuration):
         configurations = (configurations,)
-    if len(configurations) < 2:
-        raise ValueError(
-            f"cross-validation fits all configurations but one and predicts that one: "
-            f"at least 2 are needed, got {len(configurations)}."
-        )
-    if starts is not None and starts < 1:
-        raise ValueError(f"starts must be at least 1, got {starts}.")
+    check_folds(len(configurations), starts)
     problems = {}
     # All are built before the first fit, so that a wrong layout is found at once.
     for name, points in layouts.items():
@@ -175,28 +169,71 @@ def compare_layouts(
             )
         except ValueError as error:
             raise ValueError(f"layout {name!r}: {error}") from error
-    settings = settings or FOR_PREDICTION
     names = [c.name for c in configurations]
-    scores = []
-    for name, problem in problems.items():
-        start = problem.space.admissible(problem.space.start())[None]
-        n = default_starts(problem.space) if starts is None else starts
-        if n > 1:
-            others = random_starts(problem.space, n - 1, seed=seed)
-            start = jnp.concatenate([start, others])
-        fits = _fit(problem, settings, start)
-        scores.append(_score(name, layouts[name], problem, names, fits))
+    scores = [
+        cross_validated(
+            name,
+            problem,
+            names,
+            settings=settings or FOR_PREDICTION,
+            starts=starts,
+            seed=seed,
+            n_points=len(layouts[name].names),
+        )
+        for name, problem in problems.items()
+    ]
     return LayoutComparison.ranked(scores)
+
+
+def check_folds(n: int, starts: int | None) -> None:
+    """Raise ValueError unless there is something to hold out and to start from."""
+    if n < 2:
+        raise ValueError(
+            f"cross-validation fits all configurations but one and predicts that one: "
+            f"at least 2 are needed, got {n}."
+        )
+    if starts is not None and starts < 1:
+        raise ValueError(f"starts must be at least 1, got {starts}.")
+
+
+def cross_validated(
+    name: str,
+    problem: CalibrationProblem,
+    names: Sequence[str],
+    *,
+    settings: CalibrationSettings,
+    starts: int | None,
+    seed: int,
+    n_points: int = 0,
+) -> ModelScore:
+    """Fit all folds of a model, and score them.
+
+    Args:
+        name: Name of the model.
+        problem: Its calibration to all configurations.
+        names: Their names.
+        settings: Settings of the outer loop.
+        starts: Number of starts of each fit; None for `default_starts`.
+        seed: Seed of the random ones.
+        n_points: Control points, if layouts are compared.
+    """
+    start = problem.space.admissible(problem.space.start())[None]
+    n = default_starts(problem.space) if starts is None else starts
+    if n > 1:
+        others = random_starts(problem.space, n - 1, seed=seed)
+        start = jnp.concatenate([start, others])
+    fits = _fit(problem, settings, start)
+    return _score(name, n_points, problem, list(names), fits)
 
 
 def _score(
     name: str,
-    points: ControlPoints,
+    control_points: int,
     problem: CalibrationProblem,
     names: list[str],
     fits: list[_Fit],
-) -> LayoutScore:
-    """Score the folds of one layout and the fit to all configurations."""
+) -> ModelScore:
+    """Score the folds of one model and the fit to all configurations."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     columns = problem.noise_columns()
     A = columns.reshape(*weight.shape, columns.shape[1])
@@ -229,9 +266,9 @@ def _score(
         W, n_data = np.asarray(last.after.W_ep), int(np.sum(weight > 0.0))
         seen = identifiability(W, problem.space, last.run.z, n_data=n_data)
     distance, over_noise = rms(last, failure, every)
-    return LayoutScore(
+    return ModelScore(
         name=name,
-        n_points=len(points.names),
+        n_points=control_points,
         n_parameters=len(problem.space.names),
         folds=tuple(folds),
         fit_rms=distance,

@@ -49,6 +49,10 @@ class Gent(AbstractInvariantRubber):
     def __check_init__(self):
         check_constants(self)
 
+    def poisson_ratio(self) -> Float[Array, "..."]:
+        """Poisson's ratio at small strain [-]."""
+        return self.nu
+
     def shear_modulus(self) -> Float[Array, "..."]:
         """Shear modulus at small strain [Pa]."""
         return self.mu

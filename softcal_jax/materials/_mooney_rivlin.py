@@ -42,6 +42,10 @@ class MooneyRivlin(AbstractInvariantRubber):
         check_constants(self)
         self.check_shear_modulus()
 
+    def poisson_ratio(self) -> Float[Array, "..."]:
+        """Poisson's ratio at small strain [-]."""
+        return self.nu
+
     def shear_modulus(self) -> Float[Array, "..."]:
         """Shear modulus at small strain, 2 (c10 + c01) [Pa]."""
         return 2.0 * (self.c10 + self.c01)

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul, sum_of
@@ -17,18 +18,18 @@ from softcal_jax.materials._rubber import (
 )
 
 
-def _field_or_none(value: Any) -> Float[Array, "..."] | None:
+def _field_or_none(
+    value: Float[ArrayLike, "..."] | None,
+) -> Float[Array, "..."] | None:
     return None if value is None else as_field(value)
 
 
-def _stiffness(term: str, **options: Any) -> Any:
-    words = f'stiffness of the {term} term: "600 kPa"'
-    return eqx.field(converter=_field_or_none, metadata=signed(words), **options)
+def _stiffness(term: str) -> Any:
+    return signed(f'stiffness of the {term} term: "600 kPa"')
 
 
-def _exponent(term: str, **options: Any) -> Any:
-    words = f"exponent of the {term} term: 1.3"
-    return eqx.field(converter=_field_or_none, metadata=constant("", words), **options)
+def _exponent(term: str) -> Any:
+    return constant("", f"exponent of the {term} term: 1.3")
 
 
 class _Term(NamedTuple):
@@ -60,12 +61,24 @@ class Ogden(AbstractRubber):
         nu: Poisson's ratio at small strain [-] in (0, 0.5).
     """
 
-    mu_1: Float[Array, "..."] = _stiffness("first")
-    alpha_1: Float[Array, "..."] = _exponent("first")
-    mu_2: Float[Array, "..."] | None = _stiffness("second", default=None)
-    alpha_2: Float[Array, "..."] | None = _exponent("second", default=None)
-    mu_3: Float[Array, "..."] | None = _stiffness("third", default=None)
-    alpha_3: Float[Array, "..."] | None = _exponent("third", default=None)
+    mu_1: Float[Array, "..."] = eqx.field(
+        converter=as_field, metadata=_stiffness("first")
+    )
+    alpha_1: Float[Array, "..."] = eqx.field(
+        converter=as_field, metadata=_exponent("first")
+    )
+    mu_2: Float[Array, "..."] | None = eqx.field(
+        converter=_field_or_none, default=None, metadata=_stiffness("second")
+    )
+    alpha_2: Float[Array, "..."] | None = eqx.field(
+        converter=_field_or_none, default=None, metadata=_exponent("second")
+    )
+    mu_3: Float[Array, "..."] | None = eqx.field(
+        converter=_field_or_none, default=None, metadata=_stiffness("third")
+    )
+    alpha_3: Float[Array, "..."] | None = eqx.field(
+        converter=_field_or_none, default=None, metadata=_exponent("third")
+    )
     nu: Float[Array, "..."] = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
@@ -90,6 +103,10 @@ class Ogden(AbstractRubber):
             (self.mu_3, self.alpha_3),
         )
         return [_Term(m, a) for m, a in pairs if m is not None and a is not None]
+
+    def poisson_ratio(self) -> Float[Array, "..."]:
+        """Poisson's ratio at small strain [-]."""
+        return self.nu
 
     def shear_modulus(self) -> Float[Array, "..."]:
         """Shear modulus at small strain, sum of mu_p alpha_p / 2 [Pa]."""

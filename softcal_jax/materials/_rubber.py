@@ -3,7 +3,6 @@
 from abc import abstractmethod
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -30,14 +29,13 @@ class AbstractRubber(AbstractLaw):
     the change of volume (Simo and Taylor, Comput. Methods Appl. Mech. Eng. 85, 1991),
     with the bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)). So at small strain it is
     Hooke's law of the shear modulus mu and Poisson's ratio nu, E = 2 mu (1 + nu).
-    Not defined for J <= 0, where it returns NaN and the solver steps back.
-
-    Attributes:
-        nu: Poisson's ratio at small strain [-] in (0, 0.5), one value or one per tet.
-            From 0.49 on, quadratic tets take the mean dilatation.
+    Not defined for J <= 0, where it returns NaN and the solver steps back. The field
+    that holds nu has this name: from 0.49 on, quadratic tets take the mean dilatation.
     """
 
-    nu: eqx.AbstractVar[Float[Array, "..."]]
+    @abstractmethod
+    def poisson_ratio(self) -> Float[Array, "..."]:
+        """Poisson's ratio at small strain, nu [-]."""
 
     @abstractmethod
     def shear_modulus(self) -> Float[Array, "..."]:
@@ -45,7 +43,7 @@ class AbstractRubber(AbstractLaw):
 
     def bulk_modulus(self) -> Float[Array, "..."]:
         """Bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)) [Pa]."""
-        nu = self.nu
+        nu = self.poisson_ratio()
         return self.shear_modulus() * (2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu)))
 
     def volume_energy(self, J: Float[Array, ""]) -> Float[Array, ""]:

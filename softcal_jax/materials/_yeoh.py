@@ -46,6 +46,10 @@ class Yeoh(AbstractInvariantRubber):
         check_constants(self)
         self.check_shear_modulus()
 
+    def poisson_ratio(self) -> Float[Array, "..."]:
+        """Poisson's ratio at small strain [-]."""
+        return self.nu
+
     def shear_modulus(self) -> Float[Array, "..."]:
         """Shear modulus at small strain, 2 c10 [Pa]."""
         return 2.0 * self.c10

@@ -1,5 +1,6 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
+from softcal_jax.project._compare import compare_projects
 from softcal_jax.project._load import load_project
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion
 from softcal_jax.project._project import Project
@@ -13,6 +14,7 @@ __all__ = [
     "ProjectError",
     "Table",
     "at",
+    "compare_projects",
     "load_project",
     "one_by_one",
     "parse_in_si",

@@ -161,6 +161,12 @@ class ConfigurationTable(CandidateTable):
     measured: MeasuredTable | None = None
 
 
+def _reference(name: str, measured: MeasuredTable | None) -> str | None:
+    """Return the configuration that displacements are from; none is its own."""
+    reference = None if measured is None else measured.displacement_from
+    return reference if isinstance(reference, str) and reference != name else None
+
+
 def build_configuration(
     folder: Path,
     table: CandidateTable,
@@ -229,6 +235,7 @@ def build_configuration(
         bodies=states,
         actuation=actuation,
         recording=getattr(table, "recording", None),
+        displacement_from=_reference(table.name, own),
         relative_std=table.relative_std,
     )
     return configuration, registration

@@ -9,7 +9,7 @@ import functools
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoints, entry_points
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Optional
 
 import equinox as eqx
 import numpy as np
@@ -37,6 +37,8 @@ GROUP = "softcal_jax.laws"
 
 _FRAME = "directions"
 """Key of the formula for the directions of fibres."""
+
+_DIRECTIONS: Any = Optional[AnyDirections]  # noqa: UP045 (`|` takes no Annotated)
 
 
 class Constant(NamedTuple):
@@ -251,7 +253,7 @@ def _table(
     constants["density"] = DENSITY
     others: dict[str, Any] = {k: (c.type | None, None) for k, c in constants.items()}
     if _FRAME in recipe.keys:
-        others[_FRAME] = (AnyDirections | None, None)
+        others[_FRAME] = (_DIRECTIONS, None)
     region = create_model("Region", __base__=_OfLaw, **others)
     own["regions"] = (dict[str, region], Field(default_factory=dict))
     table = create_model("Material", __base__=Material, **own)
@@ -322,7 +324,7 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
             keys |= part.keys
             arguments[field.name] = part.make
         elif key == _FRAME:
-            keys[key] = (field, AnyDirections | None)
+            keys[key] = (field, _DIRECTIONS)
             arguments[field.name] = lambda value: value(_FRAME)
         elif "unit" in field.metadata or field.metadata.get("static"):
             keys[key] = (field, Flag if hint is bool else hint)

@@ -108,7 +108,7 @@ class MeasuredTable(Table):
     recording: Selection = Field(default_factory=dict)
     select: Which = Field(default_factory=dict)
     registration: RegistrationTable | None = None
-    displacement_from: Which | None = None
+    displacement_from: Which | str | None = None
     effectors: dict[str, Measured] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -131,7 +131,9 @@ class MeasuredTable(Table):
         if self.registration is not None:
             every["registration.select"] = self.registration.select
         for key, which in every.items():
-            if which is None or isinstance(which, WindowTable) == recorded:
+            if which is None or isinstance(which, str):
+                continue  # or the name of a configuration
+            if isinstance(which, WindowTable) == recorded:
                 continue
             if recorded:
                 raise ValueError(
@@ -162,16 +164,19 @@ class MeasuredTable(Table):
     ) -> tuple[Float[HostArray, "n_markers 3"], Registration | None]:
         """Read positions of `markers` in the frame of the mesh; `nominal` are all [m].
 
-        With `displacement_from` they are the nominal positions plus the motion between
-        the two states, so that it does not matter exactly where a marker was glued.
+        With a selection as `displacement_from` they are the nominal positions plus the
+        motion between the two states, so that it does not matter exactly where a marker
+        was glued. With the name of a configuration they are as read: the calibration
+        compares displacements from that one.
         """
 
         def read(which: WindowTable | Selection, names: Sequence[str]):
             return self._read(folder / str(self.file), which).positions_of(names)
 
         loaded, start, registration = read(self.select, markers.names), None, None
-        if self.displacement_from is not None:
-            start = read(self.displacement_from, markers.names)
+        reference = self.displacement_from
+        if reference is not None and not isinstance(reference, str):
+            start = read(reference, markers.names)
         if self.registration is not None:
             names = self.registration.markers
             seen = read(self.registration.select, names)

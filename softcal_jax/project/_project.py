@@ -14,6 +14,7 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
+    EquilibriumProgress,
     HistoryEntry,
     SearchProgress,
     calibrate,
@@ -118,6 +119,7 @@ class Project(eqx.Module):
         checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
         search_progress: Callable[[SearchProgress], None] | None = None,
+        equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
         profiling: Callable[[CalibrationResult], None] = lambda _: None,
     ) -> CalibrationResult:
         """Find the parameters, then predict the validation configurations.
@@ -130,6 +132,7 @@ class Project(eqx.Module):
             checkpoint: File in which the state is kept, and from which it is resumed.
             progress: Called after the first evaluation and after each step.
             search_progress: Called after each run of a search from many starts.
+            equilibrium_progress: Called while the first equilibria are solved.
             profiling: Called with the result so far before profiles of the likelihood
                 are computed for its intervals, which takes a while.
 
@@ -157,6 +160,7 @@ class Project(eqx.Module):
             checkpoint=checkpoint,
             progress=progress,
             search_progress=search_progress,
+            equilibrium_progress=equilibrium_progress,
             profiling=lambda result: profiling(self._with_registrations(result)),
         )
         return self._with_registrations(result)

@@ -3,6 +3,7 @@
 from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (
     PictureWarning,
+    write_comparison,
     write_identifiability,
     write_results,
     write_simulation,
@@ -12,6 +13,7 @@ __all__ = [
     "PictureWarning",
     "simulation_table",
     "summary_table",
+    "write_comparison",
     "write_identifiability",
     "write_results",
     "write_simulation",

@@ -7,6 +7,7 @@ from typing import Any
 
 from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.export import (
+    comparison_dict,
     file_stems,
     outlook_dict,
     result_dict,
@@ -20,6 +21,7 @@ from softcal_jax.export import (
     write_vtu,
 )
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking
+from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import (
     plot_budget,
     plot_convergence,
@@ -117,6 +119,35 @@ def write_identifiability(
         path = folder / "identifiability.txt"
         path.write_text(f"{name}\n\n{text}\n", encoding="utf-8")
         write_json(folder / "identifiability.json", {**data, "files": [path.name]})
+    return Path(directory)
+
+
+def write_comparison(
+    comparison: ModelComparison,
+    directory: str | Path,
+    *,
+    name: str = "comparison",
+    force: bool = False,
+    timing_s: Mapping[str, float] | None = None,
+) -> Path:
+    """Write a comparison of models to a folder, whole or not at all.
+
+    The folder holds `comparison.json` (see `comparison_dict`) and the same in words,
+    `comparison.txt`. Further arguments and errors are those of `write_results`; returns
+    the folder.
+
+    Args:
+        comparison: The comparison.
+        directory: The folder.
+        name: Its name.
+        force: Replace earlier results.
+        timing_s: Wall time per part [s].
+    """
+    data = comparison_dict(comparison, name=name, timing_s=timing_s)
+    with results_folder(directory, force=force) as folder:
+        path = folder / "comparison.txt"
+        path.write_text(f"{comparison}\n", encoding="utf-8")
+        write_json(folder / "comparison.json", {**data, "files": [path.name]})
     return Path(directory)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -280,10 +281,14 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
     fitted = of_problem(replace(result, starts=starts), poses)
 
     def go_on(done, z):
-        lower = replace(
-            done.result.history[-1], cost=0.9 * done.result.history[-1].cost
+        cost = 0.9 * done.result.history[-1].cost
+        lower = replace(done.result.history[-1], cost=cost)
+        where = lambda at: (at.error, at.delta_e)
+        less = [np.sqrt(0.9) * own for own in where(done.evaluation)]
+        return done._replace(
+            result=replace(done.result, history=(lower,)),
+            evaluation=eqx.tree_at(where, done.evaluation, less),
         )
-        return done._replace(result=replace(done.result, history=(lower,)))
 
     after = with_intervals(fitted, 0.95, go_on, never)
     assert "a lower cost was found than that of the first fit" in after.notes[-1]
@@ -311,5 +316,5 @@ def test_kinds_and_reasons():
     assert str(kind(far, bound)) == "181 to 400 (bound) kPa"
     assert kind(far, bound).kind == "one-sided"
     assert "exclude no value within its bounds" in str(kind(bound, bound))
-    assert str(kind(lost, far)).endswith("or jump (the end above is 221 kPa)")
+    assert str(kind(lost, far)).endswith("do not converge (the end above is 221 kPa)")
     assert kind(lost, far).kind == "none"

@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from softcal_jax.calibration import (
+    _weighing,
     build_problem,
     calibrate,
     evaluate,
     levenberg_marquardt,
     simulated_measurements,
 )
+from softcal_jax.calibration._agreement import Posed, not_asked
+from softcal_jax.calibration._problem import Evaluator
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import Parameter, exactly_known
@@ -298,3 +301,26 @@ def test_a_held_out_recording_is_asked_too():
     np.testing.assert_allclose(own.value, alone.value("E"), rtol=1e-3)
     apart = (own.value - result.value("E")) / np.hypot(*stds)
     np.testing.assert_allclose(own.apart, apart, rtol=3e-2, atol=3e-2)
+
+
+def test_noise_that_still_changes_at_the_end_is_not_settled(monkeypatch):
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    result = fit(data, noise="estimated")
+    assert result.noise_settled
+    monkeypatch.setattr(_weighing, "MOST_ROUNDS", 1)
+    result = fit(data, noise="estimated")
+    assert not result.noise_settled
+    assert "The noise did not settle" in " ".join(result.notes)
+    assert "noise did not settle beside the fit" in " ".join(assess(result).reasons)
+
+
+def test_held_out_recordings_that_are_not_asked_are_named():
+    def posed(own):
+        return Posed(tuple(own), Evaluator(build_problem(MODEL, E, own)), None)
+
+    data = measured()
+    tip = Markers(MARKERS.names[2:], MARKERS.positions[2:], std=STD)
+    other = replace(data[3], markers=tip, measured=data[3].measured[2:])
+    assert not_asked(posed(data[:3]), posed(data[3:])) == ()
+    (note,) = not_asked(posed(data[:3]), posed([other]))
+    assert note.startswith("Held-out 'load 3' cannot be asked alone")

@@ -22,13 +22,9 @@ from softcal_jax.calibration import (
 from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._build import build_problem
 from softcal_jax.calibration._notes import uncertainty_notes
-from softcal_jax.calibration._profile import (
-    _bracket,
-    _end,
-    _NotFound,
-    _root,
-    in_plain_steps,
-)
+from softcal_jax.calibration._profile import _end
+from softcal_jax.calibration._profile_search import NotFound, bracket, root
+from softcal_jax.calibration._runs import in_plain_steps
 from softcal_jax.fields import (
     ParameterSpace,
     Pin,
@@ -177,13 +173,54 @@ def known(excess):
     return job
 
 
-def test_a_profile_that_jumps_has_no_end():
-    """Beyond 1 the fits lie in another valley, where the cost is far too high."""
-    excess = known(lambda distance: -1.0 if distance < 1.0 else 50.0)
-    at = SimpleNamespace(rise=2.0)
-    found = end_of(_end(SimpleNamespace(at=at, excess=excess, reach=1.5, limit=10.0)))
-    assert np.isnan(found.distance)
-    assert found.why == "not found"
+class Valleys:
+    """A profile with its end at `end`; beyond `other`, fits from afar end too high.
+
+    Those that begin close to an end inside stay in their valley.
+    """
+
+    def __init__(self, end, other):
+        self.end, self.other, self.seen = end, other, {}
+        self.at, self.reach, self.limit = SimpleNamespace(rise=2.0), 1.5, 10.0
+
+    def value(self, distance):
+        value = 2.0 * (distance / self.end - 1.0)
+        return 0.0 if abs(value) < 1e-3 else value
+
+    def excess(self, distance):
+        inside = [d for d, rest in self.seen.items() if rest.excess <= 0.0]
+        far = min([abs(distance - d) for d in (0.0, *inside)]) > 0.4
+        high = 50.0 if distance > self.other and far else self.value(distance)
+        known = self.seen.get(distance)
+        value = known.excess if known else high
+        self.seen[distance] = SimpleNamespace(distance=distance, excess=value)
+        return value
+        yield
+
+    def follow(self, inside, distance):
+        assert 0.0 < distance - inside < 0.03 * distance
+        value = self.value(distance)
+        self.seen[distance] = SimpleNamespace(distance=distance, excess=value)
+        return value
+        yield
+
+
+@pytest.mark.parametrize(
+    ("end", "other"), [(2.3, 1.0), (1.2, 1.3), (2.3, 2.0), (6.0, 1.0)]
+)
+def test_a_fit_in_another_valley_is_repeated_from_inside(end, other):
+    found = end_of(_end(Valleys(end, other)))
+    assert found.why == "likelihood"
+    np.testing.assert_allclose(found.distance, end, rtol=1e-3)
+
+
+def test_a_profile_that_jumps_ends_there():
+    """Beyond 1 the cost is far too high, from wherever a fit begins."""
+    jumps = Valleys(20.0, 1.0)
+    jumps.value = lambda distance: 50.0 if distance > 1.0 else -1.0
+    found = end_of(_end(jumps))
+    assert found.why == "likelihood"
+    np.testing.assert_allclose(found.distance, 1.0, rtol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -203,7 +240,8 @@ def test_an_end_is_found_in_few_fits(excess, most):
         value = excess(distance)
         return 0.0 if abs(value) < 1e-3 else value
 
-    found = end_of(_root(known(rounded), 0.0, 2.0))
+    found, same = end_of(root(known(rounded), 0.0, 2.0))
+    assert found == same
     assert rounded(found) == 0.0
     assert len(tried) - 1 <= most
 
@@ -214,16 +252,20 @@ def test_a_fit_that_is_lost_is_gone_back_from():
     def excess(end):
         def of(distance):
             if distance > 1.4:
-                raise _NotFound
+                raise NotFound
             return distance - end
 
         return known(of)
 
-    inside, outside = end_of(_bracket(excess(1.2), 1.2, 2.0, 10.0))
+    def of(end, limit):
+        sizes = {"rise": end, "inside": 0.0, "reach": 2.0, "limit": limit}
+        return bracket(excess(end), **sizes)
+
+    inside, outside = end_of(of(1.2, 10.0))
     assert inside <= 1.2 <= outside <= 1.4
-    with pytest.raises(_NotFound):
-        next(_bracket(excess(1.5), 1.5, 2.0, 10.0))
-    assert end_of(_bracket(excess(1.2), 1.2, 2.0, 1.1)) is None
+    with pytest.raises(NotFound):
+        next(of(1.5, 10.0))
+    assert end_of(of(1.2, 1.1)) is None
 
 
 def test_bad_input(result, poses):

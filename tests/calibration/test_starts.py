@@ -373,7 +373,7 @@ def ends(thetas, costs, converged=None):
         steps=np.full(len(thetas), 7),
         converged=flags,
         errors=np.zeros((len(thetas), 13)),
-        optima=_optima(SPACE, z, p, cost, flags),
+        optima=_optima(SPACE, z, p, cost, flags, n_starts=len(z)),
     )
 
 

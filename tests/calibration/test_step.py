@@ -1,5 +1,7 @@
 """One step of the outer loop: bounds, order, the way out of a trap, acceptance."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +19,7 @@ from softcal_jax.calibration import (
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.calibration._runs import _decide, _propose
 from softcal_jax.calibration._state import MEMORY
+from softcal_jax.fields import exactly_known
 from softcal_jax.robots import anisotropic_beam
 
 CELLS = (2, 1, 1)
@@ -133,6 +136,37 @@ def test_tensor_steps_find_the_way_out_of_the_trap(tensor, measured):
     # Down to the tolerance of lambda_p, of measurements solved to Newton's.
     for name, value in tensor.target.items():
         assert result.value(name) == pytest.approx(value, rel=1e-4)
+
+
+def test_a_fit_ends_where_a_body_is_isotropic(tensor):
+    """Noise puts the optimum where both moduli of CP 2 meet; tensors do not end there.
+
+    Neither another angle nor a little contrast, either way, lowers the cost there.
+    """
+    target = {**tensor.target, "E_l of CP 2": 150e3}
+    target |= {"E_t of CP 1": 600e3, "E_l of CP 1": 599.94e3, "E_t of CP 2": 600e3}
+    poses = synthetic_measurements(
+        tensor.model, tensor.space, tensor.configurations, target
+    )
+    random = np.random.default_rng(4)
+    noisy = lambda c: c.measured + 1e-3 * random.standard_normal(c.measured.shape)
+    poses = [replace(c, measured=noisy(c)) for c in poses]
+    result = calibrate(
+        tensor.model,
+        tensor.space,
+        poses,
+        uncertain=exactly_known(),
+        starts=1,
+        intervals=None,
+    )
+    assert result.converged
+    value = {n: result.value(f"{n} of CP 2") for n in ("E_t", "E_l")}
+    assert value["E_l"] == pytest.approx(value["E_t"], rel=1e-6)
+    problem = build_problem(tensor.model, tensor.space, poses)
+    for turn in np.deg2rad([-60.0, -30.0, 0.0, 30.0, 60.0, 90.0]):
+        z = result.z.at[5].add(turn) + jnp.array([0.0, 5e-3, 0.0, -5e-3, 0.0, 0.0])
+        cost = float(evaluate(problem, problem.space.wrap(z)).cost)
+        assert cost >= result.history[-1].cost, np.rad2deg(turn)
 
 
 @pytest.mark.slow  # it compiles a calibration of its own

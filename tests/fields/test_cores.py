@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softcal_jax.calibration._profile import in_plain_steps
+from softcal_jax.calibration._runs import in_plain_steps
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import (
     ControlPointParameters,

@@ -207,6 +207,12 @@ def test_fit_that_did_not_converge(model, data):
     assert verdict.reasons[0] == "The calibration did not converge."
 
 
+def test_noise_that_did_not_settle(good):
+    verdict = assess(eqx.tree_at(lambda r: r.noise_settled, good, False))
+    assert not verdict.identified
+    assert any("noise did not settle beside the fit" in r for r in verdict.reasons)
+
+
 def test_parameter_on_its_bound(model, data):
     verdict = assess(fit(model, space(root_upper=1.2e5), data))
     assert not verdict.identified

@@ -26,7 +26,7 @@ from softcal_jax.identifiability import identify
 from softcal_jax.layouts import (
     FoldScore,
     LayoutComparison,
-    LayoutScore,
+    ModelScore,
     _cross_validation,
 )
 from softcal_jax.layouts import compare_layouts as compare_layouts_with
@@ -262,7 +262,7 @@ def score(name, n_parameters, squares):
     folds = [
         FoldScore(f"{i}", 1e-3, float(s**0.5), 1e-3) for i, s in enumerate(squares)
     ]
-    return LayoutScore(name, 1, n_parameters, tuple(folds), 1e-3, 1.0, "", None)
+    return ModelScore(name, 1, n_parameters, tuple(folds), 1e-3, 1.0, "", None)
 
 
 def test_one_standard_error_rule():

@@ -1,10 +1,13 @@
 """Directions of fibres that a project file gives by a formula."""
 
+from pathlib import Path
+
 import meshio
 import numpy as np
 import pytest
 from small_project import write_small_project
 
+from softcal_jax.materials import FibreReinforced, Yeoh
 from softcal_jax.mesh import beam
 from softcal_jax.project import ProjectError, load_project
 
@@ -69,6 +72,32 @@ def test_helix_of_two_families(tmp_path):
     other = np.asarray(project.model.law.fibre.mirrored().direction()).T
     np.testing.assert_allclose(other[:, 0], u[:, 0], rtol=1e-14)
     np.testing.assert_allclose(other[:, 1:], -u[:, 1:], rtol=0, atol=1e-15)
+
+
+def test_the_readme_has_wound_silicone(tmp_path):
+    """Its [material], with a group "wall" and the axis of this beam."""
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    shown = readme.split("<!-- fragment: wound -->\n```toml\n")[1].split("```")[0]
+    shown = shown.replace('axis = "z", through = "(0, 0, 0) mm"', AXIS)
+    wall = (
+        '[groups.wall]\nof = "tets"\nbox = { lower = "(30, 0, 0) mm", upper = '
+        '"(60, 20, 20) mm" }\n\n[markers]\n'
+    )
+    material = (
+        '[material]\nlaw = "neo-hookean"\nE = "200 kPa"\nnu = 0.3\ndensity = '
+        '"1 g/cm^3"\n'
+    )
+    path = write_small_project(
+        tmp_path,
+        (material, shown),
+        (FIELD, f'{E_F}\nregion = "wall"'),
+        ("[markers]\n", wall),
+    )
+    law = load_project(path).model.law
+    assert isinstance(law, FibreReinforced)
+    assert isinstance(law.matrix, Yeoh)
+    assert (law.families, law.tension_only) == (2, True)
+    np.testing.assert_allclose(np.unique(law.E_f), [0.0, 20e6], rtol=1e-12)
 
 
 def test_a_region_has_its_own(tmp_path):
@@ -199,7 +228,7 @@ def test_a_helix_around_a_centroid_is_refused(tmp_path):
 def test_bad_arrays(tmp_path):
     ones = lambda mesh: np.ones((mesh.n_tets, 3))
     said = refusal(with_vectors(tmp_path / "a", ones, array="fiber"))
-    assert "unknown cell array 'fiber'. Did you mean 'fibre'? Known: 'fibre', " in said
+    assert "unknown cell array 'fiber'. Did you mean 'fibre'? Known: 'fibre'." in said
     zero = lambda mesh: (
         np.ones((mesh.n_tets, 3)) * (np.arange(mesh.n_tets) != 7)[:, None]
     )

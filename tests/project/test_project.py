@@ -54,6 +54,27 @@ def test_measured_positions(tmp_path):
     np.testing.assert_allclose(offset, [[0, 0, 1e-3], [0, 0, 0]], atol=1e-11)
 
 
+def test_displacements_from_a_configuration(tmp_path):
+    """The glue offset of 1 mm stays in the positions, and out of the fit."""
+    line = 'displacement_from = { phase = "rest" }\n'
+    both = ('role = "validation"', 'role = "calibration"')
+    path = write_small_project(tmp_path, (line, 'displacement_from = "weight"\n'), both)
+    project = load_project(path)
+    weight, pulled = project.calibration
+    assert weight.displacement_from is None
+    assert pulled.displacement_from == "weight"
+    np.testing.assert_allclose(
+        weight.measured - weight.markers.positions,
+        [[-8.2e-6, 1.04e-4, 1e-3 - 5.61e-4], [-1.33e-4, 1.07e-4, -5.59e-4]],
+        atol=1e-6,
+    )
+    result = project.calibrate()
+    # Steps end where the cost, of which the offsets of 1 mm leave 1e-6, stands still.
+    np.testing.assert_allclose(result.value("E"), E_TRUE, rtol=1e-5)
+    for fit in result.configurations:
+        assert fit.rms_after < 1e-8
+
+
 def test_calibrate_and_simulate(tmp_path):
     """E of the recordings comes back; the history starts where the file says."""
     project = load_project(write_small_project(tmp_path))

@@ -1,0 +1,278 @@
+"""The first equilibria of a fit, with moduli raised where there are none at the start.
+
+A body that is too soft balloons, buckles or collapses under the measured loads, and a
+fit needs an equilibrium of every configuration to begin with.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._names import listed
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._units import readable
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    Evaluation,
+    Evaluator,
+    with_solver,
+)
+from softcal_jax.calibration._runs import admissible
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import (
+    Batch,
+    EquilibriumSolution,
+    Job,
+    begin_newton,
+    continue_newton,
+    no_equilibrium,
+    program_key,
+)
+from softcal_jax.fields import ParameterSpace, unnamed
+
+STIFFER = 2.0
+"""Factor by which moduli are raised until all configurations have an equilibrium."""
+
+MOST_RAISES = 20
+"""Most raises, a factor of a million in all."""
+
+STEPS_BETWEEN = 2
+"""Newton iterations of a configuration between two reports."""
+
+
+class EquilibriumProgress(NamedTuple):
+    """Progress of the first equilibrium of a configuration.
+
+    Attributes:
+        configuration: Its name.
+        load: Share of the load that is carried so far [-].
+        steps: Newton iterations so far.
+        stiffer: Factor on the moduli of the start [-].
+    """
+
+    configuration: str
+    load: float
+    steps: int
+    stiffer: float
+
+    def __str__(self) -> str:
+        """Write it in one line."""
+        raised = f", moduli {self.stiffer:g} times the start" * (self.stiffer > 1.0)
+        return (
+            f"equilibrium of {self.configuration}: {100.0 * self.load:.0f} % of the "
+            f"load, step {self.steps}{raised}"
+        )
+
+
+Told = Callable[[EquilibriumProgress], None]
+
+OfLane = Callable[[int, float, int], None]
+"""Told the index of a configuration, the share of its load, and its iterations."""
+
+
+class Beginning(NamedTuple):
+    """Where a fit begins.
+
+    Attributes:
+        z: Scaled parameters [-].
+        evaluation: Equilibria there.
+        notes: What was changed to find them.
+    """
+
+    z: Float[Array, " n_p"]
+    evaluation: Evaluation
+    notes: tuple[str, ...]
+
+
+def begin(
+    evaluate: Evaluator,
+    z: Float[Array, " n_p"],
+    names: Sequence[str],
+    told: Told | None = None,
+) -> Job[Beginning]:
+    """Evaluate a start, with moduli raised until every configuration is in equilibrium.
+
+    Args:
+        evaluate: Evaluator of the calibration.
+        z: Scaled start [-].
+        names: Names of the configurations.
+        told: Called while the equilibria are solved.
+
+    Raises:
+        RuntimeError: If a configuration has no equilibrium within the bounds; the text
+            names it, the load that it reached, and why.
+    """
+    space, names = evaluate.problem.space, tuple(names)
+    told_of = partial(_with_names, told, names)
+    first, there = yield from _first_equilibria(evaluate, z, told_of(1.0))
+    if there is not None:
+        return Beginning(z, there, ())
+    solution, raised, factor = first, z, 1.0
+    for _ in range(MOST_RAISES):
+        stiffer = _stiffer(space, raised)
+        if np.array_equal(stiffer, raised):
+            break
+        raised, factor = stiffer, STIFFER * factor
+        solution, there = yield from _first_equilibria(
+            evaluate, raised, told_of(factor)
+        )
+        if there is not None:
+            return Beginning(raised, there, (_note(space, first, names, raised),))
+    raise RuntimeError(_nowhere(space, (first, solution), names, (z, raised)))
+
+
+def _nowhere(
+    space: ParameterSpace,
+    solutions: tuple[EquilibriumSolution, EquilibriumSolution],
+    names: tuple[str, ...],
+    z: tuple[Float[Array, " n_p"], Float[Array, " n_p"]],
+) -> str:
+    """Say why there is no equilibrium at the start, nor with the stiffest moduli."""
+    first, last = solutions
+    text = no_equilibrium(first, names)
+    if np.array_equal(*z):
+        return text
+    return (
+        f"{text}\nNor is there one with stiffer moduli up to their bounds "
+        f"({_values(space, z[1])}).\n{_reached(last, names)}\nRaise the upper bounds, "
+        "or check loads, units and supports."
+    )
+
+
+def _first_equilibria(
+    evaluate: Evaluator, z: Float[Array, " n_p"], told: OfLane | None
+) -> Job[tuple[EquilibriumSolution, Evaluation | None]]:
+    """Return the equilibria, and their evaluation if all are there."""
+    if told is None:
+        there = yield from evaluate.from_rest(z)
+        solution = there.equilibrium
+        return solution, there if bool(jnp.all(solution.converged)) else None
+    solution = yield from _step_by_step(evaluate, z, told)
+    if not bool(jnp.all(solution.converged)):
+        return solution, None
+    return solution, (yield from evaluate(z, solution.displacement))
+
+
+@eqx.filter_jit
+def _go_on(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    configuration: ConfigurationArrays,
+    state: Any,
+    steps: Int[Array, ""],
+):
+    posed = problem.space.apply(problem.model, configuration, z)
+    return continue_newton(*posed, state, steps, problem.newton)
+
+
+@eqx.filter_jit
+def _before_first_step(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    configuration: ConfigurationArrays,
+    guess: Float[Array, "n_points 3"],
+):
+    posed = problem.space.apply(problem.model, configuration, z)
+    return begin_newton(*posed, guess, problem.newton)
+
+
+def _step_by_step(
+    evaluate: Evaluator, z: Float[Array, " n_p"], told: OfLane
+) -> Job[EquilibriumSolution]:
+    """Solve the equilibria a few iterations at a time, and report in between.
+
+    With rigid bodies each starts from the one before, as in `first_guess`.
+    """
+    problem = evaluate.shared
+    guess = jnp.zeros((problem.model.n_points, 3))
+    n_c = len(evaluate.lanes)
+    each = [[c] for c in range(n_c)]
+    groups = each if problem.model.mechanism.bodies.n_bodies > 0 else [range(n_c)]
+    found: dict[int, EquilibriumSolution] = {}
+    for group in groups:
+        lanes = {c: evaluate.lanes[c] for c in group}
+        states = {c: _before_first_step(problem, z, lanes[c], guess) for c in group}
+        while states:
+            under_way = tuple(states)
+            jobs = [(z, lanes[c], states[c], STEPS_BETWEEN) for c in under_way]
+            key = program_key("first_equilibria", problem, jobs[0])
+            ends = yield Batch(partial(_some_steps, problem), jobs, key)
+            for c, (state, solution) in zip(under_way, ends, strict=True):
+                told(c, float(state.load_ok), int(state.step))
+                states[c], found[c] = state, solution
+                if bool(state.done) or int(state.step) >= problem.newton.max_steps:
+                    del states[c]
+        last = found[group[-1]]
+        guess = jnp.where(last.converged, last.displacement, guess)
+    solutions = [found[c] for c in range(n_c)]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *solutions)
+
+
+def _some_steps(problem: CalibrationProblem, solver, lane):
+    z, configuration, state, steps = lane
+    found = _go_on(
+        with_solver(problem, solver), z, configuration, state, jnp.asarray(steps)
+    )
+    return jax.block_until_ready(found)
+
+
+def _with_names(
+    told: Told | None, names: tuple[str, ...], factor: float
+) -> OfLane | None:
+    """Return the callback of an evaluator, which knows indices alone."""
+    if told is None:
+        return None
+    return lambda c, load, steps: told(
+        EquilibriumProgress(names[c], load, steps, factor)
+    )
+
+
+def _moduli(space: ParameterSpace) -> Bool[HostArray, " n_p"]:
+    """Flag the moduli: fields of the law on a log scale, without the density."""
+    of_law = np.asarray(space.sets_fields)
+    fields = [q.field.rpartition(".")[2] for q in space.parameters]
+    scales = [q.scale == "log" for q in space.parameters]
+    return of_law & np.array(scales) & (np.array(fields) != "density")
+
+
+def _stiffer(space: ParameterSpace, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    """Raise all moduli by a factor, within bounds and order."""
+    more = np.where(_moduli(space), np.log(STIFFER), 0.0)
+    return admissible(unnamed(space), jnp.asarray(np.asarray(z) + more))
+
+
+def _values(space: ParameterSpace, z: Float[Array, " n_p"]) -> str:
+    """Write the moduli, with their units."""
+    p = np.asarray(space.from_scaled(z))
+    chosen = np.flatnonzero(_moduli(space))
+    texts = [
+        f"{space.names[i]} = {readable(float(p[i]), space.parameters[i].unit)}"
+        for i in chosen
+    ]
+    return listed(texts)
+
+
+def _note(
+    space: ParameterSpace,
+    first: EquilibriumSolution,
+    names: tuple[str, ...],
+    raised: Float[Array, " n_p"],
+) -> str:
+    return (
+        f"No equilibrium at the start values. {_reached(first, names)} The fit began "
+        f"with stiffer moduli: {_values(space, raised)}."
+    )
+
+
+def _reached(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
+    """Say how far configurations without an equilibrium came."""
+    load = np.asarray(solution.load_reached)
+    lost = np.flatnonzero(~np.asarray(solution.converged))
+    return " ".join(
+        f"{names[c]} carries {100.0 * load[c]:.3g} % of its load." for c in lost
+    )

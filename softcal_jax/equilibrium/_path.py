@@ -1,0 +1,364 @@
+"""Equilibria along the load, by arc length: past limit points, where load control ends.
+
+The load factor t is an unknown beside the displacement. From one state the path is
+followed along its tangent (du/dt, 1), and balance is restored on the plane through the
+predicted state and normal to the tangent (Riks, Int. J. Solids Structures 15, 1979;
+Keller's pseudo-arclength),
+
+    w <tau_u, u - u_n> + tau_t (t - t_n) = ds.
+
+Each iteration solves K du_1 = -g and K du_2 = -dg/dt on one factorization of the
+sparse, bordered system, and takes du = du_1 + dt du_2 with dt from the plane. The
+weight w makes a unit of t as long as the displacement that the full load would cause on
+the undeformed body if it stayed linear, so that ds has no unit.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._results import RESULTS
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
+from softcal_jax.actuators import actuator_rows
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium._assembly import mixed_tangent, tangent_values
+from softcal_jax.equilibrium._balance import (
+    Point,
+    assemble,
+    at_rest,
+    evaluate,
+    gap,
+    merit,
+    relative,
+)
+from softcal_jax.equilibrium._direction import dilatation, has_volume_unknowns
+from softcal_jax.equilibrium._effectors import effector_values
+from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._newton import NewtonSettings
+from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._sparsity import product
+
+MOST_ITERATIONS = 12
+"""Corrections after which a step is halved."""
+
+WANTED_ITERATIONS = 4
+"""Corrections of a step of the right length; the next one is adapted to it."""
+
+SMALLEST = 1e-4
+"""Step, relative to the first, at which the path counts as ended."""
+
+
+class LoadPath(eqx.Module):
+    """How to trace the equilibria of a configuration along its load.
+
+    Attributes:
+        states: Most states to find, if the path does not reach the full load.
+        first: Load factor of the first state [-].
+        largest: Longest step; 1 is the displacement, or the load, that the full load
+            would cause on a body that stayed linear [-].
+    """
+
+    states: int = 50
+    first: float = 0.1
+    largest: float = 1.0
+
+    def __check_init__(self):
+        if self.states < 1:
+            raise ValueError(f"states must be at least 1, got {self.states}.")
+        if not 0.0 < self.first <= 1.0:
+            raise ValueError(f"first must lie in (0, 1], got {self.first:g}.")
+        if not self.largest > 0.0:
+            raise ValueError(f"largest must be positive, got {self.largest:g}.")
+
+
+class EquilibriumPath(eqx.Module):
+    """Equilibria along the load, the unloaded state first.
+
+    Attributes:
+        load: Load factors [-].
+        displacement: Displacement u of each state [m].
+        multipliers: Forces of the actuators whose displacement is imposed.
+        n_negative: Number of negative eigenvalues of each tangent, 0 for a stable
+            state; -1 if unknown, because the linear solver does not count them or the
+            model is not conservative.
+        readings: Effectors of each state, in rows of three.
+        result: `converged` if the last state carries the full load, `limit_point` if
+            the states ended beyond one, `max_steps` if they ended before, and otherwise
+            why no further state was found.
+    """
+
+    load: Float[HostArray, " n"]
+    displacement: Float[HostArray, "n n_points 3"]
+    multipliers: Float[HostArray, "n n_a"]
+    n_negative: Int[HostArray, " n"]
+    readings: Float[HostArray, "n n_rows 3"]
+    result: RESULTS
+
+    @property
+    def limits(self) -> Float[HostArray, " k"]:
+        """Load factors of the limit points, where the load turns, in their order [-].
+
+        Each is the top or bottom of the parabola through the three states about it, by
+        the length of the path between them.
+        """
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(self.load))) != 0.0) + 1
+        return np.array([self._vertex(int(k)) for k in turns])
+
+    def _vertex(self, k: int) -> float:
+        load, u = self.load[k - 1 : k + 2], self.displacement[k - 1 : k + 2]
+        lengths = np.linalg.norm(np.diff(u, axis=0), axis=(1, 2))
+        curve = np.polyfit(np.array([-lengths[0], 0.0, lengths[1]]), load, 2)
+        return float(curve[2] - curve[1] ** 2 / (4.0 * curve[0]))
+
+
+class _State(NamedTuple):
+    """A state on the path with its tangent, per unit of load.
+
+    `weight` is w of the module's docstring; `n_negative` as in `EquilibriumPath`, `ok`
+    whether the state is one of equilibrium.
+    """
+
+    u: Float[Array, "n_points 3"]
+    theta: Float[Array, "..."]
+    lambda_a: Float[Array, " n_a"]
+    load: Float[Array, ""]
+    du: Float[Array, "n_points 3"]
+    dx: Float[Array, " n_dof"]
+    d_lambda: Float[Array, " n_a"]
+    sense: Float[Array, ""]
+    weight: Float[Array, ""]
+    n_negative: Int[Array, ""]
+    readings: Float[Array, "n_rows 3"]
+    iterations: Int[Array, ""]
+    regular: Bool[Array, ""]
+    ok: Bool[Array, ""]
+
+    @property
+    def length(self) -> Float[Array, ""]:
+        """Length of the tangent (du, 1) [-]."""
+        return jnp.sqrt(self.weight * jnp.sum(self.du**2) + 1.0)
+
+
+def _displaced(posed: Posed, u, d, load):
+    """Apply a step of the free unknowns, and bring what is held to its new load."""
+    there = posed.at_load(load)
+    held = jnp.where(jnp.asarray(posed.configuration.fixed), there.imposed(u), 0.0)
+    return there.move(u, d.at[: u.size].add(held.ravel()))
+
+
+def _both_steps(posed: Posed, at: Point, lambda_a, theta):
+    """Solve for the steps that restore balance and that follow the load.
+
+    `theta` are the volume ratios of the mixed formulation, see `newton_direction`.
+    Returns the tangent, the solution with these two rows, and the motion of what is
+    held, per unit of load.
+    """
+    model, configuration, u = posed.model, posed.configuration, at.u
+    to_go, active = gap(posed, at, lambda_a, jnp.ones(()))
+    if has_volume_unknowns(model):
+        mesh, internal = mixed_tangent(model, u, theta)
+    else:
+        mesh, internal = tangent_values(model, u), at.force
+    tangent = assemble(posed, at, lambda_a, mesh=mesh, active=active)
+    there = lambda load: posed.at_load(load).held_at(u)
+    _, held = jax.jvp(there, (posed.load,), (jnp.ones_like(posed.load),))
+    rows = actuator_rows(model.mechanism.actuators, model.positions(u))
+    imposed = jnp.where(posed.by_multiplier, 0.0, configuration.actuation.forces)
+    force = posed.f_ext + jnp.sum(imposed[:, None, None] * rows, axis=0)
+    if configuration.springs.names:
+        rest = jnp.asarray(configuration.springs.rest)
+        force = force + configuration.springs.coefficients() * rest
+    force = force - product(model.pattern, tangent.nodal, held.ravel()).reshape(u.shape)
+    which = model.with_multiplier
+    wanted = jnp.asarray(configuration.actuation.value)[which]
+    by_load = jnp.where(
+        active[which], wanted - jnp.sum(tangent.H_a * held[None], axis=(1, 2)), 0.0
+    )
+    solved = tangent.system.solve(
+        model.solver,
+        jnp.stack(
+            [
+                -posed.on_free(u, tangent.g + internal - at.force),
+                posed.on_free(u, force),
+            ]
+        ),
+        jnp.stack([to_go[which], by_load]),
+    )
+    return tangent, solved, held
+
+
+def _readings(posed: Posed, u, lambda_a, unbalanced):
+    """Read the effectors at this share of the load."""
+    where = lambda c: (c.actuation.value, c.springs.rest)
+    own = where(posed.configuration)
+    scaled = tuple(posed.load * jnp.asarray(value) for value in own)
+    configuration = eqx.tree_at(where, posed.configuration, scaled)
+    return effector_values(posed.model, configuration, u, lambda_a, unbalanced)
+
+
+def _next_state(
+    model: Model,
+    configuration: ConfigurationArrays,
+    old: _State,
+    ds: Float[Array, ""],
+    to_the_end: Bool[Array, ""],
+    settings: NewtonSettings,
+) -> _State:
+    """Go one step along the path; `to_the_end` ends it at the full load instead."""
+    full = Posed.of(model.tabulated(), configuration)
+    along = old.sense / old.length
+    tau_u, tau_t = along * old.du, along
+
+    def off_plane(u, load):
+        on = old.weight * jnp.sum(tau_u * (u - old.u)) + tau_t * (load - old.load)
+        return jnp.where(to_the_end, 1.0 - load, ds - on)
+
+    def correct(s: _State) -> _State:
+        posed = full.at_load(s.load)
+        at = evaluate(posed.model, s.u)
+        tangent, solved, held = _both_steps(posed, at, s.lambda_a, s.theta)
+        compliance = jnp.maximum(
+            jnp.abs(jnp.diag(solved.W_aa)), jnp.finfo(s.u.dtype).tiny
+        )
+        stiff = jnp.where(posed.by_multiplier, model.among_all(1.0 / compliance), 0.0)
+        off = merit(posed, at, s.lambda_a, stiff)
+        residual = relative(posed, at, off, tangent.stiffness, settings.rtol)
+        apart = off_plane(s.u, s.load)
+        near = jnp.abs(apart) <= 1e-3 * jnp.maximum(jnp.abs(ds), SMALLEST)
+        arrived = (residual <= settings.rtol) & near & solved.ok
+        by_balance = posed.scatter(s.u, solved.x[0])
+        du = held + posed.scatter(s.u, solved.x[1])
+        slope = tau_t + old.weight * jnp.sum(tau_u * du)
+        shift = old.weight * jnp.sum(tau_u * by_balance)
+        d_load = jnp.where(to_the_end, apart, (apart - shift) / slope)
+        load = s.load + d_load
+        u = _displaced(full, s.u, solved.x[0] + d_load * solved.x[1], load)
+        moved = s._replace(
+            u=u,
+            theta=dilatation(posed.model, s.theta, s.u, u - s.u),
+            lambda_a=s.lambda_a
+            + model.among_all(solved.lambda_a[0] + d_load * solved.lambda_a[1]),
+            load=jnp.where(to_the_end, 1.0, load),
+            iterations=s.iterations + 1,
+            regular=solved.ok & at.finite & (at.min_det_F > 0.0),
+        )
+        along = old.weight * jnp.sum(tau_u * du) + tau_t
+        done = s._replace(
+            du=du,
+            dx=solved.x[1],
+            d_lambda=model.among_all(solved.lambda_a[1]),
+            sense=jnp.where(along < 0.0, -1.0, 1.0),
+            n_negative=jnp.where(model.conservative, solved.n_negative, -1),
+            readings=_readings(posed, s.u, s.lambda_a, tangent.g),
+            regular=solved.ok & (at.min_det_F > 0.0),
+            ok=at.min_det_F > 0.0,
+        )
+        return jax.tree.map(lambda a, b: jnp.where(arrived, a, b), done, moved)
+
+    def keep_going(s: _State):
+        return ~s.ok & s.regular & (s.iterations < MOST_ITERATIONS)
+
+    share = jnp.where(to_the_end, 1.0 - old.load, ds * along)
+    load = jnp.where(to_the_end, 1.0, old.load + share)
+    u = _displaced(full, old.u, share * old.dx, load)
+    begun = old._replace(
+        u=u,
+        theta=dilatation(full.model, old.theta, old.u, u - old.u),
+        lambda_a=old.lambda_a + share * old.d_lambda,
+        load=load,
+        iterations=jnp.zeros_like(old.iterations),
+        regular=jnp.ones((), bool),
+        ok=jnp.zeros((), bool),
+    )
+    return jax.lax.while_loop(keep_going, correct, begun)
+
+
+_step = eqx.filter_jit(_next_state)
+
+
+def _begin(
+    model: Model, configuration: ConfigurationArrays, settings: NewtonSettings
+) -> _State:
+    """Return the unloaded state with its tangent."""
+    rest = at_rest(model)
+    n_rows = configuration.effectors.measured.shape[0]
+    zero, count = jnp.zeros(()), jnp.zeros((), jnp.int32)
+    no = jnp.zeros((), bool)
+    state = _State(
+        u=rest.u,
+        theta=dilatation(model.tabulated(), zero, rest.u, rest.u),
+        lambda_a=jnp.zeros(model.mechanism.n_actuators),
+        load=zero,
+        du=rest.u,
+        dx=jnp.zeros(model.n_dof),
+        d_lambda=jnp.zeros(model.mechanism.n_actuators),
+        sense=jnp.ones(()),
+        weight=jnp.ones(()),
+        n_negative=count,
+        readings=jnp.zeros((n_rows, 3)),
+        iterations=count,
+        regular=no,
+        ok=no,
+    )
+    state = _step(model, configuration, state, zero, no, settings)
+    moved = jnp.sum(state.du**2)
+    return state._replace(weight=jnp.where(moved > 0.0, 1.0 / moved, 1.0))
+
+
+def trace(
+    model: Model,
+    configuration: ConfigurationArrays,
+    path: LoadPath,
+    settings: NewtonSettings,
+) -> EquilibriumPath:
+    """Trace the equilibria of a configuration from rest along its load.
+
+    Raises:
+        ValueError: If the model or the configuration is traced: how many states a path
+            has is only known while it is followed.
+    """
+    if any(map(is_traced, jax.tree.leaves((model, configuration)))):
+        raise ValueError(
+            "a path is followed outside of jit, vmap and autodiff: call "
+            "solve_equilibrium(..., path=...) with concrete arrays."
+        )
+    state = _begin(model, configuration, settings)
+    states = [state]
+    ds = first = path.first * float(state.length)
+    full, result = jnp.asarray(True), RESULTS.max_steps
+    while bool(state.ok) and len(states) <= path.states:
+        new = _step(model, configuration, state, jnp.asarray(ds), ~full, settings)
+        last = bool(new.ok) and float(new.load) >= 1.0
+        if last:
+            new = _step(model, configuration, state, jnp.asarray(ds), full, settings)
+        if not bool(new.ok):
+            ds *= 0.5
+            if ds < SMALLEST * first:
+                singular = not bool(new.regular)
+                result = RESULTS.singular if singular else RESULTS.load_step_too_small
+                break
+            continue
+        states.append(new)
+        state = new
+        if last:
+            result = RESULTS.converged
+            break
+        fewer = WANTED_ITERATIONS / max(int(new.iterations), 1)
+        ds = min(ds * float(np.clip(np.sqrt(fewer), 0.5, 2.0)), path.largest)
+    if not bool(state.ok):
+        result = RESULTS.singular
+    stack = lambda pick: np.stack([np.asarray(pick(s)) for s in states])
+    load = stack(lambda s: s.load)
+    if result == RESULTS.max_steps and np.any(np.diff(load) < 0.0):
+        result = RESULTS.limit_point
+    return EquilibriumPath(
+        load=load,
+        displacement=stack(lambda s: s.u),
+        multipliers=stack(lambda s: s.lambda_a),
+        n_negative=stack(lambda s: s.n_negative),
+        readings=stack(lambda s: s.readings),
+        result=result,
+    )

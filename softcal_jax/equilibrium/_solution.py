@@ -1,0 +1,90 @@
+"""What the solve of an equilibrium returns, and the error where there is none."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._results import RESULTS
+from softcal_jax._typing import Array, Float, Int
+
+
+class EquilibriumSolution(eqx.Module):
+    """Equilibrium of one configuration, or of a batch (leading axis on every field).
+
+    Attributes:
+        displacement: Displacement u of the nodes of the mesh, then of the four nodes
+            of each rigid body's frame [m]; nan where no equilibrium was found.
+        multipliers: Forces of the actuators whose displacement is imposed, 0 for the
+            others; `actuator_forces` gives those of all.
+        result: Outcome; only `RESULTS.converged` is an equilibrium.
+        steps: Newton iterations, each on a factor of its own, all load steps together.
+        load_steps: Load increments that were taken (1: full load at once).
+        load_reached: Share of the load at the last equilibrium [-]; 1 if converged.
+        residual: Residual relative to the larger of external and internal force [-].
+        min_det_F: Smallest det F over all quadrature points [-].
+        n_negative: Number of negative eigenvalues of the last tangent, 0 for a stable
+            state; at a limit point the fewest of an iterate beyond it; -1 if unknown,
+            because the linear solver does not count them or the model is not
+            conservative.
+    """
+
+    displacement: Float[Array, "*batch n_points 3"]
+    multipliers: Float[Array, "*batch n_a"]
+    result: RESULTS
+    steps: Int[Array, "*batch"]
+    load_steps: Int[Array, "*batch"]
+    load_reached: Float[Array, "*batch"]
+    residual: Float[Array, "*batch"]
+    min_det_F: Float[Array, "*batch"]
+    n_negative: Int[Array, "*batch"]
+
+    @property
+    def converged(self) -> Array:
+        """Whether each configuration reached a regular equilibrium."""
+        return self.result == RESULTS.converged
+
+
+def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
+    """Say which configurations of a batch have no equilibrium, and why; empty if none.
+
+    One line for each, with its outcome and the share of the load that it carries.
+    """
+    bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
+
+    def why(lane):
+        of = lambda leaf: np.atleast_1d(np.asarray(leaf))[lane]
+        result = jax.tree.map(lambda a: jnp.asarray(of(a)), solution.result)
+        negative, share = int(of(solution.n_negative)), of(solution.load_reached)
+        what = RESULTS[result]
+        count = f"{negative} negative eigenvalue{'s' * (negative != 1)}"
+        if result == RESULTS.limit_point:
+            what = (
+                f"at {100 * share:.3g} % of the load the body balloons or buckles: "
+                f"{count}. This is {what}"
+            )
+        elif result == RESULTS.unstable:
+            what += f": {count}"
+        elif result == RESULTS.load_step_too_small and negative < 0:
+            what += (
+                "; whether it is a limit point is not known, since negative "
+                "eigenvalues are counted by PARDISO alone, of a symmetric tangent"
+            )
+        return (
+            f"configuration {names[lane]!r}: {what} "
+            f"({of(solution.steps)} Newton steps, "
+            f"{100 * share:.3g} % of the load carried, residual "
+            f"{of(solution.residual):.1e}, smallest det F {of(solution.min_det_F):.3g})"
+        )
+
+    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad.size else ""
+
+
+def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
+    """Raise an error that names every configuration of a batch without an equilibrium.
+
+    Raises:
+        RuntimeError: If a lane did not converge; the message says which and why.
+    """
+    if text := no_equilibrium(solution, names):
+        raise RuntimeError(text)

@@ -1,0 +1,65 @@
+"""A comparison of models as a dictionary for JSON."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from softcal_jax.export._plain import pick, plain
+from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison, ModelScore
+
+
+def comparison_dict(
+    comparison: ModelComparison,
+    *,
+    name: str = "comparison",
+    timing_s: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """Build the content of `comparison.json`.
+
+    Keys: `format`, `name`, `verdict`, `best` (null if no model predicts everything),
+    `undecided`, `level`; `models`, the best first (`name`, `n_parameters`,
+    `held_out_rms_mm`, `held_out_noise_rms`, `score`, `standard_error`, `fit_rms_mm`,
+    `fit_noise_rms`, `fit_failure`, `verdict` of the identifiability, `folds` with
+    `held_out`, `rms_mm`, `noise_rms`, `fit_rms_mm`, `failure`); `differences` from the
+    first (`name`, `difference`, `standard_error`, `half_width`, `n`, `told_apart`);
+    `timing_s` [s]. Scores and differences are squares in units of the noise.
+    """
+    best = comparison.best
+    return plain(
+        {
+            "format": "softcal_jax.comparison/1",
+            "name": name,
+            "verdict": comparison.verdict,
+            "best": best and best.name,
+            "undecided": comparison.undecided,
+            "level": LEVEL_OF_COMPARISON,
+            "models": [_model(model) for model in comparison.models],
+            "differences": [
+                {
+                    **pick(d, "name", "difference", "standard_error"),
+                    **pick(d, "half_width", "n", "told_apart"),
+                }
+                for d in comparison.differences
+            ],
+            "timing_s": timing_s or {},
+        }
+    )
+
+
+def _model(model: ModelScore) -> dict[str, Any]:
+    return {
+        **pick(model, "name", "n_parameters"),
+        "held_out_rms_mm": 1e3 * model.held_out_rms,
+        **pick(model, "held_out_noise_rms", "score", "standard_error"),
+        "fit_rms_mm": 1e3 * model.fit_rms,
+        **pick(model, "fit_noise_rms", "fit_failure", "verdict"),
+        "folds": [
+            {
+                "held_out": fold.held_out,
+                "rms_mm": 1e3 * fold.rms,
+                "noise_rms": fold.noise_rms,
+                "fit_rms_mm": 1e3 * fold.fit_rms,
+                "failure": fold.failure,
+            }
+            for fold in model.folds
+        ],
+    }

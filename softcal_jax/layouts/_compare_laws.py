@@ -1,0 +1,157 @@
+"""Laws and meshes judged by what they predict."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from softcal_jax.calibration import (
+    CalibrationProblem,
+    CalibrationSettings,
+    build_problem,
+)
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.fields import Entry, ParameterSpace, Uncertain
+from softcal_jax.layouts._cross_validation import (
+    FOR_PREDICTION,
+    check_folds,
+    cross_validated,
+)
+from softcal_jax.layouts._model_comparison import ModelComparison
+
+Parameters = ParameterSpace | Entry | Sequence[Entry]
+
+
+def compare_laws(
+    laws: Mapping[str, tuple[Model, Parameters]],
+    configurations: Configuration | Sequence[Configuration],
+    *,
+    settings: CalibrationSettings | None = None,
+    newton: NewtonSettings | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    uncertain: Uncertain | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ModelComparison:
+    """Find the law, or the mesh, that best predicts what it was not fitted to.
+
+    Each is fitted to all configurations but one and predicts that one, in turn; see
+    `compare_layouts`. Its mean squared prediction error in units of the noise decides.
+    Whether the data can tell two models apart is judged by their differences on the
+    same configurations, with the scatter of these.
+
+    Example:
+        Two laws on one mesh::
+
+            comparison = sc.compare_laws({
+                "neo-hookean": (sc.build_model(mesh, NeoHookean(2e5, 0.499), ...), E),
+                "yeoh": (sc.build_model(mesh, Yeoh(3e4, 0.0, 10.0), ...), [c10, c30]),
+            }, poses)
+            print(comparison)
+
+    Args:
+        laws: Model and parameters by name. Models may differ in law and mesh.
+        configurations: Measured configurations, at least two, of which every model has
+            the groups.
+        settings: Settings of the outer loop; by default `FOR_PREDICTION`.
+        newton: Settings of the equilibrium.
+        starts: Number of starts of each fit; by default see `default_starts`.
+        seed: Seed of the random starts.
+        uncertain: How well everything is known that is not calibrated, of which the
+            offsets of recordings belong to the noise; by default nothing is uncertain.
+        progress: Called with the name of each model before it is fitted.
+
+    Returns:
+        The models, the best first, and what sets them apart.
+
+    Raises:
+        ValueError: If fewer than two configurations or no law is given, or an input is
+            wrong; the text names the law.
+    """
+    if isinstance(configurations, Configuration):
+        configurations = (configurations,)
+    check_folds(len(configurations), starts)
+    problems = {}
+    for name, (model, parameters) in laws.items():
+        try:
+            problems[name] = build_problem(
+                model, parameters, configurations, newton, uncertain=uncertain
+            )
+        except ValueError as error:
+            raise ValueError(f"law {name!r}: {error}") from error
+    return compare_models(
+        problems,
+        [configuration.name for configuration in configurations],
+        settings=settings,
+        starts=starts,
+        seed=seed,
+        progress=progress,
+    )
+
+
+def compare_models(
+    problems: Mapping[str, CalibrationProblem],
+    names: Sequence[str],
+    *,
+    settings: CalibrationSettings | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ModelComparison:
+    """Compare calibrations of any models to the same data, see `compare_laws`.
+
+    Args:
+        problems: Calibrations by name of the model, as `build_problem` makes them.
+        names: Names of the configurations, in their order.
+        settings: Settings of the outer loop; by default `FOR_PREDICTION`.
+        starts: Number of starts of each fit; by default see `default_starts`.
+        seed: Seed of the random starts.
+        progress: Called with the name of each model before it is fitted.
+
+    Raises:
+        ValueError: If there is no model, fewer than two configurations, or the models
+            are not fitted to the same measurements; the text names the model.
+    """
+    if not problems:
+        raise ValueError("at least one law is needed, got none.")
+    check_folds(len(names), starts)
+    _check_same_data(problems)
+    scores = []
+    for name, problem in problems.items():
+        progress(name)
+        scores.append(
+            cross_validated(
+                name,
+                problem,
+                names,
+                settings=settings or FOR_PREDICTION,
+                starts=starts,
+                seed=seed,
+            )
+        )
+    return ModelComparison.ranked(scores)
+
+
+def _check_same_data(problems: Mapping[str, CalibrationProblem]) -> None:
+    """Raise ValueError unless all models have the same measurements and noise."""
+    (first, reference), *others = problems.items()
+    expected = _data(reference)
+    for name, problem in others:
+        found = _data(problem)
+        if [a.shape for a in found] == [a.shape for a in expected] and all(
+            np.allclose(a, b, rtol=1e-9, atol=1e-12, equal_nan=True)
+            for a, b in zip(found, expected, strict=True)
+        ):
+            continue
+        raise ValueError(
+            f"{name!r} is not fitted to the same measurements as {first!r}, so that "
+            "their errors cannot be compared; give both the same configurations with "
+            "the same measured values and standard deviations."
+        )
+
+
+def _data(problem: CalibrationProblem) -> list[np.ndarray]:
+    effectors = problem.configurations.effectors
+    weight = np.asarray(effectors.inverse_std)
+    measured = np.asarray(effectors.measured)
+    return [np.where(weight > 0.0, measured, 0.0), weight]

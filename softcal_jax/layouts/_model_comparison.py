@@ -1,0 +1,179 @@
+"""Comparison of laws or meshes: their ranking, paired differences and the text."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from scipy.special import stdtrit
+
+from softcal_jax._names import listed
+from softcal_jax.identifiability import table
+from softcal_jax.layouts._comparison import ModelScore
+
+LEVEL_OF_COMPARISON = 0.95
+"""Probability at which two models are told apart [-]."""
+
+
+class PairedDifference(eqx.Module):
+    """How much worse a model predicts than the best, over the same configurations.
+
+    The squared prediction error of each held-out configuration, in units of the noise,
+    less that of the best model: what all models find hard cancels. The interval is
+    Student's, with the scatter over configurations; as fits of different folds share
+    data it is approximate (Bengio and Grandvalet, J. Mach. Learn. Res. 5, 2004).
+
+    Attributes:
+        name: Name of the model.
+        difference: Mean of the differences [-].
+        standard_error: Standard error of that mean; infinite for fewer than two [-].
+        n: Number of configurations that both predicted.
+    """
+
+    name: str
+    difference: float
+    standard_error: float
+    n: int
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval of `LEVEL_OF_COMPARISON`; infinite for n < 2 [-]."""
+        if self.n < 2:
+            return np.inf
+        quantile = stdtrit(self.n - 1, 0.5 + 0.5 * LEVEL_OF_COMPARISON)
+        return float(quantile * self.standard_error)
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether the data say that the model predicts worse than the best."""
+        return self.difference > self.half_width
+
+    @classmethod
+    def of(cls, other: ModelScore, best: ModelScore) -> "PairedDifference":
+        """Compare two models over the configurations that both predicted."""
+        squares = {f.held_out: f.noise_rms**2 for f in best.good}
+        pairs = [
+            f.noise_rms**2 - squares[f.held_out]
+            for f in other.good
+            if f.held_out in squares
+        ]
+        n = len(pairs)
+        error = np.std(pairs, ddof=1) / np.sqrt(n) if n > 1 else np.inf
+        mean = float(np.mean(pairs)) if pairs else np.nan
+        return cls(other.name, mean, float(error), n)
+
+
+class ModelComparison(eqx.Module):
+    """Models by their error on held-out configurations, the smallest first.
+
+    Attributes:
+        models: Those without a failed fold first.
+        differences: How much worse each of the others predicts than the first.
+    """
+
+    models: tuple[ModelScore, ...]
+    differences: tuple[PairedDifference, ...]
+
+    @classmethod
+    def ranked(cls, scores: Sequence[ModelScore]) -> "ModelComparison":
+        """Rank scores by failed folds, then prediction error, then parameters."""
+        last = lambda s: np.inf if np.isnan(s.score) else s.score
+        key = lambda s: (len(s.failed) > 0, last(s), s.n_parameters)
+        models = tuple(sorted(scores, key=key))
+        return cls(models, tuple(PairedDifference.of(m, models[0]) for m in models[1:]))
+
+    @property
+    def best(self) -> ModelScore | None:
+        """The model that predicts best; None if none predicted every configuration."""
+        return None if self.models[0].failed else self.models[0]
+
+    @property
+    def undecided(self) -> tuple[str, ...]:
+        """The models that the data cannot tell from the best."""
+        if self.best is None:
+            return ()
+        failed = {model.name for model in self.models if model.failed}
+        return tuple(
+            d.name
+            for d in self.differences
+            if not d.told_apart and d.name not in failed
+        )
+
+    @property
+    def verdict(self) -> str:
+        """A sentence that says whether the data can tell the models apart."""
+        best = self.best
+        if best is None:
+            return "No model predicts every configuration, so none can be preferred."
+        first = (
+            f"{best.name!r} predicts best: {1e3 * best.held_out_rms:.3g} mm, "
+            f"{best.held_out_noise_rms:.2f} times the noise."
+        )
+        rivals = [model for model in self.models[1:] if not model.failed]
+        worse = [m.name for m in rivals if m.name not in self.undecided]
+        if not rivals:
+            return f"{first} No other model predicts every configuration."
+        if not self.undecided:
+            named = listed([repr(name) for name in worse])
+            return f"{first} The data tell it apart from {named}."
+        close = listed([repr(name) for name in self.undecided])
+        fewest = min(
+            [best, *(m for m in rivals if m.name in self.undecided)],
+            key=lambda m: (m.n_parameters, m.score),
+        )
+        text = f"{first} The data cannot tell it from {close}"
+        text += f", but from {listed([repr(n) for n in worse])}." if worse else "."
+        if fewest.n_parameters < best.n_parameters:
+            text += f" Of these {fewest.name!r} has the fewest parameters."
+        return text
+
+    def __str__(self) -> str:
+        """Write the verdict, a table, and the folds that failed."""
+        lines = [self.verdict, *_table(self)]
+        for model in self.models:
+            lines += [
+                f"{model.name!r}, {fold.held_out} held out: {fold.failure}."
+                for fold in model.failed
+            ]
+            if model.fit_failure:
+                lines.append(
+                    f"{model.name!r}, all configurations fitted: {model.fit_failure}."
+                )
+        return "\n".join(lines)
+
+
+def _table(comparison: ModelComparison) -> list[str]:
+    """Write a table, one line per model."""
+    head = ("model", "parameters", "held-out [mm]", "in noise", "squared [noise^2]")
+    head += ("worse than the best by", "fit [mm]", "failed folds")
+    against = {d.name: d for d in comparison.differences}
+    rows = []
+    for model in comparison.models:
+        rows.append(
+            (
+                model.name,
+                str(model.n_parameters),
+                _number(1e3 * model.held_out_rms, ".4g"),
+                _number(model.held_out_noise_rms, ".2f"),
+                _plus_minus(model.score, model.standard_error),
+                _difference(against.get(model.name)),
+                _number(1e3 * model.fit_rms, ".4g"),
+                f"{len(model.failed)} of {len(model.folds)}"
+                if model.failed
+                else "none",
+            )
+        )
+    return table(head, rows)
+
+
+def _difference(found: PairedDifference | None) -> str:
+    return "-" if found is None else _plus_minus(found.difference, found.half_width)
+
+
+def _plus_minus(value: float, error: float) -> str:
+    if np.isnan(value):
+        return "-"
+    return f"{value:.3g} +- {error:.2g}" if np.isfinite(error) else f"{value:.3g}"
+
+
+def _number(value: float, form: str) -> str:
+    return "-" if np.isnan(value) else format(value, form)

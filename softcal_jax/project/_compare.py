@@ -1,0 +1,74 @@
+"""Several projects with the same data, compared by what they predict."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from softcal_jax.calibration import CalibrationProblem, build_problem
+from softcal_jax.layouts import ModelComparison, compare_models
+from softcal_jax.project._problems import ProjectError, in_file, under
+from softcal_jax.project._project import Project
+
+
+def compare_projects(
+    projects: Sequence[Project], *, progress: Callable[[str], None] = lambda _: None
+) -> ModelComparison:
+    """Find the project whose law, mesh or parameters best predict held-out data.
+
+    Every configuration with role = "calibration" is held out once, see
+    `softcal_jax.layouts.compare_laws`. Starts and seed are those of the first project.
+
+    Args:
+        projects: Projects of the same configurations, in any order, with the same
+            measurements.
+        progress: Called with the name of each project before it is fitted.
+
+    Raises:
+        ProjectError: If there are fewer than two projects, or one has nothing to
+            calibrate or other configurations.
+        ValueError: If there are fewer than two configurations, or projects differ in
+            what was measured.
+    """
+    if len(projects) < 2:
+        raise ProjectError(
+            f"a comparison needs at least two project files, got {len(projects)}."
+        )
+    first, names = projects[0], [c.name for c in projects[0].calibration]
+    for project in projects:
+        project.check_calibration()
+        found = [c.name for c in project.calibration]
+        if sorted(found) != sorted(names):
+            raise ProjectError(
+                f"{project.path}: its configurations are {', '.join(found)}, but those "
+                f"of {first.path} are {', '.join(names)}; a comparison needs the same."
+            )
+    problems = {
+        name: _problem(project, names) for name, project in named(projects).items()
+    }
+    return compare_models(
+        problems, names, starts=first.starts, seed=first.seed, progress=progress
+    )
+
+
+def _problem(project: Project, names: Sequence[str]) -> CalibrationProblem:
+    posed = {c.name: c for c in project.calibration}
+    assert project.space is not None  # `check_calibration` has seen to it
+    with in_file(project.path), under("configurations"):
+        return build_problem(
+            project.model,
+            project.space,
+            [posed[name] for name in names],
+            project.newton,
+            uncertain=project.uncertain,
+        )
+
+
+def named(projects: Sequence[Project]) -> Mapping[str, Project]:
+    """Name projects by their names; where these repeat, by their files."""
+    for name_of in (lambda p: p.name, lambda p: p.path.stem, lambda p: str(p.path)):
+        found = {name_of(project): project for project in projects}
+        if len(found) == len(projects):
+            return found
+    repeated: list[Path] = [project.path for project in projects]
+    raise ProjectError(
+        f"a project file is given twice: {', '.join(map(str, repeated))}."
+    )

@@ -1,0 +1,211 @@
+"""Displacements from a configuration that is simulated as well: differences of poses.
+
+Markers are glued millimetres from where they are said to be, and seen to a tenth of a
+millimetre. The reference hangs under its weight, so neither side is undeformed.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from problems import central_difference
+from scipy.optimize import fminbound
+
+from softcal_jax.calibration import (
+    build_problem,
+    calibrate,
+    evaluate,
+)
+from softcal_jax.configurations import (
+    Configuration,
+    Markers,
+    PointForce,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    build_model,
+    marker_positions,
+    solve_equilibrium,
+)
+from softcal_jax.fields import Parameter, exactly_known, set_field
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+
+MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
+E_TRUE = 400e3
+MODEL = build_model(MESH, Corotational(Isotropic(E_TRUE, 0.3)), density=1000.0)
+TIP, MIDDLE = (0.1, 0.01, 0.01), (0.05, 0.02, 0.01)
+STD = 1e-4
+MARKERS = Markers(["tip", "middle"], [TIP, MIDDLE], STD)
+TIGHT = NewtonSettings(rtol=1e-12)
+E = Parameter("E", "E", 300e3, 100e3, 1e6, unit="Pa")
+NAMES = "rest", "up", "side", "down"
+PUSH = ((0, 0, 0), (0, 0, 0.15), (0, 0.1, 0), (0, 0, -0.1))
+
+
+def poses(reference="rest"):
+    """The robot at rest under gravity, and pushed; nothing is measured."""
+    return [
+        Configuration(
+            name,
+            "x_min",
+            loads=[PointForce(TIP, push)],
+            markers=MARKERS,
+            displacement_from=None if name == reference else reference,
+        )
+        for name, push in zip(NAMES, PUSH, strict=True)
+    ]
+
+
+LANES = configuration_arrays(MESH, poses())
+
+
+@jax.jit
+def positions(value):
+    """Positions of the markers at a modulus, one row of six per pose."""
+    model = set_field(MODEL, "E", value)
+    solve = lambda c: solve_equilibrium(model, c, settings=TIGHT)
+    one = lambda c: marker_positions(model, c, solve(c)).ravel()
+    return jax.vmap(one)(LANES)
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Measured positions with glue and noise."""
+    random = np.random.default_rng(5)
+    glue = 1e-3 * np.array([0.5, -1.0, 2.0, 1.0, 0.5, -1.0])
+    return np.asarray(positions(E_TRUE)) + glue + STD * random.normal(size=(4, 6))
+
+
+def measured(data, reference="rest"):
+    return [
+        replace(c, measured=own.reshape(2, 3))
+        for c, own in zip(poses(reference), data, strict=True)
+    ]
+
+
+def fitted(configurations, **more):
+    options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
+    return calibrate(MODEL, E, configurations, newton=TIGHT, **(options | more))
+
+
+@pytest.fixture(scope="module")
+def result(data):
+    configurations = measured(data)
+    return fitted(configurations[:3], validation=configurations[3:])
+
+
+def differences(value):
+    """Displacements of the fitted poses from the reference, by hand."""
+    x = np.asarray(positions(value))
+    return x[1:3] - x[0]
+
+
+V_INVERSE = np.linalg.inv(STD**2 * (np.eye(2) + np.ones((2, 2))))
+"""Of the two displacements of a coordinate, which share the noise of the reference."""
+
+
+def test_it_is_the_fit_of_differences_made_by_hand(data, result):
+    """By their full covariance, with a minimiser that knows nothing of this one."""
+    wanted = data[1:3] - data[0]
+
+    def cost(log):
+        d = differences(float(np.exp(log))) - wanted
+        return 0.5 * np.einsum("ci,cd,di->", d, V_INVERSE, d)
+
+    low, high = np.log([0.8 * E_TRUE, 1.25 * E_TRUE])
+    best = float(fminbound(cost, low, high, xtol=1e-8))
+    assert result.converged
+    # Offsets of 2 mm within 100 mm: a share of 4e-4 of the weight, and of 1e-4 of a
+    # standard error; the minimiser leaves 1e-7.
+    np.testing.assert_allclose(np.log(result.value("E")), best, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(result.history[-1].cost, cost(best), rtol=1e-3)
+    step = 1e-3
+    low, high = (differences(float(np.exp(best + s))) for s in (-step, step))
+    W = (high - low) / (2.0 * step)
+    expected = 1.0 / np.sqrt(np.einsum("ci,cd,di->", W, V_INVERSE, W))
+    relative = result.parameters[0].standard_error / result.value("E")
+    np.testing.assert_allclose(relative, expected, rtol=1e-4)
+
+
+def test_the_truth_is_found_and_positions_would_miss_it(data, result):
+    own = result.parameters[0]
+    assert abs(own.value - E_TRUE) < 3.0 * own.standard_error
+    plain = [replace(c, displacement_from=None) for c in measured(data)[:3]]
+    wrong = fitted(plain).parameters[0]
+    assert abs(wrong.value - E_TRUE) > 10.0 * wrong.standard_error
+
+
+def test_results_compare_displacements(result):
+    """Fitted and held out: 0.1 mm of noise is left, not 2 mm of glue."""
+    for fit in result.configurations:
+        assert fit.rms_after < 4.0 * STD
+        assert fit.misfit("stated") is None
+    assert result.history[-1].rms < 3.0 * STD
+    assert result.configurations[3].name == "down"
+    assert result.uncertainty.degrees_of_freedom == 12 - 1
+    assert not result.checks.recordings
+
+
+def test_the_reference_may_be_any_pose(data):
+    """Differences from another one carry the same information."""
+    first, other = (fitted(measured(data, name)) for name in ("rest", "up"))
+    np.testing.assert_allclose(first.value("E"), other.value("E"), rtol=1e-6)
+    np.testing.assert_allclose(
+        first.parameters[0].standard_error,
+        other.parameters[0].standard_error,
+        rtol=1e-6,
+    )
+
+
+def test_the_noise_is_estimated_from_displacements(data):
+    result = fitted(measured(data), noise="estimated")
+    # Of 24 coordinates 6 find the offsets, 1 the modulus: 17 are left.
+    assert result.uncertainty.degrees_of_freedom == 17
+    np.testing.assert_allclose(result.uncertainty.level, 1.0, rtol=0.5)
+
+
+def test_rows_are_the_differences_of_both_compliances(data):
+    """Exactly those of the two poses, and the derivative of their errors."""
+    two = measured(data)[:2]
+    problem = build_problem(MODEL, E, two, newton=TIGHT, uncertain=exactly_known())
+    z = problem.space.start()
+    at = evaluate(problem, z)
+    W = np.asarray(at.compliance).reshape(2, 6)
+    whitened = np.asarray(at.W_ep).reshape(2, 6)
+    # (I + A A^T)^-1/2 with A far above one takes out the mean of both,
+    # to the share std / GLUED of it.
+    close = {"rtol": 0, "atol": 2e-4 * np.abs(W).max() / STD}
+    np.testing.assert_allclose(whitened[1], 0.5 * (W[1] - W[0]) / STD, **close)
+    np.testing.assert_allclose(whitened[0], -whitened[1], **close)
+
+    error = lambda z: evaluate(problem, z).error
+    ones = jnp.ones(1)
+    coarse, fine = (
+        np.max(np.abs(central_difference(error, z, ones, h) - np.ravel(at.W_ep)))
+        for h in (0.1, 0.05)
+    )
+    # Second order: half the step leaves a quarter of the error.
+    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"displacement_from": "nowhere"}, "displacement_from of configuration 'up'"),
+        ({"displacement_from": "up"}, "which has a reference itself"),
+        ({"displacement_from": "side"}, "which has a reference itself"),
+        (
+            {"markers": Markers(["tip", "end"], [TIP, TIP], STD)},
+            "which lacks marker 'end'",
+        ),
+    ],
+)
+def test_bad_references(data, change, message):
+    configurations = measured(data)
+    configurations[1] = replace(configurations[1], **change)
+    with pytest.raises(ValueError, match=message):
+        fitted(configurations)

@@ -1,0 +1,82 @@
+"""Ctrl-C ends a calibration with what has been fitted."""
+
+import signal
+
+import numpy as np
+import pytest
+from light_beam import MODEL, measured, unknowns
+
+from softcal_jax.calibration import calibrate
+from softcal_jax.fields import exactly_known
+
+
+def fitted(**more):
+    options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
+    return calibrate(MODEL, unknowns(), measured(), **(options | more))
+
+
+def ctrl_c_at(step):
+    """A callback that is interrupted as a user would do it."""
+
+    def told(entry):
+        if entry.step == step:
+            signal.raise_signal(signal.SIGINT)
+
+    return told
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return fitted()
+
+
+def test_the_last_step_is_returned(whole):
+    result = fitted(progress=ctrl_c_at(2))
+    assert result.interrupted
+    assert not result.converged
+    assert len(result.history) == 3
+    same = whole.history[2]
+    assert result.history[-1].values == same.values
+    values = {p.name: p.value for p in result.parameters}
+    np.testing.assert_allclose(
+        list(values.values()), list(same.values.values()), rtol=1e-12
+    )
+    assert result.notes[0].startswith("Interrupted after step 2: the values are those")
+    assert not any("Not converged" in note for note in result.notes)
+    assert [fit.name for fit in result.configurations] == ["hanging", "pushed"]
+    assert not whole.interrupted
+
+
+def test_before_the_first_step_there_is_nothing_to_return():
+    with pytest.raises(KeyboardInterrupt):
+        fitted(progress=ctrl_c_at(0))
+
+
+def test_a_search_leaves_the_best_end_so_far(whole):
+    """Two runs of three have ended, or one; all of them find the same optimum."""
+
+    def told(search):
+        signal.raise_signal(signal.SIGINT)
+
+    result = fitted(starts=3, search_progress=told)
+    assert result.interrupted
+    assert not result.converged
+    assert len(result.history) == 1
+    assert result.value("E") == pytest.approx(whole.value("E"), rel=1e-4)
+    assert np.isfinite(result.starts.cost).any()
+
+
+def test_interrupted_intervals_leave_the_fit(whole):
+    """A bound on the shared profile: interrupted before it, as a user would."""
+
+    def told(result):
+        signal.raise_signal(signal.SIGINT)
+
+    # So little data on two parameters that their intervals need profiles.
+    result = fitted(intervals=0.95, profiling=told)
+    assert result.interrupted
+    assert result.converged
+    assert result.value("E") == whole.value("E")
+    assert result.intervals == ()
+    end = "Interrupted before the intervals of the parameters were known."
+    assert result.notes[-1] == end

@@ -1,0 +1,138 @@
+"""A beam whose end plate is held far round: bent to a large part of a circle.
+
+In pure bending a straight beam becomes an arc of constant length, whatever its law.
+"""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanisms import NO_GRAVITY, TIGHT, arrays, solve
+from problems import central_difference, nearest_node
+
+from softcal_jax.bodies import Pose, RigidBody
+from softcal_jax.configurations import BodyFrame, Configuration
+from softcal_jax.equilibrium import (
+    RESULTS,
+    LoadPath,
+    NewtonSettings,
+    build_model,
+    solve_equilibrium,
+)
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+
+LENGTH, SIDE, E = 0.1, 0.01, 5e5
+MIDDLE = (0.5 * LENGTH, 0.5 * SIDE, 0.5 * SIDE)
+
+
+@cache
+def robot():
+    mesh = beam(LENGTH, SIDE, SIDE, (10, 1, 1), order=2)
+    plate = RigidBody("plate", "x_max", origin=(LENGTH, 0.5 * SIDE, 0.5 * SIDE))
+    law = Corotational(Isotropic(E, 0.3))
+    return build_model(mesh, law, density=0.0, bodies=[plate])
+
+
+def arc(angle, length=LENGTH):
+    return length * np.array([np.sin(angle), 0.0, 1.0 - np.cos(angle)]) / angle
+
+
+def bent(turn):
+    """The plate held where a share of a whole circle ends."""
+    angle = 2.0 * np.pi * turn
+    pose = Pose(arc(angle) - [LENGTH, 0.0, 0.0], (0.0, -angle, 0.0))
+    plate = BodyFrame("plate", "plate")
+    held = Configuration(
+        "bent", "x_min", NO_GRAVITY, bodies={"plate": pose}, effectors=[plate]
+    )
+    return arrays(robot(), held)
+
+
+def from_rest(turn, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
+    rest = jnp.zeros((robot().n_points, 3))
+    return solve(robot(), bent(turn), rest, settings)[0]
+
+
+@pytest.mark.parametrize(("turn", "off"), [(0.25, 0.01), (0.75, 0.01), (0.9, 0.02)])
+def test_the_beam_becomes_an_arc(turn, off):
+    """A whole ring may swing about the tangent at its ends, with no energy at all.
+
+    Near it the mesh, which is no mirror image of itself, turns the ring out of plane.
+    """
+    solution = from_rest(turn)
+    assert bool(solution.converged), RESULTS[solution.result]
+    assert int(solution.n_negative) == 0
+    # On a straight line to three quarters of a circle there was no solution.
+    assert int(solution.steps) < 80
+    angle = 2.0 * np.pi * turn
+    node = nearest_node(robot().mesh, MIDDLE)
+    found = (
+        np.asarray(solution.displacement[node])
+        + MIDDLE
+        - np.array([0.0, 0.5 * SIDE, 0.5 * SIDE])
+    )
+    # Ten cells of quadratic tets, and a section that curves across, too.
+    expected = arc(0.5 * angle, 0.5 * LENGTH)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=off * LENGTH)
+
+
+def test_the_end_does_not_depend_on_the_path():
+    """The same state as by small turns, each from the one before."""
+    u = jnp.zeros((robot().n_points, 3))
+    for turn in np.linspace(0.05, 0.75, 15):
+        solution, _ = solve(robot(), bent(float(turn)), u, TIGHT)
+        assert bool(solution.converged)
+        u = solution.displacement
+    at_once = from_rest(0.75, TIGHT)
+    np.testing.assert_allclose(at_once.displacement, u, rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_path_leads_there_too():
+    """States along the load of a held body, each an arc of the same length."""
+    path = solve_equilibrium(robot(), bent(0.25), path=LoadPath(first=0.25))
+    assert bool(path.result == RESULTS.converged), RESULTS[path.result]
+    solution = from_rest(0.25)
+    np.testing.assert_allclose(
+        path.displacement[-1], solution.displacement, rtol=0, atol=1e-7
+    )
+    node = nearest_node(robot().mesh, MIDDLE)
+    half = path.load[1:, None] * 0.25 * np.pi
+    x, _, z = np.stack([arc(float(a), 0.5 * LENGTH) for a in half[:, 0]]).T
+    found = path.displacement[1:, node]
+    np.testing.assert_allclose(found[:, 0] + MIDDLE[0], x, atol=0.01 * LENGTH)
+    np.testing.assert_allclose(found[:, 2], z, atol=0.01 * LENGTH)
+    np.testing.assert_array_equal(path.n_negative, 0)
+
+
+@pytest.mark.slow
+def test_sensitivities_are_those_of_the_end():
+    """By the held pose, forward and reverse, and by differences of second order."""
+    lane, model = bent(0.75), robot()
+    node = nearest_node(model.mesh, MIDDLE)
+    start = from_rest(0.75, TIGHT).displacement
+
+    def middle(pose):
+        state = lane.bodies
+        held = type(state)(state.kind, pose[None, :3], pose[None, 3:])
+        there = type(lane)(**(vars(lane) | {"bodies": held}))
+        solution = solve_equilibrium(model, there, guess=start, settings=TIGHT)
+        return solution.displacement[node]
+
+    pose = jnp.concatenate([lane.bodies.translation[0], lane.bodies.rotation[0]])
+    forward, reverse = (
+        jax.jit(jax.jacfwd(middle))(pose),
+        jax.jit(jax.jacrev(middle))(pose),
+    )
+    np.testing.assert_allclose(forward, reverse, rtol=0, atol=1e-9)
+    along = jnp.array([0.002, 0.001, -0.002, 0.02, 0.04, 0.03])
+    run = jax.jit(middle)
+    coarse, fine = (
+        np.max(np.abs(central_difference(run, pose, along, h) - forward @ along))
+        for h in (0.2, 0.1)
+    )
+    # Second order: half the step leaves a quarter of the error.
+    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.1)
