@@ -276,7 +276,8 @@ def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> s
     fields: dict[str, list[Parameter]] = {}
     for parameter in parameters:
         at_points = len(parameters) > MOST_BY_NAME
-        key = parameter.field if at_points else parameter.name
+        # What is not of the material, like the turn of a frame, sets no field.
+        key = (parameter.field if at_points else "") or parameter.name
         fields.setdefault(key, []).append(parameter)
     texts = []
     for name, members in fields.items():
