@@ -37,12 +37,13 @@ MOST_BY_NAME, MOST_IN_FIELD = 2, 4
 
 
 def demo(args: argparse.Namespace, show: Display) -> int:
-    """Calibrate the silicone beam, or write its project file."""
-    from softcal_jax.robots import silicone_beam_path
+    """Calibrate a measured robot, or write its project file."""
+    from softcal_jax.robots import pneumatic_arm_path, silicone_beam_path
 
+    path = {"beam": silicone_beam_path, "arm": pneumatic_arm_path}[args.robot]()
     if args.write is None:
-        return calibrate(args, show, silicone_beam_path())
-    source = silicone_beam_path().parent
+        return calibrate(args, show, path)
+    source = path.parent
     names = sorted(p.name for p in source.iterdir() if p.is_file())
     there = [name for name in names if (args.write / name).exists()]
     if there and not args.force:
@@ -275,7 +276,8 @@ def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> s
     fields: dict[str, list[Parameter]] = {}
     for parameter in parameters:
         at_points = len(parameters) > MOST_BY_NAME
-        key = parameter.field if at_points else parameter.name
+        # What is not of the material, like the turn of a frame, sets no field.
+        key = (parameter.field if at_points else "") or parameter.name
         fields.setdefault(key, []).append(parameter)
     texts = []
     for name, members in fields.items():

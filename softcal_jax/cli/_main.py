@@ -87,9 +87,18 @@ def _parser() -> argparse.ArgumentParser:
 
     beam = commands.add_parser(
         "demo",
-        help="calibrate a real silicone beam from its motion capture",
-        description="Fits Young's modulus of a clamped silicone beam to two measured "
-        "loads, predicts a third, and writes the results.",
+        help="calibrate a real robot from its motion capture",
+        description="Calibrates a robot that was really measured, predicts poses that "
+        "are held out, and writes the results. beam: Young's modulus of a clamped "
+        "silicone beam, from two loads; under a minute. arm: matrix and fibres of a "
+        "pneumatic arm, from three pressures; minutes, and needs softcal-jax[mocap].",
+    )
+    beam.add_argument(
+        "robot",
+        nargs="?",
+        choices=["beam", "arm"],
+        default="beam",
+        help="which robot (default: beam)",
     )
     where = "folder for the results"
     add_path(beam, "--output", "DIR", f"{where} (default: demo_results)")

@@ -48,6 +48,7 @@ from softcal_jax.configurations._pose_table import (
     average_poses,
     in_frame,
 )
+from softcal_jax.configurations._recording import Recording, read_c3d
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
 from softcal_jax.configurations._tracker import (
@@ -82,6 +83,7 @@ __all__ = [
     "NodalForces",
     "PointForce",
     "PoseTable",
+    "Recording",
     "Registration",
     "SharedNames",
     "Support",
@@ -97,6 +99,7 @@ __all__ = [
     "in_frame",
     "measured_as",
     "measured_at_rest",
+    "read_c3d",
     "read_markers",
     "read_polhemus",
     "read_poses",

@@ -171,13 +171,13 @@ class MarkerTable(eqx.Module):
     Attributes:
         names: Names of the markers, each once.
         positions: Their positions; nan where the file says so or is blank [m].
-        lines: Line of the file that each stands on, from 1.
+        places: Where in the source each was, for messages, like "line 7".
         source: What was read, for messages.
     """
 
     names: tuple[str, ...]
     positions: Float[HostArray, "n_markers 3"]
-    lines: tuple[int, ...]
+    places: tuple[str, ...]
     source: str
 
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3"]:
@@ -195,7 +195,7 @@ class MarkerTable(eqx.Module):
             row = self.names.index(name)
             if not np.all(np.isfinite(self.positions[row])):
                 raise ValueError(
-                    f"{self.source}, line {self.lines[row]}: the position of marker "
+                    f"{self.source}, {self.places[row]}: the position of marker "
                     f"{name!r} is missing or not finite. Leave a marker that was lost "
                     "out of this configuration."
                 )
@@ -243,4 +243,5 @@ def read_markers(
                 f"(columns: {', '.join(table.header)})."
             )
     positions = metres * table.numbers(columns)
-    return MarkerTable(table.names, positions, table.lines, table.source)
+    places = tuple(f"line {line}" for line in table.lines)
+    return MarkerTable(table.names, positions, places, table.source)

@@ -166,8 +166,8 @@ def actuator_factor(
 
 def recording_offset(
     *,
-    limit: float,
-    prior_std: float | None,
+    limit: float | None = None,
+    prior_std: float | None = None,
     turn_limit: float | None = None,
     turn_prior_std: float | None = None,
     each: Sequence[str] = (),
@@ -175,23 +175,33 @@ def recording_offset(
 ) -> tuple[SetupParameter, ...]:
     """Make the frame of a recording, or of a tracker's base, parameters.
 
-    These are three coordinates of its offset and, with `turn_limit`, three of its
-    rotation; see `RecordingBase`.
+    These are three coordinates of its offset, with `limit`, and three of its rotation,
+    with `turn_limit`; see `RecordingBase`.
 
     Args:
-        limit: Largest offset considered, per axis [m].
+        limit: Largest offset considered, per axis [m]; none by default, as for motions,
+            in which it cancels.
         prior_std: Prior standard deviation; None if not known [m].
         turn_limit: Largest rotation considered, per axis [rad]; none by default.
         turn_prior_std: Prior standard deviation [rad]; None if not known.
         each: Configurations or recordings with a frame each; one for all by default.
         by: What `each` names.
+
+    Raises:
+        ValueError: If neither limit is given.
     """
+    if limit is None and turn_limit is None:
+        raise ValueError(
+            "a recording_offset needs limit, for its offset, turn_limit, for its "
+            "rotation, or both."
+        )
     unknowns = partial(_unknowns, each=each, by=by)
-    offset = unknowns("recording_offset", limit=limit, prior_std=prior_std)
-    if turn_limit is None:
-        return offset
-    turn = unknowns("recording_turn", limit=turn_limit, prior_std=turn_prior_std)
-    return offset + turn
+    made: tuple[SetupParameter, ...] = ()
+    if limit is not None:
+        made += unknowns("recording_offset", limit=limit, prior_std=prior_std)
+    if turn_limit is not None:
+        made += unknowns("recording_turn", limit=turn_limit, prior_std=turn_prior_std)
+    return made
 
 
 def clamp_stiffness(

@@ -2,17 +2,25 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import Markers, Registration, read_markers, register
+from softcal_jax.configurations import (
+    Markers,
+    MarkerTable,
+    Registration,
+    read_c3d,
+    read_markers,
+    register,
+)
 from softcal_jax.project._effectors import Measured
 from softcal_jax.project._mesh import LengthUnit
 from softcal_jax.project._problems import known_here
 from softcal_jax.project._sensors import Selection
-from softcal_jax.project._table import Length, Position, Table, TableOr
+from softcal_jax.project._table import Length, Position, Table, TableOr, Time
 
 
 class MarkerEntry(Table):
@@ -59,11 +67,34 @@ class MarkersTable(Table):
         return own if full else MarkerEntry.model_construct(position=own)
 
 
+class WindowTable(Table):
+    """A window of time of a recording, over which positions are averaged."""
+
+    between: tuple[Time, Time] = Field(description='["1.2 s", "1.4 s"]')
+    after_step_of: str | None = Field(
+        None, description="marker from whose step the times are counted"
+    )
+
+
+def _is_window(value: object) -> bool:
+    return isinstance(value, dict) and isinstance(value.get("between"), list)
+
+
+Which = Annotated[
+    Annotated[WindowTable, Tag("(window)")] | Annotated[Selection, Tag("(rows)")],
+    Discriminator(lambda value: "(window)" if _is_window(value) else "(rows)"),
+]
+"""What is taken of a file: a window of a recording, or rows of a table."""
+
+RECORDING = ".c3d"
+"""How the names of recordings end."""
+
+
 class RegistrationTable(Table):
     """How to register the frame of the cameras to the frame of the mesh."""
 
     markers: tuple[str, ...] = Field(description='markers to fit: ["4", "5", "6"]')
-    select: Selection = Field(default_factory=dict)
+    select: Which = Field(default_factory=dict)
 
 
 class MeasuredTable(Table):
@@ -75,9 +106,9 @@ class MeasuredTable(Table):
     file: str | None = None
     length_unit: LengthUnit | None = None
     recording: Selection = Field(default_factory=dict)
-    select: Selection = Field(default_factory=dict)
+    select: Which = Field(default_factory=dict)
     registration: RegistrationTable | None = None
-    displacement_from: Selection | str | None = None
+    displacement_from: Which | str | None = None
     effectors: dict[str, Measured] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -89,7 +120,44 @@ class MeasuredTable(Table):
                 f'{which}expected file = "markers.csv", or `effectors` with what was '
                 "measured beside markers."
             )
+        if self.file is not None:
+            self._check_kind(self.file)
         return self
+
+    def _check_kind(self, file: str) -> None:
+        """Raise ValueError unless a recording has windows, and a table none."""
+        recorded = file.lower().endswith(RECORDING)
+        every = {"select": self.select, "displacement_from": self.displacement_from}
+        if self.registration is not None:
+            every["registration.select"] = self.registration.select
+        for key, which in every.items():
+            if which is None or isinstance(which, str):
+                continue  # or the name of a configuration
+            if isinstance(which, WindowTable) == recorded:
+                continue
+            if recorded:
+                raise ValueError(
+                    f"{file} is a recording: `{key}` says when, as in {{ between = "
+                    '["1.2 s", "1.4 s"] }.'
+                )
+            raise ValueError(
+                f"{file} is a table of rows: `{key}` names values of its columns, not "
+                "a window of time."
+            )
+        for key in ("recording", "length_unit"):
+            if recorded and key in self.model_fields_set:
+                raise ValueError(
+                    f"`{key}` is for tables; {file} is one recording, which states its "
+                    "unit of length."
+                )
+
+    def _read(self, path: Path, which: WindowTable | Selection) -> MarkerTable:
+        if isinstance(which, WindowTable):
+            start, stop = which.between
+            recording = read_c3d(path)
+            return recording.between(start, stop, after_step_of=which.after_step_of)
+        select = {**self.recording, **which}
+        return read_markers(path, length_unit=self.length_unit, select=select)
 
     def build(
         self, folder: Path, nominal: MarkersTable, markers: Markers
@@ -102,16 +170,13 @@ class MeasuredTable(Table):
         compares displacements from that one.
         """
 
-        def read(select: Selection, names: Sequence[str]):
-            return read_markers(
-                folder / str(self.file),
-                length_unit=self.length_unit,
-                select={**self.recording, **select},
-            ).positions_of(names)
+        def read(which: WindowTable | Selection, names: Sequence[str]):
+            return self._read(folder / str(self.file), which).positions_of(names)
 
         loaded, start, registration = read(self.select, markers.names), None, None
-        if isinstance(self.displacement_from, dict):
-            start = read(self.displacement_from, markers.names)
+        reference = self.displacement_from
+        if reference is not None and not isinstance(reference, str):
+            start = read(reference, markers.names)
         if self.registration is not None:
             names = self.registration.markers
             seen = read(self.registration.select, names)

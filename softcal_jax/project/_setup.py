@@ -52,7 +52,7 @@ class SetupTable(Table):
     noun: ClassVar[str | None] = None
     section: ClassVar[str] = "[actuators]"
 
-    limit: float = Field(description='largest error looked for: "3 deg", "2 mm"')
+    limit: float | None = Field(description='largest error looked for: "3 deg", "2 mm"')
     prior_std: float | None = None
 
     @field_validator("limit", "prior_std", mode="before")
@@ -168,11 +168,12 @@ class GravityTiltTable(ScopedTable):
 class RecordingOffsetTable(ScopedTable):
     """Offset of the frame of a recording, or of the base of a tracker.
 
-    Three parameters, or six with the turn of the frame.
+    Three parameters with `limit`, and three of its turn with `turn_limit`.
     """
 
     makes = recording_offset
     measures = LENGTH
+    limit: float | None = None
     recording_offset: Literal[True]
     turn_limit: Angle | None = None
     turn_prior_std: Angle | None = None
@@ -181,7 +182,7 @@ class RecordingOffsetTable(ScopedTable):
 class FactorTable(ScopedTable):
     """A factor: `limit` is its largest value, `prior_std` is relative."""
 
-    limit: float = 2.0
+    limit: float | None = 2.0
 
 
 class LoadFactorTable(FactorTable):
@@ -218,7 +219,7 @@ class ClampStiffnessTable(FactorTable):
     makes = clamp_stiffness
     noun = "support with a stiffness"
     section = "`supports` of a configuration"
-    limit: float = 1e3
+    limit: float | None = 1e3
 
     clamp_stiffness: Names
 

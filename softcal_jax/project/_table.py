@@ -24,6 +24,7 @@ from softcal_jax.project._quantities import (
     LENGTH,
     MASS,
     PRESSURE,
+    TIME,
     parse_direction,
     scalar,
     vector,
@@ -37,6 +38,7 @@ Triple = tuple[float, float, float]
 Length = Annotated[float, BeforeValidator(scalar(LENGTH))]
 Density = Annotated[float, BeforeValidator(scalar(DENSITY))]
 Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
+Time = Annotated[float, BeforeValidator(scalar(TIME))]
 Mass = Annotated[float, BeforeValidator(scalar(MASS))]
 Stiffness = Annotated[float, BeforeValidator(scalar(BEDDING))]
 AccelerationSize = Annotated[float, BeforeValidator(scalar(ACCELERATION))]

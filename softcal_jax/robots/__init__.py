@@ -1,6 +1,7 @@
 """Ready-made robots, with the data they were measured with."""
 
 from softcal_jax.robots._anisotropic_beam import AnisotropicBeam, anisotropic_beam
+from softcal_jax.robots._measured import pneumatic_arm_path, silicone_beam_path
 from softcal_jax.robots._parallel_robot import (
     CALIBRATION_ANGLES,
     PRIOR,
@@ -17,7 +18,6 @@ from softcal_jax.robots._printed_robot import (
     printed_robot,
     read_poses_of,
 )
-from softcal_jax.robots._silicone_beam import silicone_beam_path
 
 __all__ = [
     "CALIBRATION_ANGLES",
@@ -32,6 +32,7 @@ __all__ = [
     "PrintingErrors",
     "anisotropic_beam",
     "parallel_robot",
+    "pneumatic_arm_path",
     "pose",
     "printed_robot",
     "read_poses_of",

@@ -23,7 +23,7 @@ pulled,base,11,11,12
 def test_selected_rows_in_metres(table):
     markers = read_markers(table(TABLE), select={"phase": "rest"})
     assert markers.names == ("tip", "base")
-    assert markers.lines == (4, 5)
+    assert markers.places == ("line 4", "line 5")
     expected = [[0.0, 0.0015, -0.02], [0.010, 0.011, 0.012]]
     np.testing.assert_allclose(markers.positions, expected, rtol=1e-15)
 

@@ -128,6 +128,15 @@ def test_every_kind_becomes_parameters(tmp_path):
     assert b.supports[0].stiffness == 1e9
 
 
+def test_a_recording_may_be_turned_alone(tmp_path):
+    """As where motions are compared, in which an offset cancels."""
+    table = '[[setup]]\nrecording_offset = true\nturn_limit = "3 deg"\n'
+    project = load(tmp_path, BEAM + table)
+    entries = [e for e in project.space.entries if isinstance(e, SetupParameter)]
+    names = [q.name for e in entries for q in e.parameters]
+    assert names == ["turn x", "turn y", "turn z"]
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
@@ -137,6 +146,7 @@ def test_every_kind_becomes_parameters(tmp_path):
         ('clamp_stiffness = "x_max"', "no support with a stiffness .x_max."),
         ('friction = "rope"\nlimit = 0.1', "no cable with friction .rope."),
         ('actuator_factor = "rope"', "there is no actuator .rope."),
+        ("recording_offset = true", "needs limit, for its offset, turn_limit"),
     ],
 )
 def test_what_the_project_does_not_have(tmp_path, table, message):
