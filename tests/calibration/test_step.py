@@ -127,7 +127,10 @@ def trapped(beam, measured):
     wrong = [np.deg2rad(20.0 - 90.0), np.deg2rad(-35.0 + 90.0)]
     starts = [jnp.full(2, E), jnp.full(2, E * (1.0 - 1e-6)), jnp.asarray(wrong)]
     space = eqx.tree_at(lambda s: [e.start for e in s.entries], beam.space, starts)
-    return calibrate(beam.model, space, measured, starts=1, intervals=None)
+    exact = exactly_known()
+    return calibrate(
+        beam.model, space, measured, uncertain=exact, starts=1, intervals=None
+    )
 
 
 def test_tensor_steps_find_the_way_out_of_the_trap(tensor, measured):
