@@ -136,8 +136,8 @@ def test_the_truth_is_found_and_positions_would_miss_it(data, result):
     own = result.parameters[0]
     assert abs(own.value - E_TRUE) < 3.0 * own.standard_error
     plain = [replace(c, displacement_from=None) for c in measured(data)[:3]]
-    wrong = fitted(plain).parameters[0]
-    assert abs(wrong.value - E_TRUE) > 10.0 * wrong.standard_error
+    # The glue holds the tip up by nearly as much as its weight pulls it down.
+    assert fitted(plain).parameters[0].at_bound
 
 
 def test_results_compare_displacements(result):
