@@ -118,7 +118,7 @@ def test_it_is_the_fit_of_differences_made_by_hand(data, result):
         return 0.5 * np.einsum("ci,cd,di->", d, V_INVERSE, d)
 
     low, high = np.log([0.8 * E_TRUE, 1.25 * E_TRUE])
-    best = float(fminbound(cost, low, high, xtol=1e-8))
+    best = np.asarray(fminbound(cost, low, high, xtol=1e-8)).item()
     assert result.converged
     # Offsets of 2 mm within 100 mm: a share of 4e-4 of the weight, and of 1e-4 of a
     # standard error; the minimiser leaves 1e-7.
@@ -136,8 +136,8 @@ def test_the_truth_is_found_and_positions_would_miss_it(data, result):
     own = result.parameters[0]
     assert abs(own.value - E_TRUE) < 3.0 * own.standard_error
     plain = [replace(c, displacement_from=None) for c in measured(data)[:3]]
-    wrong = fitted(plain).parameters[0]
-    assert abs(wrong.value - E_TRUE) > 10.0 * wrong.standard_error
+    # The glue holds the tip up by nearly as much as its weight pulls it down.
+    assert fitted(plain).parameters[0].at_bound
 
 
 def test_results_compare_displacements(result):

@@ -22,7 +22,7 @@ from softcal_jax.equilibrium import (
 )
 
 MU = 1.0 / 3.0
-TOP = float(fminbound(lambda s: -neo_hookean_sphere(s).pressure, 1.2, 3.0))
+TOP = np.asarray(fminbound(lambda s: -neo_hookean_sphere(s).pressure, 1.2, 3.0)).item()
 LARGEST = neo_hookean_sphere(TOP).pressure * MU
 FULL = 1.2 * LARGEST
 """Pressure at full load, a fifth more than the sphere can carry."""
