@@ -180,6 +180,7 @@ def test_quadratic_tets_do_not():
     assert not any("effective" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_both_optimisers_agree(model):
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-4)
     parameters = [parameter(), Parameter("rho", "density", 800.0, 100.0, 5e3)]

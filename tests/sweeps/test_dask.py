@@ -26,6 +26,7 @@ def processes(address):
         return list(client.run(os.getpid).values())
 
 
+@pytest.mark.slow
 def test_kill_a_worker_and_the_driver_of_a_cluster(cluster, tmp_path):
     """Row by row what one process gives without any of it."""
     expected = run_sweep(

@@ -111,6 +111,7 @@ def is_alive(pid):
     return state != "Z"
 
 
+@pytest.mark.slow
 def test_kill_a_worker_and_then_the_driver(undisturbed, tmp_path):
     """kill -9 of either loses nothing but trials under way, row by row."""
     path = tmp_path / "s.sqlite"
