@@ -153,6 +153,7 @@ def runs(tmp_path_factory):
     return first, fresh_process(project, cache), dump
 
 
+@pytest.mark.slow
 def test_the_second_process_compiles_nothing_but_what_is_torn(runs):
     """Every program has an entry: none calls the host, whose programs get none.
 
@@ -166,6 +167,7 @@ def test_the_second_process_compiles_nothing_but_what_is_torn(runs):
     assert "Error reading persistent compilation cache entry" in errors
 
 
+@pytest.mark.slow
 def test_programs_from_the_disk_give_the_same(runs):
     """Bit for bit, the sparse solver of another process included."""
     (first, _), (second, _), _ = runs
@@ -202,6 +204,7 @@ def constants(text):
             yield math.prod(int(n) for n in shape.split("x")[:-1])
 
 
+@pytest.mark.slow
 def test_the_mesh_is_an_argument_of_every_program(runs):
     *_, dump = runs
     programs = {path.name: path.read_text() for path in dump.glob("*.mlir")}

@@ -101,7 +101,7 @@ class Journal:
         """Record a step, and the noise in whose units it was taken."""
         self.last = state, noise
         seconds = time.perf_counter() - self._begin
-        entry = _history_entry(state, self._problem, seconds)
+        entry = _history_entry(state, self._problem.with_noise(noise), seconds)
         self.history.append(replace(entry, step=len(self.history)))
         self.keep("state", (state, noise))
         if self._progress:
@@ -207,6 +207,7 @@ def _history_entry(
         kkt_residual=float(state.kkt_residual),
         newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
         values={n: float(v) for n, v in zip(problem.space.names, p, strict=True)},
+        noise_level=1.0 if problem.noise is None else float(problem.noise.jitter),
         seconds=seconds,
     )
 

@@ -115,6 +115,8 @@ class HistoryEntry(eqx.Module):
         kkt_residual: Optimality residual of the QP [-].
         newton_steps: Newton iterations of each configuration.
         values: Parameters after the step, in SI units.
+        noise_level: Factor on the stated standard deviations that weighed the data;
+            another one than before where the noise has been estimated anew [-].
         seconds: Wall time spent so far, without pauses before a resume [s].
     """
 
@@ -127,6 +129,7 @@ class HistoryEntry(eqx.Module):
     kkt_residual: float
     newton_steps: tuple[int, ...]
     values: dict[str, float]
+    noise_level: float
     seconds: float
 
     def __str__(self) -> str:

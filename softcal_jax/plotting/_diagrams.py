@@ -1,5 +1,7 @@
 """Plot the course of a calibration, and trials against the axes of a sweep."""
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import wrap
@@ -62,6 +64,7 @@ def convergence_figure(
     for axes, unit in zip(panels[2:], units, strict=True):
         _plot_parameters(axes, result, [q for q in result.parameters if q.unit == unit])
     for axes in panels:
+        _mark_noise(axes, result)
         # Draw a band and a cross at every step that was not taken.
         rejected = [entry.step for entry in result.history if not entry.accepted]
         look = {"color": BAD, "ms": 9, "mew": 2.5, "ls": "none"}
@@ -136,6 +139,16 @@ def _plot_step(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
     axes.axhline(tol, color=FAINT, ls="--", lw=1.8, label=f"tolerance {tol:g}")
     axes.minorticks_off()
     axes.set_ylabel(r"largest $|\lambda_p|$ [-]")
+
+
+def _mark_noise(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
+    """Draw a line where the data are weighed anew: the fit goes on from there."""
+    label: str | None = "noise estimated anew"
+    for before, entry in itertools.pairwise(result.history):
+        if not math.isclose(before.noise_level, entry.noise_level):
+            middle = 0.5 * (before.step + entry.step)
+            axes.axvline(middle, color=FAINT, ls=":", lw=1.8, label=label)
+            label = None
 
 
 def _plot_parameters(

@@ -112,6 +112,7 @@ def make_history(rejected=()):
             kkt_residual=0.0,
             newton_steps=(4, 5),
             values={"E": 2e5 + 1e4 * k, "nu": 0.4 + 0.01 * k},
+            noise_level=1.0,
             seconds=0.1 * k,
         )
         for k, size in enumerate(sizes)

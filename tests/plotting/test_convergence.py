@@ -45,6 +45,19 @@ def test_what_is_drawn():
     assert nu.get_xlabel() == "step"
 
 
+def test_where_the_noise_is_estimated_a_line_is_drawn():
+    """Between the steps 2 and 3, where the size of the step may jump."""
+    result = make_result()
+    levels = [1.0, 1.0, 1.0, 0.4, 0.4]
+    pairs = zip(result.history, levels, strict=True)
+    history = tuple(replace(entry, noise_level=level) for entry, level in pairs)
+    for axes in convergence_figure(replace(result, history=history), "beam").axes:
+        assert "noise estimated anew" in texts(axes)
+        labelled = [a for a in axes.lines if a.get_label() == "noise estimated anew"]
+        (line,) = labelled
+        assert list(line.get_xdata()) == [2.5, 2.5]
+
+
 def test_a_converged_run_says_so():
     result = make_result()
     sound = tuple(replace(p, at_bound=False) for p in result.parameters)

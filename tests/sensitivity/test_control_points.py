@@ -110,6 +110,7 @@ def test_names(space):
     assert space.names == NAMES
 
 
+@pytest.mark.slow
 def test_forces_by_autodiff_meet_differences_at_second_order(body, space, at_start):
     model, lane = body
     z, u, _ = at_start

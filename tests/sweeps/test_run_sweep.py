@@ -159,6 +159,7 @@ def test_a_worker_ends_in_the_middle_of_a_trial_with_its_driver(tmp_path):
     assert not is_alive(int(told.read_text()))
 
 
+@pytest.mark.slow
 def test_a_trial_that_kills_its_worker_fails_alone(undisturbed, tmp_path):
     points = [p for p in cheap.POINTS if p["E"] == 2e5 and p["kind"] == "u"]
     found = run_sweep(cheap.deadly, points, tmp_path / "s.sqlite", workers=2)

@@ -9,7 +9,7 @@ The dimensions are those of README.md beside this file. Needs gmsh: pip install
 import argparse
 from pathlib import Path
 
-import gmsh
+import gmsh  # pyright: ignore[reportMissingImports]
 import numpy as np
 
 RADIUS = 22.22
