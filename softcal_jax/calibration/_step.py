@@ -17,7 +17,7 @@ import numpy as np
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._curvature import Curvature, convex_model, learned
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
-from softcal_jax.calibration._qp import Limits, QPStep, scaled_qp, solved_qp
+from softcal_jax.calibration._qp import Limits, QPStep, ScaledQP, scaled_qp, solved_qp
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
 
@@ -67,10 +67,9 @@ def propose(
     W, error, J = _linear_model(space, state.z, now)
     limits = _limits(problem, settings, state, J)
     S = state.curvature.matrix
-    # In one loop, so that the QP, most of this program, is compiled once.
     models = (W, error), convex_model(W, error, S)
     scaled = [scaled_qp(*model, limits) for model in models]
-    both = jax.lax.map(solved_qp, jax.tree.map(lambda *x: jnp.stack(x), *scaled))
+    both = _solved_each(scaled, [jnp.array(True), state.curvature.used])
     used = state.curvature.used.astype(jnp.int32)
     qp = jax.tree.map(lambda steps: steps[used], both)
 
@@ -98,6 +97,21 @@ def propose(
         precise=now.cost - cost <= SLOW * now.cost,
         vanishes=vanishes,
     )
+
+
+def _solved_each(qps: list[ScaledQP], needed: list[Bool[Array, ""]]) -> QPStep:
+    """Solve those QPs that are needed, and stack the steps; the others' are zero.
+
+    In one loop, since a QP is most of the program of a step and is compiled once here.
+    """
+
+    def one(each: tuple[Bool[Array, ""], ScaledQP]) -> QPStep:
+        shape = jax.eval_shape(solved_qp, each[1])
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+        return jax.lax.cond(each[0], solved_qp, lambda _: nothing, each[1])
+
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *qps)
+    return jax.lax.map(one, (jnp.stack(needed), stacked))
 
 
 class _LinearModel(NamedTuple):
