@@ -150,7 +150,7 @@ def levenberg_marquardt(
         # A step to parameters without equilibrium must be refused.
         of_data = problem.in_noise_units(jnp.ravel(delta_e))
         of_data = jnp.where(jnp.all(solution.converged), of_data, jnp.inf)
-        return jnp.concatenate([of_data, problem.space.from_prior(z)])
+        return jnp.concatenate([of_data, problem.from_prior(z)])
 
     solution = optx.least_squares(
         errors,

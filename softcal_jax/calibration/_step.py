@@ -64,7 +64,7 @@ def propose(
 ) -> Proposal:
     """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11)."""
     now, space = state.evaluation, problem.space
-    W, error, J = _linear_model(space, state.z, now)
+    W, error, J = _linear_model(problem, state.z, now)
     limits = _limits(problem, settings, state, J)
     S = state.curvature.matrix
     models = (W, error), convex_model(W, error, S)
@@ -126,11 +126,11 @@ class _LinearModel(NamedTuple):
 
 
 def _linear_model(
-    space: ParameterSpace, z: Float[Array, " n_p"], evaluation: Evaluation
+    problem: CalibrationProblem, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> _LinearModel:
-    W_ep, error = evaluation.W_ep, evaluation.error
+    W_ep, error, space = evaluation.W_ep, evaluation.error, problem.space
     if space.has_prior:
-        W_ep = jnp.concatenate([W_ep, jnp.diag(space.prior_weights())])
+        W_ep = jnp.concatenate([W_ep, jnp.diag(problem.prior_weights())])
         error = jnp.concatenate([error, evaluation.prior])
     if space.chart is None:
         return _LinearModel(W_ep, error, jnp.eye(z.shape[0]))
@@ -219,7 +219,7 @@ def decide(
         grown = jnp.minimum(2.0 * bound, most)
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
-        curvature = _after(problem.space, state, proposal, tried)
+        curvature = _after(problem, state, proposal, tried)
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within
@@ -243,15 +243,15 @@ def decide(
 
 
 def _after(
-    space: ParameterSpace,
+    problem: CalibrationProblem,
     state: CalibrationState,
     proposal: Proposal,
     tried: Evaluation,
 ) -> Curvature:
     """Update the curvature from the compliances at both ends of a step."""
     now = state.evaluation
-    here = _linear_model(space, state.z, now)
-    there = _linear_model(space, proposal.z, tried)
+    here = _linear_model(problem, state.z, now)
+    there = _linear_model(problem, proposal.z, tried)
     error = jnp.where(tried.cost <= now.cost, there.error, here.error)
     new = learned(
         state.curvature,
