@@ -289,9 +289,13 @@ def first_guess(
 _evaluate_lane = eqx.filter_jit(evaluate_lane)
 
 
+compiled_first_guess = eqx.filter_jit(first_guess)
+"""`first_guess`, compiled once for measurements of a model and for its calibration."""
+
+
 @eqx.filter_jit
-def _first_guess(problem: CalibrationProblem, z):
-    return first_guess(*problem.at(z), problem.newton)
+def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
+    return problem.at(z)
 
 
 class Evaluator:
@@ -373,7 +377,8 @@ class Evaluator:
 
     def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
         problem = with_solver(self.numbered.with_noise(None), solver)
-        return jax.block_until_ready(_first_guess(problem, z))
+        found = compiled_first_guess(*_posed(problem, z), problem.newton)
+        return jax.block_until_ready(found)
 
 
 def evaluate(
