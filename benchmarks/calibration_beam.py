@@ -141,7 +141,7 @@ def _ours(problem: CalibrationProblem, start: Float[Array, " n_p"]):
 @eqx.filter_jit
 def _simulate(problem: CalibrationProblem, z, guess):
     """Errors in units of the noise, and equilibria."""
-    solution, positions = simulate(*problem.at(z), guess, problem.newton)
+    solution, positions = simulate(*problem.at(z), problem.newton, guess)
     effectors = problem.configurations.effectors
     error = effectors.inverse_std * (positions - effectors.measured)
     return jnp.ravel(error), solution.displacement

@@ -40,7 +40,6 @@ from softcal_jax.calibration import (
     CalibrationProblem,
     CalibrationSettings,
     Run,
-    at_rest,
     build_problem,
     simulate,
     synthetic_measurements,
@@ -151,7 +150,7 @@ def all_markers(
 
 @eqx.filter_jit
 def _compliances(problem: CalibrationProblem, z):
-    solution, _ = simulate(*problem.at(z), at_rest(problem), problem.newton)
+    solution, _ = simulate(*problem.at(z), problem.newton)
     model = problem.model
     lane = lambda c, u: energy_compliance(model, c, u, problem.space, z)
     return jax.vmap(lane)(problem.configurations, solution.displacement)

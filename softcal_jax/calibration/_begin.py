@@ -186,7 +186,7 @@ def _step_by_step(
 ) -> Job[EquilibriumSolution]:
     """Solve the equilibria a few iterations at a time, and report in between.
 
-    With rigid bodies each starts from the one before, as in `first_guess`.
+    With rigid bodies each starts from the one before, as in `solve_from_rest`.
     """
     problem = evaluate.shared
     guess = jnp.zeros((problem.model.n_points, 3))

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,9 +10,9 @@ import numpy as np
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
-    compiled_first_guess,
+    as_guess,
+    compiled_simulate,
     effector_errors,
-    first_guess,
     simulate,
 )
 from softcal_jax.configurations import (
@@ -25,8 +24,6 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import ParameterSpace
-
-_simulate = eqx.filter_jit(simulate)
 
 
 def synthetic_measurements(
@@ -105,8 +102,10 @@ def simulated_measurements(
     arrays, records = configuration_lanes(mesh, posed, mechanism)
     arrays = arrays if change is None else jax.vmap(change)(arrays)
     newton = newton or NewtonSettings()
-    guess = compiled_first_guess(first or model, arrays, newton)
-    solution, effectors = _simulate(model, arrays, guess, newton)
+    guess = None
+    if first is not None:
+        guess = as_guess(compiled_simulate(first, arrays, newton)[0])
+    solution, effectors = compiled_simulate(model, arrays, newton, guess)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
     effectors, weights = np.asarray(effectors), np.asarray(arrays.effectors.inverse_std)
@@ -142,10 +141,10 @@ def levenberg_marquardt(
     import optimistix as optx  # here, as it takes a fifth of the package's import time
 
     begin = problem.space.start()
-    guess = first_guess(*problem.at(begin), problem.newton)
+    guess = as_guess(simulate(*problem.at(begin), problem.newton)[0])
 
     def errors(z, problem: CalibrationProblem):
-        solution, positions = simulate(*problem.at(z), guess, problem.newton)
+        solution, positions = simulate(*problem.at(z), problem.newton, guess)
         delta_e = effector_errors(problem, positions)
         # A step to parameters without equilibrium must be refused.
         of_data = problem.in_noise_units(jnp.ravel(delta_e))

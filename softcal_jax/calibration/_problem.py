@@ -22,6 +22,7 @@ from softcal_jax.equilibrium import (
     effector_values,
     program_key,
     solve_equilibrium,
+    solve_from_rest,
 )
 from softcal_jax.fields import ParameterSpace, unnamed
 from softcal_jax.sensitivity import Response, equilibrium_response
@@ -163,24 +164,35 @@ def _cost(ok, error, prior) -> Float[Array, ""]:
 def simulate(
     model: Model,
     configurations: ConfigurationArrays,
-    guess: Float[Array, "n_c n_points 3"],
     newton: NewtonSettings,
+    guess: Float[Array, "n_c n_points 3"] | None = None,
 ) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
     """Compute equilibria and effector coordinates of all configurations.
 
     Args:
         model: The body, with its parameters set.
         configurations: One lane per configuration.
-        guess: Displacements to start from [m].
         newton: Settings of the equilibrium.
+        guess: Displacements to start from; by default see `solve_from_rest` [m].
     """
+    if guess is None:
+        found = solve_from_rest(model, configurations, newton)
+    else:
+        solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=newton)
+        found = jax.vmap(solve)(configurations, guess)
+    values = lambda c, u, forces: effector_values(model, c, u, forces)
+    e = jax.vmap(values)(configurations, found.displacement, found.multipliers)
+    return found, e
 
-    def lane(configuration, u0):
-        found = solve_equilibrium(model, configuration, guess=u0, settings=newton)
-        state = found.displacement, found.multipliers
-        return found, effector_values(model, configuration, *state)
 
-    return jax.vmap(lane)(configurations, guess)
+compiled_simulate = eqx.filter_jit(simulate)
+"""`simulate`, compiled once for measurements of a model and for its calibration."""
+
+
+def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:
+    """Return displacements to start from, rest where there was no equilibrium [m]."""
+    there = solution.converged[:, None, None]
+    return jnp.where(there, solution.displacement, 0.0)
 
 
 def effector_errors(
@@ -261,36 +273,7 @@ def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
     return jnp.zeros((n_c, problem.model.n_points, 3))
 
 
-def first_guess(
-    model: Model, configurations: ConfigurationArrays, newton: NewtonSettings
-) -> Float[Array, "n_c n_points 3"]:
-    """Return displacements to start from without an earlier equilibrium [m].
-
-    They are zero; with rigid bodies, those of the preceding configuration: its poses
-    lie near each other, and far from the unmounted parts.
-
-    Args:
-        model: The body, with its parameters set.
-        configurations: One lane per configuration.
-        newton: Settings of the equilibrium.
-    """
-    rest = jnp.zeros((configurations.gravity.shape[0], model.n_points, 3))
-    if model.mechanism.bodies.n_bodies == 0:
-        return rest
-
-    def follow(u, configuration):
-        solution = solve_equilibrium(model, configuration, guess=u, settings=newton)
-        found = jnp.where(solution.converged, solution.displacement, u)
-        return found, found
-
-    return jax.lax.scan(follow, rest[0], configurations)[1]
-
-
 _evaluate_lane = eqx.filter_jit(evaluate_lane)
-
-
-compiled_first_guess = eqx.filter_jit(first_guess)
-"""`first_guess`, compiled once for measurements of a model and for its calibration."""
 
 
 @eqx.filter_jit
@@ -361,10 +344,10 @@ class Evaluator:
         return _stacked(self.numbered, z, found)
 
     def from_rest(self, z: Float[Array, " n_p"]) -> Job[Evaluation]:
-        """Evaluate without a guess from another evaluation, see `first_guess`."""
+        """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
-            key = program_key("first_guess", self.numbered.with_noise(None))
+            key = program_key("simulate", self.numbered.with_noise(None))
             (guess,) = yield Batch(self._guess, [z], key)
         return (yield from self(z, guess))
 
@@ -377,8 +360,8 @@ class Evaluator:
 
     def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
         problem = with_solver(self.numbered.with_noise(None), solver)
-        found = compiled_first_guess(*_posed(problem, z), problem.newton)
-        return jax.block_until_ready(found)
+        found, _ = compiled_simulate(*_posed(problem, z), problem.newton)
+        return jax.block_until_ready(as_guess(found))
 
 
 def evaluate(

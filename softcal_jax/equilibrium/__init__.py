@@ -52,6 +52,7 @@ from softcal_jax.equilibrium._solve import (
     begin_newton,
     continue_newton,
     solve_equilibrium,
+    solve_from_rest,
 )
 from softcal_jax.equilibrium._workers import (
     Batch,
@@ -104,6 +105,7 @@ __all__ = [
     "robot_states",
     "sensitivity",
     "solve_equilibrium",
+    "solve_from_rest",
     "solved_forces",
     "strain_energy",
     "tangent_values",

@@ -111,6 +111,36 @@ def _equilibrium_jvp(primals, tangents, *, settings):
     )
 
 
+def solve_from_rest(
+    model: Model,
+    configurations: ConfigurationArrays,
+    settings: NewtonSettings | None = None,
+) -> EquilibriumSolution:
+    """Solve a batch of configurations of which no equilibrium is known.
+
+    All start from rest; with rigid bodies, each from the one before: poses of a robot
+    lie near each other, and far from its parts before they are mounted.
+
+    Args:
+        model: The model.
+        configurations: One lane per configuration.
+        settings: Settings of Newton's method.
+
+    Returns:
+        The solutions, see `solve_equilibrium`, one lane per configuration.
+    """
+    solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=settings)
+    rest = jnp.zeros((model.n_points, 3))
+    if model.mechanism.bodies.n_bodies == 0:
+        return jax.vmap(solve, (0, None))(configurations, rest)
+
+    def follow(u, configuration):
+        found = solve(configuration, u)
+        return jnp.where(found.converged, found.displacement, u), found
+
+    return jax.lax.scan(follow, rest, configurations)[1]
+
+
 @overload
 def solve_equilibrium(
     model: Model,

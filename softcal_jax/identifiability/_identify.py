@@ -15,7 +15,6 @@ from softcal_jax.calibration import (
     as_sequence,
     considered_errors,
     correlated_noise,
-    first_guess,
     measured_motion,
     simulate,
     whitened,
@@ -264,8 +263,7 @@ class Survey(eqx.Module):
 def _solve(
     problem: CalibrationProblem, z: Float[Array, " n_p"]
 ) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"], EnergyCompliance]:
-    posed, newton = problem.at(z), problem.newton
-    solution, moved = simulate(*posed, first_guess(*posed, newton), newton)
+    solution, moved = simulate(*problem.at(z), problem.newton)
     lane = lambda c, u: energy_compliance(problem.model, c, u, problem.space, z)
     of_lanes = jax.vmap(lane)(problem.configurations, solution.displacement)
     return solution, moved, of_lanes

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
@@ -24,7 +22,7 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
-    solve_equilibrium,
+    solve_from_rest,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.identifiability import (
@@ -252,20 +250,7 @@ class Project(eqx.Module):
             )
         mesh, mechanism = self.model.mesh, self.model.mechanism
         lanes = configuration_arrays(mesh, self.configurations, mechanism)
-        return _simulate(self.model, lanes, self.newton)
+        return _solve_from_rest(self.model, lanes, self.newton)
 
 
-@eqx.filter_jit
-def _simulate(model, lanes, newton):
-    solve = lambda lane, u: solve_equilibrium(model, lane, guess=u, settings=newton)
-    rest = jnp.zeros((model.n_points, 3))
-    if model.mechanism.bodies.n_bodies == 0:
-        return jax.vmap(solve, (0, None))(lanes, rest)
-
-    # Start each from the previous one: the states of a robot with rigid bodies lie near
-    # each other, and far from its parts before they are mounted.
-    def follow(u, lane):
-        found = solve(lane, u)
-        return jnp.where(found.converged, found.displacement, u), found
-
-    return jax.lax.scan(follow, rest, lanes)[1]
+_solve_from_rest = eqx.filter_jit(solve_from_rest)
