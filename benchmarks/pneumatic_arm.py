@@ -89,7 +89,12 @@ def run(options: Options) -> Outcome:
         ]
         for c in wound.configurations
     ]
-    return Outcome(figures, goals=GOALS, tables=[Table("Errors", columns, rows)])
+    return Outcome(
+        figures,
+        {"parameters": [p.value for p in wound.parameters]},
+        goals=GOALS,
+        tables=[Table("Errors", columns, rows)],
+    )
 
 
 def calibrated(path: Path) -> tuple[Project, CalibrationResult, Assessment]:
