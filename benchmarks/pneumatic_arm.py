@@ -6,10 +6,10 @@ and 400 mbar, beyond them. All errors are root mean squares over the markers, ov
 those of their motion. The same is done with plain silicone, which is the wrong law: it
 must not be called identified.
 
-Silicone stiffens: Gent's law, whose limit J_m is known to a factor of 8 from a published
-pull test (README.md of the arm) and is calibrated beside that. The law was taken because
-an arm of neo-Hookean silicone, found from the same poses, carries 99 % of 400 mbar. Its
-constant owes nothing to the poses that are held out.
+Silicone stiffens: Gent's law, whose limit J_m is known to a factor of 8 from a
+published pull test (README.md of the arm) and is calibrated beside that. The law was
+taken because an arm of neo-Hookean silicone, found from the same poses, carries 99 % of
+400 mbar. Its constant owes nothing to the poses that are held out.
 
 Where the calibrated arm has no equilibrium at a held-out pressure, its path is followed
 by arc length to the largest pressure that it carries.
