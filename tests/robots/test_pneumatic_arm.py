@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from benchmarks.pneumatic_arm import plain
 from softcal_jax.cli import main
@@ -17,7 +18,13 @@ INNER_RADIUS = 22.22 - 2.03
 CHORD = 0.5
 """By which a chord between nodes of the mesh may lie inside its circle [mm]."""
 
-NOT_OF_THE_LAW = ["turn x", "turn y", "turn z"]
+OF_SILICONE, OF_THE_SETUP = ["mu", "J_m"], ["turn x", "turn y", "turn z"]
+
+PULLED = {
+    0.1: (11.1, 21.5, 31.7, 42.4, 53.0, 64.7, 76.3, 87.9, 100.1, 113.0),
+    1.0: (113.0, 272.8, 444.8, 632.5, 825.4, 1017.3, 1208.0, 1400.4, 1595.5, 1766.8),
+}
+"""Nominal stress [kPa] at multiples of an elongation, of the README's source."""
 
 
 @pytest.fixture(scope="module")
@@ -77,14 +84,35 @@ def test_body(project):
     np.testing.assert_allclose(along_radius, 0.0, atol=1e-12)
 
 
+def gent(step, kpa):
+    """Fit mu [kPa] and J_m to a pull test, whose stress is closed."""
+    stretch = 1.0 + step * np.arange(1, len(kpa) + 1)
+    i1 = stretch**2 + 2.0 / stretch - 3.0
+    stress = lambda mu, J_m: mu * (stretch - stretch**-2) / (1.0 - i1 / J_m)
+    unknown = lambda x: (np.exp(x[0]), i1.max() + np.exp(x[1]))
+    found = least_squares(lambda x: stress(*unknown(x)) - kpa, [4.0, 2.0])
+    return unknown(found.x)
+
+
+def test_silicone_is_known_from_a_pull_test(project):
+    """J_m is that of small or of all strains, and the start of mu that of all."""
+    (_, small), (mu, large) = (gent(*test) for test in PULLED.items())
+    by_name = {p.name: p for p in project.parameters}
+    assert by_name["mu"].start == pytest.approx(1e3 * mu, rel=0.01)
+    limit = by_name["J_m"]
+    assert limit.start == pytest.approx(np.sqrt(small * large), rel=0.05)
+    assert limit.prior_std == pytest.approx(0.5 * np.log(large / small), rel=0.05)
+
+
 def test_plain_silicone(folder, project):
     """The same file and arm without thread, as the benchmark refutes it."""
     path = folder / "plain.toml"
     path.write_text(plain((folder / "project.toml").read_text()))
     silicone = load_project(path)
     assert type(silicone.model.law) is type(project.model.law.matrix)
-    assert [p.name for p in silicone.parameters] == ["E", *NOT_OF_THE_LAW]
-    assert [p.name for p in project.parameters] == ["E", "E_f_wall", *NOT_OF_THE_LAW]
+    of = lambda p: [parameter.name for parameter in p.parameters]
+    assert of(silicone) == [*OF_SILICONE, *OF_THE_SETUP]
+    assert of(project) == [*OF_SILICONE, "E_f_wall", *OF_THE_SETUP]
     names = [c.name for c in project.configurations]
     assert [c.name for c in silicone.configurations] == names
 
