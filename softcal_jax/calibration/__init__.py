@@ -40,6 +40,7 @@ from softcal_jax.calibration._problem import (
     at_rest,
     evaluate,
     first_guess,
+    n_measured,
     simulate,
     without_names,
 )
@@ -122,6 +123,7 @@ __all__ = [
     "levenberg_marquardt",
     "measured_motion",
     "multi_start",
+    "n_measured",
     "profile_ends",
     "profile_intervals",
     "propose",

@@ -97,7 +97,7 @@ def _settled(
         except LowerCostFound as lower:
             other = go_on(fitted, lower.z)
         # Where the noise follows the motion, each fit has weights of its own.
-        cost = in_other_units(fitted.problem, other.evaluation).cost
+        cost = in_other_units(fitted.problem, other.evaluation, other.problem).cost
         if not (other.result.converged and float(cost) < float(fitted.evaluation.cost)):
             break
         fitted = Fitted(_with_optimum(other.result), *other[1:])
@@ -126,7 +126,7 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
         LowerCostFound: If a cost is lower than that of the calibration.
     """
     result, problem, at = fitted
-    spread, space = result.uncertainty, problem.space
+    spread = result.uncertainty
     if not result.converged:
         return _none(fitted, level, "the calibration did not converge")
     if not np.isfinite(spread.noise_scale):
@@ -155,10 +155,6 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
         reach = float(quantile * std[column])
         ends = ProfileEnd(reach, "likelihood"), ProfileEnd(reach, "likelihood")
         found[column] = whole_interval(result, column, level, ends, first_order=True)
-    if spread.noise == "estimated" and space.has_prior:
-        why = 'a profile beside a prior needs noise = "stated"'
-        found |= {column: _no(fitted, column, level, why) for column in bent}
-        bent = []
     profiles = []
     if bent:
         told(result)

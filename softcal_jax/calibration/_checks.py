@@ -11,6 +11,7 @@ import numpy as np
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
+    compiled_first_guess,
     effector_errors,
     first_guess,
     simulate,
@@ -26,7 +27,6 @@ from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import ParameterSpace
 
 _simulate = eqx.filter_jit(simulate)
-_first_guess = eqx.filter_jit(first_guess)
 
 
 def synthetic_measurements(
@@ -105,7 +105,7 @@ def simulated_measurements(
     arrays, records = configuration_lanes(mesh, posed, mechanism)
     arrays = arrays if change is None else jax.vmap(change)(arrays)
     newton = newton or NewtonSettings()
-    guess = _first_guess(first or model, arrays, newton)
+    guess = compiled_first_guess(first or model, arrays, newton)
     solution, effectors = _simulate(model, arrays, guess, newton)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
@@ -150,7 +150,7 @@ def levenberg_marquardt(
         # A step to parameters without equilibrium must be refused.
         of_data = problem.in_noise_units(jnp.ravel(delta_e))
         of_data = jnp.where(jnp.all(solution.converged), of_data, jnp.inf)
-        return jnp.concatenate([of_data, problem.space.from_prior(z)])
+        return jnp.concatenate([of_data, problem.from_prior(z)])
 
     solution = optx.least_squares(
         errors,

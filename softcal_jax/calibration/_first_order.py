@@ -39,13 +39,17 @@ class _Checked(NamedTuple):
     def cost(self, at: Evaluation) -> float:
         """Return twice the cost."""
         errors = np.sum(np.asarray(at.error) ** 2) / self.spread.noise_scale**2
-        return float(errors + np.sum(np.asarray(at.prior) ** 2))
+        return float(errors + np.sum(self.prior(at) ** 2))
+
+    def prior(self, at: Evaluation) -> HostArray:
+        """Return distances from the prior, in its standard deviations."""
+        return np.asarray(at.prior) / np.asarray(self.evaluate.problem.level)
 
     def slope(self, at: Evaluation) -> HostArray:
         """Return the derivative of the cost by the scaled parameters."""
         W, error = np.asarray(at.W_ep), np.asarray(at.error)
         own = W.T @ error / self.spread.noise_scale**2
-        return own + self.prior_weights * np.asarray(at.prior)
+        return own + self.prior_weights * self.prior(at)
 
     def curvature(self, at: Evaluation) -> HostArray:
         """Return the second derivative of the cost, of the linearised errors."""
@@ -109,8 +113,7 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> Job[bool]:
         return False
     if float(there.cost) < float(fit.at.cost) - 0.5 * LOWER * fit.rise**2:
         raise LowerCostFound(z, float(there.cost), float(fit.at.cost))
-    # The fit stops where its slope has nearly vanished; with a prior and an estimated
-    # noise the slope in these units is not that of the fit.
+    # The fit stops where its slope has nearly vanished, and what is left counts here.
     slope = np.where(fit.spread.at_bound, 0.0, fit.slope(fit.at))
     rise = fit.cost(there) - fit.cost(fit.at) - 2.0 * slope @ step
     left = fit.slope(there) - slope

@@ -55,7 +55,7 @@ def profile_intervals(
     Raises:
         ValueError: If the calibration did not converge, the configurations are not
             those that it fitted, a parameter is unknown, the level is not between 0 and
-            1, or the noise was estimated from too few residuals, or with a prior.
+            1, or the noise was estimated from too few residuals.
         RuntimeError: If a configuration has no equilibrium with the fitted parameters.
         LowerCostFound: If a fit along the way has a lower cost than the calibration,
             which then is not in the best optimum; the error holds its parameters, to
@@ -111,11 +111,6 @@ def profile_intervals(
 def _rise(result: CalibrationResult, level: float) -> float:
     """Return the root of the rise of the squared errors that chance allows."""
     spread, estimated = result.uncertainty, result.uncertainty.noise == "estimated"
-    if estimated and result.space.has_prior:
-        raise ValueError(
-            "intervals beside a prior need to know the noise: calibrate with "
-            'noise = "stated" and the `std` of the effectors.'
-        )
     if estimated and spread.degrees_of_freedom < 1:
         raise ValueError(
             "the noise cannot be estimated without more measured coordinates than "

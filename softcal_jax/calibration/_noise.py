@@ -128,12 +128,21 @@ class CorrelatedNoise(eqx.Module):
         self,
         delta_e: Float[HostArray, "n_c n_rows 3"],
         weight: Float[HostArray, "n_c n_rows 3"],
+        fitted: Bool[HostArray, " n_c"] | None = None,
     ) -> Float[HostArray, "n_c n_rows 3"]:
-        """Subtract from errors what those of each marker have in common [m]."""
+        """Subtract from errors what those of each marker have in common [m].
+
+        Args:
+            delta_e: Simulated minus measured values of the effectors.
+            weight: 1 / standard deviations.
+            fitted: Configurations that the offsets are found from; by default all.
+        """
         if self.marker_std.shape[-1] == 0:
             return np.asarray(delta_e)
-        marker = np.asarray(self.marker)
-        offsets = self.marker_offsets(delta_e, weight)
+        marker, known = np.asarray(self.marker), np.asarray(weight)
+        if fitted is not None:
+            known = np.where(fitted[:, None, None], known, 0.0)
+        offsets = self.marker_offsets(delta_e, known)
         common = np.where((marker >= 0)[:, :, None], offsets[marker], 0.0)
         return np.where(np.asarray(weight) > 0.0, delta_e - common, 0.0)
 

@@ -84,6 +84,23 @@ class CalibrationProblem(eqx.Module):
             return np.zeros((effectors.inverse_std.size, 0))
         return np.asarray(jax.tree.map(np.asarray, self.noise).columns(effectors))
 
+    @property
+    def level(self) -> Float[Array | HostArray, ""] | float:
+        """Factor on the stated standard deviations that an error of one stands for [-].
+
+        Errors count in stated units whatever the noise is found to be, so that what is
+        added to their squares must be multiplied by it.
+        """
+        return 1.0 if self.noise is None else self.noise.jitter
+
+    def prior_weights(self) -> Float[Array, " n_p"]:
+        """Return 1 / standard deviations of the prior, in units of the errors [-]."""
+        return jnp.asarray(self.level) * self.space.prior_weights()
+
+    def from_prior(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+        """Return distances from the prior, in units of the errors [-]."""
+        return jnp.asarray(self.level) * self.space.from_prior(z)
+
     def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
         """Return the calibration with another noise."""
         where = lambda p: p.noise
@@ -215,18 +232,27 @@ def stacked(
         compliance=compliance,
         error=error,
         W_ep=W,
-        prior=problem.space.from_prior(z),
+        prior=problem.from_prior(z),
         tangents=lanes.displacement,
         ok=ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W)),
     )
 
 
-def in_other_units(problem: CalibrationProblem, old: Evaluation) -> Evaluation:
-    """Return an evaluation in the units of another noise, that of `problem`."""
-    where = lambda e: (e.error, e.W_ep)
+def in_other_units(
+    problem: CalibrationProblem, old: Evaluation, before: CalibrationProblem
+) -> Evaluation:
+    """Return an evaluation in the units of another noise.
+
+    Args:
+        problem: The calibration with that noise.
+        old: The evaluation.
+        before: The calibration with the noise that it was made with.
+    """
+    where = lambda e: (e.error, e.W_ep, e.prior)
     both = np.ravel(old.delta_e), np.asarray(old.compliance)
-    new = jax.device_put([problem.on_host_in_noise_units(x) for x in both])
-    return eqx.tree_at(where, old, tuple(new))
+    units = [problem.on_host_in_noise_units(x) for x in both]
+    prior = np.asarray(problem.level) / np.asarray(before.level) * np.asarray(old.prior)
+    return eqx.tree_at(where, old, tuple(jax.device_put([*units, prior])))
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
@@ -263,9 +289,13 @@ def first_guess(
 _evaluate_lane = eqx.filter_jit(evaluate_lane)
 
 
+compiled_first_guess = eqx.filter_jit(first_guess)
+"""`first_guess`, compiled once for measurements of a model and for its calibration."""
+
+
 @eqx.filter_jit
-def _first_guess(problem: CalibrationProblem, z):
-    return first_guess(*problem.at(z), problem.newton)
+def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
+    return problem.at(z)
 
 
 class Evaluator:
@@ -347,7 +377,8 @@ class Evaluator:
 
     def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
         problem = with_solver(self.numbered.with_noise(None), solver)
-        return jax.block_until_ready(_first_guess(problem, z))
+        found = compiled_first_guess(*_posed(problem, z), problem.newton)
+        return jax.block_until_ready(found)
 
 
 def evaluate(

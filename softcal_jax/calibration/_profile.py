@@ -102,7 +102,7 @@ def profile_ends(
     space = problem.space
     # The covariance to first order; the bounds count, to keep it finite.
     size = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
-    known = 1.0 / size**2 + np.asarray(space.prior_weights()) ** 2
+    known = 1.0 / size**2 + np.asarray(problem.prior_weights()) ** 2
     at = _Fit(
         evaluate=Evaluator(problem),
         settings=settings,
@@ -215,7 +215,7 @@ class _Profile:
         pin = Pin(
             jnp.asarray(self.column),
             jnp.asarray(at.z[self.column] + self.sign * distance),
-            jnp.asarray(firm / self.std),
+            jnp.asarray(firm / self.std) / at.evaluate.numbered.level,
         )
         run = yield from self._pinned(self.space, pin, start)
         rest = self._rest(distance, pin, run)
@@ -268,7 +268,8 @@ class _Profile:
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
         """Return how far the parameter is from its pin, and the rise of twice cost."""
         cost = jnp.asarray(run.cost)  # a float would be compiled in
-        far, cost = _without_pin(self.space, pin, jnp.asarray(run.z), cost)
+        problem = self.at.evaluate.numbered
+        far, cost = _without_pin(problem, pin, jnp.asarray(run.z), cost)
         higher = 2.0 * (float(cost) - self.at.cost)
         if higher < -LOWER * self.at.rise**2:
             raise LowerCostFound(jnp.asarray(run.z), float(cost), self.at.cost)
@@ -286,9 +287,10 @@ def room_beside(
 
 
 @eqx.filter_jit
-def _without_pin(space: ParameterSpace, pin: Pin, z, cost):
+def _without_pin(problem: CalibrationProblem, pin: Pin, z, cost):
     """Return how far a parameter is from its pin, and the cost without the pin."""
+    space = problem.space
     middle = space.start().at[pin.column].set(pin.value)
     far = space.shorter(z - middle)[pin.column]
-    own = space.from_prior(z)[pin.column]
-    return far, cost - 0.5 * (pin.weight * far) ** 2 + 0.5 * own**2
+    own = problem.from_prior(z)[pin.column]
+    return far, cost - 0.5 * (problem.level * pin.weight * far) ** 2 + 0.5 * own**2

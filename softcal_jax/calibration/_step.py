@@ -17,7 +17,7 @@ import numpy as np
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._curvature import Curvature, convex_model, learned
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
-from softcal_jax.calibration._qp import Limits, QPStep, scaled_qp, solved_qp
+from softcal_jax.calibration._qp import Limits, QPStep, ScaledQP, scaled_qp, solved_qp
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
 
@@ -64,13 +64,12 @@ def propose(
 ) -> Proposal:
     """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11)."""
     now, space = state.evaluation, problem.space
-    W, error, J = _linear_model(space, state.z, now)
+    W, error, J = _linear_model(problem, state.z, now)
     limits = _limits(problem, settings, state, J)
     S = state.curvature.matrix
-    # In one loop, so that the QP, most of this program, is compiled once.
     models = (W, error), convex_model(W, error, S)
     scaled = [scaled_qp(*model, limits) for model in models]
-    both = jax.lax.map(solved_qp, jax.tree.map(lambda *x: jnp.stack(x), *scaled))
+    both = _solved_each(scaled, [jnp.array(True), state.curvature.used])
     used = state.curvature.used.astype(jnp.int32)
     qp = jax.tree.map(lambda steps: steps[used], both)
 
@@ -100,6 +99,21 @@ def propose(
     )
 
 
+def _solved_each(qps: list[ScaledQP], needed: list[Bool[Array, ""]]) -> QPStep:
+    """Solve those QPs that are needed, and stack the steps; the others' are zero.
+
+    In one loop, since a QP is most of the program of a step and is compiled once here.
+    """
+
+    def one(each: tuple[Bool[Array, ""], ScaledQP]) -> QPStep:
+        shape = jax.eval_shape(solved_qp, each[1])
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+        return jax.lax.cond(each[0], solved_qp, lambda _: nothing, each[1])
+
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *qps)
+    return jax.lax.map(one, (jnp.stack(needed), stacked))
+
+
 class _LinearModel(NamedTuple):
     """Errors to first order in step coordinates, those of the prior included.
 
@@ -112,11 +126,11 @@ class _LinearModel(NamedTuple):
 
 
 def _linear_model(
-    space: ParameterSpace, z: Float[Array, " n_p"], evaluation: Evaluation
+    problem: CalibrationProblem, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> _LinearModel:
-    W_ep, error = evaluation.W_ep, evaluation.error
+    W_ep, error, space = evaluation.W_ep, evaluation.error, problem.space
     if space.has_prior:
-        W_ep = jnp.concatenate([W_ep, jnp.diag(space.prior_weights())])
+        W_ep = jnp.concatenate([W_ep, jnp.diag(problem.prior_weights())])
         error = jnp.concatenate([error, evaluation.prior])
     if space.chart is None:
         return _LinearModel(W_ep, error, jnp.eye(z.shape[0]))
@@ -205,7 +219,7 @@ def decide(
         grown = jnp.minimum(2.0 * bound, most)
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
-        curvature = _after(problem.space, state, proposal, tried)
+        curvature = _after(problem, state, proposal, tried)
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within
@@ -229,15 +243,15 @@ def decide(
 
 
 def _after(
-    space: ParameterSpace,
+    problem: CalibrationProblem,
     state: CalibrationState,
     proposal: Proposal,
     tried: Evaluation,
 ) -> Curvature:
     """Update the curvature from the compliances at both ends of a step."""
     now = state.evaluation
-    here = _linear_model(space, state.z, now)
-    there = _linear_model(space, proposal.z, tried)
+    here = _linear_model(problem, state.z, now)
+    there = _linear_model(problem, proposal.z, tried)
     error = jnp.where(tried.cost <= now.cost, there.error, here.error)
     new = learned(
         state.curvature,

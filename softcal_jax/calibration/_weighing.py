@@ -158,8 +158,9 @@ def weighed_fit(
                 'the effectors with noise = "stated", or the offset of recordings.'
             )
             break
+        before = evaluate.numbered
         noise, evaluate = new, evaluate.with_noise(new)
-        evaluation = in_other_units(evaluate.numbered, state.evaluation)
+        evaluation = in_other_units(evaluate.numbered, state.evaluation, before)
         state = initial_state(settings, state.z, evaluation)
     notes += _found(noise, unknown)
     return Weighed(
@@ -183,7 +184,7 @@ def linear_errors(problem: CalibrationProblem, state: CalibrationState) -> Resid
     return Residuals(
         r=(weight * np.asarray(at.delta_e).ravel())[seen],
         W=(weight[:, None] * np.asarray(at.compliance))[np.ix_(seen, free)],
-        r_prior=np.asarray(at.prior)[free][known],
+        r_prior=(np.asarray(at.prior) / np.asarray(problem.level))[free][known],
         W_prior=np.diag(prior[free])[known],
     )
 
@@ -261,8 +262,8 @@ def _estimated(
     level = 0.0
     if len(errors.r):
         level = float(np.sqrt(np.mean(_without_offsets(errors.r, problem) ** 2)))
-    # Without columns the jitter weighs nothing: `uncertainty` finds it in closed form.
-    if not any(used) or dof <= 0 or level < EXACT:
+    # Alone the jitter weighs nothing: `uncertainty` finds it in closed form.
+    if not (any(used) or len(errors.r_prior)) or dof <= 0 or level < EXACT:
         return None
     free = [unknown.jitter, used[0], used[1], False]
     if not any(free):
@@ -277,11 +278,9 @@ def _without_offsets(
     r: Float[HostArray, " n"], problem: CalibrationProblem
 ) -> Float[HostArray, " n"]:
     """Return errors in stated units without the offsets of markers."""
-    noise, weight = (
-        problem.noise,
-        np.asarray(problem.configurations.effectors.inverse_std),
-    )
+    noise = problem.noise
     assert noise is not None
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
     delta_e = np.zeros(weight.shape)
     delta_e[weight > 0.0] = r / weight[weight > 0.0]
     rest = noise.without_marker_offsets(delta_e, weight)

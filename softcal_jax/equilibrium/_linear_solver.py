@@ -274,8 +274,13 @@ class Klu(AbstractLinearSolver):
     def _factor_solve(self, values, rhs):
         import klujax
 
-        x = klujax.solve(self.full_rows, self.full_cols, values[self.source], rhs.T).T
-        return x, jnp.full((), -1, jnp.int32), jnp.all(jnp.isfinite(x))
+        rows, cols, full = self.full_rows, self.full_cols, values[self.source]
+        # KLU raises at a row of zeros, and other lanes with it: take the identity.
+        size = jnp.zeros(rhs.shape[1]).at[rows].add(jnp.abs(full))
+        regular = jnp.all(size > 0.0)
+        full = jnp.where(regular, full, (rows == cols).astype(full.dtype))
+        x = klujax.solve(rows, cols, full, rhs.T).T
+        return x, jnp.full((), -1, jnp.int32), regular & jnp.all(jnp.isfinite(x))
 
 
 def require_float64() -> None:

@@ -295,7 +295,7 @@ class NewtonLoop:
             step=count,
             step_in_load=count,
             load_steps=count,
-            merit_before=self.remembered(jnp.inf),
+            merit_before=self.remembered(jnp.full_like(zero, jnp.inf)),
             residual=jnp.full_like(zero, jnp.inf),
             n_negative=count,
             lost=count,

@@ -19,6 +19,7 @@ from softcal_jax.calibration import (
     build_problem,
     default_starts,
     images_of,
+    n_measured,
     random_starts,
     run_start,
     whitened,
@@ -235,16 +236,27 @@ def _score(
 ) -> ModelScore:
     """Score the folds of one model and the fit to all configurations."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    columns = problem.noise_columns()
+    columns, noise = problem.noise_columns(), problem.noise
+    if noise is not None:
+        columns = columns[:, : noise.n_common]
     A = columns.reshape(*weight.shape, columns.shape[1])
     # Distances are of points; turns and forces count in units of the noise.
     n_points = problem.configurations.effectors.nodes.shape[-2]
+    every = np.arange(len(names))
 
-    def rms(fit: _Fit, failure: str, lanes: list[int]) -> tuple[float, float]:
-        """Return the distance of points [m], and coordinates over the noise [-]."""
+    def rms(
+        fit: _Fit, failure: str, fold: _Fold, lanes: Int[HostArray, " n"]
+    ) -> tuple[float, float]:
+        """Return the distance of points [m], and coordinates over the noise [-].
+
+        The offset of a marker is known from the fitted configurations alone.
+        """
         if failure:
             return np.nan, np.nan
-        error, of_lanes = np.asarray(fit.after.delta_e)[lanes], weight[lanes]
+        error, of_lanes = np.asarray(fit.after.delta_e), weight[lanes]
+        if noise is not None:
+            error = noise.without_marker_offsets(error, weight, fold.counts)
+        error = error[lanes]
         squares = np.sum(error[:, :n_points] ** 2, axis=2)
         there = np.any(of_lanes[:, :n_points] > 0.0, axis=2)
         own = A[lanes].reshape(of_lanes.size, A.shape[-1])
@@ -253,19 +265,19 @@ def _score(
         mean = lambda squares: float(np.sqrt(np.mean(squares)))
         return mean(squares[there]), mean(over_noise**2)
 
-    every, folds = list(range(len(names))), []
-    for held_out, configuration in enumerate(names):
-        fit, failure = fits[held_out], _failure(fits[held_out], held_out)
-        others = [i for i in every if i != held_out]
-        distance, over_noise = rms(fit, failure, [held_out])
-        fitted, _ = rms(fit, failure, others)
-        folds.append(FoldScore(configuration, distance, over_noise, fitted, failure))
+    *held_out_folds, whole = _folds(len(names))
+    folds = []
+    for i, fold in enumerate(held_out_folds):
+        fit, failure = fits[i], _failure(fits[i], i)
+        distance, over_noise = rms(fit, failure, fold, every[i : i + 1])
+        fitted, _ = rms(fit, failure, fold, every[fold.counts])
+        folds.append(FoldScore(names[i], distance, over_noise, fitted, failure))
     last, failure = fits[-1], _failure(fits[-1], None)
     seen = None
     if np.all(last.after.equilibrium.converged):
-        W, n_data = np.asarray(last.after.W_ep), int(np.sum(weight > 0.0))
+        W, n_data = np.asarray(last.after.W_ep), n_measured(problem)
         seen = identifiability(W, problem.space, last.run.z, n_data=n_data)
-    distance, over_noise = rms(last, failure, every)
+    distance, over_noise = rms(last, failure, whole, every)
     return ModelScore(
         name=name,
         n_points=control_points,

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.materials._constants import (
     as_field,
-    check_constants,
     constant,
 )
 from softcal_jax.materials._rubber import (
@@ -45,13 +44,6 @@ class Gent(AbstractInvariantRubber):
     nu: Float[Array, "..."] = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
-
-    def __check_init__(self):
-        check_constants(self)
-
-    def poisson_ratio(self) -> Float[Array, "..."]:
-        """Poisson's ratio at small strain [-]."""
-        return self.nu
 
     def shear_modulus(self) -> Float[Array, "..."]:
         """Shear modulus at small strain [Pa]."""

@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul, sum_of
-from softcal_jax.materials._constants import as_field, check_constants, constant
+from softcal_jax.materials._constants import as_field, constant
 from softcal_jax.materials._powers import power, trace_of_power
 from softcal_jax.materials._rubber import (
     INCOMPRESSIBLE,
@@ -92,8 +92,6 @@ class Ogden(AbstractRubber):
                     f"term {p} has {given} alone; give mu_{p} and alpha_{p}, or "
                     "neither."
                 )
-        check_constants(self)
-        self.check_shear_modulus()
 
     def terms(self) -> list[_Term]:
         """Return stiffness and exponent of each term."""
@@ -103,10 +101,6 @@ class Ogden(AbstractRubber):
             (self.mu_3, self.alpha_3),
         )
         return [_Term(m, a) for m, a in pairs if m is not None and a is not None]
-
-    def poisson_ratio(self) -> Float[Array, "..."]:
-        """Poisson's ratio at small strain [-]."""
-        return self.nu
 
     def shear_modulus(self) -> Float[Array, "..."]:
         """Shear modulus at small strain, sum of mu_p alpha_p / 2 [Pa]."""

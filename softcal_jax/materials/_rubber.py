@@ -3,12 +3,13 @@
 from abc import abstractmethod
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax.elements import cofactor, determinant, matmul
-from softcal_jax.materials._constants import constant, is_point_values
+from softcal_jax.materials._constants import check_constants, constant, is_point_values
 from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._products import crossed, outer, paired
 
@@ -29,13 +30,15 @@ class AbstractRubber(AbstractLaw):
     the change of volume (Simo and Taylor, Comput. Methods Appl. Mech. Eng. 85, 1991),
     with the bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)). So at small strain it is
     Hooke's law of the shear modulus mu and Poisson's ratio nu, E = 2 mu (1 + nu).
-    Not defined for J <= 0, where it returns NaN and the solver steps back. The field
-    that holds nu has this name: from 0.49 on, quadratic tets take the mean dilatation.
+    Not defined for J <= 0, where it returns NaN and the solver steps back. From nu =
+    0.49 on, quadratic tets take the mean dilatation.
     """
 
-    @abstractmethod
-    def poisson_ratio(self) -> Float[Array, "..."]:
-        """Poisson's ratio at small strain, nu [-]."""
+    nu: eqx.AbstractVar[Float[Array, "..."]]
+
+    def __check_init__(self):
+        check_constants(self)
+        self._check_shear_modulus()
 
     @abstractmethod
     def shear_modulus(self) -> Float[Array, "..."]:
@@ -43,8 +46,8 @@ class AbstractRubber(AbstractLaw):
 
     def bulk_modulus(self) -> Float[Array, "..."]:
         """Bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)) [Pa]."""
-        nu = self.poisson_ratio()
-        return self.shear_modulus() * (2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu)))
+        ratio = 2.0 * (1.0 + self.nu) / (3.0 * (1.0 - 2.0 * self.nu))
+        return self.shear_modulus() * ratio
 
     def volume_energy(self, J: Float[Array, ""]) -> Float[Array, ""]:
         """Energy K/4 (J^2 - 1 - 2 ln J) [J/m3]."""
@@ -56,7 +59,7 @@ class AbstractRubber(AbstractLaw):
             J > 0.0, 0.5 * self.bulk_modulus() * (J - 1.0) * (J + 1.0), jnp.nan
         )
 
-    def check_shear_modulus(self) -> None:
+    def _check_shear_modulus(self) -> None:
         """Raise ValueError unless the shear modulus is positive at rest."""
         leaves = [getattr(self, name) for name in self.__dataclass_fields__]
         if any(is_point_values(leaf) or is_traced(leaf) for leaf in leaves):

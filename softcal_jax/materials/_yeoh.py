@@ -3,7 +3,7 @@
 import equinox as eqx
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._constants import as_field, check_constants
+from softcal_jax.materials._constants import as_field
 from softcal_jax.materials._rubber import (
     INCOMPRESSIBLE,
     RUBBER_RATIO,
@@ -41,14 +41,6 @@ class Yeoh(AbstractInvariantRubber):
     nu: Float[Array, "..."] = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
-
-    def __check_init__(self):
-        check_constants(self)
-        self.check_shear_modulus()
-
-    def poisson_ratio(self) -> Float[Array, "..."]:
-        """Poisson's ratio at small strain [-]."""
-        return self.nu
 
     def shear_modulus(self) -> Float[Array, "..."]:
         """Shear modulus at small strain, 2 c10 [Pa]."""

@@ -168,7 +168,7 @@ def holds(errors, jacobian, *, column=0, W=None, on_bound=False, space=SPACE):
         return at(np.asarray(z))
         yield
 
-    evaluate.problem = SimpleNamespace(space=space)
+    evaluate.problem = SimpleNamespace(space=space, level=1.0)
     covariance = np.linalg.inv(np.transpose(W) @ np.array(W))
     if on_bound:  # the second one is held there
         covariance = np.diag([1.0 / np.sum(np.array(W)[:, 0] ** 2), np.nan])
@@ -279,7 +279,7 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
     )
     # Nothing but the cost of an evaluation is asked for, in the same units.
     own = "softcal_jax.calibration._checked_intervals.in_other_units"
-    monkeypatch.setattr(own, lambda problem, evaluation: evaluation)
+    monkeypatch.setattr(own, lambda problem, evaluation, before: evaluation)
     fitted = of_problem(replace(result, starts=starts), poses)
     fitted = fitted._replace(evaluation=SimpleNamespace(cost=last.cost))
 

@@ -32,6 +32,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import Parameter, exactly_known, set_field
 from softcal_jax.identifiability import identify
+from softcal_jax.layouts import compare_laws
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -221,3 +222,28 @@ def test_bad_references(data, change, message):
     configurations[1] = replace(configurations[1], **change)
     with pytest.raises(ValueError, match=message):
         fitted(configurations)
+
+
+def test_held_out_poses_are_scored_without_glue(data):
+    """Where a marker is glued is known from the poses of the fit alone."""
+    laws = {
+        "right": (MODEL, E),
+        "stiff": (MODEL, Parameter("E", "E", 700e3, 600e3, 1e6)),
+    }
+    found = compare_laws(laws, measured(data)[:3], newton=TIGHT)
+    right, stiff = found.models
+    assert (right.name, stiff.name) == ("right", "stiff")
+    side = data[2] - data[0]
+
+    def cost(log):
+        x = np.asarray(positions(float(np.exp(log))))
+        return np.sum((x[2] - x[0] - side) ** 2)
+
+    low, high = np.log([0.8 * E_TRUE, 1.25 * E_TRUE])
+    best = np.exp(np.asarray(fminbound(cost, low, high, xtol=1e-8)).item())
+    error = np.asarray(positions(float(best)))[:3] - data[:3]
+    left = error[1] - 0.5 * (error[0] + error[2])
+    up, other = right.folds[1], stiff.folds[1]
+    np.testing.assert_allclose(up.noise_rms, np.sqrt(np.mean(left**2)) / STD, rtol=1e-2)
+    np.testing.assert_allclose(up.rms, np.sqrt(np.sum(left**2) / 2), rtol=1e-2)
+    assert other.noise_rms > 2.0 * up.noise_rms

@@ -109,6 +109,24 @@ def test_prior_counts_as_a_datum(poses):
     np.testing.assert_allclose(ends, [-1.96e-3, 1.96e-3], rtol=1e-2)
 
 
+def test_estimated_noise_is_weighed_against_a_prior():
+    """As if the noise that was found had been stated, whatever has been."""
+    found = {}
+    for factor in (1.0, 30.0):
+        poses = measured(std=factor * STD)
+        result = calibrate(MODEL, unknowns(0.1), poses)
+        scale = factor * result.uncertainty.noise_scale
+        (interval,) = profile_intervals(result, poses, parameters="E")
+        errors = [p.standard_error for p in result.parameters]
+        found[factor] = scale, result.value("E"), *errors, interval.lower
+    # The noise is not followed below changes of 1 %.
+    np.testing.assert_allclose(found[30.0], found[1.0], rtol=1e-2)
+    scale, value, error, *_ = found[1.0]
+    stated = calibrate(MODEL, unknowns(0.1), measured(std=scale * STD), noise="stated")
+    np.testing.assert_allclose(stated.value("E"), value, rtol=1e-3)
+    np.testing.assert_allclose(stated.parameters[0].standard_error, error, rtol=1e-3)
+
+
 def test_it_ends_at_a_bound_that_the_data_do_not_exclude(poses):
     result = calibrate(MODEL, unknowns(upper=410e3), poses, noise="stated")
     (found,) = profile_intervals(result, poses, parameters="E")
@@ -286,11 +304,8 @@ def test_bad_input(result, poses):
         profile_intervals(result, measured(noise=5.0))
 
 
-def test_estimated_noise_needs_data_and_no_prior(result, poses):
+def test_estimated_noise_needs_data(result, poses):
     estimated = replace(result.uncertainty, noise="estimated")
-    known = replace(result, uncertainty=estimated, space=with_prior(result.space))
-    with pytest.raises(ValueError, match="beside a prior"):
-        profile_intervals(known, poses)
     none = replace(result, uncertainty=replace(estimated, degrees_of_freedom=0))
     with pytest.raises(ValueError, match="more measured coordinates"):
         profile_intervals(none, poses)

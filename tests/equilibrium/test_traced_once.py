@@ -4,9 +4,17 @@ import jax
 import jax.numpy as jnp
 import pytest
 from bodies import small_model
+from mechanisms import arrays
 
+from softcal_jax.actuators import Cable, Guide
+from softcal_jax.configurations import Configuration, ImposedDisplacement
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    begin_newton,
+    build_model,
+    continue_newton,
+)
 from softcal_jax.equilibrium import _assembly as assembly
-from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import find_field
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
@@ -59,3 +67,24 @@ def test_nothing_of_a_program_is_kept(name, assembled):
     assembly._mapped.clear_cache()
     with jax.checking_leaks():
         jax.jit(lambda model, u: assembled(model, u)).trace(model, u)
+
+
+def test_a_state_of_newton_keeps_its_types():
+    """Or each call of the loop would be compiled once more."""
+    mesh = beam(1.0, 1.0, 1.0, (1, 1, 1))
+    cable = Cable("cable", [Guide((0.0, 0.5, 2.0), "ground"), (1.0, 0.5, 1.0)])
+    # Where lengths are imposed there is no potential, and the loop keeps more.
+    model = build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, actuators=[cable])
+    pull = {"cable": ImposedDisplacement(0.1)}
+    lane = arrays(model, Configuration("pulled", "x_min", actuation=pull))
+    settings = NewtonSettings()
+    before = jax.eval_shape(
+        lambda u: begin_newton(model, lane, u, settings), jnp.zeros((model.n_points, 3))
+    )
+    more = lambda state, n: continue_newton(model, lane, state, n, settings)[0]
+    after = jax.eval_shape(more, before, jnp.asarray(2))
+    types = lambda state: [
+        (leaf.shape, leaf.dtype, leaf.weak_type) for leaf in jax.tree.leaves(state)
+    ]
+    assert before.merit_before is not None
+    assert types(after) == types(before)
