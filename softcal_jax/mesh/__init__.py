@@ -19,7 +19,12 @@ from softcal_jax.mesh._selection import (
     select_nodes,
 )
 from softcal_jax.mesh._tet_mesh import TetMesh
-from softcal_jax.mesh._topology import boundary_faces, surface_shares, volumes
+from softcal_jax.mesh._topology import (
+    boundary_faces,
+    boundary_tets,
+    surface_shares,
+    volumes,
+)
 from softcal_jax.mesh._tripod import tripod
 
 __all__ = [
@@ -31,6 +36,7 @@ __all__ = [
     "TetMesh",
     "beam",
     "boundary_faces",
+    "boundary_tets",
     "check_mesh",
     "locate",
     "merge",

@@ -68,6 +68,11 @@ def boundary_faces(mesh: TetMesh) -> Int[HostArray, "n_faces n_fn"]:
     return tet_faces(mesh.tets)[boundary_face_indices(mesh.tets)]
 
 
+def boundary_tets(mesh: TetMesh) -> Int[HostArray, " n_faces"]:
+    """Find the index of the tet that has each face of `boundary_faces`."""
+    return boundary_face_indices(mesh.tets) // len(TET_FACES)
+
+
 def tet_edges(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_edges 2"]:
     """List the six edges of every tet, tet by tet, smaller node first."""
     return np.sort(tets[:, np.array(TET_EDGES)].reshape(-1, 2), axis=1)

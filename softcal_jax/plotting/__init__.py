@@ -3,6 +3,7 @@
 from softcal_jax.plotting._budget import plot_budget
 from softcal_jax.plotting._configuration import render_body, render_configuration
 from softcal_jax.plotting._diagrams import plot_convergence, plot_trials
+from softcal_jax.plotting._directions import plot_directions
 from softcal_jax.plotting._fibres import plot_fibres
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 from softcal_jax.plotting._robot import SensorFrame
@@ -12,6 +13,7 @@ __all__ = [
     "SensorFrame",
     "plot_budget",
     "plot_convergence",
+    "plot_directions",
     "plot_fibres",
     "plot_trials",
     "render_body",

@@ -2,50 +2,23 @@
 
 import numpy as np
 import pytest
+from recordings import NAMES, RATE, motion, write_recording
 
 from softcal_jax.configurations import Recording, read_c3d
 
-ezc3d = pytest.importorskip("ezc3d")
-
-RATE = 100.0
-NAMES = ("base", "tip")
-
-
-def motion(n_frames: int = 40) -> np.ndarray:
-    """The tip rests for 20 frames, and moves by 3 mm in each one after that."""
-    positions = np.zeros((n_frames, 2, 3))
-    positions[:, 0] = (1.0, 2.0, 3.0)
-    positions[20:, 1, 2] = 3.0 * np.arange(1, n_frames - 19)
-    return positions
-
-
-def written(path, positions, *, unit="mm", labels=NAMES, residuals=None):
-    c3d = ezc3d.c3d()
-    c3d["parameters"]["POINT"]["RATE"]["value"] = [RATE]
-    c3d["parameters"]["POINT"]["LABELS"]["value"] = list(labels)
-    c3d.add_parameter("POINT", "UNITS", unit)
-    points = np.ones((4, positions.shape[1], len(positions)))
-    points[:3] = positions.transpose(2, 1, 0)
-    c3d["data"]["points"] = points
-    if residuals is not None:
-        c3d["data"]["meta_points"] = {
-            "residuals": residuals.T[None],
-            "camera_masks": np.zeros((7, *residuals.T.shape), bool),
-        }
-    c3d.write(str(path))
-    return path
+pytest.importorskip("ezc3d")
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("m", 1.0)])
 def test_positions_come_in_metres(tmp_path, unit, metres):
-    recording = read_c3d(written(tmp_path / "a.c3d", motion(), unit=unit))
+    recording = read_c3d(write_recording(tmp_path / "a.c3d", motion(), unit=unit))
     assert recording.names == NAMES
     np.testing.assert_allclose(recording.times, np.arange(40) / RATE, atol=1e-12)
     np.testing.assert_allclose(recording.positions, metres * motion(), rtol=1e-6)
 
 
 def test_windows_count_from_the_step(tmp_path):
-    recording = read_c3d(written(tmp_path / "a.c3d", motion()))
+    recording = read_c3d(write_recording(tmp_path / "a.c3d", motion()))
     assert recording.step_of("tip") == pytest.approx(0.21)  # 6 of 60 mm: above 5 %
     both = recording.between(0.1, 0.12, after_step_of="tip")
     expected = [1e-3 * np.mean([36.0, 39.0, 42.0]), 3e-3]
@@ -60,7 +33,7 @@ def test_windows_count_from_the_step(tmp_path):
 def test_frames_that_do_not_see_a_marker_are_left_out(tmp_path):
     residuals = np.zeros((40, 2))
     residuals[30, 1] = residuals[:, 0] = -1.0
-    path = written(tmp_path / "a.c3d", motion(), residuals=residuals)
+    path = write_recording(tmp_path / "a.c3d", motion(), residuals=residuals)
     recording = read_c3d(path)
     assert np.isnan(recording.positions[30, 1]).all()
     table = recording.between(0.29, 0.31)
@@ -90,6 +63,6 @@ def test_files_that_are_no_recordings_are_refused(tmp_path):
     text.write_text("marker,x,y,z\n")
     with pytest.raises(ValueError, match=r"text.c3d cannot be read"):
         read_c3d(text)
-    path = written(tmp_path / "a.c3d", motion(), unit="furlong")
+    path = write_recording(tmp_path / "a.c3d", motion(), unit="furlong")
     with pytest.raises(ValueError, match="the unit of length 'furlong'; expected"):
         read_c3d(path)
