@@ -37,6 +37,9 @@ ANGLES = 30.0 + 30.0 * np.random.default_rng(1).random((N_GOALS, 6))
 OWN_ANGLES = 30.0 + 30.0 * np.random.default_rng(2).random((N_OWN, 6))
 """Motor angles at which the ordered model shows its own poses [degrees]."""
 
+MATERIAL = ("E_", "theta")
+"""How the names of the parameters of the material begin."""
+
 RANGE = np.deg2rad((20.0, 70.0))
 """Limits of the motors [rad]."""
 
@@ -152,7 +155,10 @@ def true_model(robot: ParallelRobot, printed: PrintedRobot) -> Model:
     zeros and mountings of that robot. Mesh and law remain those of the model.
     """
     space = robot.space
-    known = [printed.parameters.get(q.name, q.start) for q in space.parameters]
+    known = [
+        printed.parameters[q.name] if q.name.startswith(MATERIAL) else q.start
+        for q in space.parameters
+    ]
     model = space.model_at(robot.model, space.to_scaled(jnp.array(known)))
     setup = lambda m: (
         m.mechanism.motor_zero,
