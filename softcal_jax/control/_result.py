@@ -32,8 +32,9 @@ class OUTCOMES(eqx.Enumeration):
     no_equilibrium = "the start has no equilibrium; start from another actuation"
     singular = (
         "the tangent at the start is singular, so that no derivative by the inputs "
-        "exists: something moves freely, or is just about to buckle; hold it, or start "
-        "from another actuation"
+        "exists: something moves freely or is about to buckle, or two actuators impose "
+        "the same displacement; hold it, command one of them by force, or start from "
+        "another actuation"
     )
 
 

@@ -3,9 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from arm import LENGTH, REST, SIDE, arm, arrays, pose, solved
 
-from softcal_jax.configurations import BodyAngle, Centroid, Markers
+from softcal_jax.actuators import Cable, Guide
+from softcal_jax.configurations import (
+    BodyAngle,
+    Centroid,
+    Configuration,
+    ImposedDisplacement,
+    ImposedForce,
+    Markers,
+)
 from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
@@ -13,6 +22,9 @@ from softcal_jax.control import (
     sample_workspace,
     solve_inverse,
 )
+from softcal_jax.equilibrium import build_model
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
 
 EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
 DIRECT = ControlSettings(other_starts=0)
@@ -24,9 +36,10 @@ def robot(gravity=REST, **actuation):
 
 def tips(inputs):
     """Tips at tensions and angles, by simulation alone."""
-    found = sample_workspace(arm(), robot(top=0.0, motor=0.0), inputs)
+    full = np.resize(inputs, (5, 2))  # the program of `test_inverse`
+    found = sample_workspace(arm(), robot(top=0.0, motor=0.0), full)
     assert found.failures == ()
-    return found.effectors["tip"][:, 0]
+    return found.effectors["tip"][: len(inputs), 0]
 
 
 def test_a_goal_on_the_other_side_of_a_fold_is_met():
@@ -36,11 +49,10 @@ def test_a_goal_on_the_other_side_of_a_fold_is_met():
     """
     at_end = Markers(["end"], [(LENGTH, SIDE / 2, SIDE / 2)], axes="x")
     start = replace(pose(REST, [], motor=-0.05), markers=at_end)
-    reached = sample_workspace(arm(), start, [[0.5]] * 5).effectors["end"][0, 0]
     run = lambda settings: solve_inverse(
         arm(),
         start,
-        goals={"end": reached},
+        goals={"end": (LENGTH * np.cos(0.5), 0.0, 0.0)},
         limits={"motor": Limits(displacement=(-0.1, 0.8))},
         settings=settings,
     )
@@ -84,8 +96,7 @@ def test_a_direction_that_nothing_moves_is_named():
 
 def test_the_limit_that_holds_is_named_and_another_is_not():
     """Both are reached; only one pushes back, and lifting it brings the tip nearer."""
-    (start, goal), tension = tips([[1.0, 0.0], [1.0, 0.4]]), 1.0
-    del start
+    (goal,), tension = tips([[1.0, 0.4]]), 1.0
     limits = {
         "top": Limits(force=(0.0, tension)),
         "motor": Limits(displacement=(-0.1, 0.2)),
@@ -99,6 +110,35 @@ def test_the_limit_that_holds_is_named_and_another_is_not():
     assert "displacement of motor 'motor' at its upper limit" in held.held_by
     assert "held by" in held.message
     assert distance(run(motor=Limits(displacement=(-0.1, 0.25)))) < distance(held)
+
+
+@pytest.mark.slow  # a program of its own
+def test_two_actuators_that_impose_one_displacement_are_called_singular():
+    """How they share the tension is open; an equilibrium is not what is missing."""
+    path = [Guide((0.0, SIDE / 2, SIDE), "ground"), Guide((LENGTH, SIDE / 2, SIDE))]
+    twins = ("one", "two")
+    model = build_model(
+        beam(LENGTH, SIDE, SIDE, (2, 1, 1), order=1),
+        Corotational(Isotropic(2e5, 0.3)),
+        density=0.0,
+        actuators=[Cable(name, path) for name in twins],
+    )
+    start = Configuration(
+        "twins",
+        "x_min",
+        effectors=[Centroid("tip", "x_max")],
+        actuation={name: ImposedDisplacement(0.002) for name in twins},
+    )
+    goals = {"tip": (LENGTH, SIDE / 2, SIDE)}
+    result = solve_inverse(model, start, goals=goals, throw=False)
+    assert result.outcome == OUTCOMES.singular
+    assert result.attempts == ()
+    with pytest.raises(RuntimeError, match="tangent at the start is singular"):
+        solve_inverse(model, start, goals=goals)
+    # One of them by its force: the same robot, and nothing is open.
+    by_force = {"one": ImposedDisplacement(0.002), "two": ImposedForce(0.0)}
+    result = solve_inverse(model, replace(start, actuation=by_force), goals=goals)
+    assert result.outcome == OUTCOMES.nearest
 
 
 def test_a_motor_turns_in_one_load_step():
