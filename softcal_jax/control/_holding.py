@@ -87,7 +87,12 @@ def _blind(
     std = 1.0 / np.where(weights > 0.0, weights, np.inf)
     rows, shares = direction.reshape(std.shape), share.reshape(std.shape) * std
     parts = [
-        (f"{name} of {record.name!r}", record.unit, rows[at], shares[at])
+        (
+            f"{name} of {record.name!r}".removeprefix(" of "),
+            record.unit,
+            rows[at],
+            shares[at],
+        )
         for record in command.effectors
         for k, name in enumerate(coordinate_names(record))
         if record.seen[k] and (at := (record.index, k))
