@@ -29,8 +29,11 @@ PIECES = 4
 SEED = 0
 """Seed of the other starts, so that a command gives the same answer every time."""
 
-EQUAL = 1e-9
-"""Relative difference of costs that counts as none [-]."""
+EQUAL = 1e-3
+"""Relative difference of costs below which two ends count as one minimum [-].
+
+Among such ends the first counts, that of the start itself.
+"""
 
 
 class Found(NamedTuple):
