@@ -180,8 +180,17 @@ def commands(
     start = robot.configurations[0]
     name = start.effectors[0].name
     limits = {motor: Limits(displacement=tuple(RANGE)) for motor in start.actuation}
+    angles = [asked.value for asked in start.actuation.values()]
+    at_work = sample_workspace(model, start, [angles]).solution.displacement[0]
     return [
-        solve_inverse(model, start, goals={name: goal}, limits=limits, throw=False)
+        solve_inverse(
+            model,
+            start,
+            goals={name: goal},
+            limits=limits,
+            guess=at_work,
+            throw=False,
+        )
         for goal in goals
     ]
 

@@ -1,4 +1,4 @@
-"""The search of inverse control: descents over a continuation and from other starts.
+"""The search of inverse control: descents from other starts and over a continuation.
 
 A descent ends at the optimum nearest to its start, which need not be the best one. So a
 goal counts as out of reach only after all ways to it were tried.
@@ -46,10 +46,10 @@ class Found(NamedTuple):
 def search(command: Command, guess: Float[HostArray, "n_points 3"]) -> Found:
     """Descend from the start; unless the goals are met, explore all other ways, too.
 
-    The other ways are a continuation of the goals from where the start has the
-    effectors, then other starts. The search stops at the first that meets the goals.
-    If none does, the best and the one from the start itself are taken to their ends,
-    and the better one counts.
+    The other ways are other starts, then a continuation of the goals from where the
+    start has the effectors. The search stops at the first that meets the goals. If none
+    does, the best and the one from the start itself are taken to their ends, and the
+    better one counts.
     """
     first = begin(command, arrival(command, command.start, guess))
     if first.linear is None:
@@ -77,14 +77,14 @@ def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
     yield "the start", descend(command, first, explore=others)
     if not others:
         return
-    continued = _continued(command, first.here)
-    if continued is not None:
-        yield "the start, over a continuation of the goals", continued
     for k, value in enumerate(_other_starts(command, first), start=1):
         there = _driven(command, first.here, value)
         if there is not None:
             found = descend(command, begin(command, there), explore=True)
             yield f"other start {k}", found
+    continued = _continued(command, first.here)
+    if continued is not None:
+        yield "the start, over a continuation of the goals", continued
 
 
 def _continued(command: Command, first: Arrival) -> Descent | None:

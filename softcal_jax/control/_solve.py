@@ -41,8 +41,8 @@ def solve_inverse(
     Repeats the bounded QP of Eq. (6), min ||W_ea dl + e - goal||^2 plus epsilon times
     the energy of the actuators, until the goals are met or no step comes closer. Each
     step is tried on the true equilibrium, warm-started by the predicted displacement,
-    and kept only if it helps. If that does not meet the goals, they are approached over
-    a continuation, and then from other starts within the limits; the best end counts.
+    and kept only if it helps. If that does not meet the goals, they are approached from
+    other starts within the limits, and over a continuation; the best end counts.
     Where none meets them, the result says how far off it is in each direction, and
     which limits or blind direction hold it. Cables with an imposed displacement stay
     taut: slack ones are wound up, and none becomes slack.

@@ -44,9 +44,9 @@ class ControlSettings(eqx.Module):
             of the inputs on the effectors [-]. It determines inputs that the goals
             leave open, such as co-contraction, at the price of missing the goals by
             about as much. With 0 the search ends as soon as the goals are met.
-        other_starts: Other starts from which the search goes on, after a continuation
-            of the goals, before it says that a goal cannot be met. With 0 the first
-            local optimum counts.
+        other_starts: Other starts from which the search goes on, and then over a
+            continuation of the goals, before it says that a goal cannot be met. With 0
+            the first local optimum counts.
         newton: Settings of the equilibria.
     """
 
