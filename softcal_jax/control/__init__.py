@@ -15,6 +15,8 @@ from softcal_jax.control._goals import Goal, with_goals
 from softcal_jax.control._limits import Limits
 from softcal_jax.control._result import (
     OUTCOMES,
+    Attempt,
+    BlindDirection,
     GoalFit,
     InverseResult,
     StepRecord,
@@ -28,6 +30,8 @@ __all__ = [
     "OUTCOMES",
     "ActuatorCompliance",
     "ActuatorState",
+    "Attempt",
+    "BlindDirection",
     "ControlSettings",
     "Goal",
     "GoalFit",

@@ -4,8 +4,12 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable
 from softcal_jax.configurations import Configuration, EffectorRecord
 from softcal_jax.equilibrium import EquilibriumSolution
+
+LISTED = 4
+"""Goals that a message lists."""
 
 
 class OUTCOMES(eqx.Enumeration):
@@ -14,7 +18,7 @@ class OUTCOMES(eqx.Enumeration):
     met = "all goals are met"
     nearest = (
         "nearest reachable point: some goals are not met, and no step within the "
-        "limits comes closer"
+        "limits comes closer, from any start that was tried"
     )
     limits_violated = (
         "no actuation near the start keeps the limits of what follows the actuators; "
@@ -26,6 +30,12 @@ class OUTCOMES(eqx.Enumeration):
     )
     max_steps = "the search did not end within max_steps; raise it"
     no_equilibrium = "the start has no equilibrium; start from another actuation"
+    singular = (
+        "the tangent at the start is singular, so that no derivative by the inputs "
+        "exists: something moves freely or is about to buckle, or two actuators impose "
+        "the same displacement; hold it, command one of them by force, or start from "
+        "another actuation"
+    )
 
 
 class GoalFit(eqx.Module):
@@ -61,6 +71,74 @@ class GoalFit(eqx.Module):
         """The residual in units of the standard deviation [-]."""
         return self.residual / self.effector.std
 
+    @property
+    def off(self) -> str:
+        """How far it is off in each direction, in words: x 0.12 mm, turn x 0.3 deg."""
+        parts = zip(coordinate_names(self.effector), self.residual, strict=True)
+        unit, seen = self.effector.unit, self.effector.seen
+        return ", ".join(
+            f"{name} {readable(float(f'{value:.3g}'), unit)}".strip()
+            for (name, value), counts in zip(parts, seen, strict=True)
+            if counts
+        )
+
+
+def coordinate_names(effector: EffectorRecord) -> tuple[str, ...]:
+    """Name the coordinates of an effector: axes, or nothing for a scalar."""
+    k = len(effector.std)
+    if k == 1:
+        return ("",)
+    turn = "turn " if effector.is_turn else ""
+    return tuple(f"{turn}{axis}" for axis in "xyz"[:k])
+
+
+class BlindDirection(eqx.Module):
+    """A direction along which no commanded actuator moves the effectors.
+
+    Attributes:
+        coordinates: Names of the coordinates of the effectors, like "x of 'tip'".
+        units: Their units.
+        direction: Unit vector over them, each in units of its standard deviation [-].
+            It points from the goals to the effectors.
+        off: How far the effectors are from their goals along it, by coordinate, in
+            their units.
+        gain: What the inputs move the effectors along it, relative to the direction in
+            which they move them most [-].
+    """
+
+    coordinates: tuple[str, ...]
+    units: tuple[str, ...]
+    direction: Float[HostArray, " n"]
+    off: Float[HostArray, " n"]
+    gain: float
+
+    def __str__(self) -> str:
+        largest = np.abs(self.direction).max()
+        parts = [
+            f"{name} {component:+.2f} ({readable(float(f'{off:.3g}'), unit)})".strip()
+            for name, unit, component, off in zip(
+                self.coordinates, self.units, self.direction, self.off, strict=True
+            )
+            if abs(component) > 0.05 * largest
+        ]
+        return f"blind direction {', '.join(parts)}"
+
+
+class Attempt(eqx.Module):
+    """One descent of a search.
+
+    Attributes:
+        way: Where it started, in words.
+        outcome: How it ended; None if it was left, as it hardly came closer any more.
+        error: Largest error of an effector coordinate, in standard deviations [-].
+        n_steps: Number of its steps towards the goals themselves.
+    """
+
+    way: str
+    outcome: OUTCOMES | None
+    error: float
+    n_steps: int
+
 
 class StepRecord(eqx.Module):
     """One step of the search.
@@ -94,7 +172,13 @@ class InverseResult(eqx.Module):
         forces: lambda_a of every actuator, by name, in its unit.
         displacements: delta_a likewise; 0 for an actuator without one.
         active_limits: Limits that are reached, in words.
-        steps: The search, step by step.
+        held_by: Limits that keep the effectors from goals that are not met, in words,
+            the strongest first.
+        blind: Direction in which they are off and that no commanded actuator changes;
+            None if there is none.
+        steps: The descent that led here, step by step.
+        attempts: All descents that were tried.
+        tol: Error at which a goal counts as met, in standard deviations [-].
     """
 
     outcome: OUTCOMES
@@ -104,7 +188,11 @@ class InverseResult(eqx.Module):
     forces: dict[str, float]
     displacements: dict[str, float]
     active_limits: tuple[str, ...]
+    held_by: tuple[str, ...]
+    blind: BlindDirection | None
     steps: tuple[StepRecord, ...]
+    attempts: tuple[Attempt, ...]
+    tol: float
 
     @property
     def met(self) -> bool:
@@ -112,17 +200,25 @@ class InverseResult(eqx.Module):
         return bool(self.outcome == OUTCOMES.met)
 
     @property
+    def unmet(self) -> tuple[GoalFit, ...]:
+        """Goals that are not met, the farthest first, in standard deviations."""
+        error = lambda fit: np.max(np.abs(fit.in_std), initial=0.0)
+        missed = [fit for fit in self.goals if error(fit) > self.tol]
+        return tuple(sorted(missed, key=error, reverse=True))
+
+    @property
     def message(self) -> str:
-        """The outcome in words, with the worst goal and the limits that bind."""
+        """The outcome in words: how far in each direction, and what holds it."""
         text = f"configuration {self.configuration.name!r}: {OUTCOMES[self.outcome]}"
-        if self.goals:
-            worst = max(self.goals, key=lambda fit: np.max(np.abs(fit.in_std)))
-            text += (
-                f"; farthest is {worst.name!r}, by "
-                f"{np.linalg.norm(worst.residual):.3g} {worst.effector.unit}"
-            )
-        if self.active_limits:
-            text += f"; {', '.join(self.active_limits)}"
+        unmet = self.unmet
+        for fit in unmet[:LISTED]:
+            text += f"; {fit.name!r} is off by {fit.off}"
+        if len(unmet) > LISTED:
+            text += f"; {len(unmet) - LISTED} more are off by less"
+        if unmet and self.held_by:
+            text += f"; held by {', '.join(self.held_by)}"
+        if unmet and self.blind is not None:
+            text += f"; held by a {self.blind}"
         return text + "."
 
     @property

@@ -4,41 +4,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import QPStep
+from softcal_jax._typing import Float
 from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.control._goals import Goal, goal_levels, with_goals
+from softcal_jax.control._holding import Holding, what_holds
 from softcal_jax.control._limits import Limits, limit_arrays
-from softcal_jax.control._problem import (
-    Command,
-    Linear,
-    follow_room,
-    level_errors,
-    linearise,
-    parts,
-)
-from softcal_jax.control._qp import step_in_levels
+from softcal_jax.control._problem import Command
 from softcal_jax.control._result import (
     OUTCOMES,
     GoalFit,
     InverseResult,
-    StepRecord,
     TrajectoryResult,
 )
-from softcal_jax.control._step import (
-    ROUNDING,
-    Arrival,
-    ControlSettings,
-    Decision,
-    Trial,
-    arrive,
-    decide,
-)
+from softcal_jax.control._search import Found, search
+from softcal_jax.control._step import ControlSettings
 from softcal_jax.equilibrium import Model
 
 
@@ -58,8 +41,11 @@ def solve_inverse(
     Repeats the bounded QP of Eq. (6), min ||W_ea dl + e - goal||^2 plus epsilon times
     the energy of the actuators, until the goals are met or no step comes closer. Each
     step is tried on the true equilibrium, warm-started by the predicted displacement,
-    and kept only if it helps. The result is a local optimum. Cables with an imposed
-    displacement stay taut: slack ones are wound up, and none becomes slack.
+    and kept only if it helps. If that does not meet the goals, they are approached from
+    other starts within the limits, and over a continuation; the best end counts.
+    Where none meets them, the result says how far off it is in each direction, and
+    which limits or blind direction hold it. Cables with an imposed displacement stay
+    taut: slack ones are wound up, and none becomes slack.
 
     Args:
         model: The model, calibrated or not.
@@ -82,13 +68,13 @@ def solve_inverse(
     Raises:
         ValueError: If no actuator is commanded, no effector has a goal, a name is
             unknown, a goal has the wrong number of coordinates, or limits clash.
-        RuntimeError: If there is no equilibrium at the start, or the search does not
-            end at an optimum within the limits.
+        RuntimeError: If there is no equilibrium at the start or a singular one, or the
+            search does not end at an optimum within the limits.
     """
     command = _prepare(model, configuration, goals, limits, priorities, settings)
     if guess is None:
         guess = np.zeros((model.n_points, 3))
-    result = _search(command, np.asarray(guess))
+    result = _result(command, search(command, np.asarray(guess)))
     if throw and result.outcome == OUTCOMES.no_equilibrium:
         raise RuntimeError(f"{result.message} {RESULTS[result.solution.result]}.")
     if throw and not (result.met or result.outcome == OUTCOMES.nearest):
@@ -118,7 +104,7 @@ def follow_trajectory(
         throw: As `solve_inverse`.
 
     Returns:
-        The commands, up to the first one without an equilibrium.
+        The commands, up to the first one whose start has no regular equilibrium.
 
     Raises:
         ValueError: As `solve_inverse`.
@@ -138,7 +124,7 @@ def follow_trajectory(
             throw=throw,
         )
         points.append(result)
-        if result.outcome == OUTCOMES.no_equilibrium:
+        if result.outcome in (OUTCOMES.no_equilibrium, OUTCOMES.singular):
             break
         now, guess = result.configuration, result.solution.displacement
     return TrajectoryResult(tuple(points))
@@ -168,110 +154,9 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> Comma
     )
 
 
-def _search(command: Command, guess: Float[HostArray, "n_points 3"]) -> InverseResult:
-    """Repeat: linearise, solve the QPs, try the step, keep it if it helps."""
-    settings, box = command.settings, command.box()
-
-    def arrived(value, guess) -> Arrival:
-        model, lane = command.model, command.lane
-        value, guess = jnp.asarray(value), jnp.asarray(guess)
-        found = arrive(model, lane, jnp.asarray(box), value, guess, settings.newton)
-        return found._replace(value=np.asarray(found.value))
-
-    here = arrived(command.start, guess)
-    if not here.stands:
-        return _result(command, here, None, OUTCOMES.no_equilibrium, [])
-    decision = Decision(
-        accepted=True,
-        step_bound=settings.step_bound,
-        penalty=np.ones(len(command.levels) + 1),
-    )
-    linear, records = linearise(command, here.value, here.compliance), []
-    while (outcome := _outcome(command, here, linear, decision, records)) is None:
-        levels = tuple(zip(linear.W, linear.error, strict=True))
-        qp = step_in_levels(levels, linear.rows, jnp.asarray(decision.step_bound))
-        change = np.asarray(qp.lambda_p) * linear.scale
-        moved = np.tensordot(change, here.compliance.displacement, axes=1)
-        there = arrived(
-            np.clip(here.value + change, *box),
-            np.asarray(here.solution.displacement) + moved,
-        )
-        trial = _trial(command, linear, qp, there, decision)
-        decision = decide(trial, decision, settings)
-        if decision.accepted:
-            here = there
-            linear = linearise(command, here.value, here.compliance)
-        violation, *costs = parts(linear.rows.b, linear.error)
-        records.append(
-            StepRecord(
-                size=trial.size,
-                cost=float(sum(costs)),
-                violation=float(violation),
-                kkt_residual=trial.kkt_residual,
-                newton_steps=int(there.solution.steps),
-                accepted=decision.accepted,
-            )
-        )
-    return _result(command, here, linear, outcome, records)
-
-
-def _trial(
-    command: Command,
-    linear: Linear,
-    qp: QPStep,
-    there: Arrival,
-    before: Decision,
-) -> Trial:
-    """Compare the parts before a step with what was expected and what came of it."""
-    rows, error, step = linear.rows, linear.error, np.asarray(qp.lambda_p)
-    change = linear.W @ step
-    now = parts(rows.b, error)
-    tried = np.full_like(now, np.inf)
-    if there.stands:
-        state = there.compliance.state
-        room = follow_room(command, state, linear.length)
-        tried = parts(room, level_errors(command, state, linear.energy))
-    weight = before.penalty[1:, None]
-    lengths = np.sum(weight * change**2) * np.sum(weight * error**2)
-    length = np.sqrt(max(lengths, np.finfo(float).tiny))
-    return Trial(
-        now=now,
-        expected=parts(rows.b - rows.A @ step, error + change),
-        tried=tried,
-        size=float(np.abs(step).max()),
-        kkt_residual=float(qp.kkt_residual),
-        cosine=-np.sum(weight * change * error) / length,
-    )
-
-
-def _outcome(
-    command: Command,
-    here: Arrival,
-    linear: Linear,
-    decision: Decision,
-    records: Sequence[StepRecord],
-) -> OUTCOMES | None:
-    """Determine how the search has ended; None while it goes on."""
-    settings = command.settings
-    error = np.abs(command.residuals(here.compliance.state)).max()
-    kept_limits = parts(linear.rows.b, linear.error)[0] <= ROUNDING
-    met = error <= settings.tol and kept_limits
-    if met and (settings.epsilon == 0.0 or decision.vanished):
-        return OUTCOMES.met
-    if decision.vanished:
-        return OUTCOMES.nearest
-    if decision.stalled:
-        return OUTCOMES.stalled if kept_limits else OUTCOMES.limits_violated
-    return OUTCOMES.max_steps if len(records) >= settings.max_steps else None
-
-
-def _result(
-    command: Command,
-    here: Arrival,
-    linear: Linear | None,
-    outcome: OUTCOMES,
-    records: Sequence[StepRecord],
-) -> InverseResult:
+def _result(command: Command, found: Found) -> InverseResult:
+    here, linear, _, outcome, records = found.best
+    assert outcome is not None
     names = command.model.mechanism.actuators.names
     by_name = lambda values: dict(zip(names, map(float, values), strict=True))
     inputs, state = by_name(here.value), here.compliance.state
@@ -287,6 +172,9 @@ def _result(
         for effector in command.effectors
         if effector.seen.any()
     )
+    holding = Holding((), (), None)
+    if linear is not None:
+        holding = what_holds(command, here, linear)
     return InverseResult(
         outcome=outcome,
         configuration=replace(command.configuration, actuation=actuation),
@@ -294,27 +182,10 @@ def _result(
         goals=goals,
         forces=by_name(state.forces),
         displacements=by_name(state.displacements),
-        active_limits=() if linear is None else _active(command, here, linear),
-        steps=tuple(records),
+        active_limits=holding.active,
+        held_by=holding.limits,
+        blind=holding.blind,
+        steps=records,
+        attempts=found.attempts,
+        tol=command.settings.tol,
     )
-
-
-def _active(command: Command, here: Arrival, linear: Linear) -> tuple[str, ...]:
-    """List the limits that are reached, in words."""
-    lower, upper = command.box()
-    of_inputs = [here.value - lower, upper - here.value] / linear.scale
-    of_rest = follow_room(command, here.compliance.state, linear.length)
-    room = np.concatenate([of_inputs, of_rest.reshape(2, -1)])
-    active = (room <= 10.0 * ROUNDING) & (upper > lower)
-    step = command.limits.step * (1.0 - 1e-12)
-    step_reached = np.abs(here.value - command.start) >= step
-    by_displacement = np.asarray(command.lane.actuation.by_displacement)
-    actuators, found = command.model.mechanism.actuators, []
-    for a, row in np.argwhere(active.T):
-        of_input, side = row < 2, ("lower", "upper")[row % 2]
-        what = "displacement" if by_displacement[a] == of_input else "force"
-        if of_input and step_reached[a]:
-            what, side = f"step of the {what}", "longest"
-        noun, name = actuators.kinds[a].noun, actuators.names[a]
-        found.append(f"{what} of {noun} {name!r} at its {side} limit")
-    return tuple(found)

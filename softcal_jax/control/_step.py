@@ -44,6 +44,9 @@ class ControlSettings(eqx.Module):
             of the inputs on the effectors [-]. It determines inputs that the goals
             leave open, such as co-contraction, at the price of missing the goals by
             about as much. With 0 the search ends as soon as the goals are met.
+        other_starts: Other starts from which the search goes on, and then over a
+            continuation of the goals, before it says that a goal cannot be met. With 0
+            the first local optimum counts.
         newton: Settings of the equilibria.
     """
 
@@ -53,6 +56,7 @@ class ControlSettings(eqx.Module):
     step_bound: float = 0.1
     max_step_bound: float = 0.5
     epsilon: float = 0.0
+    other_starts: int = 12
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
 
     def __check_init__(self):
@@ -61,6 +65,10 @@ class ControlSettings(eqx.Module):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
         if self.max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
+        if self.other_starts < 0:
+            raise ValueError(
+                f"other_starts must not be negative, got {self.other_starts}."
+            )
         if not self.epsilon >= 0.0:
             raise ValueError(f"epsilon must not be negative, got {self.epsilon}.")
 

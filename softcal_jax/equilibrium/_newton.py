@@ -32,7 +32,7 @@ from softcal_jax.equilibrium._direction import (
     newton_direction,
 )
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._posed import Posed, turned_by_motors
 
 _HELD_TURN = 0.5
 """Longest rotation of a held body in one load step from rest [rad].
@@ -132,14 +132,16 @@ class NewtonLoop:
         """Longest load increment on the way from rest [-].
 
         A held body turns by at most `_HELD_TURN` in it: the first step of a longer one
-        is a linear motion that crushes the tets beside the body.
+        is a linear motion that crushes the tets beside the body. Bodies that motors
+        turn about their axes do not count: the parallel robot stands at its working
+        point, but buckles at two thirds of the way there.
         """
         states = self.posed.states
         if states is None:
             return jnp.ones(())
         held = jnp.asarray(states.kind) == KINDS.index("held")
         turns = jnp.linalg.norm(jnp.asarray(states.rotation), axis=1)
-        turn = jnp.max(jnp.where(held, turns, 0.0))
+        turn = jnp.max(jnp.where(held & ~turned_by_motors(self.model), turns, 0.0))
         return 1.0 / jnp.ceil(jnp.maximum(turn / _HELD_TURN, 1.0))
 
     def remembered(self, merit):

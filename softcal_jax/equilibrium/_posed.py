@@ -82,8 +82,14 @@ def _arms_from_supports(
     of_others = of_others / jnp.maximum(n_others, 1.0)[:, None]
     of_others = jnp.where(n_others[:, None] > 0.0, of_others, origin)
     base = jnp.where(n_held > 0.0, total[None] / jnp.maximum(n_held, 1.0), of_others)
-    driven = np.isin(np.arange(bodies.n_bodies), model.mechanism.actuators.motor_body)
-    return jnp.where(jnp.asarray(driven)[:, None], 0.0, origin - base)
+    return jnp.where(turned_by_motors(model)[:, None], 0.0, origin - base)
+
+
+def turned_by_motors(model: Model) -> Bool[Array, " n_b"]:
+    """Tell which bodies motors turn, by an angle or a torque."""
+    mechanism = model.mechanism
+    bodies = np.arange(mechanism.bodies.n_bodies)
+    return jnp.asarray(np.isin(bodies, mechanism.actuators.motor_body))
 
 
 def external_force(

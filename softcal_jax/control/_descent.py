@@ -1,0 +1,190 @@
+"""One descent of inverse control: steps from one start towards one aim."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._results import RESULTS
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration import QPStep
+from softcal_jax.control._problem import (
+    Command,
+    Linear,
+    follow_room,
+    level_errors,
+    linearise,
+    parts,
+)
+from softcal_jax.control._qp import step_in_levels
+from softcal_jax.control._result import OUTCOMES, StepRecord
+from softcal_jax.control._step import ROUNDING, Arrival, Decision, Trial, arrive, decide
+
+PATIENCE = 3
+"""Steps in a row of an exploring descent of which some must come closer."""
+
+CLOSER = 0.5
+"""Largest ratio of the costs after and before them that counts as closer [-]."""
+
+
+class Descent(NamedTuple):
+    """Where a descent is.
+
+    Attributes:
+        here: The equilibrium there.
+        linear: The command linearised there; None without derivatives.
+        decision: What followed from its last step.
+        outcome: How it ended; None while it can go on.
+        records: Its steps.
+    """
+
+    here: Arrival
+    linear: Linear | None
+    decision: Decision
+    outcome: OUTCOMES | None = None
+    records: tuple[StepRecord, ...] = ()
+
+    @property
+    def met(self) -> bool:
+        """Whether it ended where all goals are met."""
+        return self.outcome is not None and bool(self.outcome == OUTCOMES.met)
+
+
+def arrival(
+    command: Command,
+    value: Float[Array | HostArray, " n_a"],
+    guess: Float[Array | HostArray, "n_points 3"],
+) -> Arrival:
+    """Solve for the equilibrium at inputs, which are clipped to their limits."""
+    box = command.box()
+    found = arrive(
+        command.model,
+        command.lane,
+        jnp.asarray(box),
+        jnp.asarray(np.clip(value, *box)),
+        jnp.asarray(guess),
+        command.settings.newton,
+    )
+    return found._replace(value=np.asarray(found.value))
+
+
+def moved(command: Command, here: Arrival, change: Float[HostArray, " n_a"]) -> Arrival:
+    """Solve for the equilibrium after a change of the inputs, from its prediction."""
+    motion = np.tensordot(change, here.compliance.displacement, axes=1)
+    guess = np.asarray(here.solution.displacement) + motion
+    return arrival(command, here.value + change, guess)
+
+
+def begin(command: Command, here: Arrival) -> Descent:
+    """Return the descent before its first step."""
+    decision = Decision(
+        accepted=True,
+        step_bound=command.settings.step_bound,
+        penalty=np.ones(len(command.levels) + 1),
+    )
+    if not here.stands:
+        result = here.solution.result
+        singular = (result == RESULTS.converged) | (result == RESULTS.singular)
+        outcome = OUTCOMES.singular if bool(singular) else OUTCOMES.no_equilibrium
+        return Descent(here, None, decision, outcome)
+    linear = linearise(command, here.value, here.compliance)
+    outcome = _outcome(command, here, linear, decision, [])
+    return Descent(here, linear, decision, outcome)
+
+
+def descend(command: Command, start: Descent, *, explore: bool = False) -> Descent:
+    """Repeat: linearise, solve the QPs, try the step, keep it if it helps.
+
+    Args:
+        command: The command.
+        start: Where it begins or goes on.
+        explore: Stop where it hardly comes closer any more. Near a goal that is met,
+            the error falls tenfold with each step; at a fold of the map from inputs to
+            effectors, most steps are spent on the last digits of a minimum.
+    """
+    here, linear, decision, outcome, records = start
+    settings, records = command.settings, list(records)
+    while outcome is None and not (explore and _slow(records)):
+        assert linear is not None
+        levels = tuple(zip(linear.W, linear.error, strict=True))
+        qp = step_in_levels(levels, linear.rows, jnp.asarray(decision.step_bound))
+        there = moved(command, here, np.asarray(qp.lambda_p) * linear.scale)
+        trial = _trial(command, linear, qp, there, decision)
+        decision = decide(trial, decision, settings)
+        if decision.accepted:
+            here = there
+            linear = linearise(command, here.value, here.compliance)
+        violation, *costs = parts(linear.rows.b, linear.error)
+        records.append(
+            StepRecord(
+                size=trial.size,
+                cost=float(sum(costs)),
+                violation=float(violation),
+                kkt_residual=trial.kkt_residual,
+                newton_steps=int(there.solution.steps),
+                accepted=decision.accepted,
+            )
+        )
+        outcome = _outcome(command, here, linear, decision, records)
+    return Descent(here, linear, decision, outcome, tuple(records))
+
+
+def _slow(records: Sequence[StepRecord]) -> bool:
+    """Tell whether the last steps hardly came closer, and kept the limits before."""
+    if len(records) <= PATIENCE:
+        return False
+    before, now = records[-1 - PATIENCE], records[-1]
+    return (
+        now.cost > CLOSER * before.cost and now.violation >= CLOSER * before.violation
+    )
+
+
+def _trial(
+    command: Command,
+    linear: Linear,
+    qp: QPStep,
+    there: Arrival,
+    before: Decision,
+) -> Trial:
+    """Compare the parts before a step with what was expected and what came of it."""
+    rows, error, step = linear.rows, linear.error, np.asarray(qp.lambda_p)
+    change = linear.W @ step
+    now = parts(rows.b, error)
+    tried = np.full_like(now, np.inf)
+    if there.stands:
+        state = there.compliance.state
+        room = follow_room(command, state, linear.length)
+        tried = parts(room, level_errors(command, state, linear.energy))
+    weight = before.penalty[1:, None]
+    lengths = np.sum(weight * change**2) * np.sum(weight * error**2)
+    length = np.sqrt(max(lengths, np.finfo(float).tiny))
+    return Trial(
+        now=now,
+        expected=parts(rows.b - rows.A @ step, error + change),
+        tried=tried,
+        size=float(np.abs(step).max()),
+        kkt_residual=float(qp.kkt_residual),
+        cosine=-np.sum(weight * change * error) / length,
+    )
+
+
+def _outcome(
+    command: Command,
+    here: Arrival,
+    linear: Linear,
+    decision: Decision,
+    records: Sequence[StepRecord],
+) -> OUTCOMES | None:
+    """Determine how the search has ended; None while it goes on."""
+    settings = command.settings
+    error = np.abs(command.residuals(here.compliance.state)).max()
+    kept_limits = parts(linear.rows.b, linear.error)[0] <= ROUNDING
+    met = error <= settings.tol and kept_limits
+    if met and (settings.epsilon == 0.0 or decision.vanished):
+        return OUTCOMES.met
+    if decision.vanished:
+        return OUTCOMES.nearest
+    if decision.stalled:
+        return OUTCOMES.stalled if kept_limits else OUTCOMES.limits_violated
+    return OUTCOMES.max_steps if len(records) >= settings.max_steps else None

@@ -1,0 +1,142 @@
+"""What keeps effectors from their goals: limits, and directions no actuator moves."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.control._problem import Command, Linear, follow_room
+from softcal_jax.control._result import BlindDirection, coordinate_names
+from softcal_jax.control._step import FLAT_COSINE, ROUNDING, Arrival
+
+BLIND = 1e-2
+"""Singular value of W_ea, relative to the largest, below which a direction is blind.
+
+Inputs, counted as the motion of the robot that they cause, move the effectors a hundred
+times less along it than along the best direction [-].
+"""
+
+
+class Holding(NamedTuple):
+    """Why no step comes closer to the goals.
+
+    Attributes:
+        active: Limits that are reached, in words.
+        limits: Those of them that hold the effectors back, the strongest first.
+        blind: The share of the errors that no commanded actuator changes.
+    """
+
+    active: tuple[str, ...]
+    limits: tuple[str, ...]
+    blind: BlindDirection | None
+
+
+def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
+    """Split what is left of the errors between limits and blind directions.
+
+    At a minimum, the slope W^T r of the first level that is not met is balanced by the
+    limits that are reached, W^T r + A^T mu = 0 with mu >= 0, and by earlier levels. A
+    limit holds where its mu is positive. What W does not reach at all is blind.
+    """
+    reached = _reached(command, here, linear)
+    active = tuple(_in_words(command, here, a, row) for a, row in reached)
+    off = command.residuals(here.compliance.state)
+    unmet = np.abs(off).max(axis=1) > command.settings.tol
+    if not unmet.any():
+        return Holding(active, (), None)
+    level, n_e = int(np.argmax(unmet)), off.shape[1]
+    moves = linear.rows.upper > linear.rows.lower
+    W, r = linear.W[level] * moves, linear.error[level]
+    A = _rows_of(linear, reached) * moves
+    mu = _multipliers(W.T @ r, A, linear.W[:level] * moves)
+    # The step that each limit forbids: the cosine between the errors and its effect.
+    effect = np.linalg.norm(W @ A.T, axis=0) * np.linalg.norm(r)
+    cosine = mu * (A**2).sum(axis=1) / np.where(effect > 0.0, effect, np.inf)
+    strongest = [i for i in np.argsort(-cosine) if cosine[i] > FLAT_COSINE]
+    return Holding(
+        active=active,
+        limits=tuple(active[i] for i in strongest),
+        blind=_blind(command, W[:n_e], off[level]),
+    )
+
+
+def _multipliers(slope, A, earlier) -> Float[HostArray, " n_rows"]:
+    """Solve slope + A^T mu + earlier^T nu = 0 for mu >= 0, by least squares."""
+    free = earlier.reshape(-1, A.shape[1])
+    columns = np.concatenate([A, free, -free]).T
+    if columns.shape[1] == 0:
+        return np.zeros(0)
+    return nnls(columns, -slope)[0][: len(A)]
+
+
+def _blind(
+    command: Command,
+    W: Float[HostArray, "n_e n_a"],
+    off: Float[HostArray, " n_e"],
+) -> BlindDirection | None:
+    """Find the share of the errors in directions that W hardly reaches."""
+    U, sizes, _ = np.linalg.svd(W, full_matrices=False)
+    seen = U[:, sizes > BLIND * sizes[0]]
+    share = off - seen @ (seen.T @ off)
+    if np.abs(share).max() <= command.settings.tol:
+        return None
+    direction = share / np.linalg.norm(share)
+    gain = np.linalg.norm(direction @ W) / sizes[0] if sizes[0] > 0.0 else 0.0
+    weights = np.asarray(command.levels).sum(axis=0)
+    std = 1.0 / np.where(weights > 0.0, weights, np.inf)
+    rows, shares = direction.reshape(std.shape), share.reshape(std.shape) * std
+    parts = [
+        (
+            f"{name} of {record.name!r}".removeprefix(" of "),
+            record.unit,
+            rows[at],
+            shares[at],
+        )
+        for record in command.effectors
+        for k, name in enumerate(coordinate_names(record))
+        if record.seen[k] and (at := (record.index, k))
+    ]
+    names, units, components, offs = zip(*parts, strict=True)
+    return BlindDirection(
+        coordinates=names,
+        units=units,
+        direction=np.array(components),
+        off=np.array(offs),
+        gain=float(gain),
+    )
+
+
+def _reached(command: Command, here: Arrival, linear: Linear) -> list[tuple[int, int]]:
+    """List the limits that are reached as actuator and row of `_rows_of`."""
+    lower, upper = command.box()
+    of_inputs = [here.value - lower, upper - here.value] / linear.scale
+    of_rest = follow_room(command, here.compliance.state, linear.length)
+    room = np.concatenate([of_inputs, of_rest.reshape(2, -1)])
+    active = (room <= 10.0 * ROUNDING) & (upper > lower)
+    return [(int(a), int(row)) for a, row in np.argwhere(active.T)]
+
+
+def _rows_of(linear: Linear, reached) -> Float[HostArray, "n_rows n_a"]:
+    """Build rows A with A y <= 0 for the limits that are reached.
+
+    Rows 0 and 1 of an actuator are the lower and upper limit of its input, rows 2 and 3
+    those of the quantity that follows.
+    """
+    unit = np.eye(len(linear.scale))
+    of_rest = np.asarray(linear.rows.A).reshape(2, *unit.shape)
+    rows = np.stack([-unit, unit, *of_rest])
+    return np.array([rows[row, a] for a, row in reached]).reshape(-1, len(unit))
+
+
+def _in_words(command: Command, here: Arrival, a: int, row: int) -> str:
+    """Say which limit of an actuator is reached."""
+    step = command.limits.step[a] * (1.0 - 1e-12)
+    by_displacement = bool(np.asarray(command.lane.actuation.by_displacement)[a])
+    actuators, of_input = command.model.mechanism.actuators, row < 2
+    what = "displacement" if by_displacement == of_input else "force"
+    side = ("lower", "upper")[row % 2]
+    if of_input and np.abs(here.value[a] - command.start[a]) >= step:
+        what, side = f"step of the {what}", "longest"
+    noun, name = actuators.kinds[a].noun, actuators.names[a]
+    return f"{what} of {noun} {name!r} at its {side} limit"

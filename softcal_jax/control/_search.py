@@ -1,0 +1,176 @@
+"""The search of inverse control: descents from other starts and over a continuation.
+
+A descent ends at the optimum nearest to its start, which need not be the best one. So a
+goal counts as out of reach only after all ways to it were tried.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from scipy.stats.qmc import LatinHypercube
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.control._descent import Descent, arrival, begin, descend, moved
+from softcal_jax.control._problem import Command, parts
+from softcal_jax.control._result import Attempt
+from softcal_jax.control._step import ROUNDING, Arrival
+
+SHORTEST_PIECE = 1 / 8
+"""Smallest share of the way to the goal that a continuation takes at once [-]."""
+
+FIRST_PIECE = 1 / 4
+"""Share of the way to the goal that it takes first [-]."""
+
+PIECES = 4
+"""Number of pieces in which inputs are driven to another start if one is too far."""
+
+SEED = 0
+"""Seed of the other starts, so that a command gives the same answer every time."""
+
+EQUAL = 1e-3
+"""Relative difference of costs below which two ends count as one minimum [-].
+
+Among such ends the first counts, that of the start itself.
+"""
+
+
+class Found(NamedTuple):
+    """The best descent, and all that were tried."""
+
+    best: Descent
+    attempts: tuple[Attempt, ...]
+
+
+def search(command: Command, guess: Float[HostArray, "n_points 3"]) -> Found:
+    """Descend from the start; unless the goals are met, explore all other ways, too.
+
+    The other ways are other starts, then a continuation of the goals from where the
+    start has the effectors. The search stops at the first that meets the goals. If none
+    does, the best and the one from the start itself are taken to their ends, and the
+    better one counts.
+    """
+    first = begin(command, arrival(command, command.start, guess))
+    if first.linear is None:
+        return Found(first, ())
+    tried: list[Descent] = []
+    attempts: list[Attempt] = []
+    for way, found in _ways(command, first):
+        tried.append(found)
+        attempts.append(_attempt(command, way, found))
+        if found.met:
+            return Found(found, tuple(attempts))
+    best = 0
+    for k, found in enumerate(tried):
+        best = k if _better(command, found, tried[best]) else best
+    for k in sorted({0, best}):
+        tried[k] = descend(command, tried[k])
+        attempts[k] = _attempt(command, attempts[k].way, tried[k])
+    best = best if _better(command, tried[best], tried[0]) else 0
+    return Found(tried[best], tuple(attempts))
+
+
+def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
+    """Explore one way after the other, as long as the caller asks for more."""
+    others = command.settings.other_starts > 0
+    yield "the start", descend(command, first, explore=others)
+    if not others:
+        return
+    for k, value in enumerate(_other_starts(command, first), start=1):
+        there = _driven(command, first.here, value)
+        if there is not None:
+            found = descend(command, begin(command, there), explore=True)
+            yield f"other start {k}", found
+    continued = _continued(command, first.here)
+    if continued is not None:
+        yield "the start, over a continuation of the goals", continued
+
+
+def _continued(command: Command, first: Arrival) -> Descent | None:
+    """Descend towards goals that move from the effectors at the start to their place.
+
+    With r_0 the errors there, the goals of a share s are those at which e - goal is
+    (1 - s) r_0. Each share starts at the inputs that met the one before. None if not
+    even the smallest share is met.
+    """
+    goal = np.asarray(command.lane.effectors.measured)
+    off = np.asarray(first.compliance.state.effectors) - goal
+    # The energy of the actuators is weighed once, at the goals themselves.
+    plain = eqx.tree_at(lambda s: s.epsilon, command.settings, 0.0)
+    here, share, piece = first, 0.0, FIRST_PIECE
+    while share + piece < 1.0 and piece >= SHORTEST_PIECE:
+        aim = goal + (1.0 - share - piece) * off
+        lane = eqx.tree_at(lambda c: c.effectors.measured, command.lane, aim)
+        aimed = command._replace(lane=lane, settings=plain)
+        found = descend(aimed, begin(aimed, here), explore=True)
+        if found.met:
+            here, share, piece = found.here, share + piece, 2.0 * piece
+        else:
+            piece *= 0.5
+    if share == 0.0:
+        return None
+    return descend(command, begin(command, here), explore=True)
+
+
+def _other_starts(command: Command, first: Descent) -> Float[HostArray, "n_starts n_a"]:
+    """Choose inputs that fill what the limits and the reach of a step leave.
+
+    They are a Latin hypercube and its middle, those near the start first: where several
+    actuations meet the goals, one that is near is better known than one that is far.
+    """
+    assert first.linear is not None
+    n, reach = command.settings.other_starts, command.settings.max_step_bound
+    (lower, upper), value = command.box(), first.here.value
+    scale = first.linear.scale
+    low = np.maximum(lower, value - reach * scale)
+    high = np.minimum(upper, value + reach * scale)
+    shares = np.full((n, low.size), 0.5)
+    shares[1:] = LatinHypercube(low.size, rng=SEED).random(n - 1)
+    starts = low + shares * (high - low)
+    away = np.linalg.norm((starts - value) / scale, axis=1)
+    # The middle may be the start itself.
+    return starts[np.argsort(away)][np.sort(away) > command.settings.step_tol]
+
+
+def _driven(
+    command: Command, first: Arrival, value: Float[HostArray, " n_a"]
+) -> Arrival | None:
+    """Drive the robot from its start to other inputs; None if it does not get there.
+
+    It is driven rather than solved anew, so that it stays on the branch of equilibria
+    on which it is commanded.
+    """
+    for pieces in (1, PIECES):
+        here = first
+        for left in range(pieces, 0, -1):
+            here = moved(command, here, (value - here.value) / left)
+            if not here.stands:
+                break
+        else:
+            return here
+    return None
+
+
+def _attempt(command: Command, way: str, found: Descent) -> Attempt:
+    error = np.abs(command.residuals(found.here.compliance.state)).max()
+    return Attempt(
+        way=way, outcome=found.outcome, error=float(error), n_steps=len(found.records)
+    )
+
+
+def _better(command: Command, found: Descent, than: Descent) -> bool:
+    """Compare two ends: kept limits first, then the cost of each level in turn."""
+    for new, old in zip(_parts(command, found), _parts(command, than), strict=True):
+        if abs(new - old) > EQUAL * max(new, old):
+            return bool(new < old)
+    return found.met and not than.met
+
+
+def _parts(command: Command, found: Descent) -> Float[HostArray, " n_parts"]:
+    """Compute violated limits and each level's cost; what is good enough is equal."""
+    assert found.linear is not None
+    off = command.residuals(found.here.compliance.state)
+    floor = np.full(len(off) + 1, 0.5 * command.settings.tol**2)
+    floor[0] = 10.0 * ROUNDING
+    return np.maximum(parts(found.linear.rows.b, off), floor)

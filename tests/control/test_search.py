@@ -1,0 +1,149 @@
+"""The search goes on from elsewhere, and says what holds it where nothing helps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arm import LENGTH, REST, SIDE, arm, arrays, pose, solved
+
+from softcal_jax.actuators import Cable, Guide
+from softcal_jax.configurations import (
+    BodyAngle,
+    Centroid,
+    Configuration,
+    ImposedDisplacement,
+    ImposedForce,
+    Markers,
+)
+from softcal_jax.control import (
+    OUTCOMES,
+    ControlSettings,
+    Limits,
+    sample_workspace,
+    solve_inverse,
+)
+from softcal_jax.equilibrium import build_model
+from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.mesh import beam
+
+EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
+DIRECT = ControlSettings(other_starts=0)
+
+
+def robot(gravity=REST, **actuation):
+    return pose(gravity, EFFECTORS, **actuation)
+
+
+def tips(inputs):
+    """Tips at tensions and angles, by simulation alone."""
+    full = np.resize(inputs, (5, 2))  # the program of `test_inverse`
+    found = sample_workspace(arm(), robot(top=0.0, motor=0.0), full)
+    assert found.failures == ()
+    return found.effectors["tip"][: len(inputs), 0]
+
+
+def test_a_goal_on_the_other_side_of_a_fold_is_met():
+    """x of the tip is l cos(angle): downhill from -0.05 is the limit at -0.1.
+
+    The goal is met at +0.5 alone, behind the angle 0 where the motor does not move x.
+    """
+    at_end = Markers(["end"], [(LENGTH, SIDE / 2, SIDE / 2)], axes="x")
+    start = replace(pose(REST, [], motor=-0.05), markers=at_end)
+    run = lambda settings: solve_inverse(
+        arm(),
+        start,
+        goals={"end": (LENGTH * np.cos(0.5), 0.0, 0.0)},
+        limits={"motor": Limits(displacement=(-0.1, 0.8))},
+        settings=settings,
+    )
+    local = run(DIRECT)
+    assert local.outcome == OUTCOMES.nearest
+    assert local.held_by == ("displacement of motor 'motor' at its lower limit",)
+    assert len(local.attempts) == 1
+    found = run(ControlSettings())
+    assert found.met
+    np.testing.assert_allclose(found.inputs, [0.5], rtol=1e-3)
+    assert found.attempts[0].outcome != OUTCOMES.met
+    assert found.attempts[-1].way.startswith("other start")
+    assert found.held_by == ()
+    assert found.blind is None
+
+
+def test_a_direction_that_nothing_moves_is_named():
+    """Two inputs move the tip on a surface; a goal beside it is off that way."""
+    at, h = np.array([1.0, 0.2]), 1e-3
+    tip, *sides = tips(at + h * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
+    normal = np.cross(sides[0] - sides[1], sides[2] - sides[3])
+    normal /= np.linalg.norm(normal)
+    aside = 5e-4
+    result = solve_inverse(
+        arm(), robot(top=0.8, motor=0.1), goals={"tip": tip + aside * normal}
+    )
+    assert result.outcome == OUTCOMES.nearest
+    assert result.held_by == ()
+    np.testing.assert_allclose(result.inputs, [1.0, 0.2], rtol=0.01)
+    blind = result.blind
+    assert blind is not None
+    assert blind.coordinates == ("x of 'tip'", "y of 'tip'", "z of 'tip'")
+    # From the goal to the tip.
+    np.testing.assert_allclose(blind.direction, -normal, atol=2e-3)
+    np.testing.assert_allclose(blind.off, -aside * normal, atol=2e-6)
+    assert blind.gain < 1e-6
+    np.testing.assert_allclose(result.goals[0].residual, blind.off, atol=5e-6)
+    assert "'tip' is off by x" in result.message
+    assert "held by a blind direction x of 'tip'" in result.message
+
+
+def test_the_limit_that_holds_is_named_and_another_is_not():
+    """Both are reached; only one pushes back, and lifting it brings the tip nearer."""
+    (goal,), tension = tips([[1.0, 0.4]]), 1.0
+    limits = {
+        "top": Limits(force=(0.0, tension)),
+        "motor": Limits(displacement=(-0.1, 0.2)),
+    }
+    distance = lambda result: np.linalg.norm(result.goals[0].residual)
+    run = lambda **wider: solve_inverse(
+        arm(), robot(top=0.5, motor=0.1), goals={"tip": goal}, limits=limits | wider
+    )
+    held = run()
+    assert held.outcome == OUTCOMES.nearest
+    assert "displacement of motor 'motor' at its upper limit" in held.held_by
+    assert "held by" in held.message
+    assert distance(run(motor=Limits(displacement=(-0.1, 0.25)))) < distance(held)
+
+
+@pytest.mark.slow  # a program of its own
+def test_two_actuators_that_impose_one_displacement_are_called_singular():
+    """How they share the tension is open; an equilibrium is not what is missing."""
+    path = [Guide((0.0, SIDE / 2, SIDE), "ground"), Guide((LENGTH, SIDE / 2, SIDE))]
+    twins = ("one", "two")
+    model = build_model(
+        beam(LENGTH, SIDE, SIDE, (2, 1, 1), order=1),
+        Corotational(Isotropic(2e5, 0.3)),
+        density=0.0,
+        actuators=[Cable(name, path) for name in twins],
+    )
+    start = Configuration(
+        "twins",
+        "x_min",
+        effectors=[Centroid("tip", "x_max")],
+        actuation={name: ImposedDisplacement(0.002) for name in twins},
+    )
+    goals = {"tip": (LENGTH, SIDE / 2, SIDE)}
+    result = solve_inverse(model, start, goals=goals, throw=False)
+    assert result.outcome == OUTCOMES.singular
+    assert result.attempts == ()
+    with pytest.raises(RuntimeError, match="tangent at the start is singular"):
+        solve_inverse(model, start, goals=goals)
+    # One of them by its force: the same robot, and nothing is open.
+    by_force = {"one": ImposedDisplacement(0.002), "two": ImposedForce(0.0)}
+    result = solve_inverse(model, replace(start, actuation=by_force), goals=goals)
+    assert result.outcome == OUTCOMES.nearest
+
+
+def test_a_motor_turns_in_one_load_step():
+    """Its axis stays, so that there is no screw to follow in small steps."""
+    configuration = arrays(robot(motor=0.8))
+    solution, _ = solved(arm(), configuration, configuration.actuation.value)
+    assert solution.converged
+    assert solution.load_steps == 1
