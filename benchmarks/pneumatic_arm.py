@@ -8,7 +8,7 @@ must not be called identified.
 
 Silicone stiffens: Gent's law, whose limit J_m is known to a factor of 8 from a
 published pull test (README.md of the arm) and is calibrated beside that. The law was
-taken because an arm of neo-Hookean silicone, found from the same poses, carries 99 % of
+taken because an arm of neo-Hookean silicone, found from the same poses, balloons below
 400 mbar. Its constant owes nothing to the poses that are held out.
 
 Near a limit point an equilibrium need not be found from rest. The path of such a pose
