@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 import tempfile
 from pathlib import Path
 
@@ -31,6 +32,9 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # And some of it into a search for garbage among what has been traced.
 gc.set_threshold(200_000, 20, 100)
+
+# A process that a script starts in the background ignores Ctrl-C, which tests raise.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Here, because it must come before the first import of the package.
 jaxtyping.install_import_hook("softcal_jax", "typechecking.typechecked")
