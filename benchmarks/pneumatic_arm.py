@@ -7,9 +7,9 @@ those of their motion. The same is done with plain silicone, which is the wrong 
 must not be called identified.
 
 Silicone stiffens: Gent's law, whose limit J_m is known to a factor of 8 from a
-published pull test (README.md of the arm) and is calibrated beside that. The law was
-taken because an arm of neo-Hookean silicone, found from the same poses, balloons below
-400 mbar. Its constant owes nothing to the poses that are held out.
+published pull test (README.md of the arm) and is calibrated beside that. That a law
+which does not stiffen fails at 400 mbar was known when this one was taken, and one
+other value of J_m had been tried there; the prior is that of the pull test alone.
 
 Near a limit point an equilibrium need not be found from rest. The path of such a pose
 is followed by arc length: to its pressure, at which it is predicted, or to the largest
@@ -177,7 +177,11 @@ def predicted(
     pose: Configuration,
     guess: Float[HostArray, "n_points 3"],
 ) -> Predicted:
-    """Compare the motion of a pose near a guess with the recorded one [m]."""
+    """Compare the motion of a pose near a guess with the recorded one [m].
+
+    Motion counts from the recorded rest alone, where the calibration's own predictions
+    count from a rest that all fitted poses tell, and are off by less.
+    """
     assert project.space is not None
     (rest,) = (c for c in project.calibration if c.name == "rest")
     problem = build_problem(project.model, project.space, [rest, pose], project.newton)
