@@ -11,6 +11,7 @@ import numpy as np
 
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult, calibrate
 from softcal_jax.configurations import Configuration
+from softcal_jax.fields import Uncertain
 from softcal_jax.robots import (
     PRIOR,
     SETUP,
@@ -29,6 +30,9 @@ READINGS = 10
 
 STD, STD_ANGLE = 0.3e-3, float(np.deg2rad(0.2))
 """What the calibration takes a mean reading to be known to: it, and the setup."""
+
+UNCERTAIN = Uncertain(recordings=0.0)
+"""What the calibration holds fixed; errors of the readings are all in `STD`."""
 
 
 class Measured(NamedTuple):
@@ -80,6 +84,7 @@ def calibrated(robot: ParallelRobot, measured: Measured) -> CalibrationResult:
         measured.calibration,
         validation=measured.validation,
         noise="stated",
+        uncertain=UNCERTAIN,
         starts=1,
         intervals=None,
     )
