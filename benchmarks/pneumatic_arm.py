@@ -11,9 +11,8 @@ published pull test (README.md of the arm) and is calibrated beside that. That a
 which does not stiffen fails at 400 mbar was known when this one was taken, and one
 other value of J_m had been tried there; the prior is that of the pull test alone.
 
-Near a limit point an equilibrium need not be found from rest. The path of such a pose
-is followed by arc length: to its pressure, at which it is predicted, or to the largest
-one that the arm carries.
+A pose that is not found from rest is followed along its path, see `predict`; one that
+the arm does not carry is none of the predictions, and named.
 """
 
 import re
@@ -22,27 +21,11 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import (
-    CalibrationResult,
-    ConfigurationResult,
-    build_problem,
-    evaluate,
-)
-from softcal_jax.configurations import Configuration, configuration_arrays
-from softcal_jax.equilibrium import (
-    RESULTS,
-    LoadPath,
-    check_converged,
-    solve_equilibrium,
-)
+from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.identifiability import Assessment, assess
 from softcal_jax.project import Project, load_project
 from softcal_jax.robots import pneumatic_arm_path
@@ -57,26 +40,12 @@ GOALS = {
 }
 
 
-class Predicted(NamedTuple):
-    """A predicted pose, as `ConfigurationResult` has it; distances in metres."""
-
-    name: str
-    role: str
-    rms_after: float
-    motion: float
-
-
-AnyPose = ConfigurationResult | Predicted
-
-
 def run(options: Options) -> Outcome:
     """Two calibrations."""
     options.say("silicone with hoops")
     project, wound, assessment = calibrated(pneumatic_arm_path())
     options.say(_in_words(wound))
-    options.say("poses that are not found from rest, along their paths")
-    followed, carried = along_the_path(project, wound)
-    poses = [*wound.configurations, *followed]
+    poses = wound.configurations
     figures: dict[str, Figure] = {
         "fit_percent": _percent(
             [c for c in wound.configurations if c.role == "calibration"]
@@ -96,7 +65,6 @@ def run(options: Options) -> Outcome:
         figures[f"{key[:-4]}_standard_error_kPa"] = found[name].standard_error / unit
     figures["J_m"] = found["J_m"].value
     figures["J_m_standard_error"] = found["J_m"].standard_error
-    figures |= carried
     options.say("plain silicone")
     with tempfile.TemporaryDirectory() as folder:
         path = pneumatic_arm_path()
@@ -147,56 +115,6 @@ def calibrated(path: Path) -> tuple[Project, CalibrationResult, Assessment]:
     return project, result, assess(result)
 
 
-def along_the_path(
-    project: Project, result: CalibrationResult
-) -> tuple[list[Predicted], dict[str, Figure]]:
-    """Follow held-out poses that are not found from rest by arc length.
-
-    Returns:
-        Those that the calibrated arm carries, as they are predicted at the end of their
-        path; and of each the largest share of its pressure that is carried [%].
-    """
-    model, known = result.model, {c.name for c in result.configurations}
-    found, shares = [], {}
-    for pose in project.validation:
-        if pose.name in known:
-            continue
-        lanes = configuration_arrays(model.mesh, [pose], model.mechanism)
-        lane = jax.tree.map(lambda leaf: leaf[0], lanes)
-        path = solve_equilibrium(model, lane, path=LoadPath(first=0.2))
-        key = f"limit_of_{pose.name.replace(' ', '_')}_percent"
-        shares[key] = 100.0 * float(np.max(path.load))
-        if path.result == RESULTS.converged:
-            found.append(predicted(project, result, pose, path.displacement[-1]))
-    return found, shares
-
-
-def predicted(
-    project: Project,
-    result: CalibrationResult,
-    pose: Configuration,
-    guess: Float[HostArray, "n_points 3"],
-) -> Predicted:
-    """Compare the motion of a pose near a guess with the recorded one [m].
-
-    Motion counts from the recorded rest alone, where the calibration's own predictions
-    count from a rest that all fitted poses tell, and are off by less.
-    """
-    assert project.space is not None
-    (rest,) = (c for c in project.calibration if c.name == "rest")
-    problem = build_problem(project.model, project.space, [rest, pose], project.newton)
-    z = project.space.to_scaled(jnp.asarray([p.value for p in result.parameters]))
-    start = jnp.stack([jnp.zeros_like(guess), jnp.asarray(guess)])
-    posed = evaluate(problem, z, start)
-    check_converged(posed.equilibrium, (rest.name, pose.name))
-    recorded = problem.configurations.effectors.measured
-    simulated, moved = (
-        np.asarray(both[1] - both[0]) for both in (posed.effectors, recorded)
-    )
-    rms = lambda x: float(np.sqrt(np.mean(np.sum(x**2, axis=-1))))
-    return Predicted(pose.name, "validation", rms(simulated - moved), rms(moved))
-
-
 def plain(text: str) -> str:
     """The project file without fibres.
 
@@ -226,7 +144,7 @@ def _in_words(result: CalibrationResult) -> str:
     return "found " + ", ".join(values) + ": " + ", ".join(poses)
 
 
-def _predicted(poses: Sequence[AnyPose], names: Sequence[str]) -> Figure:
+def _predicted(poses: Sequence[ConfigurationResult], names: Sequence[str]) -> Figure:
     """Error of some poses; in words where one of them has no equilibrium."""
     found = [pose for pose in poses if pose.name in names]
     missing = set(names) - {pose.name for pose in found}
@@ -235,7 +153,7 @@ def _predicted(poses: Sequence[AnyPose], names: Sequence[str]) -> Figure:
     return _percent(found)
 
 
-def _percent(poses: Sequence[AnyPose]) -> float:
+def _percent(poses: Sequence[ConfigurationResult]) -> float:
     """Root mean square error of some poses over that of their motion [%]."""
     error, motion = (
         np.linalg.norm([getattr(c, key) for c in poses])

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._agreement import Posed
@@ -11,9 +13,20 @@ from softcal_jax.calibration._configuration_result import (
     configuration_results,
 )
 from softcal_jax.calibration._notes import unscoped_notes
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
-from softcal_jax.configurations import Configuration, ConfigurationLanes
-from softcal_jax.equilibrium import Workers
+from softcal_jax.calibration._problem import CalibrationProblem, Evaluator, lane_of
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    ConfigurationLanes,
+)
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    LoadPath,
+    Model,
+    NewtonSettings,
+    Workers,
+    solve_equilibrium,
+)
 
 
 def predict(
@@ -27,15 +40,20 @@ def predict(
 ) -> tuple[tuple[ConfigurationResult, ...], list[str], Posed]:
     """Predict held-out configurations with the start and the calibrated parameters.
 
-    Uses the program of the fit, which is compiled already.
-    A configuration without equilibrium is left out with a note: it must neither count
-    as a prediction nor cost the user the fit.
+    Uses the program of the fit, which is compiled already. Near a limit point an
+    equilibrium need not be found from rest: there the path of the configuration is
+    followed by arc length, and its end is where the search begins anew. A configuration
+    without equilibrium is left out with a note: it must neither count as a prediction
+    nor cost the user the fit.
     """
     evaluate = Evaluator(problem)
     first, last = workers.ends(evaluate.from_rest(p) for p in (start, z))
     # A pose that only the start parameters cannot hold has no "before".
     held = first.equilibrium.converged[:, None, None]
     model, arrays = problem.at(z)
+    guess, carried = _along_paths(model, arrays, last.equilibrium, problem.newton)
+    if any(share == 1.0 for share in carried.values()):
+        last = workers.end_of(evaluate(z, guess))
     fits = configuration_results(
         model,
         validation,
@@ -48,10 +66,33 @@ def predict(
         noise=problem.noise,
     )
     notes = [
-        f"{c.name} is not predicted: with the calibrated parameters it has no "
-        "equilibrium. `softcal simulate` or `solve_equilibrium` tells why."
-        for c, ok in zip(validation, last.equilibrium.converged, strict=True)
-        if not ok
+        f"{validation[i].name} is not predicted: with the calibrated parameters it has "
+        f"no equilibrium. Along its path (`LoadPath`) it carries at most "
+        f"{100.0 * share:.3g} % of its load."
+        for i, share in carried.items()
+        if not last.equilibrium.converged[i]
     ]
     notes += unscoped_notes(problem.space, validation)
     return fits, notes, Posed(tuple(validation), evaluate, last)
+
+
+def _along_paths(
+    model: Model,
+    arrays: ConfigurationArrays,
+    found: EquilibriumSolution,
+    newton: NewtonSettings,
+) -> tuple[Float[Array, "n_c n_points 3"], dict[int, float]]:
+    """Follow what is not in equilibrium from rest along its load.
+
+    Returns:
+        Displacements to start from: as found, or at the end of the path; and the
+        largest share of its load that each of these configurations carries.
+    """
+    guess, carried = np.array(found.displacement), {}
+    for i in np.flatnonzero(~np.asarray(found.converged)):
+        path = solve_equilibrium(
+            model, lane_of(arrays, int(i)), settings=newton, path=LoadPath()
+        )
+        carried[int(i)] = min(float(np.max(path.load)), 1.0)
+        guess[i] = path.displacement[-1]
+    return jax.device_put(guess), carried
