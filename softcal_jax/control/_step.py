@@ -56,7 +56,7 @@ class ControlSettings(eqx.Module):
     step_bound: float = 0.1
     max_step_bound: float = 0.5
     epsilon: float = 0.0
-    other_starts: int = 12
+    other_starts: int = 24
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
 
     def __check_init__(self):
