@@ -15,8 +15,7 @@ from softcal_jax import (
     solve_equilibrium,
 )
 from softcal_jax.configurations import ConfigurationArrays, configuration_arrays
-from softcal_jax.equilibrium import EquilibriumSolution, Model
-from softcal_jax.equilibrium._element import Formulation
+from softcal_jax.equilibrium import EquilibriumSolution, Formulation, Model
 
 GRAVITY = 9.81
 """Acceleration [m/s2], along -z, across the beam."""

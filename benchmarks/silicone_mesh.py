@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax.calibration import CalibrationResult
-from softcal_jax.equilibrium._element import Formulation
+from softcal_jax.equilibrium import Formulation
 from softcal_jax.project import load_project
 from softcal_jax.robots import silicone_beam_path
 

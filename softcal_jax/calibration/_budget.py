@@ -23,6 +23,7 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._considered import Considered, considered
+from softcal_jax.calibration._mesh_error import REMEDIES, mesh_errors
 from softcal_jax.calibration._noise import named_columns, whitened
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -31,7 +32,6 @@ from softcal_jax.calibration._problem import (
     lane_of,
     with_solver,
 )
-from softcal_jax.calibration._refined import locking_errors
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
@@ -43,13 +43,13 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace, Uncertain
-from softcal_jax.sensitivity import clamp_row, parameter_rows
+from softcal_jax.sensitivity import clamp_row, parameter_rows, stiffness_row
 
 NOISE = "noise"
 """Name of what remains if everything that is held fixed is right: the jitter."""
 
 MESH = "mesh"
-"""Name of the error of linear tets."""
+"""Name of the error of the mesh, see `mesh_errors`."""
 
 SMALL = 0.1
 """Share of the standard error below which a sentence leaves a cause out [-]."""
@@ -88,8 +88,8 @@ class ErrorBudget(eqx.Module):
         causes: What else may be wrong, the largest first.
         W_c: Change of the stacked errors per standard deviation of what is held fixed
             and may be wrong, in units of the noise, see `identifiability` [-].
-        unknown: Causes that count, but whose size could not be estimated: "mesh" for
-            linear tets of a robot, or of a very fine mesh.
+        unknown: Causes that count, but whose size could not be estimated: "mesh" where
+            `mesh_errors` cannot tell.
     """
 
     names: tuple[str, ...]
@@ -133,8 +133,10 @@ class ErrorBudget(eqx.Module):
         shown.sort(key=lambda c: (c != NOISE, -own[c]))
         text = ", ".join(f"{cause} {self.readable(i, own[cause])}" for cause in shown)
         worst = max(own, key=lambda c: own[c])
-        advice = {NOISE: "", MESH: ": use quadratic tets"}
-        return text + advice.get(worst, f": measure {worst} first")
+        if worst == NOISE:
+            return text
+        (errors,) = [cause.errors for cause in self.causes if cause.name == worst]
+        return f"{text}: {REMEDIES.get(errors[0], f'measure {worst} first')}"
 
     def readable(self, i: int, std: float) -> str:
         """Write an error in percent of the value; angles and offsets as they are.
@@ -192,7 +194,6 @@ def error_budget(
     causes = [Cause(n, names[n], -gain @ W) for n, W in (W_c | of_noise).items()]
     whole = np.nan_to_num(sum(cause.variance for cause in causes))
     size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))
-    locks = problem.model.mesh.order == 1 and uncertain.mesh > 0.0
     return ErrorBudget(
         names=tuple(space.names),
         values=np.asarray(space.from_scaled(z)),
@@ -201,7 +202,7 @@ def error_budget(
         noise=_by_jitter(problem, spread, gain),
         causes=tuple(sorted(causes, key=size, reverse=True)),
         W_c=np.concatenate([np.zeros((gain.shape[1], 0)), *W_c.values()], axis=1),
-        unknown=(MESH,) if locks and MESH not in own else (),
+        unknown=(MESH,) if uncertain.mesh > 0.0 and MESH not in own else (),
     )
 
 
@@ -254,27 +255,29 @@ def considered_errors(
         effectors; zero in configurations that do not have the error.
     """
     found = considered(uncertain, evaluate.problem, configurations)
-    columns = yield from _all_columns(evaluate, found, z, displacement)
+    if uncertain.mesh == 0.0 and not any(own.happens for own in found):
+        return {}
+    *columns, by_stiffness = yield from _all_columns(evaluate, found, z, displacement)
     own: dict[str, dict[str, HostArray]] = {}
     for error, column in zip(found, columns, strict=True):
         for name, those in error.groups():
             shared = np.where(those[:, None], column, 0.0)
             own.setdefault(error.cause, {})[name] = shared
     if uncertain.mesh > 0.0:
-        locking = locking_errors(evaluate.numbered, z, displacement)
-        if locking is not None:
-            own[MESH] = {"locking": uncertain.mesh * locking}
+        of_mesh = yield from mesh_errors(evaluate, z, displacement, by_stiffness)
+        if of_mesh:
+            own[MESH] = {name: uncertain.mesh * e for name, e in of_mesh.items()}
     return own
 
 
 def _all_columns(
     evaluate: Evaluator, found: Sequence[Considered], z, displacement
-) -> Job[Float[HostArray, "n_errors n_c n_e"]]:
-    """Compute W_c as if each configuration had each error."""
+) -> Job[Float[HostArray, "n_errors_and_stiffness n_c n_e"]]:
+    """Compute W_c as if each configuration had each error; last that of stiffness."""
     problem, n_c = evaluate.numbered, len(displacement)
     n_e = problem.configurations.effectors.measured.size // n_c
-    if n_e == 0 or not any(own.happens for own in found):
-        return np.zeros((len(found), n_c, n_e))
+    if n_e == 0:
+        return np.zeros((len(found) + 1, n_c, n_e))
     entries = tuple(own.entry for own in found if own.entry is not None)
     errors = ParameterSpace(entries) if entries else None
     motions = [own.motions for own in found if own.entry is None]
@@ -309,11 +312,12 @@ def _columns(
     z,
     c,
     u,
-) -> Float[Array, "n_e n_errors"]:
+) -> Float[Array, "n_e n_errors_and_stiffness"]:
     """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
     lin = linearise(*space.apply(model, c, z), u)
     rows = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
     rows += [clamp_row(lin, motion) for motion in motions]
+    rows += [stiffness_row(lin)]
     stacked = jax.tree.map(lambda *own: jnp.concatenate(own), *rows)
     fewer = len(stacked.force) > c.effectors.measured.size
     found = sensitivity(lin, stacked, effector_values, adjoint=fewer)

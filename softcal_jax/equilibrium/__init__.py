@@ -16,6 +16,7 @@ from softcal_jax.equilibrium._effectors import (
     effector_values,
     marker_positions,
 )
+from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linearisation import (
     Linearisation,
@@ -69,6 +70,7 @@ __all__ = [
     "BodyPlace",
     "EquilibriumPath",
     "EquilibriumSolution",
+    "Formulation",
     "InputRows",
     "Job",
     "Linearisation",

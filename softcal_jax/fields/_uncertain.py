@@ -35,9 +35,12 @@ class Uncertain(eqx.Module):
             finds it from how far recordings differ, where there are enough of them.
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
-        mesh: Error of linear tets, in units of how far quadratic tets would move the
-            measured points [-]. One error for all configurations. Not known with rigid
-            bodies or actuators, and above 50 000 tets; quadratic tets count as exact.
+        mesh: Error of the mesh, in units of its estimate [-]. One error for all
+            configurations. The estimate is how far quadratic tets would move what is
+            measured on linear ones; on quadratic ones, half of what lies between their
+            two formulations, see `build_model`. Zero for data that are simulated on the
+            same mesh. Not known for linear tets with rigid bodies or actuators, or more
+            than 50 000 of them, nor for laws without a potential.
     """
 
     nu: float = 0.05

@@ -104,7 +104,8 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     reasons += result.checks.reasons if result.checks is not None else ()
     reasons += _contradictions(result)
     reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
-    reasons += _locking(result.budget, report)
+    if result.model.mesh.order == 1:
+        reasons += _locking(result.budget, report)
     reasons += _wide(report, result)
     reasons += _rivals(result.starts, spread.level)
     for verdict, words in (

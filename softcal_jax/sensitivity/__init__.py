@@ -16,6 +16,7 @@ from softcal_jax.sensitivity._rows import (
     parameter_rows,
     readings_of_forces,
 )
+from softcal_jax.sensitivity._stiffness_row import stiffness_row
 
 __all__ = [
     "DerivativeCheck",
@@ -30,4 +31,5 @@ __all__ = [
     "parameter_forces",
     "parameter_rows",
     "readings_of_forces",
+    "stiffness_row",
 ]
