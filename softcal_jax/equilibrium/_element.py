@@ -7,7 +7,7 @@ Two formulations of the volume change:
   F_bar = (J_bar / J)^(1/3) F with J_bar = <J> (Nagtegaal, Parks and Rice 1974; in the
   energy-consistent form of Simo, Taylor and Pister 1985). One volume constraint per
   tet in place of four, so nearly incompressible quadratic tets do not lock; a potential
-  remains, so the stiffness stays symmetric.
+  remains, so the stiffness stays symmetric. Fibres keep F, see `AbstractLaw.parts`.
 
 On linear tets, with a single quadrature point, both are the same.
 """
@@ -77,14 +77,18 @@ def element_energy_and_force(
     """Compute the strain energy [J] of a tet and its gradient with respect to u [N]."""
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
+        matrix, rest = law.parts()
         theta = mean_dilatation(u, dN, w)
         J, s, G = _scaled_to(theta, F)
         share = w * J / (theta * jnp.sum(w))
-        psi, P_bar = _at_points(law, "energy_and_stress", _each(s) * F)
+        psi, P_bar = _at_points(matrix, "energy_and_stress", _each(s) * F)
         P_bar = _each(s) * P_bar
         mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
         pressure = jnp.sum(w * mean_stress)
         P = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
+        if rest is not None:
+            psi_rest, P_rest = _at_points(rest, "energy_and_stress", F)
+            psi, P = psi + psi_rest, P + _each(w) * P_rest
     else:
         psi, P = _at_points(law, "energy_and_stress", F)
         P = _each(w) * P
@@ -202,7 +206,8 @@ def mixed_newton(
     J, s, G = _scaled_to(theta, F)
     share = w * J / (theta * jnp.sum(w))
     gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
-    P_bar, A = _at_points(law, "stress_and_tangent", _each(s) * F)
+    matrix, rest = law.parts()
+    P_bar, A = _at_points(matrix, "stress_and_tangent", _each(s) * F)
     P_bar, A = _each(s) * P_bar, (s**2)[:, None, None, None, None] * A
     A_F = jnp.sum(A * F[:, None, None], axis=(3, 4))
     Q = A_F + P_bar
@@ -220,7 +225,11 @@ def mixed_newton(
         + wide(w * both + pressure * share) * _outer(G, G)
         + wide(w * mean_stress - pressure * share) * swapped
     )
-    force = _push(_each(w) * P_bar + _each(pressure * share - w * mean_stress) * G, dN)
+    P_eff = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
+    if rest is not None:
+        P_rest, A_rest = _at_points(rest, "stress_and_tangent", F)
+        P_eff, A_eff = P_eff + _each(w) * P_rest, A_eff + wide(w) * A_rest
+    force = _push(P_eff, dN)
     g = _push(_each(share) * G, dN)
     h = _push(_each(w / 3.0) * Q - _each(w * both) * G, dN)
     K = _pull(A_eff, dN) + _outer(g, h) + _outer(h, g) + curvature * _outer(g, g)

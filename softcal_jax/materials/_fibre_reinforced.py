@@ -1,5 +1,6 @@
 """An isotropic matrix with fibres as stiff as thread, in one or two families."""
 
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -11,6 +12,20 @@ from softcal_jax.materials._constants import FIBRES, as_field, check_constants
 from softcal_jax.materials._fibre import Fibre
 from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._products import outer, paired
+
+
+class _Void(AbstractLaw):
+    """No material."""
+
+    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+        return jnp.zeros((), F.dtype)
+
+    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        return jnp.zeros((3, 3), F.dtype)
+
+    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        return jnp.zeros((3, 3, 3, 3), F.dtype)
+
 
 BUCKLING = 1e-4
 """Strain c at which a fibre that carries tension only gives way to a push [-]."""
@@ -140,3 +155,7 @@ class FibreReinforced(AbstractLaw):
     def tabulated(self) -> "FibreReinforced":
         """Compute what does not depend on F in the matrix once."""
         return eqx.tree_at(lambda law: law.matrix, self, self.matrix.tabulated())
+
+    def parts(self) -> tuple[AbstractLaw, AbstractLaw]:
+        """Split into the matrix, and the fibres alone."""
+        return self.matrix, replace(self, matrix=_Void())

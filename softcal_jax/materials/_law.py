@@ -74,3 +74,14 @@ class AbstractLaw(eqx.Module):
         Fields may be those of a whole body: one value, one per tet, or `PointValues`.
         """
         return self
+
+    def parts(self) -> tuple["AbstractLaw", "AbstractLaw | None"]:
+        """Split into what resists a change of volume, and the rest, if there is any.
+
+        Mean dilatation replaces the volume ratio of the first part alone. What the rest
+        resists, like the stretch of a fibre, is no matter of volume: with the mean
+        volume ratio a tet could stretch its fibres at one point and shorten them at
+        another at hardly any cost (Helfenstein, Jabareen, Mazza and Govindjee, Int. J.
+        Solids Structures 47, 2010).
+        """
+        return self, None

@@ -20,7 +20,7 @@ PRESSURE = 1.0
 
 def quarter(cells, tension_only):
     """A quarter of a tube around z of inner radius 1, with hoop threads."""
-    box = beam(1.0, 1.0, 0.3, (1, cells, 1), order=2)
+    box = beam(1.0, 1.0, 0.3, (cells // 12, cells, 1), order=2)
     r, phi = 1.0 + (OUTER - 1.0) * box.points[:, 0], 0.5 * np.pi * box.points[:, 1]
     points = np.stack([r * np.cos(phi), r * np.sin(phi), box.points[:, 2]], axis=1)
     mesh = TetMesh(points, box.tets, box.node_groups, box.surface_groups)
@@ -69,7 +69,7 @@ def test_threads_hold_the_tube(tension_only):
         "inflated", supports, NO_GRAVITY, actuation={"inner": ImposedForce(PRESSURE)}
     )
     errors, steps = [], []
-    for cells in (6, 12):
+    for cells in (12, 24):
         model = quarter(cells, tension_only)
         assert model.formulation == "mean-dilatation"
         solve = jax.jit(lambda m, lane: solve_equilibrium(m, lane, settings=TIGHT))
@@ -81,7 +81,7 @@ def test_threads_hold_the_tube(tension_only):
         u = np.mean(np.linalg.norm(x[:, :2], axis=1)) - 1.0
         errors.append(abs(u / exact - 1.0))
         steps.append(int(solution.steps))
-    assert errors[1] < 0.02
+    assert errors[1] < 0.01
     assert errors[0] / errors[1] > 3.0
     # 41 and 34 with either kind of fibre; 167 if threads carried nothing at rest.
     assert max(steps) < 60
