@@ -51,7 +51,8 @@ class FibreReinforced(AbstractLaw):
     thread of constant modulus. (A matrix and a function of the fibre stretch: Spencer,
     Deformations of Fibre-Reinforced Materials, 1972; Holzapfel, Gasser and Ogden, J.
     Elasticity 61, 2000.) The matrix may be any isotropic law, nearly incompressible
-    too: its `nu` chooses the formulation of the tets.
+    too: its `nu` chooses the formulation of the tets, which leaves the fibres' own
+    stretch alone (see `parts`).
 
     With `tension_only`, a fibre that is shortened gives way as a thread that buckles,
 
