@@ -104,8 +104,9 @@ def _by_formulation(
     stiff, soft = np.stack((yield Batch(motions, lanes, key)), axis=1)
     weights = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
     size = lambda e: np.linalg.norm(weights * e, axis=1, keepdims=True)
-    # To first order a body half as stiff is moved by its loads twice as far.
-    moved = size(soft)
+    # To first order a body half as stiff is moved by its loads twice as far. Where they
+    # do not move the effectors at rest, all of their motion may be wrong.
+    moved = np.maximum(size(soft), size(soft - stiff))
     there = size(by_stiffness) / np.where(moved > 0.0, moved, 1.0)
     return BETWEEN * (soft - stiff) * there
 
