@@ -63,6 +63,7 @@ def test_the_exact_solution_is_within_two_standard_deviations(formulation):
     assert std[2] < 0.0
 
 
+@pytest.mark.slow
 def test_it_is_of_the_order_of_the_element():
     """Halved cells have a quarter of the error, in the benchmark and as estimated."""
     law = NeoHookean(265e3, 0.3)
