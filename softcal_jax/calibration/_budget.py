@@ -29,17 +29,15 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluation,
     Evaluator,
+    each_lane,
     lane_of,
-    with_solver,
 )
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
-    Batch,
     Job,
     effector_values,
     linearise,
-    program_key,
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace, Uncertain
@@ -291,15 +289,7 @@ def _all_columns(
         )
         for c in range(n_c)
     ]
-    alone = problem.with_noise(None)
-    shared = eqx.tree_at(lambda p: p.configurations, alone, None)
-
-    def columns(solver, lane):
-        on = with_solver(shared, solver)
-        return jax.block_until_ready(_columns(on.model, on.space, *lane))
-
-    key = program_key("considered_columns", shared, lanes[0])
-    of_lanes = yield Batch(columns, lanes, key)
+    of_lanes = yield from each_lane(problem, _columns, lanes)
     return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
 
 

@@ -22,19 +22,17 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     Evaluator,
+    each_lane,
     lane_of,
-    with_solver,
 )
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import (
-    Batch,
     Formulation,
     Job,
     Model,
     build_model,
     effector_values,
     linearise,
-    program_key,
     residual,
 )
 from softcal_jax.fields import ParameterSpace
@@ -93,15 +91,8 @@ def _by_formulation(
     """Return half of what lies between the formulations, see `mesh_errors`."""
     n_c = len(problem.configurations.gravity)
     lanes = [(z, lane_of(problem.configurations, c)) for c in range(n_c)]
-    alone = problem.with_noise(None)
-    shared = eqx.tree_at(lambda p: p.configurations, alone, None)
-
-    def motions(solver, lane):
-        on = with_solver(shared, solver)
-        return jax.block_until_ready(_motions_at_rest(on.model, on.space, *lane))
-
-    key = program_key("motions_at_rest", shared, lanes[0])
-    stiff, soft = np.stack((yield Batch(motions, lanes, key)), axis=1)
+    of_lanes = yield from each_lane(problem, _motions_at_rest, lanes)
+    stiff, soft = np.stack(of_lanes, axis=1)
     weights = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
     size = lambda e: np.linalg.norm(weights * e, axis=1, keepdims=True)
     # To first order a body half as stiff is moved by its loads twice as far. Where they

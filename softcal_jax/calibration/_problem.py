@@ -1,5 +1,6 @@
 """A calibration as arrays, and its evaluation at one value of the parameters."""
 
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -396,3 +397,24 @@ def lane_of(batch: T, index: int) -> T:
     """Return one lane of a batch."""
     # Sliced on the host: on the device, each shape compiles two more programs.
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))
+
+
+def each_lane(
+    problem: CalibrationProblem, function: Callable[..., T], lanes: Sequence[Any]
+) -> Job[list[T]]:
+    """Call a compiled function of model, parameters and a lane, for all lanes.
+
+    Args:
+        problem: The calibration, without names.
+        function: Takes the model, the space and the values of a lane.
+        lanes: Of one shape each.
+    """
+    where = lambda p: p.configurations
+    shared = eqx.tree_at(where, problem.with_noise(None), None)
+
+    def call(solver, lane):
+        on = with_solver(shared, solver)
+        return jax.block_until_ready(function(on.model, on.space, *lane))
+
+    key = program_key(function.__name__, shared, lanes[0])
+    return (yield Batch(call, lanes, key))
