@@ -262,7 +262,7 @@ def test_one_program_for_all_goals_and_models(monkeypatch):
 
 
 def test_search_that_does_not_end_says_so():
-    settings = ControlSettings(max_steps=1)
+    settings = ControlSettings(max_steps=1, other_starts=0)
     with pytest.raises(RuntimeError, match="did not end within max_steps"):
         solve_inverse(arm(), robot(top=0.0), goals={"bend": 0.6}, settings=settings)
     result = solve_inverse(
