@@ -83,5 +83,5 @@ def test_threads_hold_the_tube(tension_only):
         steps.append(int(solution.steps))
     assert errors[1] < 0.01
     assert errors[0] / errors[1] > 3.0
-    # 41 and 34 with either kind of fibre; 167 if threads carried nothing at rest.
+    # At most 36 with either kind of fibre.
     assert max(steps) < 60
