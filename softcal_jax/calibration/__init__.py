@@ -29,7 +29,6 @@ from softcal_jax.calibration._intervals import profile_intervals
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     correlated_noise,
-    measured_motion,
     whitened,
 )
 from softcal_jax.calibration._notes import CalibrationWarning
@@ -45,6 +44,7 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
+from softcal_jax.calibration._references import check_references
 from softcal_jax.calibration._residual_checks import LeftOut, ResidualChecks
 from softcal_jax.calibration._residuals import LackOfFit
 from softcal_jax.calibration._result import (
@@ -111,6 +111,7 @@ __all__ = [
     "bounded_step",
     "build_problem",
     "calibrate",
+    "check_references",
     "considered_errors",
     "correlated_noise",
     "default_starts",
@@ -119,7 +120,6 @@ __all__ = [
     "images_of",
     "initial_state",
     "levenberg_marquardt",
-    "measured_motion",
     "multi_start",
     "n_measured",
     "profile_ends",

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from softcal_jax.calibration._noise import correlated_noise, measured_motion
+from softcal_jax.calibration._noise import correlated_noise
 from softcal_jax.calibration._notes import (
     warn_if_locking,
 )
@@ -10,6 +10,7 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     lane_of,
 )
+from softcal_jax.calibration._references import check_references
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
@@ -46,10 +47,13 @@ def build_problem(
             offsets of recordings belong to the noise; by default nothing is uncertain.
 
     Raises:
-        ValueError: If a configuration has no measurement, or a parameter no field.
+        ValueError: If a configuration has no measurement, a parameter no field, or
+            `displacement_from` names no configuration with the same effectors.
     """
     posed, uncertain = as_sequence(configurations), uncertain or exactly_known()
-    return build(model, parameters, posed, newton, uncertain=uncertain)[0]
+    problem, lanes = build(model, parameters, posed, newton, uncertain=uncertain)
+    check_references(posed, lanes.effectors)
+    return problem
 
 
 def build(
@@ -73,12 +77,11 @@ def build(
     check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
     newton = newton or NewtonSettings()
-    effectors = lanes.arrays.effectors
     noise = correlated_noise(
         configurations,
         space=space,
-        effectors=effectors,
-        motion=measured_motion(lanes.effectors, effectors.measured.shape[1]),
+        effectors=lanes.arrays.effectors,
+        records=lanes.effectors,
         uncertain=uncertain,
     )
     return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes

@@ -275,7 +275,7 @@ def _columns(
     arrays = lanes.arrays.effectors
     host_noise, effectors = jax.tree.map(np.asarray, (noise, arrays))
     A = np.asarray(host_noise.columns(effectors)) * host_noise.jitter
-    # Measured values are without the offsets of markers.
+    # Measured values are without the offsets of attachments.
     A = A[:, : host_noise.n_common].reshape(*effectors.inverse_std.shape, -1)
     found: list[HostArray | None] = []
     for own, records in zip(A, lanes.effectors, strict=True):

@@ -28,7 +28,7 @@ from softcal_jax.calibration._notes import (
     warn_if_too_few_data,
 )
 from softcal_jax.calibration._nothing_to_learn import check_effects, check_sensitive
-from softcal_jax.calibration._offsets import marker_offsets, with_offsets
+from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
 from softcal_jax.calibration._predict import predict
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -106,7 +106,6 @@ def fit(
     settings, uncertain = settings or CalibrationSettings(), uncertain or Uncertain()
     configurations = as_sequence(configurations)
     validation = as_sequence(validation)
-    check_references(configurations, validation)
     shared = shared_names((*configurations, *validation))
     stack = partial(build, model, parameters, uncertain=uncertain)
     problem, lanes = stack(configurations, newton, shared)
@@ -118,6 +117,8 @@ def fit(
     if validation:
         held_out = stack(validation, newton, shared)
     names = tuple(c.name for c in configurations)
+    every = (*lanes.effectors, *(held_out[1].effectors if held_out else ()))
+    check_references((*configurations, *validation), every, fitted=configurations)
     for c in validation:
         if c.name in names:
             raise ValueError(f"configuration {c.name!r} is named more than once.")
@@ -171,7 +172,7 @@ def fit(
         problem = problem.with_noise(weighed.noise)
         evaluate = evaluate.with_noise(weighed.noise)
         evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
-        offsets = marker_offsets(problem, configurations, evaluation)
+        offsets = attachment_offsets(problem, configurations, lanes, evaluation)
         fits = configuration_results(
             fitted,
             configurations,

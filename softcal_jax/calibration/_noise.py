@@ -6,7 +6,7 @@ The covariance of the stacked measured coordinates is
 
 with jitter of each coordinate, and few known columns U: a rigid offset of the points of
 each recording along each axis, for each configuration a share of its motion, and of
-markers whose displacement from a reference counts the offset of each, see
+points and frames whose displacement from a reference counts the offset of each, see
 `_references`. In units of the jitter this is I + A A^T with
 A = diag(std)^-1 U Sigma^1/2 / s, and the errors and compliances of a fit are multiplied
 by (I + A A^T)^-1/2, after which they are independent with the variance s^2 in units of
@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.calibration._references import GLUED, referred_markers
+from softcal_jax.calibration._references import attachments
 from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
 from softcal_jax.fields import OFFSET, ParameterSpace, SetupParameter, Uncertain
 
@@ -52,8 +52,9 @@ class CorrelatedNoise(eqx.Module):
             [m].
         share: Standard deviation of the share of this motion that is noise [-].
         jitter: Factor on the stated standard deviations of the coordinates [-].
-        marker: Index of the marker whose offset each row has; -1 for none.
-        marker_std: Standard deviation of the offset of each marker [m].
+        attachment: Index of the attachment whose offset each row has; -1 for none.
+        attachment_axes: Axes of this offset, as a matrix for each row [-].
+        attachment_std: Standard deviation of the offset of each attachment [m, rad].
     """
 
     recording: Int[AnyArray, " n_c"]
@@ -61,16 +62,17 @@ class CorrelatedNoise(eqx.Module):
     motion: Float[AnyArray, "n_c n_rows 3"]
     share: Float[AnyArray, " n_c"]
     jitter: Float[AnyArray, ""]
-    marker: Int[AnyArray, "n_c n_rows"]
-    marker_std: Float[AnyArray, " n_markers"]
+    attachment: Int[AnyArray, "n_c n_rows"]
+    attachment_axes: Float[AnyArray, "n_c n_rows 3 3"]
+    attachment_std: Float[AnyArray, " n_attachments"]
 
     @property
     def n_common(self) -> int:
-        """Number of columns that are not offsets of markers; they come first."""
+        """Number of columns that are not of attachments; they come first."""
         return 4 * self.share.shape[-1]
 
     def columns(self, effectors: EffectorArrays) -> Float[AnyArray, "n_e n_columns"]:
-        """Return A: offsets of configurations, shares of their motion, then of markers.
+        """Return A: offsets of configurations, shares of their motion, attachments.
 
         Offsets have three columns, one along each axis. Configurations share those of
         the first one of their recording; those of the others are zero, so that the
@@ -90,61 +92,82 @@ class CorrelatedNoise(eqx.Module):
         shares = xp.einsum("crx,c,cd->crxd", weight * motion, share, own)
         n_e = weight.size
         parts = [shifts.reshape(n_e, 3 * n_c), shares.reshape(n_e, n_c)]
-        n = self.marker_std.shape[-1]
+        n = self.attachment_std.shape[-1]
         if n > 0:
-            marker = xp.asarray(self.marker)
-            own = marker[:, :, None] == xp.arange(n, dtype=marker.dtype)[None, None]
-            own = own.astype(weight.dtype) * xp.asarray(self.marker_std)[None, None]
-            glued = xp.einsum("crx,crm,xy->crxmy", weight, own, axes)
-            parts.append(glued.reshape(n_e, 3 * n))
+            attachment = xp.asarray(self.attachment)
+            index = xp.arange(n, dtype=attachment.dtype)
+            own = attachment[:, :, None] == index[None, None]
+            own = own.astype(weight.dtype) * xp.asarray(self.attachment_std)[None, None]
+            turned = xp.asarray(self.attachment_axes)
+            attached = xp.einsum("crx,crm,crxy->crxmy", weight, own, turned)
+            parts.append(attached.reshape(n_e, 3 * n))
         return xp.concatenate(parts, axis=1) / xp.asarray(self.jitter)
 
-    def marker_offsets(
+    def attachment_offsets(
         self,
         delta_e: Float[HostArray, "n_c n_rows 3"],
         weight: Float[HostArray, "n_c n_rows 3"],
-    ) -> Float[HostArray, "n_markers 3"]:
-        """Return what the errors of each marker have in common, by least squares [m].
+    ) -> Float[HostArray, "n_attachments 3"]:
+        """Return what the errors of each have in common, by least squares [m, rad].
 
         Args:
             delta_e: Simulated minus measured values of the effectors.
             weight: 1 / standard deviations.
         """
-        n, marker = self.marker_std.shape[-1], np.asarray(self.marker)
-        squares, of = np.asarray(weight)[marker >= 0] ** 2, marker[marker >= 0]
-        total, parts = np.zeros((2, n, 3))
-        np.add.at(total, of, squares)
-        np.add.at(parts, of, squares * np.asarray(delta_e)[marker >= 0])
-        return parts / np.where(total > 0.0, total, 1.0)
+        has, B = self._attached()
+        weighed = np.asarray(weight)[has] ** 2 * np.asarray(delta_e)[has]
+        right = np.zeros((self.attachment_std.shape[-1], 3))
+        along = np.einsum("rxy,rx->ry", B, weighed)
+        np.add.at(right, np.asarray(self.attachment)[has], along)
+        inverse = np.linalg.pinv(self._attachment_weights(weight), hermitian=True)
+        return np.einsum("axy,ay->ax", inverse, right)
 
-    def n_marker_offsets(self, weight: Float[HostArray, "n_c n_rows 3"]) -> int:
-        """Return how many coordinates have an offset, each found from the data."""
-        marker, seen = np.asarray(self.marker), np.asarray(weight) > 0.0
-        found = np.zeros((self.marker_std.shape[-1], 3), bool)
-        np.logical_or.at(found, marker[marker >= 0], seen[marker >= 0])
-        return int(found.sum())
+    def n_attachment_offsets(self, weight: Float[HostArray, "n_c n_rows 3"]) -> int:
+        """Return how many coordinates of offsets are found from the data."""
+        total = self._attachment_weights(weight)
+        return int(np.sum(np.linalg.matrix_rank(total, hermitian=True)))
 
-    def without_marker_offsets(
+    def without_attachments(
         self,
         delta_e: Float[HostArray, "n_c n_rows 3"],
         weight: Float[HostArray, "n_c n_rows 3"],
         fitted: Bool[HostArray, " n_c"] | None = None,
     ) -> Float[HostArray, "n_c n_rows 3"]:
-        """Subtract from errors what those of each marker have in common [m].
+        """Subtract from errors what those of each attachment have in common.
 
         Args:
             delta_e: Simulated minus measured values of the effectors.
             weight: 1 / standard deviations.
             fitted: Configurations that the offsets are found from; by default all.
         """
-        if self.marker_std.shape[-1] == 0:
+        if self.attachment_std.shape[-1] == 0:
             return np.asarray(delta_e)
-        marker, known = np.asarray(self.marker), np.asarray(weight)
+        known = np.asarray(weight)
         if fitted is not None:
             known = np.where(fitted[:, None, None], known, 0.0)
-        offsets = self.marker_offsets(delta_e, known)
-        common = np.where((marker >= 0)[:, :, None], offsets[marker], 0.0)
-        return np.where(np.asarray(weight) > 0.0, delta_e - common, 0.0)
+        offsets = self.attachment_offsets(delta_e, known)
+        has, B = self._attached()
+        rest = np.array(delta_e)
+        of = np.asarray(self.attachment)[has]
+        rest[has] -= np.einsum("rxy,ry->rx", B, offsets[of])
+        return np.where(np.asarray(weight) > 0.0, rest, 0.0)
+
+    def _attached(
+        self,
+    ) -> tuple[Bool[HostArray, "n_c n_rows"], Float[HostArray, "n 3 3"]]:
+        """Return which rows have an attachment, and the axes of these."""
+        has = np.asarray(self.attachment) >= 0
+        return has, np.asarray(self.attachment_axes)[has]
+
+    def _attachment_weights(
+        self, weight: Float[HostArray, "n_c n_rows 3"]
+    ) -> Float[HostArray, "n_attachments 3 3"]:
+        """Return the normal matrix of the offset of each."""
+        has, B = self._attached()
+        squares = np.einsum("rxy,rx,rxz->ryz", B, np.asarray(weight)[has] ** 2, B)
+        total = np.zeros((self.attachment_std.shape[-1], 3, 3))
+        np.add.at(total, np.asarray(self.attachment)[has], squares)
+        return total
 
     def following(
         self,
@@ -228,7 +251,7 @@ def correlated_noise(
     *,
     space: ParameterSpace,
     effectors: EffectorArrays,
-    motion: Float[HostArray, "n_c n_rows 3"],
+    records: Sequence[Sequence[EffectorRecord]],
     uncertain: Uncertain,
 ) -> CorrelatedNoise:
     """Collect the noise of configurations; what is estimated has its first value.
@@ -237,7 +260,7 @@ def correlated_noise(
         configurations: The configurations.
         space: The parameters; an offset among them is no noise.
         effectors: The effectors.
-        motion: Measured motion of the points [m].
+        records: Records of the effectors of each, with measured values.
         uncertain: The offsets of recordings.
     """
     names = recording_names(configurations)
@@ -249,15 +272,17 @@ def correlated_noise(
     std = [c.relative_std for c in configurations]
     shares = np.array([FIRST_SHARE if s == "estimated" else s for s in std], float)
     dtype = np.asarray(effectors.inverse_std).dtype
-    marker, keys = referred_markers(configurations, motion.shape[1])
+    n_rows = np.shape(effectors.measured)[1]
+    attached = attachments(configurations, records, n_rows)
     arrays = CorrelatedNoise(
         recording=np.array([names.index(name) for name in names], np.int32),
         offset=np.asarray(offset * np.array(free, float).T, dtype),
-        motion=np.asarray(motion, dtype),
+        motion=np.asarray(measured_motion(records, n_rows), dtype),
         share=np.asarray(shares, dtype),
         jitter=np.ones((), dtype),
-        marker=marker,
-        marker_std=np.full(len(keys), GLUED, dtype),
+        attachment=attached.of_row,
+        attachment_axes=np.asarray(attached.axes, dtype),
+        attachment_std=np.asarray(attached.std, dtype),
     )
     return jax.device_put(arrays)
 
@@ -312,7 +337,7 @@ def named_columns(
 ) -> Mapping[str, Mapping[str, Float[HostArray, " n_e"]]]:
     """Return the columns of U Sigma^1/2 that are not zero, by cause and name.
 
-    Offsets of markers are left out, since a fit to displacements does not feel them.
+    Those of attachments are left out: a fit to displacements does not feel them.
 
     Args:
         configurations: The configurations.

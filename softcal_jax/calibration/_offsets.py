@@ -1,4 +1,4 @@
-"""Offsets of markers that a fit has found, and measured values without them."""
+"""Offsets of points and frames that a fit has found, and measured values without."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,47 +7,47 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
-from softcal_jax.calibration._references import referred_markers
+from softcal_jax.calibration._references import Attachment, attachments
 from softcal_jax.configurations import Configuration, ConfigurationLanes
 
-Offsets = Mapping[tuple[str, str], Float[HostArray, "3"]]
-"""Simulated minus measured positions that all share, by reference and marker [m]."""
+Offsets = Mapping[Attachment, Float[HostArray, "3"]]
+"""Simulated minus measured values that all share, see `Attachments` [m, rad]."""
 
 
-def marker_offsets(
+def attachment_offsets(
     problem: CalibrationProblem,
     configurations: Sequence[Configuration],
+    lanes: ConfigurationLanes,
     evaluation: Evaluation,
 ) -> Offsets:
-    """Return the offset of every marker whose displacement was fitted."""
+    """Return the offset of every effector whose displacement was fitted."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    keys = referred_markers(configurations, weight.shape[1]).keys
+    keys = attachments(configurations, lanes.effectors, weight.shape[1]).keys
     if not keys:
         return {}
     assert problem.noise is not None
-    found = problem.noise.marker_offsets(np.asarray(evaluation.delta_e), weight)
+    found = problem.noise.attachment_offsets(np.asarray(evaluation.delta_e), weight)
     return dict(zip(keys, found, strict=True))
 
 
 def with_offsets(
     configurations: Sequence[Configuration], lanes: ConfigurationLanes, offsets: Offsets
 ) -> ConfigurationLanes:
-    """Return records whose measured markers are moved by their offsets.
+    """Return records whose measured values are moved by their offsets.
 
-    What is left between measured and simulated positions are then the errors of the
+    What is left between measured and simulated values are then the errors of the
     displacements, which were fitted.
     """
     if not offsets:
         return lanes
     n_rows = lanes.arrays.effectors.measured.shape[1]
-    index, keys = referred_markers(configurations, n_rows)
-    effectors = tuple(
-        tuple(
-            replace(e, measured=e.measured + offsets[keys[own[e.index]]])
-            if own[e.index] >= 0
-            else e
-            for e in records
-        )
-        for own, records in zip(index, lanes.effectors, strict=True)
-    )
-    return lanes._replace(effectors=effectors)
+    of_row, axes, keys = attachments(configurations, lanes.effectors, n_rows)
+    effectors = []
+    for lane, records in enumerate(lanes.effectors):
+        moved = []
+        for e in records:
+            index = of_row[lane, e.index]
+            offset = axes[lane, e.index] @ offsets[keys[index]] if index >= 0 else 0.0
+            moved.append(replace(e, measured=e.measured + offset))
+        effectors.append(tuple(moved))
+    return lanes._replace(effectors=tuple(effectors))

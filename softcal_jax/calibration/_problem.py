@@ -117,7 +117,7 @@ def without_names(problem: CalibrationProblem) -> CalibrationProblem:
 def n_measured(problem: CalibrationProblem) -> int:
     """Return the number of measured coordinates, less those that find offsets."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    spent = 0 if problem.noise is None else problem.noise.n_marker_offsets(weight)
+    spent = 0 if problem.noise is None else problem.noise.n_attachment_offsets(weight)
     return int(np.sum(weight > 0.0)) - spent
 
 

@@ -2,92 +2,142 @@
 
 Where a marker was glued is known to a millimetre or so, and its motion between two
 poses to a tenth of that. A configuration that names another one as its reference is
-compared by differences of poses on both sides, measured and simulated: every marker has
-an unknown offset that both share. As a column of the covariance of the errors, with a
-standard deviation far beyond any offset, it takes out what the errors of a marker have
-in common and nothing else. This is generalised least squares on the differences with
-their covariance: the noise of the reference is in all of them (Seber and Wild,
-Nonlinear Regression, 1989, sec. 2.1.4).
+compared by differences of poses on both sides, measured and simulated. Every point then
+has an unknown offset, and every 6-D sensor an unknown mounting, that both share. As
+columns of the covariance of the errors, with a standard deviation far beyond any
+offset, they take out what the errors have in common and nothing else. This is
+generalised least squares on the differences with their covariance: the noise of the
+reference is in all of them (Seber and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
+
+A point keeps its offset along the axes of the mesh. A sensor that is mounted with an
+offset d and a turn r is at T M on a body at T, and T_c T_r^-1, the rigid motion from
+the reference r to a configuration c, is the same for every mounting M. To first order
+the errors of its position and orientation are R d and R r, with the rotation R of the
+body in each pose. Sensitivities are those of the nominal point and axes, so what is
+unknown of the mounting should be small: millimetres on a robot of decimetres, and some
+degrees (4 mm and 0.14 rad change the standard error of a beam of 100 mm by 1 %).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softcal_jax._names import unknown_name
-from softcal_jax._typing import HostArray, Int
-from softcal_jax.configurations import Configuration
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.configurations import Configuration, EffectorRecord
 
-GLUED = 1.0
-"""Standard deviation of the offset of a marker, far beyond that of any glue [m]."""
+FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
+"""Standard deviation of the offset of an effector, far beyond that of any [m, rad]."""
+
+Attachment = tuple[str, str, str]
+"""Names of the reference and of an effector, and its quantity."""
 
 
-class Referred(NamedTuple):
-    """Markers with an offset.
+class Attachments(NamedTuple):
+    """Where effectors are attached whose displacement counts, and not their position.
 
     Attributes:
-        of_row: Index of the marker of each row, -1 for rows without.
-        keys: Names of the reference and of the marker, by this index.
+        of_row: Index of the attachment of each row, -1 for rows without.
+        axes: Axes of its offset, as a matrix for each row [-].
+        keys: What each is, by this index.
     """
 
     of_row: Int[HostArray, "n_c n_rows"]
-    keys: tuple[tuple[str, str], ...]
+    axes: Float[HostArray, "n_c n_rows 3 3"]
+    keys: tuple[Attachment, ...]
+
+    @property
+    def std(self) -> Float[HostArray, " n_attachments"]:
+        """Standard deviation of the offset of each [m, rad]."""
+        return np.array([FAR_BEYOND[quantity] for *_, quantity in self.keys], float)
 
 
-def referred_markers(configurations: Sequence[Configuration], n_rows: int) -> Referred:
-    """Number the markers whose displacement counts, and not their position.
+def attachments(
+    configurations: Sequence[Configuration],
+    effectors: Sequence[Sequence[EffectorRecord]],
+    n_rows: int,
+) -> Attachments:
+    """Number the points and frames whose displacement counts.
 
-    Markers of the same name share their offset in all configurations with the same
+    Effectors of the same name share their offset in all configurations with the same
     reference, and in the reference itself.
+
+    Args:
+        configurations: The configurations.
+        effectors: Effectors of each.
+        n_rows: Rows of each configuration.
     """
     references = {c.displacement_from for c in configurations} - {None}
     index = np.full((len(configurations), n_rows), -1, np.int32)
-    keys: dict[tuple[str, str], int] = {}
-    for c, own in zip(configurations, index, strict=True):
+    axes = np.tile(np.eye(3), (*index.shape, 1, 1))
+    keys: dict[Attachment, int] = {}
+    for lane, (c, own) in enumerate(zip(configurations, effectors, strict=True)):
         reference = c.displacement_from or (c.name if c.name in references else None)
-        if reference is None or c.markers is None:
+        if reference is None:
             continue
-        for row, marker in enumerate(c.markers.names):
-            own[row] = keys.setdefault((reference, marker), len(keys))
-    return Referred(index, tuple(keys))
+        turned = {e.name: _orientation(e) for e in own if e.is_turn}
+        for e in own:
+            if e.quantity in FAR_BEYOND:
+                key = (reference, e.name, e.quantity)
+                index[lane, e.index] = keys.setdefault(key, len(keys))
+                axes[lane, e.index] = turned.get(e.name, np.eye(3))
+    return Attachments(index, axes, tuple(keys))
+
+
+def _orientation(turn: EffectorRecord) -> Float[HostArray, "3 3"]:
+    """Return the measured rotation of a body from rest, as a matrix [-]."""
+    own = Rotation.from_rotvec(np.nan_to_num(turn.measured)).as_matrix()
+    return own @ turn.reference
 
 
 def check_references(
-    fitted: Sequence[Configuration], held_out: Sequence[Configuration]
+    configurations: Sequence[Configuration],
+    effectors: Sequence[Sequence[EffectorRecord]],
+    *,
+    fitted: Sequence[Configuration] | None = None,
 ) -> None:
-    """Check that references are fitted configurations with the same markers.
+    """Check that references are fitted configurations with the same effectors.
+
+    Args:
+        configurations: The configurations, those that are fitted among them.
+        effectors: Effectors of each.
+        fitted: Those that are fitted; by default all.
 
     Raises:
         ValueError: If one is not; the message names it.
     """
-    by_name = {c.name: c for c in fitted}
-    for c in (*fitted, *held_out):
+    known = {c.name: c for c in (configurations if fitted is None else fitted)}
+    read = {
+        c.name: {(e.name, e.quantity): bool(np.any(e.seen)) for e in own}
+        for c, own in zip(configurations, effectors, strict=True)
+    }
+    for c in configurations:
         name = c.displacement_from
         if name is None:
             continue
         what = f"displacement_from of configuration {c.name!r}"
-        if name not in by_name:
-            raise unknown_name(f"configuration in {what}", name, by_name)
-        reference = by_name[name]
-        if reference is c or reference.displacement_from is not None:
+        if name not in known:
+            raise unknown_name(f"configuration in {what}", name, known)
+        if name == c.name or known[name].displacement_from is not None:
             raise ValueError(
                 f"{what} is {name!r}, which has a reference itself: name a "
                 "configuration that has none, such as the robot at rest."
             )
-        if reference.measured is None or reference.markers is None:
+        own = {key: seen for key, seen in read[c.name].items() if key[1] in FAR_BEYOND}
+        if not own:
             raise ValueError(
-                f"{what} is {name!r}, whose markers were not measured: give its "
-                "`markers` and `measured`."
+                f"{what} is {name!r}, but it has no points or frames, whose "
+                "displacement could count: add markers or a `BodyFrame`."
             )
-        own = () if c.markers is None else c.markers.names
-        missing = [m for m in own if m not in reference.markers.names]
-        if missing or not own:
-            lacks = f"lacks marker {missing[0]!r}" if missing else "has other effectors"
-            raise ValueError(
-                f"{what} is {name!r}, which {lacks}: only markers that both have can "
-                "be compared by their displacement."
-            )
+        for key, seen in own.items():
+            if seen and not read[name].get(key, False):
+                raise ValueError(
+                    f"{what} is {name!r}, where {key[0]!r} was not measured: only "
+                    "points and frames that both have can be compared by their "
+                    "displacement."
+                )
 
 
 def independent_recordings(configurations: Sequence[Configuration]) -> list[str]:

@@ -277,13 +277,13 @@ def _estimated(
 def _without_offsets(
     r: Float[HostArray, " n"], problem: CalibrationProblem
 ) -> Float[HostArray, " n"]:
-    """Return errors in stated units without the offsets of markers."""
+    """Return errors in stated units without the offsets of attachments."""
     noise = problem.noise
     assert noise is not None
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     delta_e = np.zeros(weight.shape)
     delta_e[weight > 0.0] = r / weight[weight > 0.0]
-    rest = noise.without_marker_offsets(delta_e, weight)
+    rest = noise.without_attachments(delta_e, weight)
     return (weight * rest)[weight > 0.0]
 
 

@@ -76,8 +76,10 @@ class Configuration(eqx.Module):
             points, common to all of them: creep, or hysteresis [-]. It belongs to the
             noise. "estimated" finds one share for all configurations that say so.
         displacement_from: Name of a configuration, fitted as well, from which the
-            displacement of the markers counts instead of their positions: the robot
-            at rest under gravity, say. Where a marker is glued then does not matter.
+            displacement of points and the motion of frames count instead of their
+            positions and orientations: the robot at rest under gravity, say. Where a
+            marker is glued, or how a sensor is mounted, then does not matter. Lengths,
+            angles and forces count as they are.
     """
 
     name: str

@@ -13,9 +13,9 @@ from softcal_jax.calibration import (
     CalibrationProblem,
     Evaluator,
     as_sequence,
+    check_references,
     considered_errors,
     correlated_noise,
-    measured_motion,
     simulate,
     whitened,
     without_names,
@@ -299,6 +299,7 @@ def survey(
         for c in configurations
     ]
     lanes = configuration_lanes(mesh, posed, mechanism)
+    check_references(configurations, lanes.effectors)
     arrays, uncertain = lanes.arrays, uncertain or Uncertain()
     check_parameters(model, space, _lane(arrays, 0))
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
@@ -321,9 +322,9 @@ def survey(
             )
         )
     # Nothing is measured yet: the motion is that of the model.
-    lanes = [
+    records = [
         tuple(replace(e, measured=e.among(rows)) for e in own)
-        for own, rows in zip(lanes.effectors, np.asarray(moved), strict=True)
+        for own, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
     ]
     weighed = eqx.tree_at(
         lambda e: e.inverse_std,
@@ -334,7 +335,7 @@ def survey(
         configurations,
         space=space,
         effectors=weighed,
-        motion=np.nan_to_num(measured_motion(lanes, weighed.measured.shape[1])),
+        records=records,
         uncertain=uncertain,
     )
     all_A = np.asarray(jax.tree.map(np.asarray, correlated).columns(weighed))

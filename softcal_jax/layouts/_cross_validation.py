@@ -249,13 +249,13 @@ def _score(
     ) -> tuple[float, float]:
         """Return the distance of points [m], and coordinates over the noise [-].
 
-        The offset of a marker is known from the fitted configurations alone.
+        Offsets of attachments are known from the fitted configurations alone.
         """
         if failure:
             return np.nan, np.nan
         error, of_lanes = np.asarray(fit.after.delta_e), weight[lanes]
         if noise is not None:
-            error = noise.without_marker_offsets(error, weight, fold.counts)
+            error = noise.without_attachments(error, weight, fold.counts)
         error = error[lanes]
         squares = np.sum(error[:, :n_points] ** 2, axis=2)
         there = np.any(of_lanes[:, :n_points] > 0.0, axis=2)

@@ -100,7 +100,8 @@ class RegistrationTable(Table):
 class MeasuredTable(Table):
     """Where to read measured positions, and how to bring them into the mesh's frame.
 
-    `effectors` holds measured values of other effectors.
+    `effectors` holds measured values of other effectors. `displacement_from` is the
+    name of a configuration, or rows of the same file as those before the motion.
     """
 
     file: str | None = None
@@ -113,7 +114,10 @@ class MeasuredTable(Table):
 
     @model_validator(mode="after")
     def _check(self) -> "MeasuredTable":
-        given = sorted(self.model_fields_set - {"file", "effectors"})
+        others = {"file", "effectors"}
+        if isinstance(self.displacement_from, str):
+            others |= {"displacement_from"}  # of all that has points or a frame
+        given = sorted(self.model_fields_set - others)
         if self.file is None and (given or not self.effectors):
             which = f"{given[0]} is for the file of the markers; " if given else ""
             raise ValueError(

@@ -213,7 +213,7 @@ def test_rows_are_the_differences_of_both_compliances(data):
         ({"displacement_from": "side"}, "which has a reference itself"),
         (
             {"markers": Markers(["tip", "end"], [TIP, TIP], STD)},
-            "which lacks marker 'end'",
+            "where 'end' was not measured",
         ),
     ],
 )

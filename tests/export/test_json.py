@@ -105,8 +105,9 @@ def test_noise_and_checks_are_in_millimetres():
         motion=np.zeros((2, 1, 3)),
         share=np.array([0.0, 0.02]),
         jitter=np.array(1.5),
-        marker=np.full((2, 1), -1),
-        marker_std=np.zeros(0),
+        attachment=np.full((2, 1), -1),
+        attachment_axes=np.tile(np.eye(3), (2, 1, 1, 1)),
+        attachment_std=np.zeros(0),
     )
     predicted = LeftOut("held out", 1e-3, 2e-4, 1e-2, 1e-3, np.nan)
     test = LackOfFit(4.0, 7, 9, 1e-3, 0.8, np.array([0.75, 0.25]))

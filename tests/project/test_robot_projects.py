@@ -165,7 +165,7 @@ def test_the_cable_beam_is_the_one_of_the_python_api():
     assert project.calibration[0].effectors[1].measured is None
 
 
-def sensor_of(folder, measured, frame=""):
+def sensor_of(folder, measured, frame="", configurations=1):
     """The measured motion of a sensor on the plate, from another measurement."""
     text = (FOLDER / "project.toml").read_text()
     text = text[: text.index("[[configurations]]")]
@@ -177,7 +177,9 @@ def sensor_of(folder, measured, frame=""):
         'supports = [{ group = "x_min" }]\n'
         f'[[configurations]]\nname = "a"\nmeasured.effectors.sensor = {measured}\n'
     )
-    (effector,) = load_project(write(folder, text)).calibration[0].effectors
+    found = load_project(write(folder, text)).calibration
+    assert len(found) == configurations
+    (effector,) = found[0].effectors
     np.testing.assert_array_equal(effector.point, POINT)
     return effector.measured
 
@@ -237,6 +239,19 @@ def test_the_motion_between_two_readings_needs_no_place_of_the_sensor(tmp_path):
         'base = { azimuth = "90 deg" }\norientation = { roll = "33 deg" }',
     )
     assert_motion(found, [0.0, 0.002, 0.0], [0.0, 0.0, np.pi / 6])
+
+
+def test_a_sensor_may_refer_to_a_simulated_pose(tmp_path):
+    """A name is that of a configuration, with or without a file of markers."""
+    pose = '{ position = "(105, 10, 10) mm", azimuth = "0 deg" }'
+    text = f"""{pose}
+[[configurations]]
+name = "b"
+measured = {{ displacement_from = "a", effectors = {{ sensor = {pose} }} }}
+"""
+    sensor_of(tmp_path, text, configurations=2)
+    first, second = load_project(tmp_path / "project.toml").calibration
+    assert (first.displacement_from, second.displacement_from) == (None, "a")
 
 
 def test_the_bare_text_of_a_tracker(tmp_path):
