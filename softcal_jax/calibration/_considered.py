@@ -141,23 +141,21 @@ def _loads(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     gravities = [tuple(g) for g in arrays.gravity]
     keys = posed.where(gravities, with_gravity(arrays))
     for axis in QUANTITIES["gravity_tilt"].components:
-        entry = _error("gravity_tilt", uncertain.gravity, axis=axis)
-        yield _same("gravity", entry, keys)
+        yield _of_setup("gravity_tilt", uncertain, axis=axis, keys=keys)
     for name, there in zip(arrays.loads.names, with_loads(arrays).T, strict=True):
-        entry = _error("load_factor", uncertain.loads, name, relative=True)
-        yield _same("loads", entry, posed.where(posed.everywhere, there))
+        keys = posed.where(posed.everywhere, there)
+        yield _of_setup("load_factor", uncertain, name, keys=keys)
     for name, there in zip(arrays.actuation.names, with_forces(arrays).T, strict=True):
-        entry = _error("actuator_factor", uncertain.actuators, name, relative=True)
-        yield _same("actuators", entry, posed.where(posed.everywhere, there))
+        keys = posed.where(posed.everywhere, there)
+        yield _of_setup("actuator_factor", uncertain, name, keys=keys)
 
 
 def _supports(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
     """List errors of elastic supports."""
     springs = posed.arrays.springs
     for name, stiffness in zip(springs.names, springs.stiffness.T, strict=True):
-        entry = _error("clamp_stiffness", uncertain.supports, name, relative=True)
         keys = posed.where(posed.everywhere, stiffness > 0.0)
-        yield _same("supports", entry, keys)
+        yield _of_setup("clamp_stiffness", uncertain, name, keys=keys)
 
 
 def _clamps(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
@@ -182,14 +180,13 @@ def _mechanism(uncertain: Uncertain, posed: _Posed) -> Iterator[Considered]:
         actuators.names, actuators.motor_body, by_angle, strict=True
     ):
         if body >= 0:
-            entry = _error("motor_zero", uncertain.zeros, name)
-            yield _same("zeros", entry, posed.where(posed.everywhere, there))
+            keys = posed.where(posed.everywhere, there)
+            yield _of_setup("motor_zero", uncertain, name, keys=keys)
     held = grounded(posed.model, arrays).T
     for name, there in zip(bodies.names, held, strict=True):
         keys = posed.where(posed.everywhere, there)
         for axis in QUANTITIES["mounting"].components:
-            entry = _error("mounting", uncertain.mountings, name, axis=axis)
-            yield _same("mountings", entry, keys)
+            yield _of_setup("mounting", uncertain, name, axis=axis, keys=keys)
 
 
 def _same(cause: str, entry: AbstractError, shared: tuple[Hashable, ...]) -> Considered:
@@ -198,17 +195,19 @@ def _same(cause: str, entry: AbstractError, shared: tuple[Hashable, ...]) -> Con
     return Considered(cause, entry.name, entry, shared if entry.std > 0.0 else none)
 
 
-def _error(
+def _of_setup(
     kind: str,
-    std: float,
+    uncertain: Uncertain,
     of: str = "",
     *,
     axis: str = "",
-    relative: bool = False,
-) -> SetupError:
-    """Make an error of the setup; its name says whose it is."""
+    keys: tuple[Hashable, ...],
+) -> Considered:
+    """Return an error of the setup; its name says whose it is."""
+    cause = QUANTITIES[kind].uncertain
     name = " ".join(word for word in (kind, of, axis) if word)
-    return SetupError(name, std, kind, of, axis, relative)
+    entry = SetupError(name, getattr(uncertain, cause), kind, of, axis)
+    return _same(cause, entry, keys)
 
 
 def _uncalibrated(own: Considered, posed: _Posed) -> tuple[Hashable, ...]:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, _number
-from softcal_jax.fields._setup import OF_CONFIGURATION, QUANTITIES, entry_index
+from softcal_jax.fields._setup import QUANTITIES, Quantity, entry_index
 from softcal_jax.materials import PointValues, is_point_values
 
 
@@ -94,11 +94,10 @@ class SetupError(AbstractError):
 
     Attributes:
         name: Its name.
-        std: Its standard deviation.
+        std: Its standard deviation; that of a factor is relative.
         kind: One of `QUANTITIES`.
         of: What it belongs to, like the motor; empty where it belongs to nothing.
         axis: Component of a quantity that has several; empty otherwise.
-        relative: Whether the error is relative to the value.
     """
 
     name: str = eqx.field(static=True)
@@ -106,11 +105,15 @@ class SetupError(AbstractError):
     kind: str = eqx.field(static=True)
     of: str = eqx.field(static=True, default="")
     axis: str = eqx.field(static=True, default="")
-    relative: bool = eqx.field(static=True, default=False)
+
+    @property
+    def quantity(self) -> Quantity:
+        """What it changes."""
+        return QUANTITIES[self.kind]
 
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
-        if self.kind not in OF_CONFIGURATION:
+        if not self.quantity.of_configuration:
             entry_index(self, model)
 
     def apply(
@@ -118,10 +121,10 @@ class SetupError(AbstractError):
     ) -> tuple[Any, Any]:
         """Add the error to its entry."""
         error = self.size(values)
-        change = lambda old: old + error * (old if self.relative else 1.0)
-        of_configuration = self.kind in OF_CONFIGURATION
+        change = lambda old: old + error * (old if self.quantity.relative else 1.0)
+        of_configuration = self.quantity.of_configuration
         owner = configuration if of_configuration else model
         if owner is None:
             return model, configuration
-        owner = QUANTITIES[self.kind].put(owner, entry_index(self, owner), change)
+        owner = self.quantity.put(owner, entry_index(self, owner), change)
         return (model, owner) if of_configuration else (owner, configuration)

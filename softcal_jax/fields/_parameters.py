@@ -18,9 +18,9 @@ from softcal_jax.materials import is_point_values
 class AbstractEntry(eqx.Module):
     """One or several unknowns, and what they set in a model and its configurations.
 
-    Sensitivities follow from `apply` by autodiff. A new kind of parameter is a line in
-    `fields._setup.QUANTITIES` if it sets an array that the model or the configurations
-    already have, otherwise a subclass.
+    Sensitivities follow from `apply` by autodiff. A new kind of parameter is declared
+    in `fields._setup_parameters` if it sets an array that the model or the
+    configurations already have; otherwise it is a subclass.
     """
 
     @property

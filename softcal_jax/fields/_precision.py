@@ -19,21 +19,12 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import SetupParameter
+from softcal_jax.fields._setup import QUANTITIES, SetupParameter
 from softcal_jax.fields._space import ParameterSpace
 from softcal_jax.fields._uncertain import Uncertain
 
 PRECISION = 0.1
 """Standard error that is asked for by default, relative to the value [-]."""
-
-_LIKE = {
-    "motor_zero": "zeros",
-    "mounting": "mountings",
-    "gravity_tilt": "gravity",
-    "recording_offset": "recordings",
-    "recording_turn": "gravity",
-}
-"""Entry of `Uncertain` whose default is asked for, by the kind of the setup."""
 
 _LEAST = 1e-9
 """Smallest scaled standard error that is asked for: a value of zero has none [-]."""
@@ -80,10 +71,14 @@ def check_precision(precision: float) -> None:
 
 def _unit(parameter: Parameter, kind: str, size: float) -> float:
     """Return the standard error asked for by a precision of 1, in SI units."""
-    if kind in _LIKE:
-        return getattr(Uncertain(), _LIKE[kind]) / PRECISION
+    if kind:
+        quantity = QUANTITIES[kind]
+        if quantity.relative:
+            return size
+        usual = quantity.uncertain
+        return getattr(Uncertain(), usual) / PRECISION if usual else 1.0
     constant = parameter.field.rpartition(".")[2]
-    if kind == "friction" or parameter.unit == "rad" or constant == "theta":
+    if parameter.unit == "rad" or constant == "theta":
         return 1.0
     if (constant + "_").startswith("nu_"):
         return 0.5

@@ -38,6 +38,9 @@ class Quantity(NamedTuple):
         scales: Scales that a parameter of it may have, the usual one first.
         unit: SI unit, for tables.
         least: Smallest value that it can have at all, in SI units.
+        of_configuration: Whether each configuration has such an array, or the model.
+        uncertain: Entry of `Uncertain` that says how far off it usually is; empty if
+            none does.
     """
 
     title: str
@@ -48,9 +51,16 @@ class Quantity(NamedTuple):
     scales: tuple[Literal["linear", "log"], ...] = ("linear",)
     unit: str = ""
     least: float = -math.inf
+    of_configuration: bool = False
+    uncertain: str = ""
+
+    @property
+    def relative(self) -> bool:
+        """Whether its errors are relative to the value, as those of factors are."""
+        return self.scales[0] == "log"
 
 
-def _entry_of(path: str) -> Put:
+def entry_of(path: str) -> Put:
     """Make the function that changes an entry of the array with a dotted path."""
     where = attrgetter(path)
 
@@ -61,93 +71,11 @@ def _entry_of(path: str) -> Put:
     return put
 
 
-def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
-    # One for all configurations, so that the old one is not asked for.
-    actuators = model.mechanism.actuators.with_friction(*index, change(None))
-    return eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
+QUANTITIES: dict[str, Quantity] = {}
+"""Kinds of parameters that set one entry of an array, by name.
 
-
-def _actuators(which: Callable[[Any], list[bool]]) -> Callable[[Any], list[str]]:
-    """Make the function that names all actuators, those not of a kind empty."""
-
-    def names(model: Any) -> list[str]:
-        actuators = model.mechanism.actuators
-        both = zip(actuators.names, which(actuators), strict=True)
-        return [name if known else "" for name, known in both]
-
-    return names
-
-
-_FACTOR = ("log", "linear")
-
-_OF_MODEL = {
-    "motor_zero": Quantity(
-        "zero of {of}",
-        _entry_of("mechanism.motor_zero"),
-        noun="motor",
-        names=_actuators(lambda a: [body >= 0 for body in a.motor_body]),
-        unit="rad",
-    ),
-    "mounting": Quantity(
-        "mounting {axis} of {of}",
-        _entry_of("mechanism.bodies.mounting_translation"),
-        noun="rigid body",
-        names=attrgetter("mechanism.bodies.names"),
-        components=_XYZ,
-        unit="m",
-    ),
-    "friction": Quantity(
-        "friction of {of}",
-        _put_friction,
-        noun="actuator with friction",
-        names=_actuators(attrgetter("has_friction")),
-        least=0.0,
-    ),
-}
-OF_CONFIGURATION = {
-    "gravity_tilt": Quantity(
-        "{axis} tilt of gravity",
-        _entry_of("tilt"),
-        components=("first", "second"),
-        unit="rad",
-    ),
-    "load_factor": Quantity(
-        "factor of {of}",
-        _entry_of("loads.factor"),
-        noun="load",
-        names=attrgetter("loads.names"),
-        scales=_FACTOR,
-    ),
-    "actuator_factor": Quantity(
-        "factor of {of}",
-        _entry_of("actuation.force_factor"),
-        noun="actuator",
-        names=attrgetter("actuation.names"),
-        scales=_FACTOR,
-    ),
-    "recording_offset": Quantity(
-        "offset {axis}",
-        _entry_of("effectors.base.translation"),
-        components=_XYZ,
-        unit="m",
-    ),
-    "recording_turn": Quantity(
-        "turn {axis}",
-        _entry_of("effectors.base.rotation"),
-        components=_XYZ,
-        unit="rad",
-    ),
-    "clamp_stiffness": Quantity(
-        "stiffness of {of}",
-        _entry_of("springs.stiffness"),
-        noun="support with a stiffness",
-        names=attrgetter("springs.names"),
-        scales=_FACTOR,
-        unit="N/m^3",
-    ),
-}
-QUANTITIES = _OF_MODEL | OF_CONFIGURATION
-"""Kinds of parameters that set one entry of an array: one line for a new kind."""
+`_setup_parameters` declares each beside the function that makes parameters of it.
+"""
 
 
 def _as_tuple(parameters: Parameter | Sequence[Parameter]) -> tuple[Parameter, ...]:
@@ -199,7 +127,7 @@ class SetupParameter(AbstractEntry):
             )
         if self.by not in _SCOPES:
             raise ValueError(f"{what}: by must be {quoted(_SCOPES)}, got {self.by!r}.")
-        if self.each and not self._of_configuration:
+        if self.each and not self.quantity.of_configuration:
             raise ValueError(
                 f"{what}: {self.kind} belongs to the robot, which all configurations "
                 "share; leave `each` out."
@@ -218,10 +146,6 @@ class SetupParameter(AbstractEntry):
     def quantity(self) -> Quantity:
         """What it sets."""
         return QUANTITIES[self.kind]
-
-    @property
-    def _of_configuration(self) -> bool:
-        return self.kind in OF_CONFIGURATION
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -245,14 +169,15 @@ class SetupParameter(AbstractEntry):
 
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has the motor or the body."""
-        if not self._of_configuration:
+        if not self.quantity.of_configuration:
             entry_index(self, model)
 
     def apply(
         self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
     ) -> tuple[Any, Any]:
         """Set its entry; configurations that it does not belong to keep theirs."""
-        owner = configuration if self._of_configuration else model
+        quantity = self.quantity
+        owner = configuration if quantity.of_configuration else model
         if owner is None:
             return model, configuration
 
@@ -264,8 +189,10 @@ class SetupParameter(AbstractEntry):
                 old = jnp.where(own == name_key(name), values[parameter.name], old)
             return old
 
-        owner = self.quantity.put(owner, entry_index(self, owner), change)
-        return (model, owner) if self._of_configuration else (owner, configuration)
+        owner = quantity.put(owner, entry_index(self, owner), change)
+        return (
+            (model, owner) if self.quantity.of_configuration else (owner, configuration)
+        )
 
     def renamed(
         self, points: Mapping[str, str], names: Mapping[str, str]

@@ -1,15 +1,32 @@
-"""Constructors of parameters of setup, loads and recordings."""
+"""The kinds of parameters of setup, loads and recordings, each with its constructor.
 
-from collections.abc import Sequence
+To add a kind, declare here what it sets, write the function that makes parameters of
+it, and export that. `project._setup` has a table for each.
+"""
+
+from collections.abc import Callable, Sequence
 from functools import partial
+from operator import attrgetter
+from typing import Any
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float
 from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import QUANTITIES, Scope, SetupParameter
+from softcal_jax.fields._setup import (
+    QUANTITIES,
+    Change,
+    Quantity,
+    Scope,
+    SetupParameter,
+    entry_of,
+)
+
+_XYZ = ("x", "y", "z")
+_FACTOR = ("log", "linear")
 
 
 def _unknowns(
@@ -52,6 +69,27 @@ def _unknowns(
     return tuple(entries)
 
 
+def _actuators(which: Callable[[Any], list[bool]]) -> Callable[[Any], list[str]]:
+    """Make the function that names all actuators, those not of a kind empty."""
+
+    def names(model: Any) -> list[str]:
+        actuators = model.mechanism.actuators
+        both = zip(actuators.names, which(actuators), strict=True)
+        return [name if known else "" for name, known in both]
+
+    return names
+
+
+QUANTITIES["motor_zero"] = Quantity(
+    "zero of {of}",
+    entry_of("mechanism.motor_zero"),
+    noun="motor",
+    names=_actuators(lambda a: [body >= 0 for body in a.motor_body]),
+    unit="rad",
+    uncertain="zeros",
+)
+
+
 def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupParameter:
     """Make the zero error of a motor a parameter.
 
@@ -61,6 +99,17 @@ def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupPar
         prior_std: Prior standard deviation [rad]; None if not known.
     """
     return _unknowns("motor_zero", motor, limit=limit, prior_std=prior_std)[0]
+
+
+QUANTITIES["mounting"] = Quantity(
+    "mounting {axis} of {of}",
+    entry_of("mechanism.bodies.mounting_translation"),
+    noun="rigid body",
+    names=attrgetter("mechanism.bodies.names"),
+    components=_XYZ,
+    unit="m",
+    uncertain="mountings",
+)
 
 
 def mounting(
@@ -83,6 +132,21 @@ def mounting(
     )
 
 
+def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
+    # One for all configurations, so that the old one is not asked for.
+    actuators = model.mechanism.actuators.with_friction(*index, change(None))
+    return eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
+
+
+QUANTITIES["friction"] = Quantity(
+    "friction of {of}",
+    _put_friction,
+    noun="actuator with friction",
+    names=_actuators(attrgetter("has_friction")),
+    least=0.0,
+)
+
+
 def friction(
     actuator: str, nominal: float, *, limit: float, prior_std: float | None
 ) -> SetupParameter:
@@ -97,6 +161,16 @@ def friction(
     return _unknowns(
         "friction", actuator, limit=limit, prior_std=prior_std, nominal=nominal
     )[0]
+
+
+QUANTITIES["gravity_tilt"] = Quantity(
+    "{axis} tilt of gravity",
+    entry_of("tilt"),
+    components=("first", "second"),
+    unit="rad",
+    of_configuration=True,
+    uncertain="gravity",
+)
 
 
 def gravity_tilt(
@@ -117,6 +191,17 @@ def gravity_tilt(
         by: What `each` names.
     """
     return _unknowns("gravity_tilt", limit=limit, prior_std=prior_std, each=each, by=by)
+
+
+QUANTITIES["load_factor"] = Quantity(
+    "factor of {of}",
+    entry_of("loads.factor"),
+    noun="load",
+    names=attrgetter("loads.names"),
+    scales=_FACTOR,
+    of_configuration=True,
+    uncertain="loads",
+)
 
 
 def load_factor(
@@ -142,6 +227,17 @@ def load_factor(
     return factor
 
 
+QUANTITIES["actuator_factor"] = Quantity(
+    "factor of {of}",
+    entry_of("actuation.force_factor"),
+    noun="actuator",
+    names=attrgetter("actuation.names"),
+    scales=_FACTOR,
+    of_configuration=True,
+    uncertain="actuators",
+)
+
+
 def actuator_factor(
     actuator: str,
     *,
@@ -162,6 +258,24 @@ def actuator_factor(
     return _unknowns(
         "actuator_factor", actuator, limit=limit, prior_std=prior_std, each=each, by=by
     )[0]
+
+
+QUANTITIES["recording_offset"] = Quantity(
+    "offset {axis}",
+    entry_of("effectors.base.translation"),
+    components=_XYZ,
+    unit="m",
+    of_configuration=True,
+    uncertain="recordings",
+)
+QUANTITIES["recording_turn"] = Quantity(
+    "turn {axis}",
+    entry_of("effectors.base.rotation"),
+    components=_XYZ,
+    unit="rad",
+    of_configuration=True,
+    uncertain="gravity",  # a tracker's base is levelled as well as the robot
+)
 
 
 def recording_offset(
@@ -202,6 +316,18 @@ def recording_offset(
     if turn_limit is not None:
         made += unknowns("recording_turn", limit=turn_limit, prior_std=turn_prior_std)
     return made
+
+
+QUANTITIES["clamp_stiffness"] = Quantity(
+    "stiffness of {of}",
+    entry_of("springs.stiffness"),
+    noun="support with a stiffness",
+    names=attrgetter("springs.names"),
+    scales=_FACTOR,
+    unit="N/m^3",
+    of_configuration=True,
+    uncertain="supports",
+)
 
 
 def clamp_stiffness(
