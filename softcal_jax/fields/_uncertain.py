@@ -40,7 +40,8 @@ class Uncertain(eqx.Module):
             measured on linear ones; on quadratic ones, half of what lies between their
             two formulations, see `build_model`. Zero for data that are simulated on the
             same mesh. Not known for linear tets with rigid bodies or actuators, or more
-            than 50 000 of them, nor for laws without a potential.
+            than 50 000 of them, nor for laws without a potential: such a fit is not
+            called identified.
     """
 
     nu: float = 0.05

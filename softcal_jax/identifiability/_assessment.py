@@ -106,6 +106,11 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
     if result.model.mesh.order == 1:
         reasons += _locking(result.budget, report)
+    elif MESH in result.budget.unknown:
+        reasons.append(
+            "How far the mesh moves the values could not be estimated. Calibrate with "
+            "a finer mesh as well; where both agree, say so: Uncertain(mesh=0)."
+        )
     reasons += _wide(report, result)
     reasons += _rivals(result.starts, spread.level)
     for verdict, words in (

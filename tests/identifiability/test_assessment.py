@@ -28,7 +28,7 @@ from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain, exactly_known
 from softcal_jax.identifiability import assess
 from softcal_jax.materials import NeoHookean
-from softcal_jax.mesh import TetMesh, beam
+from softcal_jax.mesh import TetMesh, beam, to_quadratic
 
 TARGET = {"E of root": 1.5e5, "E of tip": 0.8e5}
 POINTS = ((0.05, 0.01, 0.02), (0.1, 0.01, 0.0))
@@ -288,6 +288,14 @@ def test_linear_tets_reach_the_verdict(good):
     on_bounds = replace(locking, deviations=np.full((2, 1), np.nan))
     (reason,) = assess(with_error(causes=(on_bounds,))).reasons
     assert "by an unknown amount here" in reason
+
+
+def test_an_unknown_error_of_quadratic_tets_reaches_the_verdict(good):
+    quadratic = eqx.tree_at(lambda r: r.model.mesh, good, to_quadratic(good.model.mesh))
+    unknown = replace(quadratic, budget=replace(good.budget, unknown=(MESH,)))
+    assert assess(quadratic).identified
+    (reason,) = assess(unknown).reasons
+    assert reason.startswith("How far the mesh moves the values could not be estimated")
 
 
 def test_the_precision_that_is_asked_for_decides(good):
