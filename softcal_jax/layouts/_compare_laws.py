@@ -12,11 +12,7 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import Entry, ParameterSpace, Uncertain
-from softcal_jax.layouts._cross_validation import (
-    FOR_PREDICTION,
-    check_folds,
-    cross_validated,
-)
+from softcal_jax.layouts._cross_validation import check_folds, cross_validated
 from softcal_jax.layouts._model_comparison import ModelComparison
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
@@ -116,19 +112,9 @@ def compare_models(
         raise ValueError("at least one law is needed, got none.")
     check_folds(len(names), starts)
     _check_same_data(problems)
-    scores = []
-    for name, problem in problems.items():
-        progress(name)
-        scores.append(
-            cross_validated(
-                name,
-                problem,
-                names,
-                settings=settings or FOR_PREDICTION,
-                starts=starts,
-                seed=seed,
-            )
-        )
+    scores = cross_validated(
+        problems, names, settings=settings, starts=starts, seed=seed, progress=progress
+    )
     return ModelComparison.ranked(scores)
 
 

@@ -1,6 +1,7 @@
 """Layouts of control points judged by what they predict (Sec. V-C)."""
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import equinox as eqx
@@ -170,19 +171,14 @@ def compare_layouts(
             )
         except ValueError as error:
             raise ValueError(f"layout {name!r}: {error}") from error
-    names = [c.name for c in configurations]
-    scores = [
-        cross_validated(
-            name,
-            problem,
-            names,
-            settings=settings or FOR_PREDICTION,
-            starts=starts,
-            seed=seed,
-            n_points=len(layouts[name].names),
-        )
-        for name, problem in problems.items()
-    ]
+    scores = cross_validated(
+        problems,
+        [c.name for c in configurations],
+        settings=settings,
+        starts=starts,
+        seed=seed,
+        n_points={name: len(points.names) for name, points in layouts.items()},
+    )
     return LayoutComparison.ranked(scores)
 
 
@@ -198,33 +194,37 @@ def check_folds(n: int, starts: int | None) -> None:
 
 
 def cross_validated(
-    name: str,
-    problem: CalibrationProblem,
+    problems: Mapping[str, CalibrationProblem],
     names: Sequence[str],
     *,
-    settings: CalibrationSettings,
+    settings: CalibrationSettings | None,
     starts: int | None,
     seed: int,
-    n_points: int = 0,
-) -> ModelScore:
-    """Fit all folds of a model, and score them.
+    n_points: Mapping[str, int] = MappingProxyType({}),
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[ModelScore]:
+    """Fit all folds of models, one model after the other, and score them.
 
     Args:
-        name: Name of the model.
-        problem: Its calibration to all configurations.
-        names: Their names.
-        settings: Settings of the outer loop.
+        problems: Calibrations to all configurations, by name of the model.
+        names: Names of the configurations.
+        settings: Settings of the outer loop; by default `FOR_PREDICTION`.
         starts: Number of starts of each fit; None for `default_starts`.
         seed: Seed of the random ones.
-        n_points: Control points, if layouts are compared.
+        n_points: Control points of each model, if layouts are compared.
+        progress: Called with the name of each model before it is fitted.
     """
-    start = problem.space.admissible(problem.space.start())[None]
-    n = default_starts(problem.space) if starts is None else starts
-    if n > 1:
-        others = random_starts(problem.space, n - 1, seed=seed)
-        start = jnp.concatenate([start, others])
-    fits = _fit(problem, settings, start)
-    return _score(name, n_points, problem, list(names), fits)
+    scores = []
+    for name, problem in problems.items():
+        progress(name)
+        start = problem.space.admissible(problem.space.start())[None]
+        n = default_starts(problem.space) if starts is None else starts
+        if n > 1:
+            others = random_starts(problem.space, n - 1, seed=seed)
+            start = jnp.concatenate([start, others])
+        fits = _fit(problem, settings or FOR_PREDICTION, start)
+        scores.append(_score(name, n_points.get(name, 0), problem, list(names), fits))
+    return scores
 
 
 def _score(
