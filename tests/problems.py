@@ -155,6 +155,68 @@ def cable_beam(tension: float, offset: float, slenderness: float) -> PulledBeam:
     return PulledBeam(Plane(end[2], end[3], end[0]), 1.0 - length)
 
 
+class ToggleFrame(NamedTuple):
+    """Williams' toggle frame: half of it, its section and its material, in SI units."""
+
+    half_span: float
+    rise: float
+    width: float
+    depth: float
+    E: float
+    pound: float
+
+    @property
+    def length(self) -> float:
+        """Length of one member."""
+        return float(np.hypot(self.half_span, self.rise))
+
+
+def _toggle() -> ToggleFrame:
+    inch, pound = 0.0254, 4.4482216152605
+    spans = np.array([0.5 * 25.886, 0.386, 0.753, 0.243]) * inch
+    return ToggleFrame(*spans.tolist(), E=1.03e7 * pound / inch**2, pound=pound)
+
+
+# Two members clamped at their outer ends, with a load on the crown; span, rise, width
+# and depth [in], E [lb/in2]: Williams, Q. J. Mech. Appl. Math. 17 (1964), 451-469.
+TOGGLE = _toggle()
+
+
+def toggle_loads(deflections: np.ndarray) -> np.ndarray:
+    """Loads on the crown of `TOGGLE` at its deflections, from small to large [N].
+
+    Reissner's beam as in `shear_beam`, for nu = 0: a member whose ends keep their slope
+    while the crown goes down. The force n in it, half the load and the thrust, is a
+    parameter of the boundary value problem.
+    """
+    length, A = TOGGLE.length, TOGGLE.width * TOGGLE.depth
+    EA, EI = TOGGLE.E * A, TOGGLE.E * A * TOGGLE.depth**2 / 12.0
+    GA, slope = 5.0 / 6.0 * EA / 2.0, np.arctan2(TOGGLE.rise, TOGGLE.half_span)
+    unit = EI / length**2
+
+    def rates(s, y, n):
+        theta, M = y[:2]
+        t = np.array([np.cos(theta), np.sin(theta)])
+        m = np.array([-np.sin(theta), np.cos(theta)])
+        r = (1.0 + unit * n @ t / EA) * t + unit * n @ m / GA * m
+        return np.array([M, -(r[0] * n[1] - r[1] * n[0]), r[0], r[1]])
+
+    s = np.linspace(0.0, 1.0, 41)
+    half, rise = TOGGLE.half_span / length, TOGGLE.rise / length
+    state, n = np.stack([slope + 0.0 * s, 0.0 * s, half * s, rise * s]), np.zeros(2)
+    loads = []
+    for down in deflections / length:
+        crown = np.array([half, rise - down])
+        ends = lambda a, b, _, crown=crown: np.array(
+            [a[0] - slope, a[2], a[3], b[0] - slope, *(b[2:] - crown)]
+        )
+        solution = solve_bvp(rates, ends, s, state, p=n, tol=1e-8)
+        assert solution.success
+        state, n = solution.sol(s), solution.p
+        loads.append(-2.0 * unit * n[1])
+    return np.array(loads)
+
+
 class Shell(NamedTuple):
     """Radial displacements of the surfaces of a sphere, inner radius 1 and outer 2."""
 
