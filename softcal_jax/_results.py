@@ -9,8 +9,9 @@ class RESULTS(eqx.Enumeration):
     converged = "converged"
     max_steps = (
         "Newton did not converge within max_steps; check that the load is what you "
-        "meant (units of force, density, modulus) and that no region is over 1e5 times "
-        "stiffer than another, or raise max_steps ([newton] in a project file)"
+        "meant (units of force, density, modulus), that no region is over 1e5 times "
+        "stiffer than another and that nothing can move with hardly any energy, as a "
+        "mechanism does, or raise max_steps ([newton] in a project file)"
     )
     limit_point = (
         "a limit point: the body balloons, buckles or snaps through, and no stable "
@@ -23,7 +24,8 @@ class RESULTS(eqx.Enumeration):
     )
     load_step_too_small = (
         "load stepping gave up: no Newton step succeeded on the smallest load "
-        "increment; the load may be beyond what the body can carry (buckling, collapse)"
+        "increment; the load may be beyond what the body can carry (buckling, "
+        "collapse), or something can move with hardly any energy, as a mechanism does"
     )
     unstable = (
         "the state is unstable: its tangent has negative eigenvalues (buckling), so no "

@@ -19,6 +19,7 @@ from softcal_jax.equilibrium import (
     LoadPath,
     NewtonSettings,
     build_model,
+    check_converged,
     solve_equilibrium,
 )
 from softcal_jax.materials import Corotational, Isotropic
@@ -29,9 +30,9 @@ MIDDLE = (0.5 * LENGTH, 0.5 * SIDE, 0.5 * SIDE)
 
 
 @cache
-def robot():
-    mesh = beam(LENGTH, SIDE, SIDE, (10, 1, 1), order=2)
-    plate = RigidBody("plate", "x_max", origin=(LENGTH, 0.5 * SIDE, 0.5 * SIDE))
+def robot(width=SIDE, height=SIDE):
+    mesh = beam(LENGTH, width, height, (10, 1, 1), order=2)
+    plate = RigidBody("plate", "x_max", origin=(LENGTH, 0.5 * width, 0.5 * height))
     law = Corotational(Isotropic(E, 0.3))
     return build_model(mesh, law, density=0.0, bodies=[plate])
 
@@ -40,7 +41,7 @@ def arc(angle, length=LENGTH):
     return length * np.array([np.sin(angle), 0.0, 1.0 - np.cos(angle)]) / angle
 
 
-def bent(turn):
+def bent(turn, model=None):
     """The plate held where a share of a whole circle ends."""
     angle = 2.0 * np.pi * turn
     pose = Pose(arc(angle) - [LENGTH, 0.0, 0.0], (0.0, -angle, 0.0))
@@ -48,20 +49,22 @@ def bent(turn):
     held = Configuration(
         "bent", "x_min", NO_GRAVITY, bodies={"plate": pose}, effectors=[plate]
     )
-    return arrays(robot(), held)
+    return arrays(robot() if model is None else model, held)
 
 
-def from_rest(turn, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
-    rest = jnp.zeros((robot().n_points, 3))
-    return solve(robot(), bent(turn), rest, settings)[0]
+def from_rest(
+    turn,
+    settings=NewtonSettings(),  # noqa: B008 (it is immutable)
+    model=None,
+):
+    model = robot() if model is None else model
+    rest = jnp.zeros((model.n_points, 3))
+    return solve(model, bent(turn, model), rest, settings)[0]
 
 
 @pytest.mark.parametrize(("turn", "off"), [(0.25, 0.01), (0.75, 0.01), (0.9, 0.02)])
 def test_the_beam_becomes_an_arc(turn, off):
-    """A whole ring may swing about the tangent at its ends, with no energy at all.
-
-    Near it the mesh, which is no mirror image of itself, turns the ring out of plane.
-    """
+    """Close to a whole ring, which may swing; see below."""
     solution = from_rest(turn)
     assert bool(solution.converged), RESULTS[solution.result]
     assert int(solution.n_negative) == 0
@@ -77,6 +80,39 @@ def test_the_beam_becomes_an_arc(turn, off):
     # Ten cells of quadratic tets, and a section that curves across, too.
     expected = arc(0.5 * angle, 0.5 * LENGTH)
     np.testing.assert_allclose(found, expected, rtol=0, atol=off * LENGTH)
+
+
+def test_a_flat_strip_closes_to_a_ring():
+    """It stands in its plane, since it hardly bends across its width."""
+    model = robot(2.0 * SIDE, 0.5 * SIDE)
+    solution = from_rest(1.0, model=model)
+    assert bool(solution.converged), RESULTS[solution.result]
+    assert int(solution.n_negative) == 0
+    assert int(solution.steps) < 100
+    points = model.mesh.points
+    line = np.isclose(points[:, 1:], [SIDE, 0.25 * SIDE]).all(axis=1).nonzero()[0]
+    assert line.size == 21
+    angle = 2.0 * np.pi * points[line, 0] / LENGTH
+    radius = LENGTH / (2.0 * np.pi)
+    ring = radius * np.stack([np.sin(angle), 0.0 * angle, 1.0 - np.cos(angle)], axis=1)
+    found = points[line] + np.asarray(solution.displacement)[line]
+    found = found - [0.0, SIDE, 0.25 * SIDE]
+    # As the arcs above; the mesh, no mirror image of itself, pushes it aside by less.
+    np.testing.assert_allclose(found, ring, rtol=0, atol=0.01 * LENGTH)
+    np.testing.assert_allclose(found[:, 1], 0.0, atol=0.001 * LENGTH)
+
+
+def test_a_ring_of_a_square_rod_is_not_taken_for_solved():
+    """It swings about the tangent at its ends with no energy at all.
+
+    Every section rolls as the ring turns, and a square bends in all directions alike.
+    """
+    solution = from_rest(1.0)
+    assert not bool(solution.converged)
+    assert np.isnan(solution.displacement).all()
+    assert float(solution.load_reached) > 0.95
+    with pytest.raises(RuntimeError, match="can move with hardly any energy"):
+        check_converged(solution, ("ring",))
 
 
 def test_the_end_does_not_depend_on_the_path():
