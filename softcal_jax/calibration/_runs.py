@@ -37,7 +37,6 @@ NO_FALL = 1e-6
 
 # Several programs instead of one per step: the evaluation, which takes seconds to
 # compile, serves the start and every step.
-_propose = eqx.filter_jit(propose)
 _decide = eqx.filter_jit(decide)
 admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
 
@@ -82,7 +81,7 @@ def descend(
     while not (state.converged or state.stalled or not state.evaluation.ok) and (
         state.step < settings.max_steps and not enough(state)
     ):
-        proposal = _propose(problem, settings, state)
+        proposal = propose(problem, settings, state)
         tried = state.evaluation
         if not proposal.vanishes:
             before = tried.equilibrium.displacement

@@ -62,14 +62,79 @@ class Proposal(eqx.Module):
 def propose(
     problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
 ) -> Proposal:
-    """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11)."""
-    now, space = state.evaluation, problem.space
-    W, error, J = _linear_model(problem, state.z, now)
+    """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11).
+
+    In three programs: that of the QP is the longest to compile, and as its size is that
+    of the parameters alone, it serves calibrations with any number of errors.
+    """
+    models = _models(problem, settings, state)
+    both = _solved_each(models.qps, models.needed)
+    return _proposal(problem, settings, state, models, both)
+
+
+class _LinearModel(NamedTuple):
+    """Errors to first order in step coordinates, those of the prior included.
+
+    `J` is the change of z per coordinate.
+    """
+
+    W: Float[Array, "n_rows n_p"]
+    error: Float[Array, " n_rows"]
+    J: Float[Array, "n_p n_p"]
+
+
+class _Models(NamedTuple):
+    """The linear model of a step, and two QPs stacked: of it, and with curvature.
+
+    `needed` tells which of the QPs have to be solved.
+    """
+
+    linear: _LinearModel
+    qps: ScaledQP
+    needed: Bool[Array, "2"]
+
+
+@eqx.filter_jit
+def _models(
+    problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
+) -> _Models:
+    linear = _linear_model(problem, state.z, state.evaluation)
+    W, error, J = linear
     limits = _limits(problem, settings, state, J)
-    S = state.curvature.matrix
-    models = (W, error), convex_model(W, error, S)
+    models = (W, error), convex_model(W, error, state.curvature.matrix)
     scaled = [scaled_qp(*model, limits) for model in models]
-    both = _solved_each(scaled, [jnp.array(True), state.curvature.used])
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *scaled)
+    needed = jnp.stack([jnp.array(True), state.curvature.used])
+    return _Models(linear, stacked, needed)
+
+
+@jax.jit
+def _solved_each(qps: ScaledQP, needed: Bool[Array, "2"]) -> QPStep:
+    """Solve those QPs that are needed, and stack the steps; the others' are zero.
+
+    In one loop, so that the QP is compiled only once here.
+    """
+
+    def one(each: tuple[ScaledQP, Bool[Array, ""]]) -> QPStep:
+        qp, wanted = each
+        shape = jax.eval_shape(solved_qp, qp)
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+        return jax.lax.cond(wanted, solved_qp, lambda _: nothing, qp)
+
+    return jax.lax.map(one, (qps, needed))
+
+
+@eqx.filter_jit
+def _proposal(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    models: _Models,
+    both: QPStep,
+) -> Proposal:
+    """Return the step of the model that is used, and what it predicts."""
+    now, space = state.evaluation, problem.space
+    (W, error, J), S = models.linear, state.curvature.matrix
     used = state.curvature.used.astype(jnp.int32)
     qp = jax.tree.map(lambda steps: steps[used], both)
 
@@ -97,32 +162,6 @@ def propose(
         precise=now.cost - cost <= SLOW * now.cost,
         vanishes=vanishes,
     )
-
-
-def _solved_each(qps: list[ScaledQP], needed: list[Bool[Array, ""]]) -> QPStep:
-    """Solve those QPs that are needed, and stack the steps; the others' are zero.
-
-    In one loop, since a QP is most of the program of a step and is compiled once here.
-    """
-
-    def one(each: tuple[Bool[Array, ""], ScaledQP]) -> QPStep:
-        shape = jax.eval_shape(solved_qp, each[1])
-        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
-        return jax.lax.cond(each[0], solved_qp, lambda _: nothing, each[1])
-
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *qps)
-    return jax.lax.map(one, (jnp.stack(needed), stacked))
-
-
-class _LinearModel(NamedTuple):
-    """Errors to first order in step coordinates, those of the prior included.
-
-    `J` is the change of z per coordinate.
-    """
-
-    W: Float[Array, "n_rows n_p"]
-    error: Float[Array, " n_rows"]
-    J: Float[Array, "n_p n_p"]
 
 
 def _linear_model(
