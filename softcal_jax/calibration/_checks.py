@@ -11,9 +11,9 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     as_guess,
-    compiled_simulate,
     effector_errors,
     simulate,
+    simulate_lanes,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -104,8 +104,8 @@ def simulated_measurements(
     newton = newton or NewtonSettings()
     guess = None
     if first is not None:
-        guess = as_guess(compiled_simulate(first, arrays, newton)[0])
-    solution, effectors = compiled_simulate(model, arrays, newton, guess)
+        guess = as_guess(simulate_lanes(first, arrays, newton)[0])
+    solution, effectors = simulate_lanes(model, arrays, newton, guess)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
     effectors, weights = np.asarray(effectors), np.asarray(arrays.effectors.inverse_std)

@@ -186,8 +186,40 @@ def simulate(
     return found, e
 
 
-compiled_simulate = eqx.filter_jit(simulate)
-"""`simulate`, compiled once for measurements of a model and for its calibration."""
+@eqx.filter_jit
+def _simulate_lane(
+    model: Model,
+    configuration: ConfigurationArrays,
+    newton: NewtonSettings,
+    guess: Float[Array, "n_points 3"],
+) -> tuple[EquilibriumSolution, Float[Array, "n_rows 3"]]:
+    found = solve_equilibrium(model, configuration, guess=guess, settings=newton)
+    u, forces = found.displacement, found.multipliers
+    return found, effector_values(model, configuration, u, forces)
+
+
+def simulate_lanes(
+    model: Model,
+    configurations: ConfigurationArrays,
+    newton: NewtonSettings,
+    guess: Float[Array, "n_c n_points 3"] | None = None,
+) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
+    """Simulate as `simulate` does, outside of compiled programs.
+
+    The program is that of one lane: compiled once for any number of configurations,
+    for measurements of a model as for its calibration.
+    """
+    follows = guess is None and model.mechanism.bodies.n_bodies > 0
+    start, lanes = jax.device_put(np.zeros((model.n_points, 3))), []
+    for c in range(len(configurations.gravity)):
+        if guess is not None:
+            start = lane_of(guess, c)
+        own = lane_of(configurations, c)
+        lanes.append(_simulate_lane(model, own, newton, start))
+        solution, _ = lanes[-1]
+        if follows and solution.converged:
+            start = solution.displacement
+    return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *lanes))
 
 
 def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:
@@ -361,7 +393,7 @@ class Evaluator:
 
     def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
         problem = with_solver(self.numbered.with_noise(None), solver)
-        found, _ = compiled_simulate(*_posed(problem, z), problem.newton)
+        found, _ = simulate_lanes(*_posed(problem, z), problem.newton)
         return jax.block_until_ready(as_guess(found))
 
 
