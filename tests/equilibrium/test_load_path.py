@@ -16,6 +16,7 @@ from test_pressure_sphere import ball, inflated, solved
 from softcal_jax.configurations import ImposedDisplacement, ImposedForce
 from softcal_jax.equilibrium import (
     RESULTS,
+    EquilibriumPath,
     LoadPath,
     check_converged,
     solve_equilibrium,
@@ -66,6 +67,22 @@ def test_the_limit_point_is_where_the_closed_form_has_it(path):
     # The states about it are a tenth of the stretch apart.
     np.testing.assert_allclose(at_top, TOP, rtol=0.1)
     assert bool(path.result == RESULTS.limit_point)
+
+
+def test_a_limit_between_states_of_any_distance_is_that_of_their_parabola():
+    """load = 0.9 - (s - 0.7)^2 along a line of length s."""
+    s = np.array([0.0, 0.3, 0.5, 1.2, 1.5])
+    u = s[:, None, None] * np.array([[0.6, 0.0, 0.8]])
+    none, counts = np.zeros((5, 0)), np.zeros(5, int)
+    path = EquilibriumPath(
+        load=0.9 - (s - 0.7) ** 2,
+        displacement=u,
+        multipliers=none,
+        n_negative=counts,
+        readings=np.zeros((5, 0, 3)),
+        result=RESULTS.limit_point,
+    )
+    np.testing.assert_allclose(path.limits, [0.9], rtol=1e-12)
 
 
 def test_stability_is_lost_at_the_limit_point(path):
