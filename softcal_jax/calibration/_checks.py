@@ -22,7 +22,7 @@ from softcal_jax.configurations import (
     measured_as,
     measured_at_rest,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
+from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
 from softcal_jax.fields import ParameterSpace
 
 
@@ -102,10 +102,13 @@ def simulated_measurements(
     arrays, records = configuration_lanes(mesh, posed, mechanism)
     arrays = arrays if change is None else jax.vmap(change)(arrays)
     newton = newton or NewtonSettings()
-    guess = None
-    if first is not None:
-        guess = as_guess(simulate_lanes(first, arrays, newton)[0])
-    solution, effectors = simulate_lanes(model, arrays, newton, guess)
+
+    def solved(own: Model, guess: Float[Array, "n_c n_points 3"] | None):
+        with Workers(own, len(configurations)) as workers:
+            return workers.end_of(simulate_lanes(own, arrays, newton, guess))
+
+    guess = None if first is None else as_guess(solved(first, None)[0])
+    solution, effectors = solved(model, guess)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
     effectors, weights = np.asarray(effectors), np.asarray(arrays.effectors.inverse_std)

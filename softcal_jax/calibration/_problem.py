@@ -189,8 +189,8 @@ def simulate(
 @eqx.filter_jit
 def _simulate_lane(
     model: Model,
-    configuration: ConfigurationArrays,
     newton: NewtonSettings,
+    configuration: ConfigurationArrays,
     guess: Float[Array, "n_points 3"],
 ) -> tuple[EquilibriumSolution, Float[Array, "n_rows 3"]]:
     found = solve_equilibrium(model, configuration, guess=guess, settings=newton)
@@ -203,23 +203,29 @@ def simulate_lanes(
     configurations: ConfigurationArrays,
     newton: NewtonSettings,
     guess: Float[Array, "n_c n_points 3"] | None = None,
-) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-    """Simulate as `simulate` does, outside of compiled programs.
+) -> Job[tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]]:
+    """Simulate as `simulate` does, with configurations as lanes of one program.
 
-    The program is that of one lane: compiled once for any number of configurations,
-    for measurements of a model as for its calibration.
+    It is compiled once for any number of them, and the lanes share the cores.
     """
-    follows = guess is None and model.mechanism.bodies.n_bodies > 0
-    start, lanes = jax.device_put(np.zeros((model.n_points, 3))), []
-    for c in range(len(configurations.gravity)):
-        if guess is not None:
-            start = lane_of(guess, c)
-        own = lane_of(configurations, c)
-        lanes.append(_simulate_lane(model, own, newton, start))
-        solution, _ = lanes[-1]
-        if follows and solution.converged:
-            start = solution.displacement
-    return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *lanes))
+    lanes = [lane_of(configurations, c) for c in range(len(configurations.gravity))]
+
+    def call(solver, lane):
+        own = eqx.tree_at(lambda m: m.solver, model, solver)
+        return jax.block_until_ready(_simulate_lane(own, newton, *lane))
+
+    key = program_key("simulate_lane", model, lanes[0])
+    start = jax.device_put(np.zeros((model.n_points, 3)))
+    if guess is None and model.mechanism.bodies.n_bodies > 0:
+        found = []
+        for lane in lanes:
+            found += yield Batch(call, [(lane, start)], key)
+            (last, _) = found[-1]
+            start = jnp.where(last.converged, last.displacement, start)
+    else:
+        starts = [start] * len(lanes) if guess is None else guess
+        found = yield Batch(call, list(zip(lanes, starts, strict=True)), key)
+    return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *found))
 
 
 def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:
@@ -380,8 +386,9 @@ class Evaluator:
         """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
-            key = program_key("simulate", self.numbered.with_noise(None))
-            (guess,) = yield Batch(self._guess, [z], key)
+            posed = _posed(self.numbered.with_noise(None), z)
+            found, _ = yield from simulate_lanes(*posed, self.problem.newton)
+            guess = as_guess(found)
         return (yield from self(z, guess))
 
     def _evaluate(self, solver, lane) -> Response:
@@ -390,11 +397,6 @@ class Evaluator:
             self._on[id(solver)] = solver, with_solver(self.shared, solver)
         shared = self._on[id(solver)][1]
         return jax.block_until_ready(_evaluate_lane(shared, *lane))
-
-    def _guess(self, solver, z) -> Float[Array, "n_c n_points 3"]:
-        problem = with_solver(self.numbered.with_noise(None), solver)
-        found, _ = simulate_lanes(*_posed(problem, z), problem.newton)
-        return jax.block_until_ready(as_guess(found))
 
 
 def evaluate(
