@@ -24,8 +24,10 @@ from softcal_jax.calibration._configuration_result import (
     SimulationResult,
     simulation_result,
 )
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
+from softcal_jax.calibration._lanes import simulate
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     correlated_noise,
@@ -34,12 +36,7 @@ from softcal_jax.calibration._noise import (
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
-    Evaluation,
-    Evaluator,
-    at_rest,
-    evaluate,
     n_measured,
-    simulate,
     without_names,
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends

@@ -11,7 +11,7 @@ from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._budget import considered_errors
-from softcal_jax.calibration._problem import Evaluation, Evaluator
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._references import independent_recordings
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration

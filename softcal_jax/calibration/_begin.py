@@ -16,12 +16,8 @@ import numpy as np
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    Evaluation,
-    Evaluator,
-    with_solver,
-)
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._problem import CalibrationProblem, with_solver
 from softcal_jax.calibration._runs import admissible
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (

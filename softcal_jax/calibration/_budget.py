@@ -23,15 +23,11 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._considered import Considered, considered
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._lanes import each_lane, lane_of
 from softcal_jax.calibration._mesh_error import REMEDIES, mesh_errors
 from softcal_jax.calibration._noise import named_columns, whitened
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    Evaluation,
-    Evaluator,
-    each_lane,
-    lane_of,
-)
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
@@ -281,7 +277,6 @@ def _all_columns(
     motions = [own.motions for own in found if own.entry is None]
     lanes = [
         (
-            errors,
             tuple(jax.device_put(own[c]) for own in motions),
             z,
             lane_of(problem.configurations, c),
@@ -289,7 +284,8 @@ def _all_columns(
         )
         for c in range(n_c)
     ]
-    of_lanes = yield from each_lane(problem, _columns, lanes)
+    shared = problem.model, problem.space, errors
+    of_lanes = yield from each_lane(_columns, shared, lanes)
     return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
 
 

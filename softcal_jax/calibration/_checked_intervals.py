@@ -9,6 +9,7 @@ from scipy.stats import norm, t
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checkpoint import Clock
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator, in_other_units
 from softcal_jax.calibration._first_order import first_order_holds
 from softcal_jax.calibration._interval import (
     ParameterInterval,
@@ -16,12 +17,7 @@ from softcal_jax.calibration._interval import (
     interval_between,
     no_interval,
 )
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    Evaluation,
-    Evaluator,
-    in_other_units,
-)
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends, room_beside
 from softcal_jax.calibration._result import CalibrationResult, Optimum
 from softcal_jax.calibration._uncertainty import EXACT, estimator

@@ -8,13 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    as_guess,
-    effector_errors,
-    simulate,
-    simulate_lanes,
-)
+from softcal_jax.calibration._evaluation import effector_errors
+from softcal_jax.calibration._lanes import as_guess, simulate, simulate_lanes
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._problem import Evaluation, Evaluator
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._profile import LOWER, LowerCostFound, room_beside
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Job, Workers

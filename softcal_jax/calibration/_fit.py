@@ -21,6 +21,7 @@ from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
     configuration_results,
 )
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import (
     fit_notes,
@@ -30,12 +31,7 @@ from softcal_jax.calibration._notes import (
 from softcal_jax.calibration._nothing_to_learn import check_effects, check_sensitive
 from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
 from softcal_jax.calibration._predict import predict
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    Evaluation,
-    Evaluator,
-    n_measured,
-)
+from softcal_jax.calibration._problem import CalibrationProblem, n_measured
 from softcal_jax.calibration._references import check_references
 from softcal_jax.calibration._residual_checks import residual_checks
 from softcal_jax.calibration._result import (

@@ -12,8 +12,8 @@ from softcal_jax.calibration._checked_intervals import (
     quantile_of,
     whole_interval,
 )
+from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._interval import ParameterInterval
-from softcal_jax.calibration._problem import Evaluator
 from softcal_jax.calibration._profile import profile_ends
 from softcal_jax.calibration._result import CalibrationResult
 from softcal_jax.configurations import Configuration

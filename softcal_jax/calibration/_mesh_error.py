@@ -19,12 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    Evaluator,
-    each_lane,
-    lane_of,
-)
+from softcal_jax.calibration._evaluation import Evaluator
+from softcal_jax.calibration._lanes import each_lane, lane_of
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import (
     Formulation,
@@ -91,7 +88,8 @@ def _by_formulation(
     """Return half of what lies between the formulations, see `mesh_errors`."""
     n_c = len(problem.configurations.gravity)
     lanes = [(z, lane_of(problem.configurations, c)) for c in range(n_c)]
-    of_lanes = yield from each_lane(problem, _motions_at_rest, lanes)
+    shared = problem.model, problem.space
+    of_lanes = yield from each_lane(_motions_at_rest, shared, lanes)
     stiff, soft = np.stack(of_lanes, axis=1)
     weights = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
     size = lambda e: np.linalg.norm(weights * e, axis=1, keepdims=True)

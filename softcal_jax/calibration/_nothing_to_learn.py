@@ -4,9 +4,10 @@ import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, HostArray
+from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._held_faces import held_nodes
 from softcal_jax.calibration._present import with_forces, with_gravity, with_loads
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.fields import AbstractFieldEntry, SetupParameter
 
 ROUNDING = 1e-12

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
+from softcal_jax.calibration._evaluation import Evaluation
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._references import Attachment, attachments
 from softcal_jax.configurations import Configuration, ConfigurationLanes
 

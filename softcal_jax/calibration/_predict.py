@@ -12,8 +12,10 @@ from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     configuration_results,
 )
+from softcal_jax.calibration._evaluation import Evaluator
+from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._notes import unscoped_notes
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluator, lane_of
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._interval import ProfileEnd
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._profile_search import (
     CLOSE_ENOUGH,
     STEEP,

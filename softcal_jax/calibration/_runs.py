@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
+from softcal_jax.calibration._evaluation import Evaluator
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,

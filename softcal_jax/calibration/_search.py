@@ -12,7 +12,8 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checkpoint import Journal
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluator
+from softcal_jax.calibration._evaluation import Evaluator
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import Begun, Run, images_of, not_begun, run_start
 from softcal_jax.calibration._state import CalibrationSettings

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._curvature import Curvature, no_curvature
-from softcal_jax.calibration._problem import Evaluation
+from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._qp import DAMPING
 
 MEMORY = 5

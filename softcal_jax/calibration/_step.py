@@ -16,7 +16,8 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._curvature import Curvature, convex_model, learned
-from softcal_jax.calibration._problem import CalibrationProblem, Evaluation
+from softcal_jax.calibration._evaluation import Evaluation
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._qp import Limits, QPStep, ScaledQP, scaled_qp, solved_qp
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace

@@ -12,12 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax.calibration._evaluation import Evaluator, in_other_units
 from softcal_jax.calibration._noise import FIRST_SHARE, CorrelatedNoise
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    Evaluator,
-    in_other_units,
-)
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._reml import (
     Residuals,
     freedom_between,

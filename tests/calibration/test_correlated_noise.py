@@ -15,7 +15,7 @@ from softcal_jax.calibration import (
     simulated_measurements,
 )
 from softcal_jax.calibration._agreement import Posed, not_asked
-from softcal_jax.calibration._problem import Evaluator
+from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import Parameter, exactly_known

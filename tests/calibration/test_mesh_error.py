@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.calibration import build_problem, considered_errors, evaluate
-from softcal_jax.calibration._problem import Evaluator
+from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.configurations import Configuration, Markers, PointForce
 from softcal_jax.equilibrium import Workers, build_model
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known

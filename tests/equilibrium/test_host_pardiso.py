@@ -15,7 +15,7 @@ from softcal_jax.calibration import (
     propose,
     synthetic_measurements,
 )
-from softcal_jax.calibration._problem import evaluate_lane, stacked
+from softcal_jax.calibration._evaluation import evaluate_lane, stacked
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import build_model, factor_solve
 from softcal_jax.equilibrium._host_pardiso import HostPardiso

@@ -1,0 +1,259 @@
+"""Equilibria, errors and compliances of a calibration at some parameters."""
+
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Bool, Float
+from softcal_jax.calibration._lanes import as_guess, lane_of, simulate_lanes
+from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    with_solver,
+    without_names,
+)
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import (
+    Batch,
+    EquilibriumSolution,
+    Job,
+    Model,
+    Workers,
+    program_key,
+)
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.sensitivity import Response, equilibrium_response
+
+
+class Evaluation(eqx.Module):
+    """Equilibria, errors and compliances of all configurations at one z.
+
+    Attributes:
+        equilibrium: Solutions, one lane per configuration.
+        effectors: Simulated effector coordinates: positions [m], turns [rad], ...
+        delta_e: Simulated minus measured values; 0 where nothing is measured.
+        compliance: Stacked W_ep in the units of the effectors, per unit of lambda_p.
+        error: Stacked delta_e in units of the noise, see `in_noise_units` [-].
+        W_ep: The same in units of the noise, per unit of lambda_p [-].
+        prior: Distance of the parameters from the middle of their priors, in standard
+            deviations of these [-].
+        tangents: du/dz of each lane, or None where W_ep came from the adjoint side [m].
+        ok: Whether every lane has an equilibrium and a regular tangent.
+    """
+
+    equilibrium: EquilibriumSolution
+    effectors: Float[Array, "n_c n_rows 3"]
+    delta_e: Float[Array, "n_c n_rows 3"]
+    compliance: Float[Array, "n_e n_p"]
+    error: Float[Array, " n_e"]
+    W_ep: Float[Array, "n_e n_p"]
+    prior: Float[Array, " n_p"]
+    tangents: Float[Array, "n_c n_p n_points 3"] | None
+    ok: Bool[Array, ""]
+
+    @property
+    def cost(self) -> Float[Array, ""]:
+        """Half the sum of squared errors in noise units; infinite if not ok [-].
+
+        Distances from the prior count like errors.
+        """
+        return _cost(self.ok, self.error, self.prior)
+
+
+@jax.jit
+def _cost(ok, error, prior) -> Float[Array, ""]:
+    squares = jnp.sum(error**2) + jnp.sum(prior**2)
+    return jnp.where(ok, 0.5 * squares, jnp.inf)
+
+
+def effector_errors(
+    problem: CalibrationProblem, e: Float[Array, "n_c n_rows 3"]
+) -> Float[Array, "n_c n_rows 3"]:
+    """Return Delta_e, simulated minus measured values; 0 where nothing is measured."""
+    effectors = problem.configurations.effectors
+    return jnp.where(effectors.inverse_std > 0.0, e - effectors.measured, 0.0)
+
+
+def evaluate_lane(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    configuration: ConfigurationArrays,
+    guess: Float[Array, "n_points 3"],
+    before: Float[Array, "n_points 3"],
+    precise: bool | Bool[Array, ""] = False,
+) -> Response:
+    """Compute equilibrium, effectors and compliances of one configuration.
+
+    Unless `precise`, which takes one more Newton step, the compliances belong to the
+    state before the last step.
+    """
+    return equilibrium_response(
+        problem.model,
+        configuration,
+        guess,
+        problem.space,
+        z,
+        newton=problem.newton,
+        before=before,
+        precise=precise,
+    )
+
+
+def stacked(
+    problem: CalibrationProblem, z: Float[Array, " n_p"], lanes: Response
+) -> Evaluation:
+    """Stack the errors and compliances of all lanes."""
+    delta_e = effector_errors(problem, lanes.effectors)
+    compliance = lanes.W_ep.reshape(-1, z.shape[0])
+    error = problem.in_noise_units(jnp.ravel(delta_e))
+    W = problem.in_noise_units(compliance)
+    ok = jnp.all(lanes.equilibrium.converged) & jnp.all(lanes.ok)
+    return Evaluation(
+        equilibrium=lanes.equilibrium,
+        effectors=lanes.effectors,
+        delta_e=delta_e,
+        compliance=compliance,
+        error=error,
+        W_ep=W,
+        prior=problem.from_prior(z),
+        tangents=lanes.displacement,
+        ok=ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W)),
+    )
+
+
+def in_other_units(
+    problem: CalibrationProblem, old: Evaluation, before: CalibrationProblem
+) -> Evaluation:
+    """Return an evaluation in the units of another noise.
+
+    Args:
+        problem: The calibration with that noise.
+        old: The evaluation.
+        before: The calibration with the noise that it was made with.
+    """
+    where = lambda e: (e.error, e.W_ep, e.prior)
+    both = np.ravel(old.delta_e), np.asarray(old.compliance)
+    units = [problem.on_host_in_noise_units(x) for x in both]
+    prior = np.asarray(problem.level) / np.asarray(before.level) * np.asarray(old.prior)
+    return eqx.tree_at(where, old, tuple(jax.device_put([*units, prior])))
+
+
+def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
+    """Return displacements of zero, as a guess [m]."""
+    n_c = problem.configurations.gravity.shape[0]
+    return jnp.zeros((n_c, problem.model.n_points, 3))
+
+
+_evaluate_lane = eqx.filter_jit(evaluate_lane)
+
+
+@eqx.filter_jit
+def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
+    return problem.at(z)
+
+
+class Evaluator:
+    """Evaluates a calibration, its configurations as lanes of one program.
+
+    The program does not depend on the number of configurations, on the data, or on how
+    the parameters are stepped, so it is compiled once for all of these.
+
+    Attributes:
+        problem: The calibration.
+        numbered: The same without names, for compiled programs.
+        shared: What all lanes share, without configurations.
+        lanes: The configurations.
+    """
+
+    def __init__(self, problem: CalibrationProblem):
+        """Split the calibration into what all lanes share, and the lanes."""
+        self.problem, self.numbered = problem, without_names(problem)
+        # The number of lanes and what concerns steps alone would each give another
+        # program, so both are left out.
+        space = replace(self.numbered.space, order=(), tensor_steps=True, pin=None)
+        where = lambda p: (p.configurations, p.space)
+        alone = self.numbered.with_noise(None)
+        self.shared = eqx.tree_at(where, alone, (None, space))
+        n_c = problem.configurations.gravity.shape[0]
+        self.lanes = [lane_of(problem.configurations, c) for c in range(n_c)]
+        self._program = program_key("evaluate_lane", self.shared, self.lanes[0])
+        self._on: dict[int, tuple[Any, CalibrationProblem]] = {}
+
+    def with_space(self, space: ParameterSpace) -> "Evaluator":
+        """Return an evaluator of the same lanes with another order, chart or pin."""
+        other = copy(self)
+        other.numbered = eqx.tree_at(lambda p: p.space, self.numbered, space)
+        return other
+
+    def with_noise(self, noise: CorrelatedNoise | None) -> "Evaluator":
+        """Return an evaluator of the same lanes with another noise."""
+        other = copy(self)
+        other.problem = self.problem.with_noise(noise)
+        other.numbered = self.numbered.with_noise(noise)
+        return other
+
+    def __call__(
+        self,
+        z: Float[Array, " n_p"],
+        guess: Float[Array, "n_c n_points 3"],
+        before: Float[Array, "n_c n_points 3"] | None = None,
+        precise: bool | Bool[Array, ""] = False,
+    ) -> Job[Evaluation]:
+        """Compute equilibria, stacked errors and compliances W_ep (paper Eqs. 9, 10).
+
+        Args:
+            z: Scaled parameters [-].
+            guess: Displacements to start from [m].
+            before: Displacements of the equilibria that the guess extrapolates to first
+                order, if it does [m].
+            precise: Whether the compliances are exact, see `evaluate_lane`.
+        """
+        before = guess if before is None else before
+        lanes = zip(self.lanes, guess, before, strict=True)
+        jobs = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
+        found = yield Batch(self._evaluate, jobs, self._program)
+        return _stacked(self.numbered, z, found)
+
+    def from_rest(self, z: Float[Array, " n_p"]) -> Job[Evaluation]:
+        """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
+        guess = at_rest(self.problem)
+        if self.problem.model.mechanism.bodies.n_bodies > 0:
+            posed = _posed(self.numbered.with_noise(None), z)
+            found, _ = yield from simulate_lanes(*posed, self.problem.newton)
+            guess = as_guess(found)
+        return (yield from self(z, guess))
+
+    def _evaluate(self, solver, lane) -> Response:
+        # The solver is kept beside, so that its id is not given to another one.
+        if id(solver) not in self._on:
+            self._on[id(solver)] = solver, with_solver(self.shared, solver)
+        shared = self._on[id(solver)][1]
+        return jax.block_until_ready(_evaluate_lane(shared, *lane))
+
+
+def evaluate(
+    problem: CalibrationProblem,
+    z: Float[Array, " n_p"],
+    guess: Float[Array, "n_c n_points 3"] | None = None,
+) -> Evaluation:
+    """Compute equilibria, stacked errors and W_ep (paper Eqs. 9, 10), on all cores.
+
+    Args:
+        problem: The calibration.
+        z: Scaled parameters [-].
+        guess: Displacements to start from; by default as at the start of a fit [m].
+    """
+    evaluator = Evaluator(problem)
+    job = evaluator.from_rest(z) if guess is None else evaluator(z, guess)
+    with Workers(problem.model, problem.configurations.gravity.shape[0]) as workers:
+        return workers.end_of(job)
+
+
+@eqx.filter_jit
+def _stacked(problem, z, lanes: list[Response]) -> Evaluation:
+    return stacked(problem, z, jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes))
