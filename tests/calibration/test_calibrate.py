@@ -51,6 +51,9 @@ CRUSHED = Configuration(
     MARKERS,
     MARKERS.positions,
 )
+KNOWN = {"uncertain": exactly_known()}
+"""Where nothing is asked of the error budget, whose programs then are not compiled."""
+
 LOADS = {"hang": 0.0, "pull": 0.05, "push": -0.03}
 
 
@@ -73,12 +76,22 @@ def positions(model, lanes):
 
 
 def measure(mesh, law, names=tuple(LOADS), noise=0.0, seed=0, formulation="auto"):
-    """Configurations with positions simulated on a mesh of their own."""
+    """Configurations with positions simulated on a mesh of their own.
+
+    All are simulated, whichever are asked for, so that one program does.
+    """
     model = build_model(mesh, law, density=1000.0, formulation=formulation)
-    lanes = configuration_arrays(mesh, [posed(name) for name in names])
-    seen = np.asarray(positions(model, lanes))
-    seen = seen + noise * np.random.default_rng(seed).normal(size=seen.shape)
-    return [posed(name, seen[i]) for i, name in enumerate(names)]
+    lanes = configuration_arrays(mesh, [posed(name) for name in LOADS])
+    seen = dict(zip(LOADS, np.asarray(positions(model, lanes)), strict=True))
+    random = np.random.default_rng(seed)
+    errors = noise * random.normal(size=(len(names), *MARKERS.positions.shape))
+    return [posed(n, seen[n] + error) for n, error in zip(names, errors, strict=True)]
+
+
+def seen_by_one(measured):
+    """The first pose, of which one coordinate of one marker was seen."""
+    few = Markers(("a",), MARKERS.positions[:1], axes="z")
+    return replace(posed("hang"), markers=few, measured=measured[:1])
 
 
 def parameter(start=1e5, lower=3e4, upper=1e6):
@@ -105,7 +118,7 @@ def recovered(model, exact):
 
 def test_two_parameters_are_recovered(model, exact):
     nu = Parameter("nu", "nu", 0.2, 0.0, 0.45, scale="linear")
-    result = calibrate(model, [parameter(), nu], exact)
+    result = calibrate(model, [parameter(), nu], exact, **KNOWN)
     assert result.converged
     assert result.value("E") == pytest.approx(E_TRUE, rel=1e-6)
     assert result.value("nu") == pytest.approx(NU_TRUE, rel=1e-5)
@@ -259,15 +272,10 @@ def test_step_bound_is_kept_when_not_adapted(model, exact):
 
 
 def test_more_parameters_than_data_warns_and_says_what_is_missing(model, exact):
-    few = Markers(("a",), MARKERS.positions[:1], axes="z")
-    data = [
-        Configuration(
-            "hang", (Support("x_min"),), markers=few, measured=exact[0].measured[:1]
-        )
-    ]
+    data = [seen_by_one(exact[0].measured)]
     nu = Parameter("nu", "nu", 0.2, 0.0, 0.45, scale="linear")
     with pytest.warns(CalibrationWarning, match="2 parameters but only 1 measured"):
-        result = calibrate(model, [parameter(), nu], data)
+        result = calibrate(model, [parameter(), nu], data, **KNOWN)
     assert np.all(np.isfinite(result.z))
     assert np.isnan(result.parameters[0].standard_error)
 
@@ -325,7 +333,7 @@ def test_blind_direction_is_left_alone(model):
     """Under gravity alone only E over density shows: neither may run away."""
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), ("hang",))
     rho = Parameter("rho", "density", 1e3, 100.0, 1e4)
-    result = calibrate(model, [parameter(), rho], data)
+    result = calibrate(model, [parameter(), rho], data, **KNOWN)
     assert result.converged
     assert result.configurations[0].rms_after < 1e-7
     # The shortest way to the valley E / rho = const shares the ratio evenly.
@@ -353,6 +361,7 @@ def test_held_out_poses_that_are_not_found_from_rest(model, exact):
         validation=[exact[2], far, CRUSHED],
         newton=few,
         intervals=None,
+        uncertain=exactly_known(),
     )
     assert calibrated.converged
     names = [fit.name for fit in calibrated.configurations]
@@ -369,7 +378,8 @@ def test_held_out_poses_that_are_not_found_from_rest(model, exact):
 def _measured_of(model, pose):
     """Marker positions of a pose at the true modulus, by as many steps as it takes."""
     law = NeoHookean(E_TRUE, NU_TRUE)
-    lanes = configuration_arrays(model.mesh, [pose])
+    same = [replace(pose, name=name) for name in LOADS]  # one program with `measure`
+    lanes = configuration_arrays(model.mesh, same)
     return np.asarray(positions(model.with_law(law), lanes))[0]
 
 
@@ -383,10 +393,8 @@ def test_stated_noise_that_is_too_small_is_flagged(model):
 
 
 def test_undetermined_parameters_are_named(model):
-    few = Markers(("a",), MARKERS.positions[:1], axes="z")
-    seen = MARKERS.positions[:1] - [0.0, 0.0, 0.01]
-    data = Configuration("hang", (Support("x_min"),), markers=few, measured=seen)
-    result = calibrate(model, parameter(), data)
+    data = seen_by_one(MARKERS.positions - [0.0, 0.0, 0.01])
+    result = calibrate(model, parameter(), data, **KNOWN)
     assert result.converged
     assert np.isnan(result.parameters[0].standard_error)
     assert any("No standard error for E" in note for note in result.notes)
