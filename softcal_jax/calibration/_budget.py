@@ -251,14 +251,15 @@ def considered_errors(
     found = considered(uncertain, evaluate.problem, configurations)
     if uncertain.mesh == 0.0 and not any(own.happens for own in found):
         return {}
-    *columns, by_stiffness = yield from _all_columns(evaluate, found, z, displacement)
+    columns = yield from _all_columns(evaluate, found, z, displacement)
     own: dict[str, dict[str, HostArray]] = {}
-    for error, column in zip(found, columns, strict=True):
+    for error, column in zip(found, columns[: len(found)], strict=True):
         for name, those in error.groups():
             shared = np.where(those[:, None], column, 0.0)
             own.setdefault(error.cause, {})[name] = shared
     if uncertain.mesh > 0.0:
-        of_mesh = yield from mesh_errors(evaluate, z, displacement, by_stiffness)
+        of_stiffness = columns[len(found) :]
+        of_mesh = yield from mesh_errors(evaluate, z, displacement, of_stiffness)
         if of_mesh:
             own[MESH] = {name: uncertain.mesh * e for name, e in of_mesh.items()}
     return own
@@ -266,12 +267,13 @@ def considered_errors(
 
 def _all_columns(
     evaluate: Evaluator, found: Sequence[Considered], z, displacement
-) -> Job[Float[HostArray, "n_errors_and_stiffness n_c n_e"]]:
-    """Compute W_c as if each configuration had each error; last that of stiffness."""
+) -> Job[Float[HostArray, "n_rows n_c n_e"]]:
+    """Compute W_c as if each configuration had each error, see `_columns`."""
     problem, n_c = evaluate.numbered, len(displacement)
     n_e = problem.configurations.effectors.measured.size // n_c
-    if n_e == 0:
-        return np.zeros((len(found) + 1, n_c, n_e))
+    n_rows = len(found) + (problem.model.mesh.order > 1)
+    if n_e == 0 or n_rows == 0:
+        return np.zeros((n_rows, n_c, n_e))
     entries = tuple(own.entry for own in found if own.entry is not None)
     errors = ParameterSpace(entries) if entries else None
     motions = [own.motions for own in found if own.entry is None]
@@ -298,12 +300,15 @@ def _columns(
     z,
     c,
     u,
-) -> Float[Array, "n_e n_errors_and_stiffness"]:
-    """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
+) -> Float[Array, "n_e n_rows"]:
+    """Compute W_c of one configuration, in the units of its effectors; Eq. (9).
+
+    Of quadratic tets the last column is that of the stiffness, see `mesh_errors`.
+    """
     lin = linearise(*space.apply(model, c, z), u)
     rows = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
     rows += [clamp_row(lin, motion) for motion in motions]
-    rows += [stiffness_row(lin)]
+    rows += [stiffness_row(lin)] if model.mesh.order > 1 else []
     stacked = jax.tree.map(lambda *own: jnp.concatenate(own), *rows)
     fewer = len(stacked.force) > c.effectors.measured.size
     found = sensitivity(lin, stacked, effector_values, adjoint=fewer)

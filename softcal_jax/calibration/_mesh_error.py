@@ -49,7 +49,7 @@ def mesh_errors(
     evaluate: Evaluator,
     z: Float[Array, " n_p"],
     displacement: Float[Array, "n_c n_points 3"],
-    by_stiffness: Float[HostArray, "n_c n_e"],
+    of_stiffness: Float[HostArray, "n_rows n_c n_e"],
 ) -> Job[dict[str, Float[HostArray, "n_c n_e"]]]:
     """Estimate the standard deviation of the effectors by the mesh.
 
@@ -62,7 +62,8 @@ def mesh_errors(
         evaluate: Evaluator of the calibration.
         z: Scaled parameters [-].
         displacement: The equilibria [m].
-        by_stiffness: Change of the effectors per relative change of the stiffness.
+        of_stiffness: Change of the effectors per relative change of the stiffness, one
+            row; none for linear tets.
 
     Returns:
         Signed change of the effectors of each configuration, which all have in common,
@@ -77,6 +78,7 @@ def mesh_errors(
         if locking is not None:
             found["locking"] = locking
     elif problem.model.law.conservative:
+        (by_stiffness,) = of_stiffness
         between = yield from _by_formulation(problem, z, by_stiffness)
         found["formulation"] = between
     return {name: own for name, own in found.items() if np.all(np.isfinite(own))}
