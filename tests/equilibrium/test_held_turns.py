@@ -13,7 +13,7 @@ from mechanisms import NO_GRAVITY, TIGHT, arrays, solve
 from problems import central_difference, nearest_node
 
 from softcal_jax.bodies import Pose, RigidBody
-from softcal_jax.configurations import BodyFrame, Configuration
+from softcal_jax.configurations import BodyFrame, Configuration, Support
 from softcal_jax.equilibrium import (
     RESULTS,
     LoadPath,
@@ -22,11 +22,13 @@ from softcal_jax.equilibrium import (
     check_converged,
     solve_equilibrium,
 )
+from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
 LENGTH, SIDE, E = 0.1, 0.01, 5e5
 MIDDLE = (0.5 * LENGTH, 0.5 * SIDE, 0.5 * SIDE)
+MIDDLE_OF_END = (LENGTH, 0.5 * SIDE, 0.5 * SIDE)
 
 
 @cache
@@ -60,6 +62,40 @@ def from_rest(
     model = robot() if model is None else model
     rest = jnp.zeros((model.n_points, 3))
     return solve(model, bent(turn, model), rest, settings)[0]
+
+
+@jax.jit
+def frame_origin(model, lane, load):
+    """Where the frame of the first body is held at a share of the load."""
+    rest = jnp.zeros((model.n_points, 3))
+    there = Posed.of(model, lane).at_load(load).held_at(rest)
+    return model.positions(there)[model.mesh.n_nodes]
+
+
+CENTRE = [0.0, 0.5 * SIDE, 0.5 * SIDE]
+BASE = RigidBody("base", "x_min", origin=CENTRE)
+
+
+@pytest.mark.parametrize(
+    ("bases", "how"),
+    [
+        ((), {"supports": "x_min"}),
+        ((), {"supports": Support("x_min", stiffness=1e9)}),
+        ((BASE,), {"bodies": {"base": "held"}}),
+    ],
+)
+def test_the_path_is_an_arc_from_where_the_beam_is_held(bases, how):
+    """By a clamp, by springs, or by another body."""
+    bodies = [RigidBody("plate", "x_max", origin=MIDDLE_OF_END), *bases]
+    model = build_model(robot().mesh, robot().law, density=0.0, bodies=bodies)
+    angle = 1.5 * np.pi
+    pose = Pose(arc(angle) - [LENGTH, 0.0, 0.0], (0.0, -angle, 0.0))
+    held = {"plate": pose, **how.get("bodies", {})}
+    how = {"gravity": NO_GRAVITY, **how, "bodies": held}
+    lane = arrays(model, Configuration("held", **how))
+    for load in (0.3, 0.8, 1.0):
+        plate = frame_origin(model, lane, jnp.asarray(load))
+        np.testing.assert_allclose(plate, arc(load * angle) + CENTRE, atol=1e-9)
 
 
 @pytest.mark.parametrize(("turn", "off"), [(0.25, 0.01), (0.75, 0.01), (0.9, 0.02)])
