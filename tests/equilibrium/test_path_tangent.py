@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from mechanisms import LENGTH, SIDE, TIGHT, arrays, strip
+from problems import nearest_node
 
 from softcal_jax.actuators import Cable, ForceActuator, Guide
 from softcal_jax.bodies import Pose, RigidBody
@@ -42,7 +43,8 @@ POSE = Pose((-0.01, 0.005, 0.02), (0.2, -0.5, 0.1))
 
 @pytest.fixture(scope="module")
 def lane():
-    aside = Support(MESH.node_groups["at 1"][:1], "y", (0.0, 2e-3, 0.0))
+    # The node that the cable pulls: what is held changes its length, too.
+    aside = Support(np.array([nearest_node(MESH, MIDDLE)]), "y", (0.0, 2e-3, 0.0))
     configuration = Configuration(
         "loaded",
         [GROUND, aside],
