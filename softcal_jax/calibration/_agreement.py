@@ -13,19 +13,19 @@ from softcal_jax._units import readable_unit
 from softcal_jax.calibration._budget import considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._references import independent_recordings
-from softcal_jax.calibration._uncertainty import Uncertainty, estimator
+from softcal_jax.calibration._uncertainty import UNLIKELY, Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Job
 from softcal_jax.fields import ParameterSpace, Uncertain, asked_errors
+
+ROUNDING = 1e-6
+"""Standard error of a difference that is rounding, over that of the values [-]."""
 
 DETERMINED = 5.0
 """Standard error from which a recording alone does not determine a parameter [-].
 
 In units of the one that is asked for by default: half the value of a modulus.
 """
-
-APART = 3.0
-"""Number of standard errors from which recordings are said to disagree."""
 
 
 class Posed(NamedTuple):
@@ -52,8 +52,10 @@ class RecordingEstimate(eqx.Module):
         standard_error: Its standard error by all causes, in SI.
         fit: Its value from all recordings, in SI.
         apart: Difference from the fit of all, in standard errors of this difference.
-            What both have in common, like an error of the loads, cancels in it [-].
+            What both have in common, like an error of the loads, cancels in it; 0 for
+            the only recording that was fitted [-].
         unit: SI unit.
+        probability: Chance of a difference as large [-].
     """
 
     recording: str
@@ -63,6 +65,13 @@ class RecordingEstimate(eqx.Module):
     fit: float
     apart: float
     unit: str
+    probability: float
+
+
+def disagreeing(estimates: Sequence[RecordingEstimate]) -> list[RecordingEstimate]:
+    """Return those that are farther from the fit than chance puts one of so many."""
+    allowed = UNLIKELY / max(len(estimates), 1)
+    return [e for e in estimates if e.probability < allowed]
 
 
 def single_recordings(
@@ -220,6 +229,9 @@ def recording_estimates(
         shift, std = -alone @ error, size(alone)
         apart = np.hypot(size(alone - whole), np.linalg.norm(by_prior, axis=1))
         values = np.asarray(space.from_scaled(jax.device_put(z + np.nan_to_num(shift))))
+        # Of the only recording that was fitted the difference is nothing but rounding.
+        different = apart > ROUNDING * std
+        shares = np.where(different, shift / np.where(different, apart, 1.0), 0.0)
         for i in np.flatnonzero(std < DETERMINED * asked):
             found.setdefault(int(i), []).append(
                 RecordingEstimate(
@@ -228,8 +240,9 @@ def recording_estimates(
                     value=float(values[i]),
                     standard_error=float(slopes[i] * std[i]),
                     fit=float(fits[i]),
-                    apart=float(shift[i] / max(apart[i], 1e-300)),
+                    apart=float(shares[i]),
                     unit=space.parameters[i].unit,
+                    probability=spread.chance(float(shares[i])),
                 )
             )
     return tuple(e for own in found.values() if len(own) > 1 for e in own)
@@ -237,7 +250,7 @@ def recording_estimates(
 
 def agreement_sentences(estimates: Sequence[RecordingEstimate]) -> list[str]:
     """Say for each parameter what recordings alone give, and whether they agree."""
-    sentences = []
+    sentences, doubtful = [], disagreeing(estimates)
     for name in dict.fromkeys(e.parameter for e in estimates):
         own = [e for e in estimates if e.parameter == name]
         factor, unit = readable_unit([own[0].fit], own[0].unit)
@@ -246,7 +259,7 @@ def agreement_sentences(estimates: Sequence[RecordingEstimate]) -> list[str]:
             f" ({abs(e.apart):.1f} standard errors from the fit)"
             for e in own
         )
-        far = [e.recording for e in own if abs(e.apart) > APART]
+        far = [e.recording for e in own if e in doubtful]
         verdict = "they agree"
         if far:
             verdict = f"{listed(far)} disagree{'s' * (len(far) == 1)} with it"

@@ -127,6 +127,7 @@ class ErrorBudget(eqx.Module):
         shown.sort(key=lambda c: (c != NOISE, -own[c]))
         text = ", ".join(f"{cause} {self.readable(i, own[cause])}" for cause in shown)
         worst = max(own, key=lambda c: own[c])
+        text += "".join(f", {cause} unknown" for cause in self.unknown)
         if worst == NOISE:
             return text
         (errors,) = [cause.errors for cause in self.causes if cause.name == worst]

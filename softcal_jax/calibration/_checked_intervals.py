@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import norm, t
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.calibration._budget import MESH
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, in_other_units
 from softcal_jax.calibration._first_order import first_order_holds
@@ -127,6 +128,8 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
         return _none(fitted, level, "the calibration did not converge")
     if not np.isfinite(spread.noise_scale):
         return _none(fitted, level, "too few data to estimate the noise")
+    if MESH in result.budget.unknown:
+        return _none(fitted, level, "how far the mesh moves it could not be estimated")
     std = np.sqrt(np.diag(spread.covariance))
     known = np.flatnonzero(np.isfinite(std)).tolist()
     bent = np.flatnonzero(spread.at_bound).tolist()

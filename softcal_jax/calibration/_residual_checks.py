@@ -5,11 +5,14 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import numpy as np
+from scipy.special import chdtrc
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable_unit
 from softcal_jax.calibration._agreement import (
     RecordingEstimate,
     agreement_sentences,
+    disagreeing,
 )
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._noise import coloured
@@ -67,17 +70,28 @@ class ResidualChecks(eqx.Module):
             three.
         recordings: Parameters from single recordings, held out or not, if two or more
             determine them.
+        level: Standard deviation that the residuals show over the one that was stated;
+            nan unless it was stated, and estimated all the same [-].
+        probability: Chance of a level as high; nan likewise [-].
     """
 
     names: tuple[str, ...]
     lack_of_fit: LackOfFit | None
     left_out: tuple[LeftOut, ...]
     recordings: tuple[RecordingEstimate, ...] = ()
+    level: float = float("nan")
+    probability: float = float("nan")
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the model cannot be right, one sentence each; empty if nothing is."""
         reasons = []
+        if self.probability < UNLIKELY:
+            reasons.append(
+                f"The residuals are {self.level:.3g} times as large as the stated std "
+                f"(probability {self.probability:.1g}): the model cannot match "
+                "the data that well, or they were measured worse than stated."
+            )
         test = self.lack_of_fit
         if test is not None and test.probability < UNLIKELY:
             worst = self.names[int(np.argmax(test.shares))]
@@ -98,6 +112,14 @@ class ResidualChecks(eqx.Module):
                     f"{1e3 * own.rms:.2f} mm off{share * bool(own.motion > 0.0)}, and "
                     f"{1e3 * own.expected:.2g} mm is what errors explain."
                 )
+        for one in disagreeing(self.recordings):
+            factor, unit = readable_unit([one.fit], one.unit)
+            reasons.append(
+                f"{one.recording} alone gives {one.parameter} = "
+                f"{factor * one.value:.4g} {unit}".rstrip()
+                + f", {abs(one.apart):.1f} standard errors from the fit's "
+                f"{factor * one.fit:.4g}: they contradict each other."
+            )
         return tuple(reasons)
 
     @property
@@ -158,7 +180,11 @@ def residual_checks(
                 zip(fits, leave(spread.noise_scale), by_scatter, strict=True)
             )
         )
-    return ResidualChecks(names, test, predicted)
+    level = probability = float("nan")
+    if estimated and spread.has_noise and all(c.states_noise for c in configurations):
+        level, dof = spread.noise_scale, spread.degrees_of_freedom
+        probability = float(chdtrc(dof, dof * level**2))
+    return ResidualChecks(names, test, predicted, level=level, probability=probability)
 
 
 def _shared_errors(

@@ -5,7 +5,7 @@ import math
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate
 from softcal_jax.calibration._budget import ErrorBudget
@@ -21,6 +21,13 @@ from softcal_jax.fields import PRECISION, ParameterSpace
 
 MOST_OPTIMA = 5
 """Most optima that are listed; the others are only counted."""
+
+
+SKEWED = 1.8
+"""Ratio of the halves of an interval from which it is no value +- error [-].
+
+That of a modulus known to 30 %, whose interval is symmetric in its logarithm.
+"""
 
 
 class ParameterEstimate(eqx.Module):
@@ -54,7 +61,13 @@ class ParameterEstimate(eqx.Module):
     @property
     def is_symmetric(self) -> bool:
         """Whether value +- standard error may be shown: no check speaks against it."""
-        return self.interval is None or self.interval.kind == "first-order"
+        if not math.isfinite(self.standard_error):
+            return False
+        own = self.interval
+        if own is None:
+            return True
+        up, down = own.upper - self.value, self.value - own.lower
+        return own.kind == "first-order" and max(up, down) < SKEWED * min(up, down)
 
     @property
     def estimate(self) -> str:
@@ -63,11 +76,13 @@ class ParameterEstimate(eqx.Module):
         return readable_estimate(self.value, error, self.unit)
 
     def __str__(self) -> str:
-        """Write its value, and its interval where that is no standard error."""
+        """Write its value, its interval where that is no error, and what is given."""
+        given = f", with {listed(self.given)} on a bound" if self.given else ""
         if self.interval is None or self.is_symmetric:
-            return self.estimate
+            return self.estimate + given
         known = self.interval.kind != "none"
-        return self.estimate + (f" ({self.interval})" if known else ", no interval")
+        interval = f" ({self.interval})" if known else ", no interval"
+        return self.estimate + interval + given
 
 
 def parameter_estimates(
@@ -294,7 +309,11 @@ class CalibrationResult(eqx.Module):
             f"{1e3 * fit.rms_after:.3f} mm"
             for fit in self.configurations
         ]
-        lines += [f"  {line}" for line in self.checks.agreement] if self.checks else []
+        if self.starts is not None and self.starts.second_best is not None:
+            lines += [f"  {line}" for line in str(self.starts).splitlines()]
+        if self.checks is not None:
+            lines += [f"  {line}" for line in self.checks.agreement]
+            lines += [f"  Doubt: {reason}" for reason in self.checks.reasons]
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:

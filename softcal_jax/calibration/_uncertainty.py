@@ -4,7 +4,7 @@ from typing import Literal
 
 import equinox as eqx
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtr, stdtr
 
 from softcal_jax._typing import Bool, Float, HostArray
 
@@ -70,6 +70,16 @@ class Uncertainty(eqx.Module):
         """Whether the residuals are larger than the stated noise explains."""
         probability = self.misfit_probability
         return probability is not None and probability < UNLIKELY
+
+    def chance(self, apart: float) -> float:
+        """Return the probability of a difference as large, in standard errors [-].
+
+        By the normal distribution for a stated noise, and Student's t for an estimated
+        one.
+        """
+        if self.noise == "stated":
+            return float(2.0 * ndtr(-abs(apart)))
+        return float(2.0 * stdtr(self.degrees_of_freedom, -abs(apart)))
 
     @property
     def correlation(self) -> Float[HostArray, "n_p n_p"]:

@@ -243,6 +243,16 @@ def _enough(
         remedy="relative_std",
     ):
         unknown = unknown._replace(share=np.zeros_like(unknown.share))
+    correlated = np.concatenate(_columns(problem, unknown), axis=1)
+    if unknown.jitter and correlated.shape[1] > 0:
+        _, within = freedom_between(errors, correlated)
+        if within < 1:
+            notes.append(
+                "Jitter cannot be told from offsets: each residual that parameters "
+                "leave may be either. Their ratio is taken as stated, and their size "
+                "from the residuals; measure more points in each recording."
+            )
+            unknown = unknown._replace(jitter=False)
     return unknown, notes
 
 

@@ -40,7 +40,7 @@ from softcal_jax.configurations._loads import (
     SurfaceForce,
     SurfaceTraction,
 )
-from softcal_jax.configurations._markers import Markers
+from softcal_jax.configurations._markers import STD, Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._pose_table import (
     AveragedPose,
@@ -59,6 +59,7 @@ from softcal_jax.configurations._tracker import (
 
 __all__ = [
     "STANDARD_GRAVITY",
+    "STD",
     "AbstractEffector",
     "AbstractLoad",
     "AbstractScalar",

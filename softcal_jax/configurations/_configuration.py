@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,7 +35,11 @@ from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers, marker_rows
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._supports import Support
-from softcal_jax.configurations._values import optional_floats, three_numbers
+from softcal_jax.configurations._values import (
+    Unstated,
+    optional_floats,
+    three_numbers,
+)
 from softcal_jax.mesh import TetMesh
 
 STANDARD_GRAVITY = 9.80665
@@ -102,6 +106,17 @@ class Configuration(eqx.Module):
         """Whether a marker or an effector has a measured value."""
         of_effectors = [getattr(e, "measured", None) for e in self.effectors]
         return any(value is not None for value in (self.measured, *of_effectors))
+
+    @property
+    def states_noise(self) -> bool:
+        """Whether the standard deviation of all that is measured was stated."""
+        told: list[Any] = [
+            e for e in self.effectors if getattr(e, "measured", None) is not None
+        ]
+        if self.measured is not None:
+            told.append(self.markers)
+        errors = [getattr(e, key, 0.0) for e in told for key in ("std", "std_angle")]
+        return not any(isinstance(error, Unstated) for error in errors)
 
     @property
     def has_points(self) -> bool:

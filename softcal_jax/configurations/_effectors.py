@@ -17,7 +17,7 @@ from softcal_jax.configurations._effector import (
     inverse_std,
 )
 from softcal_jax.configurations._mechanism import Mechanism
-from softcal_jax.configurations._values import as_floats, optional_floats
+from softcal_jax.configurations._values import Unstated, as_floats, optional_floats
 from softcal_jax.mesh import TetMesh, node_indices
 
 
@@ -43,8 +43,8 @@ class BodyFrame(AbstractEffector):
     point: Float[HostArray, "3"] | None = eqx.field(
         converter=optional_floats, default=None
     )
-    std: float = 1e-3
-    std_angle: float = 1e-2
+    std: float = Unstated(1e-3)
+    std_angle: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Return its position, then its orientation."""
@@ -96,7 +96,7 @@ class Centroid(AbstractEffector):
     measured: Float[HostArray, "3"] | None = eqx.field(
         converter=optional_floats, default=None
     )
-    std: float = 1e-3
+    std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Return its position."""
@@ -126,7 +126,7 @@ class SupportReaction(AbstractEffector):
     measured: Float[HostArray, "3"] | None = eqx.field(
         converter=optional_floats, default=None
     )
-    std: float = 1e-2
+    std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Return its three coordinates."""
@@ -154,7 +154,7 @@ class BodyAngle(AbstractScalar):
     other: str
     axis: Float[HostArray, "3"] = eqx.field(converter=as_floats)
     measured: float | None = None
-    std: float = 1e-2
+    std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Return its single coordinate."""
@@ -190,7 +190,7 @@ class ActuatorDisplacement(AbstractScalar):
     name: str
     actuator: str
     measured: float | None = None
-    std: float = 1e-3
+    std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Return its single coordinate."""
@@ -220,7 +220,7 @@ class ActuatorForce(AbstractScalar):
     name: str
     actuator: str
     measured: float | None = None
-    std: float = 1e-2
+    std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Return its single coordinate."""

@@ -8,8 +8,11 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.configurations._effector import EffectorRow
-from softcal_jax.configurations._values import as_floats, parse_axes
+from softcal_jax.configurations._values import Unstated, as_floats, parse_axes
 from softcal_jax.mesh import TetMesh, locate, volumes
+
+STD = Unstated(1e-3)
+"""Standard deviation of the measurement where none is stated [m]."""
 
 
 def _as_names(names: Iterable[str]) -> tuple[str, ...]:
@@ -28,7 +31,7 @@ class Markers(eqx.Module):
         names: One name per marker.
         positions: Positions at rest, in the frame of the mesh [m].
         std: Standard deviation of the measurement: one for all, one per marker, or one
-            per marker and axis [m].
+            per marker and axis; the default of 1 mm only weighs them [m].
         axes: Axes that are measured, like "xyz" or "xz".
         max_distance: How far from the mesh a marker may stand [m].
         base_radius: For markers on posts: the post follows the affine motion fitted to
@@ -40,7 +43,7 @@ class Markers(eqx.Module):
 
     names: tuple[str, ...] = eqx.field(converter=_as_names)
     positions: Float[HostArray, "n_markers 3"] = eqx.field(converter=as_floats)
-    std: Float[ArrayLike, "..."] = 1e-3
+    std: Float[ArrayLike, "..."] = STD
     axes: str = "xyz"
     max_distance: float = 0.01
     base_radius: float = 0.0

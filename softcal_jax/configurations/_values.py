@@ -8,6 +8,10 @@ from jaxtyping import ArrayLike
 from softcal_jax._typing import Float, HostArray
 
 
+class Unstated(float):
+    """A default standard deviation, which weighs data but states nothing of them."""
+
+
 def parse_axes(axes: str) -> list[int]:
     """Return the indices of the axes in a word like "xz"."""
     if not axes or set(axes) - set("xyz") or len(set(axes)) != len(axes):

@@ -113,7 +113,8 @@ def checks_dict(checks: ResidualChecks | None) -> dict[str, Any] | None:
     `rms_mm`, `expected_mm` by noise, parameters and what is held fixed, `motion_mm`,
     `probability`, `by_scatter`); `recordings`, parameters from each recording alone
     (`recording`, `parameter`, `value`, `standard_error`, `fit`, `apart` in standard
-    errors of the difference, `unit`).
+    errors of the difference, `unit`, `probability`); `level` of the residuals over the
+    stated std and its `probability` (null unless it was stated, and estimated).
 
     Args:
         checks: The checks; None for a result without them.
@@ -123,6 +124,7 @@ def checks_dict(checks: ResidualChecks | None) -> dict[str, Any] | None:
     return plain(
         {
             **pick(checks, "reasons", "agreement", "lack_of_fit", "recordings"),
+            **pick(checks, "level", "probability"),
             "left_out": [
                 {
                     "name": own.name,

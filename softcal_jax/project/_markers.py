@@ -9,6 +9,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
+    STD,
     Markers,
     MarkerTable,
     Registration,
@@ -36,7 +37,7 @@ class MarkersTable(Table):
     positions: dict[str, TableOr[MarkerEntry, Position]] = Field(
         description="names and positions of the markers"
     )
-    std: Length = 1e-3
+    std: Length | None = None
     axes: str = "xyz"
     max_distance: Length = 0.01
     base_radius: Length = 0.0
@@ -46,10 +47,14 @@ class MarkersTable(Table):
         names = tuple(self.positions) if names is None else tuple(names)
         if not names:
             raise ValueError("the list of markers is empty; leave it out to use all.")
+        own = [self._entry(name).std for name in names]
+        every = self.std is not None or any(std is not None for std in own)
+        usual = STD if self.std is None else self.std
+        stated = {"std": np.array([usual if s is None else s for s in own])}
         return Markers(
             names=names,
             positions=self.positions_of(names),
-            std=np.array([self._entry(name).std or self.std for name in names]),
+            **(stated if every else {}),
             **self.model_dump(include={"axes", "max_distance", "base_radius"}),
         )
 

@@ -37,7 +37,7 @@ _STYLE = {
 }
 
 _WORDS = {"role", "effector", "actuator", "rigid body", "state", "of"}
-_WORDS |= {"outcome", "verdict", "share of the value", "kind"}
+_WORDS |= {"outcome", "verdict", "standard error over the value", "kind"}
 """Columns of words, aligned on the left; numbers are on the right."""
 
 Configurations = Sequence[ConfigurationResult]
@@ -128,7 +128,7 @@ def _parameter_table(
 
 def _budget_table(result: CalibrationResult) -> "rich.table.Table":
     """Tabulate what the standard errors come from."""
-    columns = ["share of the value"]
+    columns = ["standard error over the value"]
     table = _start_table("Standard errors by cause", "parameter", columns)
     for name in result.budget.names:
         _add_row(table, name, result.budget.sentence(name))
@@ -236,12 +236,17 @@ def _outlook(assessment: Assessment) -> list[Any]:
 
     found = assessment.identifiability
     columns = ["std. error over asked", "verdict"]
+
+    def style_of(verdict: str) -> str:
+        # What the data would tell is no good news under a model that they contradict.
+        doubtful = verdict == "identifiable" and not assessment.identified
+        return "yellow" if doubtful else _STYLE[verdict]
+
     table = _start_table("What the data tell", "parameter", columns)
     for p in found.parameters:
-        _add_row(table, p.name, percent(p.ratio), (p.verdict, _STYLE[p.verdict]))
+        _add_row(table, p.name, percent(p.ratio), (p.verdict, style_of(p.verdict)))
     legend = f"{found.scale} {str(found.conditioning).splitlines()[0]}"
-    doubtful = found.verdict == "identifiable" and not assessment.identified
-    style = "yellow" if doubtful else _STYLE[found.verdict]
+    style = style_of(found.verdict)
     return [table, Text(legend), Text(_blindness(assessment), style=style)]
 
 

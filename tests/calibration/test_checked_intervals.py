@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from softcal_jax.calibration import (
+    MESH,
     CalibrationResult,
     ErrorBudget,
     Evaluation,
@@ -18,6 +19,8 @@ from softcal_jax.calibration import (
     LowerCostFound,
     MultiStartResult,
     Optimum,
+    ParameterEstimate,
+    ParameterInterval,
     build_problem,
     calibrate,
     uncertainty,
@@ -80,6 +83,50 @@ def test_where_first_order_is_wrong_the_profile_is_printed(result):
     assert "±" not in str(result.parameters[0])
     assert str(found) in str(result)
     assert "+-" not in str(result).split("\n")[1]
+
+
+def test_where_the_error_of_the_mesh_is_unknown_no_interval_is_printed(result, poses):
+    budget = replace(result.budget, unknown=(MESH,))
+    problem = build_problem(MODEL, unknowns(), poses)
+    fitted = Fitted(replace(result, budget=budget), problem, bare(Evaluation))
+    found = with_intervals(fitted, 0.95, bare, bare)
+    assert [own.kind for own in found.intervals] == ["none", "none"]
+    assert found.intervals[0].why == "how far the mesh moves it could not be estimated"
+    assert "±" not in str(found.parameters[0])
+    assert str(budget).count("mesh unknown") == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "ends", "text"),
+    [
+        (1e4, (0.82, 1.22), "100 ± 10 kPa"),
+        (1e4, None, "100 ± 10 kPa"),
+        (np.nan, None, "100 kPa"),
+        # Symmetric in the logarithm: a value +- 36 % would leave out what it holds.
+        (3.6e4, (0.5, 2.0), "100 kPa (50 to 200 kPa)"),
+    ],
+)
+def test_an_error_is_printed_where_it_holds(error, ends, text):
+    interval = None
+    if ends is not None:
+        low, high = (1e5 * end for end in ends)
+        both = {"lower_end": "likelihood", "upper_end": "likelihood"}
+        own = {"name": "E", "unit": "Pa", "level": 0.95, "kind": "first-order"}
+        interval = ParameterInterval(lower=low, upper=high, **own, **both)
+    own = ParameterEstimate(
+        name="E",
+        value=1e5,
+        standard_error=error,
+        start=1e5,
+        lower=1e4,
+        upper=1e6,
+        unit="Pa",
+        at_bound=False,
+        interval=interval,
+    )
+    assert str(own) == text
+    given = replace(own, given=("nu",))
+    assert str(given) == f"{text}, with nu on a bound"
 
 
 def test_where_it_is_right_it_stays(monkeypatch):

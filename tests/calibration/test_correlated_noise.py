@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from softcal_jax.calibration import (
     _weighing,
@@ -247,8 +248,12 @@ def test_recordings_that_agree_and_one_that_does_not():
     assert "they agree" in result.checks.agreement[0]
     assert result.checks.agreement[0] in str(result)
     data[3] = replace(data[3], loads=poses()[2].loads)
-    (sentence,) = fit(data, known).checks.agreement
+    wrong = fit(data, known)
+    (sentence,) = wrong.checks.agreement
     assert "load 3 disagree" in sentence
+    (reason,) = [r for r in assess(wrong).reasons if r.startswith("load 3 alone")]
+    assert reason.endswith(": they contradict each other.")
+    assert f"Doubt: {reason}" in str(wrong)
 
 
 def test_an_error_that_all_recordings_share_cancels_in_their_difference():
@@ -301,6 +306,35 @@ def test_a_held_out_recording_is_asked_too():
     np.testing.assert_allclose(own.value, alone.value("E"), rtol=1e-3)
     apart = (own.value - result.value("E")) / np.hypot(*stds)
     np.testing.assert_allclose(own.apart, apart, rtol=3e-2, atol=3e-2)
+    assert abs(own.apart) < 3.0
+    assert not any("alone gives" in reason for reason in assess(result).reasons)
+
+
+def test_a_held_out_recording_that_contradicts_the_fit_reaches_the_verdict():
+    """One recording is fitted: its own estimate is the fit, and no distance from it."""
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    known = replace(exactly_known(), recordings=2e-5)
+    other = replace(data[3], loads=poses()[2].loads)
+    result = fit(data[2:3], known, validation=other)
+    fitted, held_out = result.checks.recordings
+    assert fitted.apart == 0.0
+    assert abs(held_out.apart) > 5.0
+    reasons = assess(result).reasons
+    assert [r.split(" alone")[0] for r in reasons if " alone" in r] == ["load 3"]
+
+
+def test_jitter_that_offsets_explain_as_well_is_not_estimated():
+    """With one marker for each recording, no residual is free of its offset."""
+    seen = Markers(MARKERS.names[2:], MARKERS.positions[2:], STD)
+    data = [replace(c, markers=seen, measured=c.measured[2:]) for c in measured(2)]
+    result = fit(data, noise="estimated")
+    assert any("Jitter cannot be told from offsets" in n for n in result.notes)
+    assert float(result.noise.jitter) == 1.0
+    dof = 3 * len(data) - 1
+    assert result.uncertainty.degrees_of_freedom == dof
+    # Jitter and offset together are of the size that was drawn.
+    assert chi2.ppf(0.001, dof) < dof * result.uncertainty.noise_scale**2
+    assert dof * result.uncertainty.noise_scale**2 < chi2.ppf(0.999, dof)
 
 
 def test_noise_that_still_changes_at_the_end_is_not_settled(monkeypatch):

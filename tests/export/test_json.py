@@ -111,7 +111,7 @@ def test_noise_and_checks_are_in_millimetres():
     )
     predicted = LeftOut("held out", 1e-3, 2e-4, 1e-2, 1e-3, np.nan)
     test = LackOfFit(4.0, 7, 9, 1e-3, 0.8, np.array([0.75, 0.25]))
-    single = RecordingEstimate("monday", "E", 2e5, 1e4, 2.4e5, -4.0, "Pa")
+    single = RecordingEstimate("monday", "E", 2e5, 1e4, 2.4e5, -4.0, "Pa", 1e-4)
     names = ("beam", "held out")
     checks = ResidualChecks(names, test, (predicted,), (single,))
     data = result_dict(make_result(noise=noise, checks=checks))
@@ -123,11 +123,16 @@ def test_noise_and_checks_are_in_millimetres():
     assert (own["rms_mm"], own["expected_mm"], own["by_scatter"]) == (1.0, 0.2, None)
     (own,) = data["checks"]["recordings"]
     assert (own["recording"], own["apart"]) == ("monday", -4.0)
-    off, far = data["checks"]["reasons"]
+    off, far, alone = data["checks"]["reasons"]
     assert off.startswith("Whole configurations are off")
     assert "most of all beam" in off
     assert far.startswith("held out is not predicted by the others: its markers would")
     assert "1.00 mm off, 10 % of how far they moved, and 0.2 mm is what err" in far
+    assert alone == (
+        "monday alone gives E = 200 kPa, 4.0 standard errors from the fit's 240: they "
+        "contradict each other."
+    )
+    assert data["checks"]["level"] is data["checks"]["probability"] is None
     (agreement,) = data["checks"]["agreement"]
     assert agreement == (
         "E from each recording alone [kPa]: monday 200 +- 10 (4.0 standard errors from "

@@ -115,10 +115,27 @@ def test_model_error_shows_above_the_stated_noise(model, data):
     assert reason.startswith("The model cannot match the data within the stated noise:")
     assert "for 10 degrees of freedom" in reason
     assert str(stated).startswith("Not identified:\n  The model cannot match")
-    # Estimated from these residuals the noise holds the error, and nothing shows.
+    # Estimated from these residuals the noise holds the error, but not as stated.
     estimated = assess(fit(model, space(), wrong))
     assert estimated.misfit_probability is None
-    assert not any("noise" in reason for reason in estimated.reasons)
+    (reason,) = [r for r in estimated.reasons if "stated std" in r]
+    assert reason.startswith("The residuals are ")
+    right = assess(fit(model, space(), data))
+    assert not any("stated std" in reason for reason in right.reasons)
+
+
+def test_a_default_std_states_nothing(model, data):
+    """A marker is off by twenty times a std that was typed, or that nobody typed."""
+    off = data[1].measured + np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]])
+    wrong = [data[0], with_measured(data[1], off)]
+    names = "middle", "tip"
+    unstated = [replace(c, markers=Markers(names, POINTS)) for c in wrong]
+    stated = [replace(c, markers=Markers(names, POINTS, 1e-3)) for c in wrong]
+    assert not unstated[0].states_noise
+    assert stated[0].states_noise
+    verdicts = [assess(fit(model, space(), own)) for own in (unstated, stated)]
+    shown = [any("stated std" in reason for reason in v.reasons) for v in verdicts]
+    assert shown == [False, True]
 
 
 def test_a_pose_that_is_not_explained_reaches_the_verdict(model, data):
