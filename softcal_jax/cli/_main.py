@@ -91,7 +91,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Calibrates a robot that was really measured, predicts poses that "
         "are held out, and writes the results. beam: Young's modulus of a clamped "
         "silicone beam, from two loads; under a minute. arm: matrix and fibres of a "
-        "pneumatic arm, from three pressures; many minutes, and needs softcal-jax[mocap].",
+        "pneumatic arm, from three pressures; many minutes, and it needs "
+        "softcal-jax[mocap].",
     )
     beam.add_argument(
         "robot",
