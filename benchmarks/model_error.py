@@ -33,7 +33,12 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, build_model
-from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
+from softcal_jax.fields import (
+    ControlPointParameters,
+    ControlPoints,
+    ParameterSpace,
+    Uncertain,
+)
 from softcal_jax.identifiability import assess
 from softcal_jax.materials import (
     Corotational,
@@ -64,6 +69,9 @@ POSES = 6
 
 SEEDS = (0, 1, 2)
 """Draws of noise that every case is tried with."""
+
+UNCERTAIN = Uncertain(recordings=0.0)
+"""What is uncertain: the stated noise is all there is in the readings."""
 
 FAR_ABOVE = 3.0
 """Chi-squared over its degrees of freedom from which a misfit is no accident [-]."""
@@ -167,6 +175,7 @@ def try_case(
                 space,
                 poses,
                 noise="stated",
+                uncertain=UNCERTAIN,
                 settings=settings,
                 starts=1,
                 intervals=None,

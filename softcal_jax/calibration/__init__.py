@@ -8,6 +8,7 @@ from softcal_jax.calibration._budget import (
     Cause,
     ErrorBudget,
     considered_errors,
+    unknown_causes,
 )
 from softcal_jax.calibration._build import as_sequence, build_problem
 from softcal_jax.calibration._calibrate import calibrate
@@ -129,6 +130,7 @@ __all__ = [
     "simulation_result",
     "synthetic_measurements",
     "uncertainty",
+    "unknown_causes",
     "whitened",
     "with_measured",
     "without_names",

@@ -13,7 +13,7 @@ belong to the noise, so W and s are in units of its covariance (see `CorrelatedN
 they are causes too, by the same gain, and what the noise has left is its jitter.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -197,8 +197,13 @@ def error_budget(
         noise=_by_jitter(problem, spread, gain),
         causes=tuple(sorted(causes, key=size, reverse=True)),
         W_c=np.concatenate([np.zeros((gain.shape[1], 0)), *W_c.values()], axis=1),
-        unknown=(MESH,) if uncertain.mesh > 0.0 and MESH not in own else (),
+        unknown=unknown_causes(uncertain, own),
     )
+
+
+def unknown_causes(uncertain: Uncertain, found: Container[str]) -> tuple[str, ...]:
+    """Return causes that count, but that `considered_errors` has not found."""
+    return (MESH,) if uncertain.mesh > 0.0 and MESH not in found else ()
 
 
 def _stacked(

@@ -177,12 +177,13 @@ def identifiability_dict(found: Identifiability) -> dict[str, Any]:
     number of directions along which the data tell more than the prior; `directions`,
     the best seen first (`words`, `ratio`, `verdict`, `components` in units of the asked
     errors, in the order of the parameters); `covariance` (of the scaled parameters) and
-    `correlation`; `conditioning` (`singular_values`, `condition_...`). Null stands for
+    `correlation`; `conditioning` (`singular_values`, `condition_...`); `unknown`,
+    causes of errors that are left out since their size is not known. Null stands for
     an infinite condition number, and for whatever is unknown of a parameter or a
     direction to which data and priors are blind.
     """
     names = "verdict n_data precision parameters informed directions covariance"
-    names += " correlation conditioning"
+    names += " correlation conditioning unknown"
     return plain(pick(found, *names.split()))
 
 

@@ -85,6 +85,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
         noise_scale=spread.level,
         W_c=result.budget.W_c,
         precision=result.precision if precision is None else precision,
+        unknown=result.budget.unknown,
     )
     reasons = []
     if not result.converged:

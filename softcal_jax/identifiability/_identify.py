@@ -17,6 +17,7 @@ from softcal_jax.calibration import (
     considered_errors,
     correlated_noise,
     simulate,
+    unknown_causes,
     whitened,
     without_names,
 )
@@ -70,6 +71,7 @@ def identifiability(
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
     W_c: Float[HostArray, "n_e n_errors"] | None = None,
     precision: float = PRECISION,
+    unknown: tuple[str, ...] = (),
 ) -> Identifiability:
     """Judge what data with these compliances tell about the parameters; Sec. V-C.
 
@@ -95,6 +97,7 @@ def identifiability(
         W_c: Change of the data per standard deviation of what is held fixed and may be
             wrong, in units of the noise, such as `ErrorBudget.W_c`; none by default.
         precision: Standard error that is asked for, relative to the value [-].
+        unknown: Causes of errors that `W_c` lacks, such as `ErrorBudget.unknown`.
 
     Raises:
         ValueError: If `W` is not finite or has not one column per parameter, or the
@@ -126,6 +129,7 @@ def identifiability(
         informed=count_informed(information(G, W_c), prior),
         conditioning=numbers,
         n_data=int(np.any(W != 0.0, axis=1).sum()) if n_data is None else n_data,
+        unknown=unknown,
     )
 
 
@@ -221,6 +225,7 @@ def identify(
         W_pp=W_pp,
         W_c=W_c,
         precision=precision,
+        unknown=found.unknown,
     )
 
 
@@ -252,11 +257,15 @@ def in_noise_units(
 
 
 class Survey(eqx.Module):
-    """Compliances of configurations at scaled values z of the parameters [-]."""
+    """Compliances of configurations at scaled values z of the parameters [-].
+
+    `unknown` are causes of errors that they lack, see `ErrorBudget`.
+    """
 
     space: ParameterSpace
     z: Float[Array, " n_p"]
     sensed: tuple[Sensed, ...]
+    unknown: tuple[str, ...] = ()
 
 
 @eqx.filter_jit
@@ -353,7 +362,7 @@ def survey(
         W, W_c = (weights[i, seen, None] * own[seen] for own in (W_ep, all_W_c[i]))
         A = all_A[i, seen]
         sensed.append(Sensed(name, W_ep[seen], W, W_c, A, W_pp, failure))
-    return Survey(space, z, tuple(sensed))
+    return Survey(space, z, tuple(sensed), unknown_causes(uncertain, causes))
 
 
 def _lane(batch, i: int):

@@ -64,6 +64,8 @@ class Identifiability(eqx.Module):
             without one, enough for "weakly identifiable".
         conditioning: Singular values and condition numbers.
         n_data: Number of measured coordinates.
+        unknown: Causes of errors whose size could not be estimated, so that standard
+            errors leave them out: "mesh".
     """
 
     verdict: Verdict
@@ -76,6 +78,7 @@ class Identifiability(eqx.Module):
     informed: int
     conditioning: Conditioning
     n_data: int
+    unknown: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Float[HostArray, "n_p n_p"]:
@@ -112,6 +115,10 @@ class Identifiability(eqx.Module):
             head = (*head[:3], "from data alone", *head[3:])
         lines += table(head, [_row(p, self.has_prior) for p in self.parameters])
         lines.append(self.scale)
+        lines += [
+            f"Errors of the {cause} are not among these: their size is not known here."
+            for cause in self.unknown
+        ]
         blind = self.blind
         if blind:
             lines.append(

@@ -178,6 +178,14 @@ def test_what_it_would_tell_is_known_before():
     np.testing.assert_allclose(own.standard_error, exact.standard_error, rtol=1e-5)
 
 
+@pytest.mark.slow
+def test_before_measuring_an_unknown_error_of_the_mesh_is_named():
+    """Linear tets with a rigid body on them."""
+    outlook = identify(MODEL, E, poses(), newton=TIGHT)
+    assert outlook.unknown == ("mesh",)
+    assert "Errors of the mesh are not among these" in str(outlook)
+
+
 def test_an_unknown_reference_is_named_before_solving():
     wrong = replace(poses()[1], displacement_from="nowhere")
     with pytest.raises(ValueError, match="displacement_from of configuration 'up'"):
