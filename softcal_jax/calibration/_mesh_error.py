@@ -6,8 +6,9 @@ mesh that is too coarse "displacement" is too stiff and "mean-dilatation" too so
 the exact solution lies between them (`python -m benchmarks run locking`). How far apart
 they are is computed for the linear body at rest, under the loads of the configuration:
 at a deformed equilibrium of one formulation the local pressures of the other are so far
-off that no single step leads there. Half of it is the standard deviation, so the error
-is within two of them.
+off that no single step leads there. Half of it is the standard deviation, so an error
+by locking of the volume is within two of them. What else a coarse mesh gets wrong, as
+in torsion or where stiff fibres bend, both formulations share, and it is not seen.
 """
 
 from dataclasses import replace

@@ -38,9 +38,10 @@ class Uncertain(eqx.Module):
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
             configurations. The estimate is how far quadratic tets would move what is
             measured on linear ones; on quadratic ones, half of what lies between their
-            two formulations, see `build_model`. Zero for data that are simulated on the
-            same mesh. Not known for linear tets with rigid bodies or actuators, or more
-            than 50 000 of them, nor for laws without a potential: such a fit is not
+            two formulations, see `build_model`, which leaves out what both get wrong,
+            as in torsion. Zero for data that are simulated on the same mesh. Not known
+            for linear tets with rigid bodies or actuators, or more than 50 000 of them,
+            nor for laws without a potential: such a fit has no intervals, and is not
             called identified.
     """
 

@@ -23,15 +23,15 @@ TIP = (0.1, 0.015, 0.015)
 HANGING = ("x_min", (0.0, 0.0, -9.81))
 
 
-def posed(law, formulation="auto", cells=(7, 2, 2), **more):
+def posed(law, formulation="auto", cells=(7, 2, 2), at=TIP, **more):
     """The cantilever of the benchmark, under its own weight and as told."""
     mesh = beam(0.1, 0.03, 0.03, cells, order=2)
     model = build_model(mesh, law, density=1070.0, formulation=formulation)
-    tip = Markers(["tip"], [TIP], 1e-4)
+    seen = Markers(["tip"], [at], 1e-4)
     measured = np.zeros((1, 3))
-    at = Configuration("weight", *HANGING, markers=tip, measured=measured, **more)
+    pose = Configuration("weight", *HANGING, markers=seen, measured=measured, **more)
     space = ParameterSpace([Parameter("E", "E", 265e3, 1e3, 1e8, unit="Pa")])
-    return build_problem(model, space, [at]), [at]
+    return build_problem(model, space, [pose]), [pose]
 
 
 def errors_of(problem, configurations):
@@ -48,7 +48,8 @@ def errors_of(problem, configurations):
             displacement=at.equilibrium.displacement,
         )
         (of_mesh,) = workers.end_of(job)["mesh"].values()
-    tip = np.asarray(at.effectors).reshape(-1, 3)[0] - TIP
+    tip = np.asarray(at.effectors).reshape(-1, 3)[0]
+    tip = tip - configurations[0].markers.positions[0]
     return 1e3 * tip, 1e3 * np.asarray(of_mesh).reshape(-1, 3)[0]
 
 
@@ -98,3 +99,19 @@ def test_a_law_without_a_potential_has_one_formulation_only():
             displacement=jnp.zeros((1, problem.model.n_points, 3)),
         )
         assert workers.end_of(job) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(reason="both formulations err alike in torsion: the estimate is nil")
+def test_in_torsion_too_the_error_is_within_two_standard_deviations():
+    """Of a bar with two tets across, against one with four: 3 %, not the 0.1 % said."""
+    corners = [(0.1, y, z) for y in (0.0, 0.03) for z in (0.0, 0.03)]
+    pull = lambda y, z: (0.0, 0.1 * np.sign(0.015 - z), 0.1 * np.sign(y - 0.015))
+    loads = [PointForce(corner, pull(*corner[1:])) for corner in corners]
+    law, sideways = NeoHookean(265e3, 0.3), {"at": (0.05, 0.015, 0.03), "loads": loads}
+    (own, std), (exact, _) = (
+        errors_of(*posed(law, cells=cells, **sideways))
+        for cells in ((10, 2, 2), (20, 4, 4))
+    )
+    assert abs(own[1]) > 0.5
+    assert abs(own[1] - exact[1]) < 2.0 * abs(std[1])
