@@ -13,9 +13,8 @@ A point keeps its offset along the axes of the mesh. A sensor that is mounted wi
 offset d and a turn r is at T M on a body at T, and T_c T_r^-1, the rigid motion from
 the reference r to a configuration c, is the same for every mounting M. To first order
 the errors of its position and orientation are R d and R r, with the rotation R of the
-body in each pose. Sensitivities are those of the nominal point and axes, so what is
-unknown of the mounting should be small: millimetres on a robot of decimetres, and some
-degrees (4 mm and 0.14 rad change the standard error of a beam of 100 mm by 1 %).
+body in each pose. Sensitivities are those of the nominal point and axes, which half the
+unknown turn tilts, so the mounting should be known to millimetres and some degrees.
 """
 
 from collections.abc import Mapping, Sequence

@@ -82,8 +82,8 @@ class Configuration(eqx.Module):
         displacement_from: Name of a configuration, fitted as well, from which the
             displacement of points and the motion of frames count instead of their
             positions and orientations: the robot at rest under gravity, say. Where a
-            marker is glued, or how a sensor is mounted, then does not matter. Lengths,
-            angles and forces count as they are.
+            marker is glued then does not matter, nor how a sensor is mounted if that
+            is known to some degrees. Lengths, angles and forces count as they are.
     """
 
     name: str
