@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ from softcal_jax.actuators._cliques import (
     ActuatorGeometry,
 )
 from softcal_jax.bodies import Vector, as_vector, check_vector
+from softcal_jax.mesh import Refinement, locate
 
 _COINCIDENT = 1e-9
 """Distance at which guides coincide, relative to the extent of the cable [-]."""
@@ -222,6 +223,10 @@ class CableSegments(AbstractPotentialCliques):
         start, end = self.weights @ x + self.fixed
         return -_length(end - start)
 
+    def refined(self, refinement: Refinement) -> "CableSegments":
+        """Return the cables on a finer mesh, whose nodes carry the guides."""
+        return _on_finer(self, refinement)
+
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw the segments."""
         return _draw(self, x)
@@ -263,9 +268,39 @@ class FrictionalCables(AbstractFrictionalCliques):
         pulled = lambda x: -jnp.sum(tensions * jax.vmap(_length)(self._segments(x)))
         return jax.grad(pulled)(x)
 
+    def refined(self, refinement: Refinement) -> "FrictionalCables":
+        """Return the cables on a finer mesh, whose nodes carry the guides."""
+        return _on_finer(self, refinement)
+
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw the segments."""
         return _draw(self, x)
+
+
+C = TypeVar("C", bound=CableSegments | FrictionalCables)
+
+
+def _on_finer(cables: C, refinement: Refinement) -> C:
+    """Return cables whose guides on the mesh are found on a finer one."""
+    n, points = refinement.coarse.n_nodes, refinement.coarse.points
+    nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
+    own = weights * (nodes < n)[:, None]
+    on_mesh = np.any(own != 0.0, axis=2)
+    rest = np.einsum("cem,cmi->cei", own, points[np.minimum(nodes, n - 1)])
+    found = locate(refinement.mesh, rest[on_mesh], max_distance=np.inf)
+    carriers = zip(found.nodes, found.weights, strict=True)
+    pieces = []
+    for c, fixed in enumerate(np.asarray(cables.fixed)):
+        guides = []
+        for w, moves, constant in zip(weights[c], on_mesh[c], fixed, strict=True):
+            kept = refinement.nodes(nodes[c, w != 0.0]), w[w != 0.0]
+            guides.append((*(next(carriers) if moves else kept), constant))
+        pieces.append(guides)
+    touched = (np.concatenate([nodes for nodes, *_ in guides]) for guides in pieces)
+    m = max(np.unique(own).size for own in touched)
+    parts = zip(*(_along(guides, m) for guides in pieces), strict=True)
+    where = lambda c: (c.nodes, c.weights, c.fixed)
+    return eqx.tree_at(where, cables, jax.device_put(tuple(map(np.stack, parts))))
 
 
 def _draw(cables: CableSegments | FrictionalCables, x) -> ActuatorGeometry:

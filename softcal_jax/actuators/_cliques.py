@@ -9,13 +9,16 @@ displacement (`AbstractPotentialCliques`).
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.mesh import Refinement
+
+T = TypeVar("T", bound="AbstractCliques")
 
 
 class ActuatorGeometry(NamedTuple):
@@ -65,6 +68,15 @@ class AbstractCliques(eqx.Module):
     @abstractmethod
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Collect what to draw of all cliques at the positions of all nodes [m]."""
+
+    def refined(self, refinement: Refinement) -> "AbstractCliques":
+        """Return the cliques on a finer mesh.
+
+        These nodes are the frames of bodies; cliques with nodes of the mesh override it
+        by what carries the same points, or by the parts of the same faces.
+        """
+        nodes = refinement.nodes(np.asarray(self.nodes))
+        return eqx.tree_at(lambda c: c.nodes, self, jax.device_put(nodes))
 
     def curvature(self, x: Float[Array, "m 3"]) -> Float[Array, "3*m 3*m"]:
         """Differentiate the force by the positions, node by node, for lambda_a = 1."""
@@ -116,6 +128,14 @@ def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
     """Return nodes and owner of the cliques of one actuator."""
     # Not jnp.asarray, which would compile a program for every shape.
     return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype)))
+
+
+def on_finer_faces(cliques: T, refinement: Refinement) -> T:
+    """Return cliques that are faces on the faces that each of them becomes."""
+    nodes = refinement.faces(np.asarray(cliques.nodes))
+    each = lambda a: np.repeat(np.asarray(a), len(nodes) // len(a), axis=0)
+    many = jax.tree.map(each, cliques)
+    return jax.device_put(eqx.tree_at(lambda c: c.nodes, many, nodes))
 
 
 def draw_faces(cliques: AbstractCliques) -> ActuatorGeometry:

@@ -17,11 +17,12 @@ from softcal_jax.actuators._actuator import (
 from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
     ActuatorGeometry,
+    on_finer_faces,
     owned,
     unit,
 )
 from softcal_jax.bodies import as_vector, check_vector
-from softcal_jax.mesh import surface_shares
+from softcal_jax.mesh import Refinement, face_shares, locate
 
 
 class ForceActuator(AbstractActuator):
@@ -46,7 +47,8 @@ class ForceActuator(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
         """Return the nodes that carry the point."""
         nodes, weights = rest.on_mesh(self.point, self.label)
-        return _weighted_nodes(nodes, weights, self.direction, owner)
+        parts = _along(self.direction, weights[None])
+        return WeightedNodes(*owned(nodes[None], owner), jax.device_put(parts))
 
 
 class SurfaceForceActuator(AbstractActuator):
@@ -67,44 +69,71 @@ class SurfaceForceActuator(AbstractActuator):
     def __check_init__(self):
         check_direction(f"{self.label}: direction", self.direction)
 
-    def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
-        """Return the nodes of the surface."""
+    def cliques(self, rest: RestState, owner: int) -> "WeightedFaces":
+        """Return the faces of the surface."""
         faces = rest.mesh.faces(self.surface)
-        nodes = np.unique(faces)
-        shares = surface_shares(rest.mesh, faces)[nodes]
-        return _weighted_nodes(nodes, shares / shares.sum(), self.direction, owner)
+        shares = face_shares(rest.mesh, faces)
+        parts = _along(self.direction, shares / shares.sum())
+        return WeightedFaces(*owned(faces, owner), jax.device_put(parts))
 
 
-def _weighted_nodes(nodes, weights, direction, owner: int) -> "WeightedNodes":
-    unit = direction / np.linalg.norm(direction)
-    parts = jax.device_put((weights[:, None] * unit)[:, None])
-    return WeightedNodes(*owned(nodes[:, None], owner), parts)
+def _along(direction, weights):
+    return weights[..., None] * (direction / np.linalg.norm(direction))
 
 
 class WeightedNodes(AbstractPotentialCliques):
-    """Single nodes; each adds its weighted position to delta_a.
+    """Nodes that carry a point; its position along a direction is delta_a.
 
     Attributes:
         weights: Weights of its coordinates [-].
     """
 
-    weights: Float[Array, "*cliques 1 3"]
+    weights: Float[Array, "*cliques m 3"]
     curved: ClassVar[bool] = False
 
-    def contribution(self, x: Float[Array, "1 3"]) -> Float[Array, ""]:
-        """Compute the weighted position of one node [m]."""
+    def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
+        """Compute the weighted position of the nodes of one clique [m]."""
         return jnp.sum(self.weights * x)
+
+    def refined(self, refinement: Refinement) -> "WeightedNodes":
+        """Return the nodes of a finer mesh that carry the points."""
+        weights = np.asarray(self.weights)
+        force = weights.sum(axis=1)
+        share = np.einsum(
+            "cmi,ci->cm", weights, force / np.sum(force**2, axis=1)[:, None]
+        )
+        points = refinement.coarse.points[np.asarray(self.nodes)]
+        rest = np.einsum("cm,cmi->ci", share, points)
+        at = locate(refinement.mesh, rest, max_distance=np.inf)
+        new = at.nodes.astype(self.nodes.dtype), at.weights[..., None] * force[:, None]
+        where = lambda c: (c.nodes, c.weights)
+        return eqx.tree_at(where, self, jax.device_put(new))
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw one arrow per actuator at the mean point of action of its force."""
-        nodes, weights = np.asarray(self.nodes)[:, 0], np.asarray(self.weights)[:, 0]
-        actuators, of = np.unique(np.asarray(self.owner), return_inverse=True)
+        nodes, weights = np.ravel(self.nodes), np.reshape(self.weights, (-1, 3))
+        owner = np.repeat(self.owner, np.shape(self.nodes)[1])
+        actuators, of = np.unique(owner, return_inverse=True)
         total = np.zeros((actuators.size, 3))
         np.add.at(total, of, weights)
         arrows = unit(total)
         points = np.zeros_like(total)
         np.add.at(points, of, np.sum(weights * arrows[of], axis=1)[:, None] * x[nodes])
         return ActuatorGeometry(points=points, arrows=arrows, point_owner=actuators)
+
+
+class WeightedFaces(WeightedNodes):
+    """Faces with a force of fixed direction, consistent with their shape functions."""
+
+    def refined(self, refinement: Refinement) -> "WeightedFaces":
+        """Spread the force of each face evenly over those of a finer mesh."""
+        many = on_finer_faces(self, refinement)
+        shares = face_shares(refinement.mesh, np.asarray(many.nodes))
+        n = len(many.nodes) // len(self.nodes)
+        whole = np.repeat(shares.reshape(-1, n, shares.shape[1]).sum((1, 2)), n)
+        force = np.sum(np.asarray(many.weights), axis=1, keepdims=True)
+        spread = (shares / whole[:, None])[..., None] * force
+        return eqx.tree_at(lambda f: f.weights, many, jax.device_put(spread))
 
 
 class Motor(AbstractActuator):

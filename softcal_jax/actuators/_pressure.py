@@ -14,10 +14,11 @@ from softcal_jax.actuators._cliques import (
     ActuatorGeometry,
     draw_faces,
     each_clique,
+    on_finer_faces,
     owned,
 )
 from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
-from softcal_jax.mesh import TetMesh, boundary_faces
+from softcal_jax.mesh import Refinement, TetMesh, boundary_faces
 
 
 class Chamber(AbstractActuator):
@@ -77,6 +78,10 @@ class ChamberFaces(AbstractPotentialCliques):
         n_dA, N = _vector_areas(arm)
         return -jnp.sum(n_dA * (N @ arm)) / 3.0
 
+    def refined(self, refinement: Refinement) -> "ChamberFaces":
+        """Return the faces of a finer mesh."""
+        return on_finer_faces(self, refinement)
+
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw the faces."""
         return draw_faces(self)
@@ -110,6 +115,10 @@ class PressureFaces(AbstractCliques):
         """Compute consistent forces per pressure, -integral of N n dA [m2]."""
         n_dA, N = _vector_areas(x)
         return -N.T @ n_dA
+
+    def refined(self, refinement: Refinement) -> "PressureFaces":
+        """Return the faces of a finer mesh."""
+        return on_finer_faces(self, refinement)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw the faces."""

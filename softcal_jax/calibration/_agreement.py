@@ -168,7 +168,7 @@ def _errors_of_both(
         (*fitted.configurations, *held_out.configurations),
         uncertain,
         z=z,
-        displacement=join(*(p.at.equilibrium.displacement for p in (fitted, held_out))),
+        equilibrium=jax.tree.map(join, fitted.at.equilibrium, held_out.at.equilibrium),
     )
     errors = [error for those in own.values() for error in those.values()]
     n_c = len(joined.configurations.gravity)

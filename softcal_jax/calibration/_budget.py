@@ -31,6 +31,7 @@ from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
+    EquilibriumSolution,
     Job,
     effector_values,
     linearise,
@@ -172,9 +173,8 @@ def error_budget(
         spread: Uncertainty by the noise.
     """
     problem, space = evaluate.problem, evaluate.problem.space
-    displacement = at.equilibrium.displacement
     own = yield from considered_errors(
-        evaluate, configurations, uncertain, z=z, displacement=displacement
+        evaluate, configurations, uncertain, z=z, equilibrium=at.equilibrium
     )
     gain = estimator(np.asarray(at.W_ep), spread, np.asarray(space.prior_weights()))
     in_units = lambda those: _stacked(problem, those.values())
@@ -239,7 +239,7 @@ def considered_errors(
     uncertain: Uncertain,
     *,
     z: Float[Array, " n_p"],
-    displacement: Float[Array, "n_c n_points 3"],
+    equilibrium: EquilibriumSolution,
 ) -> Job[dict[str, dict[str, Float[HostArray, "n_c n_e"]]]]:
     """Compute W_c: change of the effectors per standard deviation of each error.
 
@@ -248,7 +248,7 @@ def considered_errors(
         configurations: Its configurations.
         uncertain: What is uncertain.
         z: Scaled parameters [-].
-        displacement: The equilibria [m].
+        equilibrium: The equilibria, one lane per configuration.
 
     Returns:
         For each cause its errors by name, with the changes in the units of the
@@ -257,29 +257,41 @@ def considered_errors(
     found = considered(uncertain, evaluate.problem, configurations)
     if uncertain.mesh == 0.0 and not any(own.happens for own in found):
         return {}
-    columns = yield from _all_columns(evaluate, found, z, displacement)
+    of_mesh = uncertain.mesh > 0.0
+    columns = yield from _all_columns(
+        evaluate, found, z, equilibrium.displacement, of_stiffness=of_mesh
+    )
     own: dict[str, dict[str, HostArray]] = {}
     for error, column in zip(found, columns[: len(found)], strict=True):
         for name, those in error.groups():
             shared = np.where(those[:, None], column, 0.0)
             own.setdefault(error.cause, {})[name] = shared
-    if uncertain.mesh > 0.0:
-        of_stiffness = columns[len(found) :]
-        of_mesh = yield from mesh_errors(evaluate, z, displacement, of_stiffness)
-        if of_mesh:
-            own[MESH] = {name: uncertain.mesh * e for name, e in of_mesh.items()}
+    if of_mesh:
+        errors = mesh_errors(
+            evaluate.numbered,
+            configurations,
+            z,
+            forces=equilibrium.multipliers,
+            of_stiffness=columns[-1],
+        )
+        if errors:
+            own[MESH] = {name: uncertain.mesh * e for name, e in errors.items()}
     return own
 
 
 def _all_columns(
-    evaluate: Evaluator, found: Sequence[Considered], z, displacement
+    evaluate: Evaluator,
+    found: Sequence[Considered],
+    z,
+    displacement,
+    *,
+    of_stiffness: bool,
 ) -> Job[Float[HostArray, "n_rows n_c n_e"]]:
     """Compute W_c as if each configuration had each error, see `_columns`."""
     problem, n_c = evaluate.numbered, len(displacement)
     n_e = problem.configurations.effectors.measured.size // n_c
-    n_rows = len(found) + (problem.model.mesh.order > 1)
-    if n_e == 0 or n_rows == 0:
-        return np.zeros((n_rows, n_c, n_e))
+    if n_e == 0:
+        return np.zeros((len(found) + of_stiffness, n_c, n_e))
     entries = tuple(own.entry for own in found if own.entry is not None)
     errors = ParameterSpace(entries) if entries else None
     motions = [own.motions for own in found if own.entry is None]
@@ -292,7 +304,7 @@ def _all_columns(
         )
         for c in range(n_c)
     ]
-    shared = problem.model, problem.space, errors
+    shared = problem.model, problem.space, errors, of_stiffness
     of_lanes = yield from each_lane(_columns, shared, lanes)
     return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
 
@@ -302,6 +314,7 @@ def _columns(
     model,
     space: ParameterSpace,
     errors: ParameterSpace | None,
+    of_stiffness: bool,
     motions: tuple[Float[Array, "n_nodes 3"], ...],
     z,
     c,
@@ -309,12 +322,12 @@ def _columns(
 ) -> Float[Array, "n_e n_rows"]:
     """Compute W_c of one configuration, in the units of its effectors; Eq. (9).
 
-    Of quadratic tets the last column is that of the stiffness, see `mesh_errors`.
+    The last column is that of the stiffness where it is asked for, see `mesh_errors`.
     """
     lin = linearise(*space.apply(model, c, z), u)
     rows = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
     rows += [clamp_row(lin, motion) for motion in motions]
-    rows += [stiffness_row(lin)] if model.mesh.order > 1 else []
+    rows += [stiffness_row(lin)] if of_stiffness else []
     stacked = jax.tree.map(lambda *own: jnp.concatenate(own), *rows)
     fewer = len(stacked.force) > c.effectors.measured.size
     found = sensitivity(lin, stacked, effector_values, adjoint=fewer)

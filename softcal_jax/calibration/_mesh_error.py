@@ -1,18 +1,20 @@
 """How far the mesh may have moved the effectors: a consider parameter of its own.
 
-Linear tets lock: one step towards the equilibrium of quadratic tets on the same mesh
-tells by how much. Of quadratic tets there are two formulations, see `build_model`. On a
-mesh that is too coarse "displacement" is too stiff and "mean-dilatation" too soft, and
-the exact solution lies between them (`python -m benchmarks run locking`). How far apart
-they are is computed for the linear body at rest, under the loads of the configuration:
-at a deformed equilibrium of one formulation the local pressures of the other are so far
-off that no single step leads there. Half of it is the standard deviation, so an error
-by locking of the volume is within two of them. What else a coarse mesh gets wrong, as
-in torsion or where stiff fibres bend, both formulations share, and it is not seen.
+The body is solved once more on a finer mesh: linear tets become quadratic, and each
+quadratic tet becomes eight. What the effectors change by is the standard deviation. The
+error of quadratic tets falls to about a quarter, so that the change is three quarters
+of it, and the exact solution is within two standard deviations; linear tets lock, and
+quadratic ones show nearly all of that.
+
+Both meshes are solved for the linear body at rest, under the loads and motions of the
+configuration. That takes one factorization, while a deformed equilibrium of the coarse
+mesh is far from that of the finer one where the volume hardly changes: the pressures of
+its parts are not those of the whole. As the body deforms, the loads move it less, or
+more, than they move the linear one; so does the error.
 """
 
-from dataclasses import replace
-from typing import Any, get_args
+from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,170 +22,183 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._lanes import each_lane, lane_of
+from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.elements import TET_EDGES
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    SharedNames,
+    configuration_lanes,
+)
 from softcal_jax.equilibrium import (
-    Formulation,
-    Job,
+    InputRows,
     Model,
-    build_model,
     effector_values,
+    input_rows,
     linearise,
+    refined_model,
     residual,
+    sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.mesh import TetMesh, to_quadratic
+from softcal_jax.mesh import Refinement
 
-REMEDIES = {"locking": "use quadratic tets", "formulation": "take a finer mesh"}
+REMEDIES = {"locking": "use quadratic tets", "refinement": "take a finer mesh"}
 """What helps against the error, by its name: that of linear tets, of quadratic ones."""
 
-MOST_TETS = 50_000
-"""Most linear tets whose error is estimated: mid nodes make eight times the nodes."""
+MOST_TETS = {1: 50_000, 2: 12_500}
+"""Most tets whose error is estimated, by order: either makes 100 000 quadratic tets at
+most, hence about 140 000 nodes."""
 
-BETWEEN = 0.5
-"""Standard deviation, as a share of what lies between the two formulations [-]."""
+MOST_CHANGE = 10.0
+"""Largest change, relative to how far the loads move the effectors on the coarse mesh.
+They may not move them at all while the body is linear, but bend it once it is not [-].
+"""
 
 
 def mesh_errors(
-    evaluate: Evaluator,
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
     z: Float[Array, " n_p"],
-    displacement: Float[Array, "n_c n_points 3"],
-    of_stiffness: Float[HostArray, "n_rows n_c n_e"],
-) -> Job[dict[str, Float[HostArray, "n_c n_e"]]]:
+    *,
+    forces: Float[Array, "n_c n_a"],
+    of_stiffness: Float[HostArray, "n_c n_e"],
+) -> dict[str, Float[HostArray, "n_c n_e"]]:
     """Estimate the standard deviation of the effectors by the mesh.
 
-    For linear tets, the change by one Newton step towards quadratic tets, exact where
-    displacements are small; loads and markers stay on the corners. For quadratic tets,
-    half of what lies between the formulations at rest, as large as the loads have moved
-    the effectors at the equilibrium.
-
     Args:
-        evaluate: Evaluator of the calibration.
+        problem: The calibration, without names.
+        configurations: Its configurations.
         z: Scaled parameters [-].
-        displacement: The equilibria [m].
-        of_stiffness: Change of the effectors per relative change of the stiffness, one
-            row; none for linear tets.
+        forces: Forces of the actuators whose displacement is imposed, at the
+            equilibria.
+        of_stiffness: Change of the effectors there per relative change of the
+            stiffness.
 
     Returns:
         Signed change of the effectors of each configuration, which all have in common,
-        by one of the names in `REMEDIES`. Empty where it is not known: for linear tets
-        with rigid bodies or actuators, or more than `MOST_TETS` of them, for quadratic
-        tets whose law has no potential, and where a body at rest has no stiffness.
+        by one of the names in `REMEDIES`. Empty where it is not known: with more than
+        `MOST_TETS`, and where the body at rest has no stiffness.
     """
-    problem = evaluate.numbered
-    found: dict[str, HostArray] = {}
-    if problem.model.mesh.order == 1:
-        locking = _by_order(problem, z, displacement)
-        if locking is not None:
-            found["locking"] = locking
-    elif problem.model.law.conservative:
-        (by_stiffness,) = of_stiffness
-        between = yield from _by_formulation(problem, z, by_stiffness)
-        found["formulation"] = between
-    return {name: own for name, own in found.items() if np.all(np.isfinite(own))}
-
-
-def _by_formulation(
-    problem: CalibrationProblem, z, by_stiffness: Float[HostArray, "n_c n_e"]
-) -> Job[Float[HostArray, "n_c n_e"]]:
-    """Return half of what lies between the formulations, see `mesh_errors`."""
-    n_c = len(problem.configurations.gravity)
-    lanes = [(z, lane_of(problem.configurations, c)) for c in range(n_c)]
-    shared = problem.model, problem.space
-    of_lanes = yield from each_lane(_motions_at_rest, shared, lanes)
-    stiff, soft = np.stack(of_lanes, axis=1)
+    model = problem.model
+    if model.n_tets > MOST_TETS[model.mesh.order]:
+        return {}
+    fine, refinement = refined_model(model)
+    lanes = problem.configurations, _refined(problem, configurations, fine, refinement)
+    coarse, exact = (
+        _linear_motions(own, problem.space, z, _without_slack(own, batch, forces))
+        for own, batch in zip((model, fine), lanes, strict=True)
+    )
+    if not (np.all(np.isfinite(coarse)) and np.all(np.isfinite(exact))):
+        return {}
+    changes, by_loads = exact - coarse, coarse[0]
+    n_c = len(configurations)
     weights = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
     size = lambda e: np.linalg.norm(weights * e, axis=1, keepdims=True)
-    # To first order a body half as stiff is moved by its loads twice as far. Where they
-    # do not move the effectors at rest, all of their motion may be wrong.
-    moved = np.maximum(size(soft), size(soft - stiff))
-    there = size(by_stiffness) / np.where(moved > 0.0, moved, 1.0)
-    return BETWEEN * (soft - stiff) * there
+    # To first order a body half as stiff is moved by its loads twice as far.
+    moved = np.maximum(size(by_loads), size(changes[0]) / MOST_CHANGE)
+    there = size(of_stiffness) / np.where(moved > 0.0, moved, 1.0)
+    name = "locking" if model.mesh.order == 1 else "refinement"
+    return {name: there * changes[0] + changes[1:].sum(axis=0)}
+
+
+def _refined(
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
+    fine: Model,
+    refinement: Refinement,
+) -> ConfigurationArrays:
+    """Pose the finer mesh like the coarse one: what holds that one holds this."""
+    batch = problem.configurations
+    shared = SharedNames(batch.springs.names, batch.loads.names)
+    posed, _ = configuration_lanes(
+        fine.mesh, configurations, fine.mechanism, shared=shared
+    )
+    each = range(len(configurations))
+    fixed, imposed = map(np.asarray, (batch.fixed, batch.imposed))
+    r = refinement
+    held = [r.with_new(fixed[c], r.among(fixed[c])) for c in each]
+    moved = [r.with_new(imposed[c], r.carried(imposed[c])) for c in each]
+    where = lambda c: (c.fixed, c.imposed)
+    return eqx.tree_at(where, posed, (np.stack(held), np.stack(moved)))
+
+
+def _without_slack(
+    model: Model, batch: ConfigurationArrays, forces: Float[Array, "n_c n_a"]
+) -> ConfigurationArrays:
+    """Return configurations in which cables that are slack there do nothing at rest."""
+    unilateral = model.mechanism.actuators.unilateral
+    imposed = np.asarray(batch.actuation.by_displacement)
+    slack = imposed & unilateral & (np.asarray(forces) <= 0.0)
+    value = np.where(slack, 0.0, np.asarray(batch.actuation.value))
+    where = lambda c: (c.actuation.by_displacement, c.actuation.value)
+    return eqx.tree_at(where, batch, (imposed & ~slack, value))
+
+
+def _linear_motions(
+    model: Model, space: ParameterSpace, z, batch: ConfigurationArrays
+) -> Float[HostArray, "n_rows n_c n_e"]:
+    """Compute how far loads, then imposed motions if any, move the effectors.
+
+    Lane by lane, since a body eight times as large needs all cores for itself.
+    """
+    actuation = batch.actuation
+    imposed = np.asarray(actuation.value)[np.asarray(actuation.by_displacement)]
+    moves = any(np.any(motion) for motion in (imposed, *_motions(batch)))
+    lanes = (lane_of(batch, c) for c in range(len(batch.gravity)))
+    found = [_linear_motion(model, space, moves, z, lane) for lane in lanes]
+    return np.stack(found, axis=1)
 
 
 @eqx.filter_jit
-def _motions_at_rest(
-    model: Model, space: ParameterSpace, z, c
-) -> Float[Array, "n_formulations n_e"]:
-    """Compute how the loads move the effectors of the linear body, by formulation.
+def _linear_motion(
+    model: Model, space: ParameterSpace, moves: bool, z, c: ConfigurationArrays
+) -> Float[Array, "n_rows n_e"]:
+    """Compute what `_linear_motions` does for one lane; nan without a solution.
 
     Without the stiffness of the loads themselves, by which a chamber under pressure may
     have none left at rest.
     """
     model, c = space.apply(model, c, z)
-    rest, found = jnp.zeros((model.n_points, 3)), []
-    value = lambda c: c.actuation.value
-    none = jnp.zeros_like(value(c))
-    unloaded = eqx.tree_at(value, c, none)
-    for formulation in get_args(Formulation):
-        own = replace(model, formulation=formulation)
-        lin = linearise(own, unloaded, rest, none)
-        load = -lin.free(residual(own, c, rest, none))
-        x = lin.solve(load[None], jnp.zeros((1, lin.system.active.size)))
-        read = lambda u, own=own: effector_values(own, c, u)
-        _, motion = jax.jvp(read, (rest,), (lin.scatter(x.x)[0],))
-        found.append(jnp.where(x.ok, motion.ravel(), jnp.nan))
-    return jnp.stack(found)
-
-
-def _by_order(
-    problem: CalibrationProblem, z, displacement
-) -> Float[HostArray, "n_c n_e"] | None:
-    """Return the change by a node in the middle of each edge."""
-    model, mechanism = problem.model, problem.model.mechanism
-    bare = mechanism.bodies.n_bodies == 0 and mechanism.n_actuators == 0
-    if not bare or model.n_tets > MOST_TETS:
-        return None
-    mesh = to_quadratic(model.mesh)
-    finer = build_model(mesh, model.law, density=model.density)
-    changes = []
-    for c in range(len(displacement)):
-        coarse = jax.tree.map(
-            lambda leaf, c=c: np.asarray(leaf)[c], problem.configurations
-        )
-        lane, u = _refined(mesh, coarse, np.asarray(displacement)[c])
-        lane, u = jax.device_put((lane, u))
-        changes.append(np.asarray(_change(finer, problem.space, z, lane, u)))
-    return np.stack(changes)
-
-
-def _refined(mesh: TetMesh, coarse: Any, u: HostArray) -> tuple[Any, HostArray]:
-    """Pose the quadratic mesh like the linear one; edges between held ends are held."""
-    n = len(u)
-    ends = np.zeros((mesh.n_nodes - n, 2), int)
-    ends[mesh.tets[:, 4:] - n] = mesh.tets[:, np.array(TET_EDGES)]
-    middle = lambda a: np.concatenate([a, a[ends].mean(axis=1)])
-    corners = lambda a: np.concatenate([a, np.zeros((len(ends), *a.shape[1:]))])
-    each = lambda a: np.concatenate([a, np.zeros((len(a), len(ends), 3))], axis=1)
-    springs = coarse.springs
-    where = lambda c: (
-        c.fixed,
-        c.imposed,
-        c.loads.force,
-        c.springs.area,
-        c.springs.rest,
+    rest = jnp.zeros((model.n_points, 3))
+    state = (rest, jnp.zeros(model.mechanism.n_actuators))
+    unloaded, loaded = _at_share(c, 0.0, 0.0), _at_share(c, 1.0, 0.0)
+    lin = linearise(model, unloaded, *state)
+    # At a fixed state the loads are linear, and so are their readings.
+    read = lambda c: effector_values(model, c, *state).ravel()
+    by_loads = InputRows(
+        force=-lin.free(residual(model, loaded, *state)),
+        held=rest,
+        gap=jnp.zeros(model.with_multiplier.size),
+        reading=read(loaded) - read(unloaded),
     )
-    posed = (
-        np.concatenate([coarse.fixed, coarse.fixed[ends].all(axis=1)]),
-        middle(coarse.imposed),
-        each(coarse.loads.force),
-        each(springs.area),
-        corners(springs.rest),
+    rows = jax.tree.map(lambda own: own[None], by_loads)
+    if moves:
+
+        def along(function):
+            at = lambda share: function(model, _at_share(c, 0.0, share))
+            return jax.jvp(at, (jnp.zeros(()),), (jnp.ones(()),))[1]
+
+        more = input_rows(model, unloaded, *state, along, effector_values)
+        rows = jax.tree.map(lambda *own: jnp.stack(own), by_loads, more)
+    found = sensitivity(lin, rows, effector_values)
+    return jnp.where(found.ok, found.W_ep, jnp.nan).T
+
+
+def _motions(c: ConfigurationArrays) -> tuple[Any, ...]:
+    """Return what is imposed on nodes, springs and bodies [m], [rad]."""
+    return c.imposed, c.springs.rest, c.bodies.translation, c.bodies.rotation
+
+
+def _at_share(c: ConfigurationArrays, loads, motions) -> ConfigurationArrays:
+    """Return a configuration at shares of its loads and of its imposed motions."""
+    share = jnp.where(jnp.asarray(c.actuation.by_displacement), motions, loads)
+    where = lambda c: (c.loads.force, c.actuation.value, c.gravity, c.tilt)
+    scaled = (
+        loads * jnp.asarray(c.loads.force),
+        share * jnp.asarray(c.actuation.value),
+        loads * c.acceleration,  # which has no tilt where there is no gravity
+        jnp.zeros(2),
     )
-    return eqx.tree_at(where, coarse, posed), middle(u)
-
-
-@eqx.filter_jit
-def _change(
-    model: Model, space: ParameterSpace, z, c, u: Float[Array, "n_points 3"]
-) -> Float[Array, " n_e"]:
-    """Compute the change of the effectors by one Newton step."""
-    model, c = space.apply(model, c, z)
-    lin = linearise(model, c, u)
-    out_of_balance = lin.free(residual(model, c, u))
-    step = lin.solve(-out_of_balance[None], jnp.zeros((1, lin.system.active.size)))
-    there = u + lin.scatter(step.x)[0]
-    change = effector_values(model, c, there) - effector_values(model, c, u)
-    return jnp.where(step.ok, change, jnp.nan).ravel()
+    moved = tuple(motions * jnp.asarray(own) for own in _motions(c))
+    return eqx.tree_at(_motions, eqx.tree_at(where, c, scaled), moved)

@@ -1,6 +1,7 @@
 """Rigid bodies and actuators of a robot, as arrays."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from softcal_jax.actuators import (
     actuator_displacements,
 )
 from softcal_jax.bodies import BodyArrays, RigidBody, body_arrays
-from softcal_jax.mesh import TetMesh
+from softcal_jax.mesh import Refinement, TetMesh
 
 
 class Mechanism(eqx.Module):
@@ -46,6 +47,17 @@ class Mechanism(eqx.Module):
         For a motor it is the reading of its encoder: the angle minus the zero error.
         """
         return actuator_displacements(self.actuators, x) - self.motor_zero
+
+    def refined(self, refinement: Refinement) -> "Mechanism":
+        """Return the same bodies and actuators on a finer mesh."""
+        groups = tuple(g.refined(refinement) for g in self.actuators.groups)
+        frames = self.points[refinement.coarse.n_nodes :]
+        return Mechanism(
+            points=np.concatenate([refinement.mesh.points, frames]),
+            bodies=self.bodies.refined(refinement),
+            actuators=replace(self.actuators, groups=groups),
+            motor_zero=self.motor_zero,
+        )
 
 
 def build_mechanism(

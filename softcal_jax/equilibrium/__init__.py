@@ -25,7 +25,7 @@ from softcal_jax.equilibrium._linearisation import (
     residual,
     solved_forces,
 )
-from softcal_jax.equilibrium._model import Model, build_model
+from softcal_jax.equilibrium._model import Model, build_model, refined_model
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath
 from softcal_jax.equilibrium._posed import external_force
@@ -103,6 +103,7 @@ __all__ = [
     "marker_positions",
     "no_equilibrium",
     "program_key",
+    "refined_model",
     "residual",
     "robot_states",
     "sensitivity",

@@ -1,6 +1,7 @@
 """The finite-element model of a robot: mesh, law, density, ready for assembly."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Literal
 
 import equinox as eqx
@@ -27,8 +28,8 @@ from softcal_jax.equilibrium._sparsity import (
     build_sparsity,
     destinations,
 )
-from softcal_jax.materials import AbstractLaw
-from softcal_jax.mesh import TetMesh, check_mesh
+from softcal_jax.materials import AbstractLaw, PointValues, is_point_values
+from softcal_jax.mesh import Refinement, TetMesh, check_mesh, finer
 
 # Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
 # corotational law takes twice as long with blocks of 32 as with 16.
@@ -221,12 +222,59 @@ def build_model(
     require_float64()
     check_solver(solver)
     _check_fields(law, mesh.n_tets)
-    density = _checked_density(density, mesh.n_tets)
-    mechanism = build_mechanism(mesh, bodies, actuators)
+    return _prepared(
+        mesh,
+        law,
+        density=_checked_density(density, mesh.n_tets),
+        mechanism=build_mechanism(mesh, bodies, actuators),
+        formulation=_formulation(formulation, law, mesh.order),
+        solver=partial(choose_solver, solver),
+    )
+
+
+def refined_model(model: Model) -> tuple[Model, Refinement]:
+    """Prepare the same robot on a finer mesh, see `Refinement`.
+
+    Linear tets become quadratic, in the formulation that `build_model` chooses for
+    them; quadratic ones keep theirs. A tet has the constants of the one it is part of.
+    """
+    refinement = finer(model.mesh)
+    parent, nearest = refinement.parent, refinement.nearest_point
+
+    def spread(leaf: Any) -> Any:
+        if isinstance(leaf, PointValues):
+            values = np.asarray(leaf.values)
+            return PointValues(jax.device_put(values[parent[:, None], nearest]))
+        if jnp.ndim(leaf) == 0:
+            return leaf
+        return jax.device_put(np.asarray(leaf)[parent])
+
+    law = jax.tree.map(spread, model.law, is_leaf=is_point_values)
+    linear = model.mesh.order == 1
+    fine = _prepared(
+        refinement.mesh,
+        law,
+        density=spread(model.density),
+        mechanism=model.mechanism.refined(refinement),
+        formulation=_formulation("auto", law, 2) if linear else model.formulation,
+        solver=type(model.solver).analyse,
+    )
+    return fine, refinement
+
+
+def _prepared(
+    mesh: TetMesh,
+    law: AbstractLaw,
+    *,
+    density: Float[Array, "..."],
+    mechanism: Mechanism,
+    formulation: Formulation,
+    solver: Callable[[Sparsity], AbstractLinearSolver],
+) -> Model:
+    """Assemble a model of parts that fit each other, see `build_model`."""
     check_mesh(mesh, linked=_linked(mechanism))
     n_tets, n_en = mesh.tets.shape
-    chosen = _formulation(formulation, law, n_en)
-    check_law(law, law.conservative, chosen)
+    check_law(law, law.conservative, formulation)
     n_blocks = -(-n_tets // BLOCK)
     # Put on the device rather than converted there, which compiles for each shape.
     cut = lambda per_tet: np.asarray(to_blocks(per_tet, n_tets, n_blocks, BLOCK))
@@ -261,8 +309,8 @@ def build_model(
         pattern=pattern,
         curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
         reduction=reduction,
-        solver=choose_solver(solver, unknowns),
-        formulation=chosen,
+        solver=solver(unknowns),
+        formulation=formulation,
     )
 
 
@@ -301,7 +349,7 @@ def _checked_density(
 
 
 def _formulation(
-    choice: Literal["auto"] | Formulation, law: AbstractLaw, n_en: int
+    choice: Literal["auto"] | Formulation, law: AbstractLaw, order: int
 ) -> Formulation:
     if choice == "auto":
         nu = [
@@ -309,7 +357,7 @@ def _formulation(
             for path, leaf in jax.tree_util.tree_leaves_with_path(law)
             if jax.tree_util.keystr(path).endswith(".nu")
         ]
-        stiff = n_en == 10 and any(value >= 0.49 for value in nu)
+        stiff = order == 2 and any(value >= 0.49 for value in nu)
         return "mean-dilatation" if stiff else "displacement"
     if choice in ("displacement", "mean-dilatation"):
         return choice

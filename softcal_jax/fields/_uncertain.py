@@ -36,13 +36,11 @@ class Uncertain(eqx.Module):
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
-            configurations. The estimate is how far quadratic tets would move what is
-            measured on linear ones; on quadratic ones, half of what lies between their
-            two formulations, see `build_model`, which leaves out what both get wrong,
-            as in torsion. Zero for data that are simulated on the same mesh. Not known
-            for linear tets with rigid bodies or actuators, or more than 50 000 of them,
-            nor for laws without a potential: such a fit has no intervals, and is not
-            called identified.
+            configurations. The estimate is how far a finer mesh would move what is
+            measured: quadratic tets in place of linear ones, eight quadratic tets in
+            place of each. Zero for data that are simulated on the same mesh. Not known
+            for more than 50 000 linear or 12 500 quadratic tets: such a fit has no
+            intervals, and is not called identified.
     """
 
     nu: float = 0.05

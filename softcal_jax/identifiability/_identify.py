@@ -327,7 +327,7 @@ def survey(
                 configurations,
                 uncertain,
                 z=z,
-                displacement=solution.displacement,
+                equilibrium=solution,
             )
         )
     # Nothing is measured yet: the motion is that of the model.

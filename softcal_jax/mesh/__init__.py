@@ -10,6 +10,7 @@ from softcal_jax.mesh._generators import beam
 from softcal_jax.mesh._location import MaterialPoints, locate
 from softcal_jax.mesh._meshio import MeshWarning
 from softcal_jax.mesh._reading import read_mesh, read_tet_data
+from softcal_jax.mesh._refinement import Refinement, finer, refine
 from softcal_jax.mesh._selection import (
     Box,
     Plane,
@@ -22,6 +23,7 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     boundary_faces,
     boundary_tets,
+    face_shares,
     surface_shares,
     volumes,
 )
@@ -32,17 +34,21 @@ __all__ = [
     "MaterialPoints",
     "MeshWarning",
     "Plane",
+    "Refinement",
     "Sphere",
     "TetMesh",
     "beam",
     "boundary_faces",
     "boundary_tets",
     "check_mesh",
+    "face_shares",
+    "finer",
     "locate",
     "merge",
     "node_indices",
     "read_mesh",
     "read_tet_data",
+    "refine",
     "select_faces",
     "select_nodes",
     "surface_shares",

@@ -15,7 +15,7 @@ def check_order(order: int) -> None:
         raise ValueError(f"order must be 1 (linear) or 2 (quadratic), got {order}.")
 
 
-class _MidNodes:
+class MidNodes:
     """Index of the mid node of each edge of the mesh."""
 
     def __init__(self, mesh: TetMesh):
@@ -54,7 +54,7 @@ def to_quadratic(mesh: TetMesh) -> TetMesh:
     """
     if mesh.order == 2:
         raise ValueError("the mesh is quadratic already.")
-    mid = _MidNodes(mesh)
+    mid = MidNodes(mesh)
     tets = np.hstack([mesh.tets, mesh.n_nodes + mid.inverse.reshape(-1, 6)])
     points = np.vstack([mesh.points, mesh.points[mid.edges].mean(axis=1)])
 

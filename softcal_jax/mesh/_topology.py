@@ -96,15 +96,21 @@ def volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
     return jacobian_determinants(mesh, rule.barycentric) @ rule.weights / 6.0
 
 
-def surface_shares(
+def face_shares(
     mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
-) -> Float[HostArray, " n_nodes"]:
-    """Integrate every shape function over faces at rest [m2]; the sum is their area."""
+) -> Float[HostArray, "n_faces n_fn"]:
+    """Integrate the shape functions of each face at rest [m2]; they sum to its area."""
     rule, n_fn = triangle_rule(4), faces.shape[1]
     dN = shape_gradients(rule.barycentric, n_fn)
     tangents = np.einsum("fai,qaj->fqji", mesh.points[faces], dN)
     area = 0.5 * np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
+    return (area * rule.weights) @ shape_functions(rule.barycentric, n_fn)
+
+
+def surface_shares(
+    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
+) -> Float[HostArray, " n_nodes"]:
+    """Integrate every shape function over faces at rest [m2]; the sum is their area."""
     out = np.zeros(mesh.n_nodes)
-    N = shape_functions(rule.barycentric, n_fn)
-    np.add.at(out, faces, (area * rule.weights) @ N)
+    np.add.at(out, faces, face_shares(mesh, faces))
     return out

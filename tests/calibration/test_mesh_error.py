@@ -1,15 +1,28 @@
-"""What the mesh alone may have moved: quadratic tets against another code."""
+"""What the mesh alone may have moved, against another code and finer meshes."""
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softcal_jax.calibration import build_problem, considered_errors, evaluate
+from softcal_jax.actuators import Cable
+from softcal_jax.bodies import Pose, RigidBody
+from softcal_jax.calibration import (
+    build_problem,
+    considered_errors,
+    evaluate,
+    simulated_measurements,
+)
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.configurations import Configuration, Markers, PointForce
-from softcal_jax.equilibrium import Workers, build_model
+from softcal_jax.configurations import (
+    Configuration,
+    ImposedDisplacement,
+    Markers,
+    PointForce,
+    Support,
+    SurfaceForce,
+)
+from softcal_jax.equilibrium import NewtonSettings, Workers, build_model
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.materials import (
     ClassicalCorotational,
@@ -17,8 +30,9 @@ from softcal_jax.materials import (
     FibreReinforced,
     Isotropic,
     NeoHookean,
+    TransverseHyperelastic,
 )
-from softcal_jax.mesh import beam
+from softcal_jax.mesh import beam, refine, to_quadratic
 
 REFERENCE = 6.7812
 """Sag of a silicone cantilever [mm]: mixed hexahedra of FElupe, extrapolated, in
@@ -51,7 +65,7 @@ def errors_of(problem, configurations):
             configurations,
             ONLY_THE_MESH,
             z=z,
-            displacement=at.equilibrium.displacement,
+            equilibrium=at.equilibrium,
         )
         (of_mesh,) = workers.end_of(job)["mesh"].values()
     tip = np.asarray(at.effectors).reshape(-1, 3)[0]
@@ -61,13 +75,13 @@ def errors_of(problem, configurations):
 
 @pytest.mark.parametrize("formulation", ["displacement", "mean-dilatation"])
 def test_the_exact_solution_is_within_two_standard_deviations(formulation):
-    """And the error is not overstated: 1.2 and 0.8 standard deviations here."""
+    """And the error is not overstated: 1.7 and 1.2 standard deviations here."""
     own, std = errors_of(*posed(NeoHookean(265e3, 0.499), formulation))
     off = own[2] + REFERENCE
     assert 0.5 * abs(std[2]) < abs(off) < 2.0 * abs(std[2])
-    # One is too stiff, the other too soft; the change is towards the softer.
+    # One is too stiff, the other too soft.
     assert np.sign(off) == (1.0 if formulation == "displacement" else -1.0)
-    assert std[2] < 0.0
+    assert np.sign(std[2]) == -np.sign(off)
 
 
 @pytest.mark.slow
@@ -81,30 +95,62 @@ def test_it_is_of_the_order_of_the_element():
 
 
 def test_large_loads_move_as_far_as_they_do():
-    """Bent by over a quarter of its length: both formulations solved to the end."""
-    law = NeoHookean(265e3, 0.499)
-    pushed = {"loads": [PointForce(TIP, (0.0, 0.0, -1.1))]}
-    (stiff, std), (soft, _) = (
-        errors_of(*posed(law, formulation, **pushed))
-        for formulation in ("displacement", "mean-dilatation")
+    """Bent by over a quarter of its length; both meshes are solved to the end."""
+    pushed = {"loads": [SurfaceForce("x_max", (0.0, 0.0, -1.1))], "at": (0.1, 0.0, 0.0)}
+    (own, std), (fine, _) = (
+        errors_of(*posed(NeoHookean(265e3, 0.3), cells=cells, **pushed))
+        for cells in ((4, 1, 1), (8, 2, 2))
     )
-    assert np.linalg.norm(soft) > 25.0
-    apart = np.linalg.norm(soft - stiff)
-    assert np.linalg.norm(2.0 * std) == pytest.approx(apart, rel=0.25)
+    assert np.linalg.norm(own) > 25.0
+    apart = np.linalg.norm(fine - own)
+    assert np.linalg.norm(std) == pytest.approx(apart, rel=0.25)
 
 
-def test_a_law_without_a_potential_has_one_formulation_only():
-    """So nothing is known of its mesh, and nothing is claimed."""
-    problem, configurations = posed(ClassicalCorotational(Isotropic(265e3, 0.3)))
-    with Workers(problem.model, 1) as workers:
-        job = considered_errors(
-            Evaluator(problem),
-            configurations,
-            ONLY_THE_MESH,
-            z=problem.space.start(),
-            displacement=jnp.zeros((1, problem.model.n_points, 3)),
-        )
-        assert workers.end_of(job) == {}
+BODY = RigidBody("tip", "x_max")
+CABLE = Cable("cable", [(0.0, 0.01, 0.02), (0.06, 0.01, 0.02)])
+MOVED = Support("x_min", "xyz", (0.0, 1e-5, 0.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 2])
+def test_it_is_the_change_on_a_finer_mesh(order):
+    """Of all that loads and moves: small motions of the same robot, meshed anew.
+
+    The finer robot is built from its parts, with groups that the refined mesh names.
+    """
+    coarse = beam(0.1, 0.02, 0.02, (3, 1, 1), order=order)
+    law = TransverseHyperelastic(
+        E_t=np.linspace(3e5, 5e5, coarse.n_tets),
+        E_l=6e5,
+        nu=0.2,
+        mu_l=1e5,
+        fibre=Fibre(0.4, plane="xz"),
+    )
+    finer_mesh = to_quadratic(coarse) if order == 1 else refine(coarse)
+    each = finer_mesh.n_tets // coarse.n_tets
+    finer_law = replace(law, E_t=np.repeat(law.E_t, each))
+    pose = Configuration(
+        "pose",
+        MOVED,
+        (0.0, 0.0, -1e-3),
+        SurfaceForce("z_max", (0.0, 1e-5, -1e-5)),
+        Markers(["m"], [(0.05, 0.01, 0.02)], 1e-4),
+        np.zeros((1, 3)),
+        bodies={"tip": Pose((0.0, 0.0, 3e-5), (0.0, 2e-4, 0.0))},
+        actuation={"cable": ImposedDisplacement(2e-5)},
+    )
+    models = [
+        build_model(mesh, own, density=1000.0, bodies=[BODY], actuators=[CABLE])
+        for mesh, own in ((coarse, law), (finer_mesh, finer_law))
+    ]
+    space = ParameterSpace([Parameter("E_l", "E_l", 6e5, 1e5, 1e6, unit="Pa")])
+    exact = NewtonSettings(rtol=1e-12)
+    (own,), (fine,) = (
+        simulated_measurements(model, [pose], newton=exact) for model in models
+    )
+    _, change = errors_of(build_problem(models[0], space, [pose], exact), [pose])
+    apart = 1e3 * np.ravel(fine.measured - own.measured)
+    np.testing.assert_allclose(change, apart, rtol=0, atol=2e-3 * max(abs(change)))
 
 
 CORNERS = [(0.1, y, z) for y in (0.0, 0.03) for z in (0.0, 0.03)]
@@ -116,23 +162,21 @@ STIFF_ALONG = FibreReinforced(NeoHookean(1e5, 0.3), 1e7, Fibre(0.0, plane="xy"))
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("cells", [(5, 1, 1), (10, 2, 2)])
 @pytest.mark.parametrize(
     ("law", "axis", "told"),
     [
         (NeoHookean(265e3, 0.3), 1, {"at": (0.05, 0.015, 0.03), "loads": TWIST}),
         (STIFF_ALONG, 2, {}),
+        (ClassicalCorotational(Isotropic(265e3, 0.3)), 2, {}),
     ],
-    ids=["torsion", "stiff fibres"],
+    ids=["torsion", "stiff fibres", "no potential"],
 )
-def test_what_both_formulations_get_wrong_is_not_seen(law, axis, told):
-    """The known limit of the estimate: to be turned round by one that sees it.
-
-    Two tets across, against four: 2 and 3 % too stiff, and less than 0.2 % estimated.
-    """
+def test_what_is_no_locking_of_the_volume_is_seen(law, axis, told, cells):
+    """One and two tets across against four: up to 15 % too stiff."""
     (own, std), (exact, _) = (
-        errors_of(*posed(law, cells=cells, **told))
-        for cells in ((10, 2, 2), (20, 4, 4))
+        errors_of(*posed(law, cells=own, **told)) for own in (cells, (20, 4, 4))
     )
-    moved = abs(exact[axis])
-    assert 0.015 * moved < moved - abs(own[axis]) < 0.035 * moved
-    assert abs(std[axis]) < 0.002 * moved
+    off = abs(exact[axis]) - abs(own[axis])
+    assert off > 0.005 * abs(exact[axis])
+    assert 0.5 * abs(std[axis]) < off < 2.0 * abs(std[axis])

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.bodies import Pose, RigidBody
-from softcal_jax.calibration import calibrate
+from softcal_jax.calibration import _mesh_error, calibrate
 from softcal_jax.configurations import (
     BodyFrame,
     Configuration,
@@ -179,8 +179,9 @@ def test_what_it_would_tell_is_known_before():
 
 
 @pytest.mark.slow
-def test_before_measuring_an_unknown_error_of_the_mesh_is_named():
-    """Linear tets with a rigid body on them."""
+def test_before_measuring_an_unknown_error_of_the_mesh_is_named(monkeypatch):
+    """A mesh that is too large to be refined."""
+    monkeypatch.setattr(_mesh_error, "MOST_TETS", {1: 1, 2: 1})
     outlook = identify(MODEL, E, poses(), newton=TIGHT)
     assert outlook.unknown == ("mesh",)
     assert "Errors of the mesh are not among these" in str(outlook)
