@@ -38,11 +38,6 @@ class AbstractLinearSolver(eqx.Module):
     name: eqx.AbstractVar[str]
     counts_negative: eqx.AbstractVar[bool]
 
-    @classmethod
-    @abstractmethod
-    def analyse(cls, sparsity: Sparsity) -> "AbstractLinearSolver":
-        """Prepare a solver for a pattern."""
-
     @abstractmethod
     def _factor_solve(
         self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]

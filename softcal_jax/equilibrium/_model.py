@@ -257,7 +257,7 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
         density=spread(model.density),
         mechanism=model.mechanism.refined(refinement),
         formulation=_formulation("auto", law, 2) if linear else model.formulation,
-        solver=type(model.solver).analyse,
+        solver=partial(choose_solver, model.solver.name),
     )
     return fine, refinement
 
