@@ -20,7 +20,11 @@ from softcal_jax.equilibrium._linear_solver import (
     AbstractLinearSolver,
     require_float64,
 )
-from softcal_jax.equilibrium._solver_choice import check_solver, choose_solver
+from softcal_jax.equilibrium._solver_choice import (
+    check_solver,
+    choose_solver,
+    same_solver,
+)
 from softcal_jax.equilibrium._sparsity import (
     Reduction,
     Sparsity,
@@ -257,7 +261,7 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
         density=spread(model.density),
         mechanism=model.mechanism.refined(refinement),
         formulation=_formulation("auto", law, 2) if linear else model.formulation,
-        solver=partial(choose_solver, model.solver.name),
+        solver=partial(same_solver, model.solver),
     )
     return fine, refinement
 

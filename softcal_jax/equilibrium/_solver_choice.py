@@ -1,6 +1,7 @@
 """Choice of the sparse direct solver of a model; its name is part of every result."""
 
 from importlib.util import find_spec
+from typing import Any
 
 import jax
 
@@ -58,3 +59,11 @@ def choose_solver(name: str | None, unknowns: Sparsity) -> AbstractLinearSolver:
         "no sparse direct solver is installed: `pip install softcal-jax` brings the "
         "one of your platform (pardiso-mkl-jax or klujax)."
     )
+
+
+def same_solver(
+    solver: AbstractLinearSolver, unknowns: Sparsity
+) -> AbstractLinearSolver:
+    """Prepare a solver of the same kind for another pattern."""
+    kind: Any = type(solver)
+    return kind.analyse(unknowns)
