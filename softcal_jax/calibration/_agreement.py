@@ -164,7 +164,7 @@ def _errors_of_both(
         jax.tree.map(join, *(p.configurations for p in problems)),
     )
     own = yield from considered_errors(
-        Evaluator(joined),
+        fitted.evaluate.with_configurations(joined),
         (*fitted.configurations, *held_out.configurations),
         uncertain,
         z=z,

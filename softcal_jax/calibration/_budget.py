@@ -268,7 +268,7 @@ def considered_errors(
             own.setdefault(error.cause, {})[name] = shared
     if of_mesh:
         errors = mesh_errors(
-            evaluate.numbered,
+            evaluate,
             configurations,
             z,
             forces=equilibrium.multipliers,

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import (
@@ -36,7 +37,6 @@ from softcal_jax.equilibrium import (
     effector_values,
     input_rows,
     linearise,
-    refined_model,
     residual,
     sensitivity,
 )
@@ -50,6 +50,9 @@ MOST_TETS = {1: 50_000, 2: 12_500}
 """Most tets whose error is estimated, by order: either makes 100 000 quadratic tets at
 most, hence about 140 000 nodes."""
 
+AT_ONCE = 4
+"""Configurations of one factorization in one program."""
+
 MOST_CHANGE = 10.0
 """Largest change, relative to how far the loads move the effectors on the coarse mesh.
 They may not move them at all while the body is linear, but bend it once it is not [-].
@@ -57,7 +60,7 @@ They may not move them at all while the body is linear, but bend it once it is n
 
 
 def mesh_errors(
-    problem: CalibrationProblem,
+    evaluate: Evaluator,
     configurations: Sequence[Configuration],
     z: Float[Array, " n_p"],
     *,
@@ -67,7 +70,7 @@ def mesh_errors(
     """Estimate the standard deviation of the effectors by the mesh.
 
     Args:
-        problem: The calibration, without names.
+        evaluate: Evaluator of the calibration.
         configurations: Its configurations.
         z: Scaled parameters [-].
         forces: Forces of the actuators whose displacement is imposed, at the
@@ -80,10 +83,11 @@ def mesh_errors(
         by one of the names in `REMEDIES`. Empty where it is not known: with more than
         `MOST_TETS`, and where the body at rest has no stiffness.
     """
+    problem = evaluate.numbered
     model = problem.model
     if model.n_tets > MOST_TETS[model.mesh.order]:
         return {}
-    fine, refinement = refined_model(model)
+    fine, refinement = evaluate.finer
     lanes = problem.configurations, _refined(problem, configurations, fine, refinement)
     coarse, exact = (
         _linear_motions(own, problem.space, z, _without_slack(own, batch, forces))
@@ -140,49 +144,96 @@ def _linear_motions(
 ) -> Float[HostArray, "n_rows n_c n_e"]:
     """Compute how far loads, then imposed motions if any, move the effectors.
 
-    Lane by lane, since a body eight times as large needs all cores for itself.
+    Configurations that are held alike share a factorization. One after the other, since
+    a body eight times as large needs all cores for itself.
     """
     actuation = batch.actuation
     imposed = np.asarray(actuation.value)[np.asarray(actuation.by_displacement)]
     moves = any(np.any(motion) for motion in (imposed, *_motions(batch)))
-    lanes = (lane_of(batch, c) for c in range(len(batch.gravity)))
-    found = [_linear_motion(model, space, moves, z, lane) for lane in lanes]
-    return np.stack(found, axis=1)
+    found: dict[int, HostArray] = {}
+    for group in _held_alike(batch):
+        for k in range(0, len(group), AT_ONCE):
+            own = group[k : k + AT_ONCE]
+            # Always as many, so that one program serves any number of them.
+            lanes = lane_of(batch, np.resize(own, AT_ONCE))
+            rows = np.asarray(_linear_motion(model, space, moves, z, lanes))
+            found |= dict(zip(own, rows, strict=False))
+    return np.stack([found[c] for c in sorted(found)], axis=1)
+
+
+def _held_alike(batch: ConfigurationArrays) -> list[list[int]]:
+    """Group configurations whose bodies at rest have the same stiffness."""
+    springs = batch.springs
+    held = (
+        batch.fixed,
+        springs.stiffness,
+        springs.area,
+        # A parameter may set the stiffness of each by the name of its configuration.
+        batch.key if springs.names else np.zeros(len(batch.fixed)),
+        batch.bodies.kind,
+        batch.actuation.by_displacement,
+        batch.actuation.releasing,
+    )
+    groups: dict[tuple[bytes, ...], list[int]] = {}
+    for c in range(len(batch.fixed)):
+        same = tuple(np.asarray(part)[c].tobytes() for part in held)
+        groups.setdefault(same, []).append(c)
+    return list(groups.values())
 
 
 @eqx.filter_jit
 def _linear_motion(
-    model: Model, space: ParameterSpace, moves: bool, z, c: ConfigurationArrays
-) -> Float[Array, "n_rows n_e"]:
-    """Compute what `_linear_motions` does for one lane; nan without a solution.
+    model: Model, space: ParameterSpace, moves: bool, z, lanes: ConfigurationArrays
+) -> Float[Array, "n_lanes n_rows n_e"]:
+    """Compute what `_linear_motions` does for lanes held alike; nan without a solution.
 
     Without the stiffness of the loads themselves, by which a chamber under pressure may
     have none left at rest.
     """
-    model, c = space.apply(model, c, z)
+    model, first = space.apply(model, jax.tree.map(lambda leaf: leaf[0], lanes), z)
     rest = jnp.zeros((model.n_points, 3))
     state = (rest, jnp.zeros(model.mechanism.n_actuators))
-    unloaded, loaded = _at_share(c, 0.0, 0.0), _at_share(c, 1.0, 0.0)
-    lin = linearise(model, unloaded, *state)
-    # At a fixed state the loads are linear, and so are their readings.
-    read = lambda c: effector_values(model, c, *state).ravel()
-    by_loads = InputRows(
-        force=-lin.free(residual(model, loaded, *state)),
-        held=rest,
-        gap=jnp.zeros(model.with_multiplier.size),
-        reading=read(loaded) - read(unloaded),
-    )
-    rows = jax.tree.map(lambda own: own[None], by_loads)
-    if moves:
+    lin = linearise(model, _at_share(first, 0.0, 0.0), *state)
+
+    def rows_of(lane: ConfigurationArrays) -> InputRows:
+        _, c = space.apply(model, lane, z)
+        unloaded, loaded = _at_share(c, 0.0, 0.0), _at_share(c, 1.0, 0.0)
+        # At a fixed state the loads are linear, and so are their readings.
+        read = lambda c: effector_values(model, c, *state).ravel()
+        by_loads = InputRows(
+            force=-lin.free(residual(model, loaded, *state)),
+            held=rest,
+            gap=jnp.zeros(model.with_multiplier.size),
+            reading=read(loaded) - read(unloaded),
+        )
+        if not moves:
+            return jax.tree.map(lambda own: own[None], by_loads)
 
         def along(function):
             at = lambda share: function(model, _at_share(c, 0.0, share))
             return jax.jvp(at, (jnp.zeros(()),), (jnp.ones(()),))[1]
 
-        more = input_rows(model, unloaded, *state, along, effector_values)
-        rows = jax.tree.map(lambda *own: jnp.stack(own), by_loads, more)
-    found = sensitivity(lin, rows, effector_values)
-    return jnp.where(found.ok, found.W_ep, jnp.nan).T
+        by_motions = input_rows(model, unloaded, *state, along, effector_values)
+        return jax.tree.map(lambda *own: jnp.stack(own), by_loads, by_motions)
+
+    rows = jax.vmap(rows_of)(lanes)
+    n_rows = 1 + moves
+    joined = lambda own: own.reshape(AT_ONCE * n_rows, *own.shape[2:])
+    flat = jax.tree.map(joined, rows)
+    solved = sensitivity(lin, flat)
+    assert solved.displacement is not None
+    assert solved.multipliers is not None
+    of_lane = lambda own: own.reshape(AT_ONCE, n_rows, *own.shape[1:])
+    u, forces = of_lane(solved.displacement - flat.held), of_lane(solved.multipliers)
+
+    def readings(lane, row: InputRows, u, forces):
+        _, c = space.apply(model, lane, z)
+        read = lambda *at: effector_values(model, _at_share(c, 0.0, 0.0), *at).ravel()
+        follow = lambda du, dl: jax.jvp(read, state, (du, dl))[1]
+        return row.reading + jax.vmap(follow)(u, forces)
+
+    found = jax.vmap(readings)(lanes, rows, u, forces)
+    return jnp.where(solved.ok, found, jnp.nan)
 
 
 def _motions(c: ConfigurationArrays) -> tuple[Any, ...]:

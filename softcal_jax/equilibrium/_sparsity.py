@@ -74,6 +74,12 @@ def _upward(symmetric: bool, row, col):
     return (np.minimum(row, col), np.maximum(row, col)) if symmetric else (row, col)
 
 
+def _distinct(keys: Int[HostArray, "..."]) -> Int[HostArray, " n"]:
+    """Return distinct keys in order; faster than the hash table of `np.unique`."""
+    ordered = np.sort(keys, axis=None)
+    return ordered[np.diff(ordered, prepend=ordered[0] - 1) > 0]
+
+
 def build_sparsity(
     cliques: Sequence[Int[HostArray, "_ _"]], n_nodes: int, *, symmetric: bool = True
 ) -> Sparsity:
@@ -88,8 +94,8 @@ def build_sparsity(
         m = nodes.shape[1]
         a, b = np.triu_indices(m) if symmetric else np.indices((m, m))
         low, high = _upward(symmetric, nodes[:, a], nodes[:, b])
-        found.append(np.unique(low.astype(np.int64) * n_nodes + high))
-    pairs = np.unique(np.concatenate(found))
+        found.append(_distinct(low.astype(np.int64) * n_nodes + high))
+    pairs = _distinct(np.concatenate(found))
     row_node, col_node = pairs // n_nodes, pairs % n_nodes
     i, j = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
     rows = (3 * row_node[:, None] + i).ravel()
@@ -109,7 +115,7 @@ def from_entries(
     Every diagonal entry must be given; a symmetric pattern leaves out those below.
     """
     keys = rows.astype(np.int64) * n_dof + columns
-    keys = np.unique(keys[rows <= columns] if symmetric else keys)
+    keys = _distinct(keys[rows <= columns] if symmetric else keys)
     rows, indices = keys // n_dof, keys % n_dof
     # Sorting by column gives the order of the transpose.
     mirror = None if symmetric else np.lexsort((rows, indices)).astype(np.int32)
