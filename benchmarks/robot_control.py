@@ -5,19 +5,20 @@ its motors, so that it can reach each. The model says which angles they need, fr
 working point; the printed robot is commanded these, and the error is that of its rod.
 A hundred more goals are poses that the ordered model takes itself.
 
-What the errors come from:
+What the errors come from, at fixed commands, where a model shows the goal and the
+printed robot what it makes of it:
 
-- `error_printed_*`: the first three goals, by the printed robot's own model; what the
-  search and the chain of measurements leave.
-- `true_by_mesh_*`, `true_by_law_*`, `true_between_points_*`: with the true material at
-  its control points, and the true zeros and mountings, the model still differs from the
-  printed robot by its coarser mesh, its law, and the material between control points.
-  At the commands of that model, the change of pose as one after the other is replaced.
-- `noise_free_*`: the error of a calibration on readings without noise, at the commands
-  of the calibrated model.
-- `own_law_*`: the same on readings without noise of a robot with the law and the mesh
-  of the model: what seven poses leave open of the material and the setup.
-- `law_alone_*`: the model with the true material everywhere, and the true setup, there.
+- `left_by_*_model_mm`: how far a model itself stays off its goals, which is all that
+  the search leaves.
+- `true_by_mesh_*`, `true_by_law_*`, `true_between_points_*`: the change of pose as the
+  mesh, the law, and the material between control points of the printed robot are
+  replaced by those of the true model one after the other, at its commands.
+- `error_calibrated_noise_free_*`: of a calibration on readings without noise.
+- `error_calibrated_own_law_*`: the same, of a robot with the law and mesh of the model;
+  what seven poses and the prior leave open.
+- `error_law_alone_*`: of the law and mesh of the model with all else as printed, and
+  nothing calibrated to make up for them. This and the two above are at the commands of
+  the calibrated model.
 """
 
 from collections.abc import Mapping, Sequence
@@ -45,9 +46,6 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.robots import ParallelRobot, PrintedRobot
 
 N_GOALS = 20
-
-N_PRINTED = 3
-"""Goals that the printed robot's own model is asked for too."""
 
 N_OWN = 100
 
@@ -119,10 +117,6 @@ def run(options: Options) -> Outcome:
     for name, model in models.items():
         options.say(f"commands of the {name} model")
         done[name] = commanded(robot, printed, commands(robot, model, goals), goals)
-    options.say("commands of the printed robot's own model")
-    few = goals[:N_PRINTED]
-    found = commands(robot, printed.model, few, first=printed.first)
-    done["printed"] = commanded(robot, printed, found, few)
     samples: dict[str, list[float]] = {}
     for name, one in done.items():
         figures |= _figures(name, one)
@@ -162,7 +156,9 @@ def _figures(name: str, one: Commanded) -> dict[str, Figure]:
     }
 
 
-def _tables(done: Mapping[str, Commanded], parts: Mapping[str, Differences]):
+def _tables(
+    done: Mapping[str, Commanded], parts: Mapping[str, Differences]
+) -> list[Table]:
     rows, causes = [], []
     for name, one in done.items():
         mean = (np.mean(one.mm), np.mean(one.deg))
@@ -214,16 +210,17 @@ def causes(
         "true_by_law": differences(by_law, on_mesh),
         "true_between_points": differences(shown(robot, true, at["true"]), by_law),
     }
-    at_commands = at["calibrated"]
-    shows = shown(robot, printed.model, at_commands, first=printed.first)
-    own = shown(robot, coarse.first, at_commands)
+    known = at["calibrated"]
+    shows = shown(robot, printed.model, known, first=printed.first)
+    own = shown(robot, coarse.first, known)
     exact = read_exactly(measured, printed.model, first=printed.first)
-    noise_free = fitted(robot, exact).model
-    own_law = fitted(robot, read_exactly(measured, coarse.first)).model
+    noise_free = shown(robot, fitted(robot, exact).model, known)
+    exact = read_exactly(measured, coarse.first)
+    own_law = shown(robot, fitted(robot, exact).model, known)
     return found | {
-        "noise_free": differences(shown(robot, noise_free, at_commands), shows),
-        "own_law": differences(shown(robot, own_law, at_commands), own),
-        "law_alone": differences(own, shows),
+        "error_calibrated_noise_free": differences(noise_free, shows),
+        "error_calibrated_own_law": differences(own_law, own),
+        "error_law_alone": differences(own, shows),
     }
 
 
@@ -271,11 +268,7 @@ def true_model(robot: ParallelRobot, printed: PrintedRobot) -> Model:
 
 
 def commands(
-    robot: ParallelRobot,
-    model: Model,
-    goals: Sequence[Pose],
-    *,
-    first: Model | None = None,
+    robot: ParallelRobot, model: Model, goals: Sequence[Pose]
 ) -> list[InverseResult]:
     """Commands that bring a model to the goals, each from its working point.
 
@@ -283,14 +276,12 @@ def commands(
         robot: The robot, for its names and its working point.
         model: The model, as ordered or calibrated.
         goals: Poses of the rod.
-        first: The model whose working point is the guess; the model itself by default.
     """
     start = robot.configurations[0]
     name = start.effectors[0].name
     limits = {motor: Limits(displacement=tuple(RANGE)) for motor in start.actuation}
     angles = [asked.value for asked in start.actuation.values()]
-    easy = model if first is None else first
-    at_work = sample_workspace(easy, start, [angles]).solution.displacement[0]
+    at_work = sample_workspace(model, start, [angles]).solution.displacement[0]
     return [
         solve_inverse(
             model,
