@@ -32,10 +32,8 @@ READINGS = 10
 STD, STD_ANGLE = 0.3e-3, float(np.deg2rad(0.2))
 """What the calibration takes a mean reading to be known to: it, and the setup."""
 
-READ = {
-    "std": PrintingErrors().position / READINGS**0.5,
-    "std_angle": PrintingErrors().orientation / READINGS**0.5,
-}
+READ_STD = PrintingErrors().position / READINGS**0.5
+READ_STD_ANGLE = PrintingErrors().orientation / READINGS**0.5
 """What a mean reading is known to by itself, [m] and [rad]: the tracker's noise."""
 
 UNCERTAIN = Uncertain(recordings=0.0)

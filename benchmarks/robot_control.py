@@ -29,7 +29,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
-from benchmarks._robot import READ, Measured, calibrated, measured_robot, model_robot
+from benchmarks._robot import (
+    READ_STD,
+    READ_STD_ANGLE,
+    Measured,
+    calibrated,
+    measured_robot,
+    model_robot,
+)
 from benchmarks._robot_errors import (
     Differences,
     differences,
@@ -97,7 +104,8 @@ class Commanded(NamedTuple):
 def run(options: Options) -> Outcome:
     """Goals, commands of all models, and what the printed robot makes of them."""
     robot = model_robot()
-    measured = measured_robot(model_robot(**READ), SEED)
+    read = model_robot(std=READ_STD, std_angle=READ_STD_ANGLE)
+    measured = measured_robot(read, SEED)
     printed = measured.printed
     options.say("its own poses")
     own = commands(robot, robot.model, own_poses(robot, OWN_ANGLES))

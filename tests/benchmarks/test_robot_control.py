@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks._robot import READ, READINGS
+from benchmarks._robot import READ_STD, READ_STD_ANGLE, READINGS
 from benchmarks._robot_errors import differences
 from softcal_jax.calibration import simulated_measurements
 from softcal_jax.robots import parallel_robot, printed_robot, read_poses_of
@@ -12,7 +12,7 @@ from softcal_jax.robots import parallel_robot, printed_robot, read_poses_of
 @pytest.mark.slow  # a printed robot, whose equilibria compile for half a minute
 def test_mean_readings_scatter_as_stated():
     """Readings less the poses themselves, in units of what they are stated to."""
-    robot = parallel_robot(size=0.02, **READ)
+    robot = parallel_robot(size=0.02, std=READ_STD, std_angle=READ_STD_ANGLE)
     printed = printed_robot(robot.geometry, seed=0, size=0.02)
     poses = robot.configurations + robot.validation
     read = read_poses_of(printed, poses, seed=0, readings=READINGS)
