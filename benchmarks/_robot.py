@@ -17,6 +17,7 @@ from softcal_jax.robots import (
     SETUP,
     ParallelRobot,
     PrintedRobot,
+    PrintingErrors,
     parallel_robot,
     printed_robot,
     read_poses_of,
@@ -30,6 +31,10 @@ READINGS = 10
 
 STD, STD_ANGLE = 0.3e-3, float(np.deg2rad(0.2))
 """What the calibration takes a mean reading to be known to: it, and the setup."""
+
+READ_STD = PrintingErrors().position / READINGS**0.5
+READ_STD_ANGLE = PrintingErrors().orientation / READINGS**0.5
+"""What a mean reading is known to by itself, [m] and [rad]: the tracker's noise."""
 
 UNCERTAIN = Uncertain(recordings=0.0)
 """What the calibration holds fixed; errors of the readings are all in `STD`."""
@@ -46,15 +51,20 @@ class Measured(NamedTuple):
 def model_robot(
     prior: Mapping[str, float] | None = PRIOR,
     setup: Mapping[str, float] | None = SETUP,
+    *,
+    std: float = STD,
+    std_angle: float = STD_ANGLE,
 ) -> ParallelRobot:
     """The model that is calibrated.
 
     Args:
         prior: What is known of the fields, or None.
         setup: Errors of the setup that are calibrated along, or None.
+        std: What positions are taken to be known to [m].
+        std_angle: What orientations are taken to be known to [rad].
     """
     return parallel_robot(
-        size=SIZE, prior=prior, setup=setup, std=STD, std_angle=STD_ANGLE
+        size=SIZE, prior=prior, setup=setup, std=std, std_angle=std_angle
     )
 
 

@@ -3,26 +3,54 @@
 Twenty goals are poses that the printed robot (`_robot.py`) takes at random angles of
 its motors, so that it can reach each. The model says which angles they need, from its
 working point; the printed robot is commanded these, and the error is that of its rod.
-The same command by the model with the true material and setup of the printed robot
-shows what is left without a calibration: its coarser mesh, its law, and the search.
-
 A hundred more goals are poses that the ordered model takes itself.
+
+What the errors come from, at fixed commands, where a model shows the goal and the
+printed robot what it makes of it:
+
+- `left_by_*_model_mm`: how far a model itself stays off its goals, which is all that
+  the search leaves.
+- `true_by_mesh_*`, `true_by_law_*`, `true_between_points_*`: the change of pose as the
+  mesh, the law, and the material between control points of the printed robot are
+  replaced by those of the true model one after the other, at its commands.
+- `error_calibrated_noise_free_*`: of a calibration on readings without noise.
+- `error_calibrated_own_law_*`: the same, of a robot with the law and mesh of the model;
+  what seven poses and the prior leave open.
+- `error_law_alone_*`: of the law and mesh of the model with all else as printed, and
+  nothing calibrated to make up for them. This and the two above are at the commands of
+  the calibrated model.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
-from benchmarks._robot import STD, STD_ANGLE, calibrated, measured_robot, model_robot
+from benchmarks._robot import (
+    READ_STD,
+    READ_STD_ANGLE,
+    Measured,
+    calibrated,
+    measured_robot,
+    model_robot,
+)
+from benchmarks._robot_errors import (
+    Differences,
+    differences,
+    on_the_models_mesh,
+    read_exactly,
+    shown,
+)
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
-from softcal_jax.calibration import simulated_measurements
-from softcal_jax.configurations import BodyFrame, Configuration
+from softcal_jax.calibration import CalibrationResult
+from softcal_jax.configurations import BodyFrame
 from softcal_jax.control import InverseResult, Limits, sample_workspace, solve_inverse
 from softcal_jax.equilibrium import Model
-from softcal_jax.robots import ParallelRobot, PrintedRobot, pose
+from softcal_jax.robots import ParallelRobot, PrintedRobot
 
 N_GOALS = 20
 
@@ -44,96 +72,176 @@ RANGE = np.deg2rad((20.0, 70.0))
 """Limits of the motors [rad]."""
 
 
+COLUMNS = ("model", "position [mm]", "orientation [deg]")
+
+
+class Commanded(NamedTuple):
+    """What came of the goals that a model was asked for.
+
+    Attributes:
+        found: The commands of the model.
+        angles: Their motor angles [degrees].
+        mm: How far the printed robot ended off the goals [mm].
+        deg: The same of the orientation [degrees].
+    """
+
+    found: list[InverseResult]
+    angles: Float[HostArray, "n_goals 6"]
+    mm: list[float]
+    deg: list[float]
+
+    @property
+    def met(self) -> int:
+        """Goals that the model itself meets."""
+        return sum(result.met for result in self.found)
+
+    @property
+    def left(self) -> list[float]:
+        """How far the model itself stays off the goals [mm]."""
+        return [1e3 * float(np.linalg.norm(r.goals[0].residual)) for r in self.found]
+
+
 def run(options: Options) -> Outcome:
     """Goals, commands of all models, and what the printed robot makes of them."""
     robot = model_robot()
-    measured = measured_robot(robot, SEED)
+    read = model_robot(std=READ_STD, std_angle=READ_STD_ANGLE)
+    measured = measured_robot(read, SEED)
+    printed = measured.printed
     options.say("its own poses")
-    own = own_poses(robot, OWN_ANGLES)
-    found = commands(robot, robot.model, own)
-    met = sum(result.met for result in found)
+    own = commands(robot, robot.model, own_poses(robot, OWN_ANGLES))
+    met = sum(result.met for result in own)
     figures: dict[str, Figure] = {
         "own_poses_reached_of_100": met,
-        "own_poses_met_from_the_start": sum(len(r.attempts) == 1 for r in found),
+        "own_poses_met_from_the_start": sum(len(r.attempts) == 1 for r in own),
     }
     options.say(f"{met} of {len(own)} met; calibrating")
-    result = calibrated(robot, measured)
-    if not result.converged:
-        raise RuntimeError(f"the calibration of robot {SEED} did not converge.")
-    options.say("goals")
-    goals = reached(robot, measured.printed, ANGLES)
     models = {
         "uncalibrated": robot.model,
-        "calibrated": result.model,
-        "true": true_model(robot, measured.printed),
+        "calibrated": fitted(robot, measured).model,
+        "true": true_model(robot, printed),
     }
-    samples, rows = {}, []
+    goals = shown(robot, printed.model, ANGLES, first=printed.first)
+    done = {}
     for name, model in models.items():
         options.say(f"commands of the {name} model")
-        found = commands(robot, model, goals)
-        options.say("the printed robot")
-        angles = np.rad2deg([result.inputs for result in found])
-        there = reached(robot, measured.printed, angles)
-        errors = np.array([_error(a, b) for a, b in zip(there, goals, strict=True)])
-        left = np.array([_left(result) for result in found])
-        samples[f"{name}_mm"], samples[f"{name}_deg"] = errors.T.tolist()
-        samples[f"{name}_model_off_mm"] = left[:, 0].tolist()
-        mean, met = errors.mean(axis=0), sum(result.met for result in found)
-        figures |= {
-            f"error_{name}_mm": float(mean[0]),
-            f"error_{name}_deg": float(mean[1]),
-            f"worst_{name}_mm": float(errors[:, 0].max()),
-            f"goals_met_by_{name}_model": met,
-            f"left_by_{name}_model_mm": float(left[:, 0].mean()),
-        }
-        cells = (*mean, *errors.max(axis=0), left[:, 0].mean())
-        rows.append([name, *(f"{v:.3f}" for v in cells), f"{met}"])
-        for result in found:
+        done[name] = commanded(robot, printed, commands(robot, model, goals), goals)
+    samples: dict[str, list[float]] = {}
+    for name, one in done.items():
+        figures |= _figures(name, one)
+        samples |= {f"{name}_mm": one.mm, f"{name}_deg": one.deg}
+        samples[f"{name}_model_off_mm"] = one.left
+        for result in one.found:
             if not result.met:
                 options.say(result.message)
-    for unit in ("mm", "deg"):
-        before, after = (
-            float(figures[f"error_{name}_{unit}"])
-            for name in ("uncalibrated", "calibrated")
-        )
-        figures[f"improvement_{unit}_percent"] = 100.0 * (1.0 - after / before)
-    columns = [
-        "model",
-        "position [mm]",
-        "orientation [deg]",
-        "worst [mm]",
-        "worst [deg]",
-        "left by the model [mm]",
-        "met",
-    ]
+    before, after = done["uncalibrated"], done["calibrated"]
+    for unit, old, new in (
+        ("mm", before.mm, after.mm),
+        ("deg", before.deg, after.deg),
+    ):
+        left = float(np.mean(new) / np.mean(old))
+        figures[f"improvement_{unit}_percent"] = 100.0 * (1.0 - left)
+    options.say("what the errors come from")
+    at = {name: one.angles for name, one in done.items()}
+    parts = causes(robot, measured, models["true"], at)
+    for name, (distances, turns) in parts.items():
+        samples[f"{name}_mm"] = distances
+        figures[f"{name}_mm"] = float(np.mean(distances))
+        figures[f"{name}_deg"] = float(np.mean(turns))
     wanted = {
         "own_poses_reached_of_100": Goal("at least", 98),
         "improvement_mm_percent": Goal("at least", 50),
     }
-    table = Table("Errors at goals", columns, rows)
-    return Outcome(figures, samples, wanted, tables=[table])
+    return Outcome(figures, samples, wanted, tables=_tables(done, parts))
 
 
-def _configurations(robot: ParallelRobot, angles) -> list[Configuration]:
+def _figures(name: str, one: Commanded) -> dict[str, Figure]:
+    return {
+        f"error_{name}_mm": float(np.mean(one.mm)),
+        f"error_{name}_deg": float(np.mean(one.deg)),
+        f"worst_{name}_mm": max(one.mm),
+        f"goals_met_by_{name}_model": one.met,
+        f"left_by_{name}_model_mm": float(np.mean(one.left)),
+    }
+
+
+def _tables(
+    done: Mapping[str, Commanded], parts: Mapping[str, Differences]
+) -> list[Table]:
+    rows, causes = [], []
+    for name, one in done.items():
+        mean = (np.mean(one.mm), np.mean(one.deg))
+        cells = (*mean, max(one.mm), max(one.deg), np.mean(one.left))
+        met = f"{one.met} of {len(one.found)}"
+        rows.append([name, *(f"{v:.3f}" for v in cells), met])
+    for name, both in parts.items():
+        mean = [f"{np.mean(values):.3f}" for values in both]
+        causes.append([name.replace("_", " "), *mean])
+    more = ("worst [mm]", "worst [deg]", "left by the model [mm]", "met")
     return [
-        pose(robot.geometry, f"goal {k}", row, std=STD, std_angle=STD_ANGLE)
-        for k, row in enumerate(angles, start=1)
+        Table("Errors at goals", (*COLUMNS, *more), rows),
+        Table("What they come from", COLUMNS, causes),
     ]
 
 
-def reached(robot: ParallelRobot, printed: PrintedRobot, angles) -> list[Pose]:
-    """Poses of the rod of a printed robot at motor angles.
+def commanded(
+    robot: ParallelRobot,
+    printed: PrintedRobot,
+    found: list[InverseResult],
+    goals: Sequence[Pose],
+) -> Commanded:
+    """Errors of the printed robot at the commands of a model."""
+    angles = np.rad2deg([result.inputs for result in found])
+    there = shown(robot, printed.model, angles, first=printed.first)
+    return Commanded(found, angles, *differences(there, goals))
+
+
+def causes(
+    robot: ParallelRobot,
+    measured: Measured,
+    true: Model,
+    at: Mapping[str, Float[HostArray, "n_goals 6"]],
+) -> dict[str, Differences]:
+    """Differences of pose [mm, degrees] that the errors come from, by their names.
 
     Args:
-        robot: The model, for its geometry.
-        printed: The printed robot.
-        angles: Angles of the motors, one row per pose [degrees].
+        robot: The ordered robot.
+        measured: The printed one, and its readings.
+        true: The model with the true material at its control points.
+        at: Commands of the models by name [degrees].
     """
-    found = simulated_measurements(
-        printed.model, _configurations(robot, angles), first=printed.first
-    )
-    effectors = [c.effectors[0] for c in found]
-    return [e.measured for e in effectors if isinstance(e, BodyFrame) and e.measured]
+    printed, coarse = measured.printed, on_the_models_mesh(robot, SEED)
+    there = shown(robot, printed.model, at["true"], first=printed.first)
+    on_mesh = shown(robot, coarse.model, at["true"], first=coarse.first)
+    by_law = shown(robot, coarse.first, at["true"])
+    found = {
+        "true_by_mesh": differences(on_mesh, there),
+        "true_by_law": differences(by_law, on_mesh),
+        "true_between_points": differences(shown(robot, true, at["true"]), by_law),
+    }
+    known = at["calibrated"]
+    shows = shown(robot, printed.model, known, first=printed.first)
+    own = shown(robot, coarse.first, known)
+    exact = read_exactly(measured, printed.model, first=printed.first)
+    noise_free = shown(robot, fitted(robot, exact).model, known)
+    exact = read_exactly(measured, coarse.first)
+    own_law = shown(robot, fitted(robot, exact).model, known)
+    return found | {
+        "error_calibrated_noise_free": differences(noise_free, shows),
+        "error_calibrated_own_law": differences(own_law, own),
+        "error_law_alone": differences(own, shows),
+    }
+
+
+def fitted(robot: ParallelRobot, measured: Measured) -> CalibrationResult:
+    """The robot calibrated on readings.
+
+    Raises:
+        RuntimeError: If the calibration did not converge.
+    """
+    result = calibrated(robot, measured)
+    if not result.converged:
+        raise RuntimeError(f"the calibration of robot {SEED} did not converge.")
+    return result
 
 
 def own_poses(robot: ParallelRobot, angles) -> list[Pose]:
@@ -193,16 +301,3 @@ def commands(
         )
         for goal in goals
     ]
-
-
-def _left(result: InverseResult) -> tuple[float, float]:
-    """How far a model itself stays off its goal: distance [mm], angle [degrees]."""
-    point, turn = (np.linalg.norm(fit.residual) for fit in result.goals)
-    return 1e3 * float(point), float(np.rad2deg(turn))
-
-
-def _error(reached: Pose, goal: Pose) -> tuple[float, float]:
-    """Distance [mm] and angle [degrees] between two poses."""
-    distance = np.linalg.norm(np.asarray(reached.translation - goal.translation))
-    cosine = 0.5 * (np.trace(reached.matrix @ goal.matrix.T) - 1.0)
-    return 1e3 * float(distance), float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
