@@ -10,7 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.calibration._lanes import as_guess, lane_of, simulate_lanes
+from softcal_jax.calibration._lanes import (
+    as_guess,
+    each_lane,
+    lane_of,
+    simulate_lanes,
+)
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -29,7 +34,12 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.mesh import Refinement
-from softcal_jax.sensitivity import Response, equilibrium_response
+from softcal_jax.sensitivity import (
+    EnergyCompliance,
+    Response,
+    energy_compliance,
+    equilibrium_response,
+)
 
 
 class Evaluation(eqx.Module):
@@ -155,6 +165,17 @@ _evaluate_lane = eqx.filter_jit(evaluate_lane)
 
 
 @eqx.filter_jit
+def _energy_compliance_lane(
+    model: Model,
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+) -> EnergyCompliance:
+    return energy_compliance(model, configuration, u, space, z)
+
+
+@eqx.filter_jit
 def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
     return problem.at(z)
 
@@ -235,14 +256,29 @@ class Evaluator:
         found = yield Batch(self._evaluate, jobs, self._program)
         return _stacked(self.numbered, z, found)
 
+    def simulated(
+        self, z: Float[Array, " n_p"]
+    ) -> Job[tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]]:
+        """Compute equilibria and effector coordinates from rest."""
+        posed = _posed(self.numbered.with_noise(None), z)
+        return (yield from simulate_lanes(*posed, self.problem.newton))
+
     def from_rest(self, z: Float[Array, " n_p"]) -> Job[Evaluation]:
         """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
-            posed = _posed(self.numbered.with_noise(None), z)
-            found, _ = yield from simulate_lanes(*posed, self.problem.newton)
+            found, _ = yield from self.simulated(z)
             guess = as_guess(found)
         return (yield from self(z, guess))
+
+    def energy_compliances(
+        self, z: Float[Array, " n_p"], u: Float[Array, "n_c n_points 3"]
+    ) -> Job[EnergyCompliance]:
+        """Compute W_ep and W_pp of all lanes at displacements `u` [m]."""
+        shared = self.shared.model, self.shared.space
+        lanes = [(z, *lane) for lane in zip(self.lanes, u, strict=True)]
+        found = yield from each_lane(_energy_compliance_lane, shared, lanes)
+        return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *found))
 
     def _evaluate(self, solver, lane) -> Response:
         # The solver is kept beside, so that its id is not given to another one.

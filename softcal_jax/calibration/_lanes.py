@@ -99,7 +99,7 @@ def simulate_lanes(
     It is compiled once for any number of them, and the lanes share the cores.
     """
     lanes = [lane_of(configurations, c) for c in range(len(configurations.gravity))]
-    each = partial(each_lane, _simulate_lane, (model, newton))
+    each = partial(each_lane, _simulate_lane, (model, newton.as_arrays()))
     start = jax.device_put(np.zeros((model.n_points, 3)))
     if guess is None and model.mechanism.bodies.n_bodies > 0:
         found = []

@@ -98,8 +98,12 @@ class CalibrationProblem(eqx.Module):
 
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
-    """Return the calibration without names, which would compile other programs."""
-    return eqx.tree_at(lambda p: p.space, problem, unnamed(problem.space))
+    """Return the calibration without what would compile other programs.
+
+    These are names, and settings that are no arrays.
+    """
+    own = unnamed(problem.space), problem.newton.as_arrays()
+    return eqx.tree_at(lambda p: (p.space, p.newton), problem, own)
 
 
 def n_measured(problem: CalibrationProblem) -> int:

@@ -64,7 +64,7 @@ def arrival(
         jnp.asarray(box),
         jnp.asarray(np.clip(value, *box)),
         jnp.asarray(guess),
-        command.settings.newton,
+        command.settings.newton.as_arrays(),
     )
     return found._replace(value=np.asarray(found.value))
 

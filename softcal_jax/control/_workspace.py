@@ -90,7 +90,7 @@ def sample_workspace(
         which = f"{configuration.name}, sample {i}"
         values.append(actuation_arrays(mechanism, asked, which).value)
     lane = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
-    newton = settings or NewtonSettings()
+    newton = (settings or NewtonSettings()).as_arrays()
     solution, found = _sample(model, lane, np.array(values), newton)
     effectors: dict[str, list] = {}
     for record in lanes.effectors[0]:

@@ -191,7 +191,7 @@ def merit(posed: Posed, at: Point, lambda_a, gap_stiffness) -> Float[Array, ""]:
     return jnp.sqrt(jnp.sum(g**2) + jnp.sum((gap_stiffness * to_go) ** 2))
 
 
-def relative(posed: Posed, at: Point, merit, stiffness, rtol: float):
+def relative(posed: Posed, at: Point, merit, stiffness, rtol):
     """Divide a merit by the larger of external and internal force [-].
 
     `stiffness` is the mean stiffness of an unknown [N/m], `rtol` where Newton stops.

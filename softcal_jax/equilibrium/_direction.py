@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
 from softcal_jax.equilibrium._assembly import (
     mixed_tangent,
@@ -200,7 +200,7 @@ def line_search(
     *,
     strict: Bool[Array, ""],
     reference: Float[Array, ""] | None,
-    backtracks: int,
+    backtracks: int | Int[Array | HostArray, ""],
 ) -> Trial:
     """Backtrack until the step passes the test and all values are finite.
 

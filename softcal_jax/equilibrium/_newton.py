@@ -12,9 +12,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._balance import (
@@ -44,8 +45,12 @@ _NEAR = 1e-3
 """Residual relative to internal forces below which a step hardly moves the tangent."""
 
 
+Number = float | Float[Array | HostArray, ""]
+Count = int | Int[Array | HostArray, ""]
+
+
 class NewtonSettings(eqx.Module):
-    """Settings of the equilibrium solve; static, so each set compiles once.
+    """Settings of the equilibrium solve.
 
     Attributes:
         rtol: Residual at which Newton stops, relative to the larger of external and
@@ -58,12 +63,12 @@ class NewtonSettings(eqx.Module):
         max_backtracks: Halvings of a Newton step before it counts as failed.
     """
 
-    rtol: float = eqx.field(static=True, default=1e-8)
-    max_steps: int = eqx.field(static=True, default=200)
-    max_steps_per_load: int = eqx.field(static=True, default=20)
-    smallest_load_step: float = eqx.field(static=True, default=1e-3)
-    strict_below: float = eqx.field(static=True, default=0.1)
-    max_backtracks: int = eqx.field(static=True, default=12)
+    rtol: Number = 1e-8
+    max_steps: Count = 200
+    max_steps_per_load: Count = 20
+    smallest_load_step: Number = 1e-3
+    strict_below: Number = 0.1
+    max_backtracks: Count = 12
 
     def __check_init__(self):
         if not 0.0 < self.rtol < 1.0:
@@ -73,6 +78,13 @@ class NewtonSettings(eqx.Module):
                 "max_steps and max_steps_per_load must be at least 1, got "
                 f"{self.max_steps} and {self.max_steps_per_load}."
             )
+
+    def as_arrays(self) -> "NewtonSettings":
+        """Return them as arrays, so that one compiled program serves all settings."""
+        whole = lambda value: np.issubdtype(np.result_type(value), np.integer)
+        kind = lambda value: np.int32 if whole(value) else float
+        host = jax.tree.map(lambda value: np.asarray(value, kind(value)), self)
+        return jax.device_put(host)
 
 
 class NewtonState(NamedTuple):
@@ -205,7 +217,7 @@ class NewtonLoop:
         s = _select(converged, self.next_load(s), s)
         return jax.lax.cond(failed, self.back, lambda s: s, s)
 
-    def run(self, s: NewtonState, most: int | Int[Array, ""]) -> NewtonState:
+    def run(self, s: NewtonState, most: Count) -> NewtonState:
         """Iterate until the end, or until so many iterations are done in all."""
         keep_going = lambda s: ~s.done & (s.step < most)
         return jax.lax.while_loop(keep_going, self.step, s)

@@ -73,23 +73,23 @@ def continue_newton(
 
 
 @eqx.filter_custom_jvp
-def _equilibrium(model, configuration, u0, *, settings):
+def _equilibrium(model, configuration, u0, settings):
     @lane_by_lane
-    def lane(model, configuration, u0):
+    def lane(model, configuration, u0, settings):
         return as_solution(newton(model, configuration, u0, settings))
 
-    return lane(model, configuration, u0)
+    return lane(model, configuration, u0, settings)
 
 
 @_equilibrium.def_jvp
-def _equilibrium_jvp(primals, tangents, *, settings):
+def _equilibrium_jvp(primals, tangents):
     """Differentiate an equilibrium by the implicit function theorem.
 
     The single input of `sensitivity` is a step along the tangents.
     """
-    model, configuration, u0 = primals
-    t_model, t_configuration, _ = tangents
-    solution = _equilibrium(model, configuration, u0, settings=settings)
+    model, configuration, u0, settings = primals
+    t_model, t_configuration, _, _ = tangents
+    solution = _equilibrium(model, configuration, u0, settings)
     u, lambda_a = solution.displacement, solution.multipliers
 
     def along(function):
@@ -194,6 +194,7 @@ def solve_equilibrium(
     if path is not None:
         if guess is not None:
             raise ValueError("a path begins at rest: leave out `guess`.")
-        return trace(model, configuration, path, settings or NewtonSettings())
+        numbers = (settings or NewtonSettings()).as_arrays()
+        return trace(model, configuration, path, numbers)
     u0 = jnp.zeros((model.n_points, 3)) if guess is None else guess
-    return _equilibrium(model, configuration, u0, settings=settings or NewtonSettings())
+    return _equilibrium(model, configuration, u0, settings or NewtonSettings())

@@ -16,10 +16,8 @@ from softcal_jax.calibration import (
     check_references,
     considered_errors,
     correlated_noise,
-    simulate,
     unknown_causes,
     whitened,
-    without_names,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -28,7 +26,6 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import (
     RESULTS,
-    EquilibriumSolution,
     Model,
     NewtonSettings,
     Workers,
@@ -54,7 +51,6 @@ from softcal_jax.identifiability._spread import (
     spread_of,
     verdict,
 )
-from softcal_jax.sensitivity import EnergyCompliance, energy_compliance
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
 AnyVector = Array | HostArray
@@ -268,16 +264,6 @@ class Survey(eqx.Module):
     unknown: tuple[str, ...] = ()
 
 
-@eqx.filter_jit
-def _solve(
-    problem: CalibrationProblem, z: Float[Array, " n_p"]
-) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"], EnergyCompliance]:
-    solution, moved = simulate(*problem.at(z), problem.newton)
-    lane = lambda c, u: energy_compliance(problem.model, c, u, problem.space, z)
-    of_lanes = jax.vmap(lane)(problem.configurations, solution.displacement)
-    return solution, moved, of_lanes
-
-
 def survey(
     model: Model,
     parameters: Parameters,
@@ -312,24 +298,23 @@ def survey(
     arrays, uncertain = lanes.arrays, uncertain or Uncertain()
     check_parameters(model, space, _lane(arrays, 0))
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
-    solution, moved, compliance = _solve(without_names(problem), z)
-    names = tuple(c.name for c in configurations)
+    evaluator, names = Evaluator(problem), tuple(c.name for c in configurations)
     required = len(names) if required is None else required
-    if required:
-        check_converged(jax.tree.map(lambda leaf: leaf[:required], solution), names)
+    with Workers(model, len(names)) as workers:
+        solution, moved = workers.end_of(evaluator.simulated(z))
+        if required:
+            there = jax.tree.map(lambda leaf: leaf[:required], solution)
+            check_converged(there, names)
+        u = solution.displacement
+        compliance = workers.end_of(evaluator.energy_compliances(z, u))
+        causes = workers.end_of(
+            considered_errors(
+                evaluator, configurations, uncertain, z=z, equilibrium=solution
+            )
+        )
     weights = np.asarray(arrays.effectors.inverse_std).reshape(len(names), -1)
     if noise is not None:
         weights = np.where(weights > 0.0, 1.0 / noise, 0.0)
-    with Workers(model, len(names)) as workers:
-        causes = workers.end_of(
-            considered_errors(
-                Evaluator(problem),
-                configurations,
-                uncertain,
-                z=z,
-                equilibrium=solution,
-            )
-        )
     # Nothing is measured yet: the motion is that of the model.
     records = [
         tuple(replace(e, measured=e.among(rows)) for e in own)

@@ -93,7 +93,8 @@ def tet_sensitivities(
             "tet_sensitivities takes effectors that follow from positions, and some "
             "are forces: leave out ActuatorForce and SupportReaction."
         )
-    found = _solve(model, arrays, names, newton or NewtonSettings())
+    newton = (newton or NewtonSettings()).as_arrays()
+    found = _solve(model, arrays, names, newton)
     check_converged(found.solution, tuple(c.name for c in posed))
     for c, ok in zip(posed, np.asarray(found.ok), strict=True):
         if not ok:

@@ -250,7 +250,7 @@ class Project(eqx.Module):
             )
         mesh, mechanism = self.model.mesh, self.model.mechanism
         lanes = configuration_arrays(mesh, self.configurations, mechanism)
-        return _solve_from_rest(self.model, lanes, self.newton)
+        return _solve_from_rest(self.model, lanes, self.newton.as_arrays())
 
 
 _solve_from_rest = eqx.filter_jit(solve_from_rest)

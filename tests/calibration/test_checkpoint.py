@@ -21,7 +21,7 @@ from softcal_jax.calibration import (
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import Parameter
+from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam as beam_mesh
 from softcal_jax.robots import anisotropic_beam
@@ -48,6 +48,7 @@ def fit(beam, data):
 
     def run(path=None, data=data, space=beam.space, starts=1, **keywords):
         keywords |= {"noise": "stated", "intervals": None, "starts": starts}
+        keywords |= {"uncertain": exactly_known()}
         return calibrate(beam.model, space, data, checkpoint=path, **keywords)
 
     return run

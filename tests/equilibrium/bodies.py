@@ -25,20 +25,26 @@ from softcal_jax.mesh import beam
 TIGHT = NewtonSettings(rtol=1e-12)
 
 
-def _solve(model, lanes, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
-    """All lanes of a batch."""
+def _solve(model, lanes, settings):
     one = partial(solve_equilibrium, settings=settings)
     return jax.vmap(one, in_axes=(None, 0))(model, lanes)
 
 
-solve = jax.jit(_solve, static_argnames="settings")
+_compiled = jax.jit(_solve)
 # Compiled as a user has it: as the other tests are, a batch differs from its members in
 # the last bit.
-solve_as_users = jax.jit(
-    _solve,
-    static_argnames="settings",
-    compiler_options={"xla_cpu_use_fusion_emitters": True},
+_compiled_as_users = jax.jit(
+    _solve, compiler_options={"xla_cpu_use_fusion_emitters": True}
 )
+
+
+def solve(model, lanes, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
+    """All lanes of a batch, by one program for all settings."""
+    return _compiled(model, lanes, settings)
+
+
+def solve_as_users(model, lanes, settings=NewtonSettings()):  # noqa: B008
+    return _compiled_as_users(model, lanes, settings)
 
 
 def lane(lanes, index: int):

@@ -24,6 +24,7 @@ E_T, E_L, NU, THETA = 700e3, 400e3, 0.3, float(np.deg2rad(30.0))
 ELASTICITIES = {
     "fibre": ReducedTransverseIsotropic(E_T, E_L, NU, Fibre(THETA)),
     "isotropic": Isotropic(E_T, NU),
+    "equal moduli": ReducedTransverseIsotropic(E_T, E_T, NU, Fibre(THETA)),
 }
 MESH = beam(LENGTH, SIDE, SIDE, (8, 1, 1), order=2)
 LINEAR = beam(LENGTH, SIDE, SIDE, (8, 1, 1))  # stiffer; compiles fast

@@ -1,7 +1,5 @@
 """Robots of bodies and actuators that the tests of this folder share."""
 
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -43,7 +41,7 @@ def arrays(model: Model, configuration: Configuration):
     return lane_of(stacked)
 
 
-@partial(jax.jit, static_argnames="settings")
+@jax.jit
 def solve(model, lane, guess, settings):
     """Equilibrium of one configuration, and its effectors' coordinates."""
     solution = solve_equilibrium(model, lane, guess=guess, settings=settings)

@@ -217,6 +217,11 @@ def along(model, lane, u, d, t):
     return Terms(pi, slope, curvature)
 
 
+@jax.jit
+def moved_from_rest(model, lane, d):
+    return Posed.of(model, lane).move(jnp.zeros((model.n_points, 3)), d)
+
+
 @pytest.mark.parametrize("root", ["free", "hinged", "held"])
 @pytest.mark.parametrize("tip", ["free", "hinged", "held"])
 def test_reduced_forces_and_tangent_are_the_derivatives_of_the_potential(root, tip):
@@ -228,9 +233,7 @@ def test_reduced_forces_and_tangent_are_the_derivatives_of_the_potential(root, t
     kinds = kinds.at[0].set(("free", "hinged", "held").index(root))
     force = 0.5 * jr.normal(keys[0], lane.loads.force.shape)
     lane = eqx.tree_at(lambda c: (c.loads.force, c.bodies.kind), lane, (force, kinds))
-    robot = Posed.of(MODEL, lane)
-    d0 = 1e-3 * jr.normal(keys[1], (MODEL.n_dof,))
-    u = robot.move(jnp.zeros((MODEL.n_points, 3)), d0)
+    u = moved_from_rest(MODEL, lane, 1e-3 * jr.normal(keys[1], (MODEL.n_dof,)))
     for key in keys[2:]:
         d = 1e-3 * jr.normal(key, (MODEL.n_dof,))
         exact = along(MODEL, lane, u, d, 0.0)

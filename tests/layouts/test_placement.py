@@ -114,8 +114,8 @@ def test_sizes_weigh_the_fields():
     The density counts most at the tip, whose weight has the longest lever.
     """
     bent = pose("bent", (TIP,))
-    for sizes, near in (({"E": 1e5, "density": 1.0}, 0.0), ({"density": 1e3}, 0.1)):
-        x = place(1, bent, fields=sizes).positions[0, 0]
+    for E, density, near in ((1e5, 1.0, 0.0), (1.0, 1e3, 0.1)):
+        x = place(1, bent, fields={"E": E, "density": density}).positions[0, 0]
         assert abs(x - near) < 0.03
 
 

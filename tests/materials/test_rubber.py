@@ -150,25 +150,25 @@ def test_ogden_in_its_exponents():
     """Calibrated exponents: stress and energy by alpha, at second order."""
     F = jnp.diag(jnp.asarray([1.4, 1.4, 0.55]))
     law = lambda alpha: Ogden(0.3, alpha, 0.05, 2.0)
-    for of in (lambda a: energy(law(a), F), lambda a: stress(law(a), F)):
-        slope = jax.jacfwd(of)(jnp.asarray(1.7))
-        error = lambda h, of=of, slope=slope: jnp.max(
-            jnp.abs((of(1.7 + h) - of(1.7 - h)) / (2 * h) - slope)
+    P_by_alpha = jax.jit(jax.jacfwd(lambda a: stress(law(a), F)))(jnp.asarray(1.7))
+    psi_by_alpha = jax.jit(jax.grad(lambda a: energy(law(a), F)))(jnp.asarray(1.7))
+    for of, slope in ((energy, psi_by_alpha), (stress, P_by_alpha)):
+        at = lambda a, of=of: np.asarray(of(law(a), F))
+        error = lambda h, at=at, slope=slope: np.max(
+            np.abs((at(1.7 + h) - at(1.7 - h)) / (2 * h) - slope)
         )
         np.testing.assert_allclose(error(1e-1) / error(1e-2), 100.0, rtol=0.05)
     # The derivative of the energy by F and alpha, in either order.
     psi = lambda F, a: law(a).energy_density(F)
-    mixed = jax.jacfwd(jax.grad(psi), argnums=1)(F, jnp.asarray(1.7))
-    np.testing.assert_allclose(
-        mixed, jax.jacfwd(lambda a: stress(law(a), F))(jnp.asarray(1.7)), atol=1e-13
-    )
+    mixed = jax.jit(jax.jacfwd(jax.grad(psi), argnums=1))(F, jnp.asarray(1.7))
+    np.testing.assert_allclose(mixed, P_by_alpha, atol=1e-13)
 
 
 def test_a_third_derivative_of_ogden_is_refused():
     with pytest.raises(
         NotImplementedError, match="derivatives of its energy up to the"
     ):
-        jax.jacfwd(LAWS["ogden 1"].tangent)(jnp.eye(3))
+        jax.eval_shape(jax.jacfwd(LAWS["ogden 1"].tangent), jnp.eye(3))
 
 
 def test_two_terms_are_mooney_rivlin():

@@ -1,5 +1,7 @@
 """The parallel robot, assembled: its rod, its symmetry, and printed ones."""
 
+from functools import cache
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -15,15 +17,19 @@ from softcal_jax.robots import (
     read_poses_of,
 )
 
-ROBOT = parallel_robot(size=0.02)
+
+@cache
+def robot():
+    """Not at the import, which every worker of the tests does."""
+    return parallel_robot(size=0.02)
 
 
 @pytest.fixture(scope="module")
 def working_point():
     """Equilibrium without weight, with all motors at 45 degrees."""
-    c = pose(ROBOT.geometry, "work", [45.0] * 6, std=1e-3, std_angle=1e-2)
+    c = pose(robot().geometry, "work", [45.0] * 6, std=1e-3, std_angle=1e-2)
     c = eqx.tree_at(lambda c: c.gravity, c, (0.0, 0.0, 0.0))
-    model = ROBOT.model
+    model = robot().model
     arrays = configuration_arrays(model.mesh, [c], model.mechanism)
     one = lane_of(arrays)
     solution = eqx.filter_jit(solve_equilibrium)(model, one)
@@ -34,12 +40,12 @@ def working_point():
 def test_the_rod_holds_both_centres(working_point):
     """They are a rod's length apart, as the geometry has it, exactly."""
     _, solution = working_point
-    mesh = ROBOT.model.mesh
+    mesh = robot().model.mesh
     x = mesh.points + np.asarray(solution.displacement)[: mesh.n_nodes]
     lower, upper = (
         x[mesh.nodes(f"{s}/centre")].mean(axis=0) for s in ("lower", "upper")
     )
-    length = 2.0 * ROBOT.geometry.rod_half_length
+    length = 2.0 * robot().geometry.rod_half_length
     np.testing.assert_allclose(np.linalg.norm(upper - lower), length, rtol=1e-12)
 
 
@@ -50,7 +56,7 @@ def test_the_symmetric_robot_stays_in_the_middle(working_point):
     """
     one, solution = working_point
     position, turn = np.asarray(
-        effector_values(ROBOT.model, one, solution.displacement)
+        effector_values(robot().model, one, solution.displacement)
     )
     # The residual is 1e-8 of forces of newtons on a stiffness of 100 N/m.
     np.testing.assert_allclose(position[[0, 2]], 0.0, atol=1e-8)
@@ -59,9 +65,9 @@ def test_the_symmetric_robot_stays_in_the_middle(working_point):
 
 def test_arms_are_where_the_motors_have_them(working_point):
     _, solution = working_point
-    mesh = ROBOT.model.mesh
+    mesh = robot().model.mesh
     u = np.asarray(solution.displacement)[: mesh.n_nodes]
-    for arm in ROBOT.geometry.arms():
+    for arm in robot().geometry.arms():
         nodes = mesh.nodes(arm.end)
         wanted = arm.pose(np.deg2rad(45.0))
         x = wanted.matrix @ (mesh.points[nodes] - arm.origin).T
@@ -70,8 +76,8 @@ def test_arms_are_where_the_motors_have_them(working_point):
 
 
 def test_the_prior_and_the_parameters():
-    assert len(ROBOT.space.names) == 36 + 6 + 18
-    assert ROBOT.space.has_prior
+    assert len(robot().space.names) == 36 + 6 + 18
+    assert robot().space.has_prior
     material = parallel_robot(size=0.02, prior=None, setup=None).space
     assert len(material.names) == 36
     assert not material.has_prior
@@ -79,7 +85,7 @@ def test_the_prior_and_the_parameters():
     assert len(zeros.space.names) == 36 + 6
     with pytest.raises(ValueError, match=r"setup knows .* got \['density'\]"):
         parallel_robot(size=0.02, setup={"density": 100.0})
-    assert len(ROBOT.configurations) == len(ROBOT.validation) == 7
+    assert len(robot().configurations) == len(robot().validation) == 7
 
 
 @pytest.mark.slow  # two robots, which compile for half a minute
@@ -91,7 +97,7 @@ def test_printed_robots_differ_and_are_read_with_noise():
     assert 0.1 < np.rad2deg(np.std(zero)) < 1.5  # of 0.5 degrees, six draws
     exact = PrintingErrors(position=1e-12, orientation=1e-12)
     quiet = printed_robot(seed=0, errors=exact, **small)
-    poses = ROBOT.configurations[:1]
+    poses = robot().configurations[:1]
     (read,) = read_poses_of(one, poses, seed=0)
     (clean,) = read_poses_of(quiet, poses, seed=0)
     off = (
