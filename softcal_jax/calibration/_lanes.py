@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     Batch,
@@ -26,8 +26,8 @@ from softcal_jax.equilibrium import (
 T = TypeVar("T")
 
 
-def lane_of(batch: T, index: int) -> T:
-    """Return one lane of a batch."""
+def lane_of(batch: T, index: int | Int[HostArray, " n"]) -> T:
+    """Return one lane of a batch, or a batch of several."""
     # Sliced on the host: on the device, each shape compiles two more programs.
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))
 
