@@ -149,7 +149,7 @@ def _linear_motions(
     """
     actuation = batch.actuation
     imposed = np.asarray(actuation.value)[np.asarray(actuation.by_displacement)]
-    moves = any(np.any(motion) for motion in (imposed, *_motions(batch)))
+    moves = any(np.asarray(m).any() for m in (imposed, *_motions(batch)))
     found: dict[int, HostArray] = {}
     for group in _held_alike(batch):
         for k in range(0, len(group), AT_ONCE):
