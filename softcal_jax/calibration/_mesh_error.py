@@ -81,13 +81,16 @@ def mesh_errors(
     Returns:
         Signed change of the effectors of each configuration, which all have in common,
         by one of the names in `REMEDIES`. Empty where it is not known: with more than
-        `MOST_TETS`, and where the body at rest has no stiffness.
+        `MOST_TETS`, where curved tets cannot be split, and where the body at rest has
+        no stiffness.
     """
     problem = evaluate.numbered
     model = problem.model
     if model.n_tets > MOST_TETS[model.mesh.order]:
         return {}
     fine, refinement = evaluate.finer
+    if np.any(np.asarray(fine.weights) < 0.0):
+        return {}
     lanes = problem.configurations, _refined(problem, configurations, fine, refinement)
     coarse, exact = (
         _linear_motions(own, problem.space, z, _without_slack(own, batch, forces))

@@ -226,11 +226,14 @@ def build_model(
     require_float64()
     check_solver(solver)
     _check_fields(law, mesh.n_tets)
+    density = _checked_density(density, mesh.n_tets)
+    mechanism = build_mechanism(mesh, bodies, actuators)
+    check_mesh(mesh, linked=_linked(mechanism))
     return _prepared(
         mesh,
         law,
-        density=_checked_density(density, mesh.n_tets),
-        mechanism=build_mechanism(mesh, bodies, actuators),
+        density=density,
+        mechanism=mechanism,
         formulation=_formulation(formulation, law, mesh.order),
         solver=partial(choose_solver, solver),
     )
@@ -276,7 +279,6 @@ def _prepared(
     solver: Callable[[Sparsity], AbstractLinearSolver],
 ) -> Model:
     """Assemble a model of parts that fit each other, see `build_model`."""
-    check_mesh(mesh, linked=_linked(mechanism))
     n_tets, n_en = mesh.tets.shape
     check_law(law, law.conservative, formulation)
     n_blocks = -(-n_tets // BLOCK)
