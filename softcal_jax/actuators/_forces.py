@@ -81,19 +81,37 @@ def _along(direction, weights):
     return weights[..., None] * (direction / np.linalg.norm(direction))
 
 
-class WeightedNodes(AbstractPotentialCliques):
-    """Nodes that carry a point; its position along a direction is delta_a.
+class AbstractWeighted(AbstractPotentialCliques):
+    """Nodes whose weighted positions add up to delta_a.
 
     Attributes:
-        weights: Weights of its coordinates [-].
+        weights: Weights of their coordinates [-].
     """
 
-    weights: Float[Array, "*cliques m 3"]
+    weights: eqx.AbstractVar[Float[Array, "*cliques m 3"]]
     curved: ClassVar[bool] = False
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         """Compute the weighted position of the nodes of one clique [m]."""
         return jnp.sum(self.weights * x)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """Draw one arrow per actuator at the mean point of action of its force."""
+        nodes, weights = np.ravel(self.nodes), np.reshape(self.weights, (-1, 3))
+        owner = np.repeat(self.owner, np.shape(self.nodes)[1])
+        actuators, of = np.unique(owner, return_inverse=True)
+        total = np.zeros((actuators.size, 3))
+        np.add.at(total, of, weights)
+        arrows = unit(total)
+        points = np.zeros_like(total)
+        np.add.at(points, of, np.sum(weights * arrows[of], axis=1)[:, None] * x[nodes])
+        return ActuatorGeometry(points=points, arrows=arrows, point_owner=actuators)
+
+
+class WeightedNodes(AbstractWeighted):
+    """Nodes that carry a point."""
+
+    weights: Float[Array, "*cliques m 3"]
 
     def refined(self, refinement: Refinement) -> "WeightedNodes":
         """Return the nodes of a finer mesh that carry the points."""
@@ -109,21 +127,11 @@ class WeightedNodes(AbstractPotentialCliques):
         where = lambda c: (c.nodes, c.weights)
         return eqx.tree_at(where, self, jax.device_put(new))
 
-    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw one arrow per actuator at the mean point of action of its force."""
-        nodes, weights = np.ravel(self.nodes), np.reshape(self.weights, (-1, 3))
-        owner = np.repeat(self.owner, np.shape(self.nodes)[1])
-        actuators, of = np.unique(owner, return_inverse=True)
-        total = np.zeros((actuators.size, 3))
-        np.add.at(total, of, weights)
-        arrows = unit(total)
-        points = np.zeros_like(total)
-        np.add.at(points, of, np.sum(weights * arrows[of], axis=1)[:, None] * x[nodes])
-        return ActuatorGeometry(points=points, arrows=arrows, point_owner=actuators)
 
-
-class WeightedFaces(WeightedNodes):
+class WeightedFaces(AbstractWeighted):
     """Faces with a force of fixed direction, consistent with their shape functions."""
+
+    weights: Float[Array, "*cliques n_fn 3"]
 
     def refined(self, refinement: Refinement) -> "WeightedFaces":
         """Spread the force of each face evenly over those of a finer mesh."""

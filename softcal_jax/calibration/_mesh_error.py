@@ -14,6 +14,8 @@ more, than they move the linear one; so does the error.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -26,9 +28,13 @@ from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import (
+    Centroid,
     Configuration,
     ConfigurationArrays,
+    EdgeForce,
+    NodalForces,
     SharedNames,
+    SupportReaction,
     configuration_lanes,
 )
 from softcal_jax.equilibrium import (
@@ -36,12 +42,14 @@ from softcal_jax.equilibrium import (
     Model,
     effector_values,
     input_rows,
+    internal_force,
     linearise,
     residual,
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.mesh import Refinement
+from softcal_jax.mesh import Refinement, node_indices
+from softcal_jax.sensitivity import stiffness_row
 
 REMEDIES = {"locking": "use quadratic tets", "refinement": "take a finer mesh"}
 """What helps against the error, by its name: that of linear tets, of quadratic ones."""
@@ -54,9 +62,10 @@ AT_ONCE = 4
 """Configurations of one factorization in one program."""
 
 MOST_CHANGE = 10.0
-"""Largest change, relative to how far the loads move the effectors on the coarse mesh.
-They may not move them at all while the body is linear, but bend it once it is not [-].
-"""
+"""Largest change, relative to that of the linear coarse body as it becomes softer [-].
+
+Loads may leave the effectors of a linear body where they are, and move those of the
+deformed one."""
 
 
 def mesh_errors(
@@ -81,31 +90,36 @@ def mesh_errors(
     Returns:
         Signed change of the effectors of each configuration, which all have in common,
         by one of the names in `REMEDIES`. Empty where it is not known: with more than
-        `MOST_TETS`, where curved tets cannot be split, and where the body at rest has
-        no stiffness.
+        `MOST_TETS`, where curved tets cannot be split or a group does not exist on the
+        finer mesh, and where the body at rest has no stiffness.
     """
     problem = evaluate.numbered
     model = problem.model
+    name = "locking" if model.mesh.order == 1 else "refinement"
+    if of_stiffness.size == 0:
+        return {name: of_stiffness}
     if model.n_tets > MOST_TETS[model.mesh.order]:
         return {}
-    fine, refinement = evaluate.finer
+    try:
+        fine, refinement = evaluate.finer
+        posed = _refined(problem, configurations, fine, refinement)
+    except ValueError:  # a group may name what the finer mesh does not have
+        return {}
     if np.any(np.asarray(fine.weights) < 0.0):
         return {}
-    lanes = problem.configurations, _refined(problem, configurations, fine, refinement)
-    coarse, exact = (
-        _linear_motions(own, problem.space, z, _without_slack(own, batch, forces))
-        for own, batch in zip((model, fine), lanes, strict=True)
-    )
-    if not (np.all(np.isfinite(coarse)) and np.all(np.isfinite(exact))):
+    motions = partial(_linear_motions, space=problem.space, z=z)
+    seen = _comparable(model, problem.configurations, forces)
+    *coarse, at_rest = motions(model, seen, of_stiffness=True)
+    exact = motions(fine, _comparable(fine, posed, forces), of_stiffness=False)
+    changes = exact - np.stack(coarse)
+    if not (np.all(np.isfinite(changes)) and np.all(np.isfinite(at_rest))):
         return {}
-    changes, by_loads = exact - coarse, coarse[0]
     n_c = len(configurations)
     weights = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
     size = lambda e: np.linalg.norm(weights * e, axis=1, keepdims=True)
     # To first order a body half as stiff is moved by its loads twice as far.
-    moved = np.maximum(size(by_loads), size(changes[0]) / MOST_CHANGE)
+    moved = np.maximum(size(at_rest), size(changes[0]) / MOST_CHANGE)
     there = size(of_stiffness) / np.where(moved > 0.0, moved, 1.0)
-    name = "locking" if model.mesh.order == 1 else "refinement"
     return {name: there * changes[0] + changes[1:].sum(axis=0)}
 
 
@@ -118,9 +132,8 @@ def _refined(
     """Pose the finer mesh like the coarse one: what holds that one holds this."""
     batch = problem.configurations
     shared = SharedNames(batch.springs.names, batch.loads.names)
-    posed, _ = configuration_lanes(
-        fine.mesh, configurations, fine.mechanism, shared=shared
-    )
+    alike = [_as_found(c, refinement) for c in configurations]
+    posed, _ = configuration_lanes(fine.mesh, alike, fine.mechanism, shared=shared)
     each = range(len(configurations))
     fixed, imposed = map(np.asarray, (batch.fixed, batch.imposed))
     r = refinement
@@ -130,28 +143,71 @@ def _refined(
     return eqx.tree_at(where, posed, (np.stack(held), np.stack(moved)))
 
 
-def _without_slack(
+def _as_found(configuration: Configuration, r: Refinement) -> Configuration:
+    """Return a configuration whose groups mean on a finer mesh what they did before.
+
+    Means over nodes and forces on nodes stay with the nodes that they had; a reaction
+    sums over what is held between them too. Posts are as long as before but for
+    rounding.
+    """
+    n, c = r.coarse.n_nodes, configuration
+    markers = c.markers and replace(c.markers, max_distance=r.mesh.size)
+    loads = [
+        NodalForces(np.arange(n), load.nodal_forces(r.coarse), name=load.name)
+        if isinstance(load, NodalForces | EdgeForce)
+        else load
+        for load in c.loads
+    ]
+    effectors = []
+    for effector in c.effectors:
+        if isinstance(effector, Centroid | SupportReaction):
+            nodes = node_indices(r.coarse, effector.where, effector.name)
+            if isinstance(effector, SupportReaction):
+                summed = np.isin(np.arange(n), nodes)
+                nodes = np.flatnonzero(r.with_new(summed, r.among(summed)))
+            effector = replace(effector, where=nodes)
+        effectors.append(effector)
+    return replace(c, markers=markers, loads=loads, effectors=effectors)
+
+
+def _comparable(
     model: Model, batch: ConfigurationArrays, forces: Float[Array, "n_c n_a"]
 ) -> ConfigurationArrays:
-    """Return configurations in which cables that are slack there do nothing at rest."""
+    """Return configurations in which cables that are slack there do nothing at rest.
+
+    And turns count from rest, since readings are linear there.
+    """
     unilateral = model.mechanism.actuators.unilateral
     imposed = np.asarray(batch.actuation.by_displacement)
     slack = imposed & unilateral & (np.asarray(forces) <= 0.0)
     value = np.where(slack, 0.0, np.asarray(batch.actuation.value))
-    where = lambda c: (c.actuation.by_displacement, c.actuation.value)
-    return eqx.tree_at(where, batch, (imposed & ~slack, value))
+    turns = np.asarray(batch.effectors.turn_reference)
+    where = lambda c: (
+        c.actuation.by_displacement,
+        c.actuation.value,
+        c.effectors.turn_reference,
+    )
+    upright = np.broadcast_to(np.eye(3), turns.shape)
+    return eqx.tree_at(where, batch, (imposed & ~slack, value, upright))
 
 
 def _linear_motions(
-    model: Model, space: ParameterSpace, z, batch: ConfigurationArrays
+    model: Model,
+    batch: ConfigurationArrays,
+    *,
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    of_stiffness: bool,
 ) -> Float[HostArray, "n_rows n_c n_e"]:
     """Compute how far loads, then imposed motions if any, move the effectors.
 
+    And last, `of_stiffness`, the change of these per relative change of the stiffness.
     Configurations that are held alike share a factorization. One after the other, since
     a body eight times as large needs all cores for itself.
     """
     actuation = batch.actuation
     imposed = np.asarray(actuation.value)[np.asarray(actuation.by_displacement)]
+    # Parameters set no such motion: mountings and zeros of motors are in the model.
     moves = any(np.asarray(m).any() for m in (imposed, *_motions(batch)))
     found: dict[int, HostArray] = {}
     for group in _held_alike(batch):
@@ -159,8 +215,8 @@ def _linear_motions(
             own = group[k : k + AT_ONCE]
             # Always as many, so that one program serves any number of them.
             lanes = lane_of(batch, np.resize(own, AT_ONCE))
-            rows = np.asarray(_linear_motion(model, space, moves, z, lanes))
-            found |= dict(zip(own, rows, strict=False))
+            rows = _linear_motion(model, space, moves, of_stiffness, z, lanes)
+            found |= dict(zip(own, np.asarray(rows), strict=False))
     return np.stack([found[c] for c in sorted(found)], axis=1)
 
 
@@ -186,7 +242,12 @@ def _held_alike(batch: ConfigurationArrays) -> list[list[int]]:
 
 @eqx.filter_jit
 def _linear_motion(
-    model: Model, space: ParameterSpace, moves: bool, z, lanes: ConfigurationArrays
+    model: Model,
+    space: ParameterSpace,
+    moves: bool,
+    of_stiffness: bool,
+    z: Float[Array, " n_p"],
+    lanes: ConfigurationArrays,
 ) -> Float[Array, "n_lanes n_rows n_e"]:
     """Compute what `_linear_motions` does for lanes held alike; nan without a solution.
 
@@ -236,6 +297,24 @@ def _linear_motion(
         return row.reading + jax.vmap(follow)(u, forces)
 
     found = jax.vmap(readings)(lanes, rows, u, forces)
+    if of_stiffness:
+        # Of the whole motion, and of the body alone: supports may be elastic.
+        whole = of_lane(solved.displacement).sum(axis=1)
+        internal = jax.vmap(
+            lambda du: jax.jvp(lambda u: internal_force(model, u), (rest,), (du,))[1]
+        )(whole)
+        softer = jax.vmap(lambda f: stiffness_row(lin, f))(internal)
+        softer = jax.tree.map(lambda own: own[:, 0], softer)
+        more = sensitivity(lin, softer)
+        assert more.displacement is not None
+        assert more.multipliers is not None
+        by_stiffness = jax.vmap(readings)(
+            lanes,
+            jax.tree.map(lambda own: own[:, None], softer),
+            more.displacement[:, None],
+            more.multipliers[:, None],
+        )
+        found = jnp.concatenate([found, by_stiffness], axis=1)
     return jnp.where(solved.ok, found, jnp.nan)
 
 

@@ -257,13 +257,13 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
         return jax.device_put(np.asarray(leaf)[parent])
 
     law = jax.tree.map(spread, model.law, is_leaf=is_point_values)
-    linear = model.mesh.order == 1
+    raised = model.mesh.order == 1 and law.conservative
     fine = _prepared(
         refinement.mesh,
         law,
         density=spread(model.density),
         mechanism=model.mechanism.refined(refinement),
-        formulation=_formulation("auto", law, 2) if linear else model.formulation,
+        formulation=_formulation("auto", law, 2) if raised else model.formulation,
         solver=partial(same_solver, model.solver),
     )
     return fine, refinement

@@ -39,8 +39,9 @@ class Uncertain(eqx.Module):
             configurations. The estimate is how far a finer mesh would move what is
             measured: quadratic tets in place of linear ones, eight quadratic tets in
             place of each. Zero for data that are simulated on the same mesh. Not known
-            for more than 50 000 linear or 12 500 quadratic tets: such a fit has no
-            intervals, and is not called identified.
+            for more than 50 000 linear or 12 500 quadratic tets, and where the body at
+            rest has no stiffness: such a fit has no intervals, and is not called
+            identified.
     """
 
     nu: float = 0.05
