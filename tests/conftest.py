@@ -40,11 +40,11 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 jaxtyping.install_import_hook("softcal_jax", "typechecking.typechecked")
 
 
-MOST_MAPS = 30_000
+MOST_MAPS = 20_000
 """Memory maps of a process from which compiled programs are forgotten.
 
-To forget them takes seconds, and what other modules share is traced once more. Two
-thousand programs take as many maps, and with the rest 6 GB; no module adds as many.
+A thousand programs can take as many, and 4 GB with the rest; with 30 000 maps a worker
+took 7 GB.
 """
 
 
