@@ -222,13 +222,11 @@ def _linear_motions(
 
 def _held_alike(batch: ConfigurationArrays) -> list[list[int]]:
     """Group configurations whose bodies at rest have the same stiffness."""
-    springs = batch.springs
+    # A parameter may set the stiffness of springs by the name of their configuration.
+    sprung = np.any(np.asarray(batch.springs.stiffness) > 0.0, axis=1, keepdims=True)
     held = (
         batch.fixed,
-        springs.stiffness,
-        springs.area,
-        # A parameter may set the stiffness of each by the name of its configuration.
-        batch.key if springs.names else np.zeros(len(batch.fixed)),
+        sprung * np.asarray(batch.key),
         batch.bodies.kind,
         batch.actuation.by_displacement,
         batch.actuation.releasing,
