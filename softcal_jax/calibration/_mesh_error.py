@@ -55,8 +55,8 @@ REMEDIES = {"locking": "use quadratic tets", "refinement": "take a finer mesh"}
 """What helps against the error, by its name: that of linear tets, of quadratic ones."""
 
 MOST_TETS = {1: 50_000, 2: 12_500}
-"""Most tets whose error is estimated, by order: either makes 100 000 quadratic tets at
-most, hence about 140 000 nodes."""
+"""Most tets whose error is estimated, by order: the finer mesh has at most 100 000
+quadratic tets, hence about 150 000 nodes."""
 
 AT_ONCE = 4
 """Configurations of one factorization in one program."""

@@ -246,12 +246,12 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
     them; quadratic ones keep theirs. A tet has the constants of the one it is part of.
     """
     refinement = finer(model.mesh)
-    parent, nearest = refinement.parent, refinement.nearest_point
+    parent = refinement.parent
 
     def spread(leaf: Any) -> Any:
         if isinstance(leaf, PointValues):
-            values = np.asarray(leaf.values)
-            return PointValues(jax.device_put(values[parent[:, None], nearest]))
+            nearest = np.asarray(leaf.values)[parent[:, None], refinement.nearest_point]
+            return PointValues(jax.device_put(nearest))
         if jnp.ndim(leaf) == 0:
             return leaf
         return jax.device_put(np.asarray(leaf)[parent])

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import equinox as eqx
+import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
 
-from softcal_jax.actuators import Cable
+from softcal_jax.actuators import Cable, Motor
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import (
     _mesh_error,
@@ -22,6 +24,7 @@ from softcal_jax.configurations import (
     Configuration,
     EdgeForce,
     ImposedDisplacement,
+    ImposedForce,
     Markers,
     PointForce,
     Support,
@@ -29,7 +32,12 @@ from softcal_jax.configurations import (
     SurfaceForce,
     configuration_lanes,
 )
-from softcal_jax.equilibrium import NewtonSettings, Workers, build_model
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    Workers,
+    build_model,
+    refined_model,
+)
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.materials import (
     ClassicalCorotational,
@@ -37,6 +45,7 @@ from softcal_jax.materials import (
     FibreReinforced,
     Isotropic,
     NeoHookean,
+    PointValues,
     TransverseHyperelastic,
 )
 from softcal_jax.mesh import beam, finer, refine, to_quadratic
@@ -61,13 +70,8 @@ def posed(law, formulation="auto", cells=(7, 2, 2), at=TIP, **more):
     return build_problem(model, space, [pose]), [pose]
 
 
-def errors_by_pose(problem, configurations):
-    """What the mesh is said to do to the readings of each configuration."""
-    return both_by_pose(problem, configurations)[1]
-
-
-def both_by_pose(problem, configurations):
-    """Readings at the start, and what the mesh is said to do to them."""
+def considered_at_start(problem, configurations):
+    """Readings at the start, and what is said to be wrong with them."""
     z = problem.space.start()
     at = evaluate(problem, z)
     assert np.all(at.equilibrium.converged)
@@ -79,8 +83,14 @@ def both_by_pose(problem, configurations):
             z=z,
             equilibrium=at.equilibrium,
         )
-        (of_mesh,) = workers.end_of(job)["mesh"].values()
-    return at.effectors, np.asarray(of_mesh)
+        return at.effectors, workers.end_of(job)
+
+
+def both_by_pose(problem, configurations):
+    """Readings at the start, and what the mesh is said to do to them."""
+    read, found = considered_at_start(problem, configurations)
+    (of_mesh,) = found["mesh"].values()
+    return read, np.asarray(of_mesh)
 
 
 def errors_of(problem, configurations):
@@ -210,7 +220,7 @@ def test_it_is_that_of_each_of_many_configurations(order):
     space = ParameterSpace([Parameter("E", "E", 2e5, 1e5, 1e6, unit="Pa")])
     exact = NewtonSettings(rtol=1e-12)
     own, other = (simulated_measurements(m, posed, newton=exact) for m in models)
-    changes = errors_by_pose(build_problem(models[0], space, own, exact), own)
+    _, changes = both_by_pose(build_problem(models[0], space, own, exact), own)
     for change, c, f in zip(changes, own, other, strict=True):
         by_marker = np.ravel(f.measured - c.measured)
         largest = np.max(np.abs(by_marker))
@@ -219,16 +229,15 @@ def test_it_is_that_of_each_of_many_configurations(order):
         np.testing.assert_allclose(change[-6], apart, rtol=5e-3)
 
 
-def test_what_the_finer_mesh_cannot_be_posed_like_is_none_of_its_errors():
-    """Posts of the greatest length, edges by their corners, and groups of nodes."""
-    corners = [k for k in range(8) if beam(0.1, 0.02, 0.02, (1, 1, 1)).points[k, 0] > 0]
+def test_groups_mean_what_they_did_on_the_coarse_mesh():
+    """Edges by their corners, means over nodes and reactions."""
     coarse = beam(0.1, 0.02, 0.02, (1, 1, 1), order=2)
+    corners = np.flatnonzero(coarse.points[:8, 0] > 0.0)
     r = finer(coarse)
     pose = Configuration(
         "pose",
         "x_min",
-        loads=[EdgeForce(np.array(corners), (0.0, 0.0, -1.0))],
-        markers=Markers(["m"], [(0.05, 0.01, 0.03)], 1e-4, max_distance=0.01 + 1e-12),
+        loads=[EdgeForce(corners, (0.0, 0.0, -1.0))],
         effectors=[Centroid("c", "x_max"), SupportReaction("r", "x_min")],
     )
     alike = _mesh_error._as_found(pose, r)
@@ -242,10 +251,85 @@ def test_what_the_finer_mesh_cannot_be_posed_like_is_none_of_its_errors():
     assert work[0] == pytest.approx(work[1], rel=1e-12)
     seen = lanes[1].effectors
     used = lambda nodes, weights: np.asarray(nodes)[np.asarray(weights) > 0.0]
-    centre = used(seen.nodes[0, 1], seen.weights[0, 1])
+    centre = used(seen.nodes[0, 0], seen.weights[0, 0])
     np.testing.assert_array_equal(centre, coarse.nodes("x_max"))
     summed = used(seen.reaction_nodes, seen.reaction_weights)
     np.testing.assert_array_equal(summed, r.mesh.nodes("x_min"))
+
+
+def test_posts_that_were_short_enough_are_so_on_the_finer_mesh():
+    """Of the greatest length, where one mesh rounds up and the other down."""
+    coarse = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
+    r, refused = finer(coarse), 0
+    for x in np.linspace(0.0, 0.1, 101):
+        markers = Markers(["m"], [(x, 0.007, 0.03)], 1e-4)
+        pose = Configuration("pose", "x_min", markers=markers)
+        try:
+            configuration_lanes(coarse, [pose])
+        except ValueError:
+            continue
+        configuration_lanes(r.mesh, [_mesh_error._as_found(pose, r)])
+        try:
+            configuration_lanes(r.mesh, [pose])
+        except ValueError:
+            refused += 1
+    assert refused > 0, "else this says nothing"
+
+
+def test_a_slack_cable_does_nothing_at_rest():
+    """Its displacement is imposed, but without a force; that of a taut one stays."""
+    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1))
+    cables = [replace(CABLE, name=name) for name in ("taut", "slack")]
+    model = build_model(mesh, NeoHookean(2e5, 0.3), density=1e3, actuators=cables)
+    imposed = {name: ImposedDisplacement(1e-3) for name in ("taut", "slack")}
+    pose = Configuration("pose", "x_min", actuation=imposed)
+    batch, _ = configuration_lanes(mesh, [pose], model.mechanism)
+    forces = jnp.array([[0.1, 0.0]])
+    seen = _mesh_error._comparable(model, batch, forces).actuation
+    np.testing.assert_array_equal(seen.by_displacement, [[True, False]])
+    np.testing.assert_array_equal(seen.value, [[1e-3, 0.0]])
+
+
+def test_constants_of_the_finer_model_are_those_of_the_parent():
+    """One per tet, and one per quadrature point; a law without a potential, too."""
+    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
+    at_points = 1e5 + np.arange(4.0 * mesh.n_tets).reshape(-1, 4)
+    per_tet = 0.1 + 1e-3 * np.arange(mesh.n_tets)
+    law = NeoHookean(2e5, per_tet)
+    model = build_model(mesh, law, density=1e3)
+    spread = PointValues(jnp.asarray(at_points))
+    model = eqx.tree_at(lambda m: m.law.E, model, spread)
+    fine, _ = refined_model(model)
+    np.testing.assert_array_equal(fine.law.nu, np.repeat(per_tet, 8))
+    corner = np.asarray(fine.law.E.values).reshape(-1, 8, 4)[:, :4]
+    np.testing.assert_array_equal(corner, at_points[:, :, None].repeat(4, axis=2))
+    classical = ClassicalCorotational(Isotropic(2e5, 0.49))
+    linear = build_model(beam(0.1, 0.02, 0.02, (3, 1, 1)), classical, density=1e3)
+    assert refined_model(linear)[0].formulation == "displacement"
+
+
+@pytest.mark.slow
+def test_where_only_weight_keeps_the_rest_shape_nothing_is_known():
+    """A beam that hangs from a motor without torque: at rest it turns freely."""
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    body = RigidBody("arm", "x_min", origin=(0.0, 0.01, 0.01), axes=axes)
+    model = build_model(
+        beam(0.1, 0.02, 0.02, (3, 1, 1), order=2),
+        NeoHookean(2e5, 0.3),
+        density=1000.0,
+        bodies=[body],
+        actuators=[Motor("motor", "arm")],
+    )
+    pose = Configuration(
+        "hanging",
+        gravity=(9.81, 0.0, 0.0),
+        loads=LOAD,
+        markers=Markers(["m"], [(0.1, 0.01, 0.02)], 1e-4),
+        measured=np.zeros((1, 3)),
+        actuation={"motor": ImposedForce(0.0)},
+    )
+    space = ParameterSpace([Parameter("E", "E", 2e5, 1e5, 1e6, unit="Pa")])
+    assert considered_at_start(build_problem(model, space, [pose]), [pose])[1] == {}
 
 
 CORNERS = [(0.1, y, z) for y in (0.0, 0.03) for z in (0.0, 0.03)]
