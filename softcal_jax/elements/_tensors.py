@@ -30,12 +30,14 @@ def determinant(F: Float[Array, "3 3"]) -> Float[Array, ""]:
 
 
 def cofactor(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """Compute the cofactor matrix det(F) F^-T, the derivative of the determinant."""
-    at = lambda i, j: F[i % 3, j % 3]
-    entry = lambda i, j: (
-        at(i + 1, j + 1) * at(i + 2, j + 2) - at(i + 1, j + 2) * at(i + 2, j + 1)
-    )
-    return jnp.stack([jnp.stack([entry(i, j) for j in range(3)]) for i in range(3)])
+    """Compute the cofactor matrix det(F) F^-T, the derivative of the determinant.
+
+    By rows: by entries, XLA would compile three times as many operations.
+    """
+    twice = jnp.concatenate([F, F], axis=1)
+    a, b = twice[:, 1:4], twice[:, 2:5]
+    rows = [a[i - 2] * b[i - 1] - b[i - 2] * a[i - 1] for i in range(3)]
+    return jnp.stack(rows)
 
 
 def matmul(A: Float[Array, "3 3"], B: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

@@ -138,19 +138,13 @@ def _less_spins(
     C: Float[Array, "3 3 3 3"], Y: Float[Array, "3 3 3"]
 ) -> Float[Array, "3 3 3 3"]:
     """Compute C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL; hat_r has two entries only."""
-
-    def spin(m, J, n, L):
-        if m == J:
-            return 0.0
-        r = 3 - m - J
-        return _HAT[r, m, J] * Y[r, n, L]
-
-    return jnp.stack(
-        [
-            C[m, J, n, L] - spin(m, J, n, L) - spin(n, L, m, J)
-            for m, J, n, L in np.ndindex(3, 3, 3, 3)
-        ]
-    ).reshape(3, 3, 3, 3)
+    zero = jnp.zeros((3, 3))
+    spins = [
+        zero if m == J else _HAT[3 - m - J, m, J] * Y[3 - m - J]
+        for m, J in np.ndindex(3, 3)
+    ]
+    spin = jnp.stack(spins).reshape(3, 3, 3, 3)
+    return C - spin - spin.transpose(2, 3, 0, 1)
 
 
 class ClassicalCorotational(_AbstractStretchLaw):
