@@ -330,7 +330,9 @@ def test_a_search_says_how_far_it_is(searched):
     assert str(last).startswith(f"{STARTS} of {STARTS} starts ended, {last.converged} ")
 
 
-@pytest.mark.parametrize("share", [0.15, 0.5, 0.9])
+@pytest.mark.parametrize(
+    "share", [0.5, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.15, 0.9))]
+)
 def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
     tmp_path, fit, searched, monkeypatch, share
 ):

@@ -71,7 +71,8 @@ def measured(seed=0, *, offset=OFFSET, share=0.0, jitter=STD, **changed):
 
 
 def fit(data, uncertain=ONLY_OFFSETS, noise="stated", **changed):
-    return calibrate(MODEL, E, data, noise=noise, uncertain=uncertain, **changed)
+    told = {"noise": noise, "uncertain": uncertain, "intervals": None}
+    return calibrate(MODEL, E, data, **told, **changed)
 
 
 def covariance_of(data, offset, *, share=0.0, jitter=STD, motion=None):

@@ -122,6 +122,7 @@ def test_it_is_of_the_order_of_the_element():
     assert 3.5 < coarse / fine < 4.8
 
 
+@pytest.mark.slow
 def test_large_loads_move_as_far_as_they_do():
     """Bent by over a quarter of its length; both meshes are solved to the end."""
     pushed = {"loads": [SurfaceForce("x_max", (0.0, 0.0, -1.1))], "at": (0.1, 0.0, 0.0)}

@@ -41,13 +41,9 @@ def found(drive):
     return configuration, state, compliance(arm(), configuration, solution)
 
 
-@pytest.mark.parametrize(
-    "drive",
-    [
-        pytest.param("tensions and an angle", marks=pytest.mark.slow),
-        "shortenings and a torque",
-    ],
-)
+# Of actuators of all kinds, they are in test_compliance_of_all_kinds.py.
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["tensions and an angle", "shortenings and a torque"])
 def test_responses_meet_differences_at_second_order(drive):
     """Of effectors, forces and displacements, along each input."""
     configuration, state, response = found(drive)

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from bodies import lane, solve
 from problems import COOK_MU, COOK_NU, COOK_RISE, cook_mesh, nearest_node
 
@@ -51,6 +52,7 @@ def rise(cells):
     return float(solution.displacement[0, node, 1])
 
 
+@pytest.mark.slow
 def test_rise_of_the_edge():
     """Falls short by the mesh, half as much on the finer one; then the reference.
 

@@ -47,6 +47,7 @@ PACKAGES = {"pardiso": "pardiso_mkl_jax", "klu": "klujax"}
 each_solver = pytest.mark.parametrize("solver", PACKAGES)
 
 
+@pytest.mark.slow
 def test_the_model_has_the_property_not_the_name_of_the_law():
     assert body(Corotational).conservative
     classical = body(ClassicalCorotational)
@@ -233,6 +234,8 @@ def test_load_stepping_ends_where_full_steps_end():
     assert_same_shapes(stepped, at_once)
 
 
+# For a law with a potential it is in test_batch.py.
+@pytest.mark.slow
 def test_a_member_alone_gives_bit_for_bit_the_same():
     together = solve_as_users(body(ClassicalCorotational), LANES, TIGHT)
     for index in range(6):

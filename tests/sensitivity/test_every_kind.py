@@ -308,6 +308,7 @@ def test_friction_of_one_cable_among_others_of_other_sizes():
         np.testing.assert_array_equal(moved, np.arange(3) == index)
 
 
+@pytest.mark.slow
 def test_relaxation_of_a_modulus_does_not_depend_on_other_parameters():
     """A body that hangs freely on the beam turns with it."""
     hanging = build_model(

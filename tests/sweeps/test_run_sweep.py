@@ -139,6 +139,7 @@ def test_kill_a_worker_and_then_the_driver(undisturbed, tmp_path):
     assert all(row.ended == done[row.key] for row in found.rows if row.key in done)
 
 
+@pytest.mark.slow
 def test_a_worker_ends_in_the_middle_of_a_trial_with_its_driver(tmp_path):
     """A trial may take hours, which nobody waits for when the driver is gone."""
     told, path = tmp_path / "worker", tmp_path / "s.sqlite"
