@@ -28,7 +28,7 @@ from softcal_jax.materials import (
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._directions import AnyDirections, TetData
 from softcal_jax.project._problems import one_of, under
-from softcal_jax.project._quantities import dimension_of, scalar
+from softcal_jax.project._quantities import Size, dimension_of, scalar
 from softcal_jax.project._table import Density, Flag, Number, Table
 
 GROUP = "softcal_jax.laws"
@@ -72,10 +72,17 @@ class Constant(NamedTuple):
         """Pydantic type of its key in a table."""
         if not self.unit:
             return Number
-        return Annotated[float, BeforeValidator(scalar(dimension_of(self.unit)))]
+        parse = scalar(dimension_of(self.unit), self._size)
+        return Annotated[float, BeforeValidator(parse)]
+
+    @property
+    def _size(self) -> Size:
+        if self.within[0] < 0.0:
+            return "finite"
+        return "not negative" if self.may_vanish else "positive"
 
 
-DENSITY = Constant(**constant("kg/m3", 'mass density: "1070 kg/m^3"'))
+DENSITY = Constant(**constant("kg/m3", 'mass density: "1070 kg/m^3"', may_vanish=True))
 
 
 class _OfLaw(Table):
