@@ -21,7 +21,6 @@ from softcal_jax.configurations._configuration import (
     measured_at_rest,
     shared_names,
 )
-from softcal_jax.configurations._csv_table import MarkerTable, read_markers
 from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
 from softcal_jax.configurations._effector_arrays import EffectorRecord
 from softcal_jax.configurations._effectors import (
@@ -40,6 +39,7 @@ from softcal_jax.configurations._loads import (
     SurfaceForce,
     SurfaceTraction,
 )
+from softcal_jax.configurations._marker_table import MarkerTable, read_markers
 from softcal_jax.configurations._markers import STD, Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._pose_table import (
