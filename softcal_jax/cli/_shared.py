@@ -109,12 +109,14 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
     from softcal_jax.calibration import CalibrationWarning
     from softcal_jax.configurations import TrackerWarning
     from softcal_jax.mesh import MeshWarning
+    from softcal_jax.project import ProjectWarning
     from softcal_jax.report import PictureWarning
 
     own = (
         CalibrationWarning,
         CompilationCacheWarning,
         MeshWarning,
+        ProjectWarning,
         PictureWarning,
         TrackerWarning,
     )

@@ -31,6 +31,7 @@ from softcal_jax.configurations._effectors import (
     Centroid,
     SupportReaction,
 )
+from softcal_jax.configurations._far import FarPoint, farthest, motions
 from softcal_jax.configurations._loads import (
     AbstractLoad,
     EdgeForce,
@@ -76,6 +77,7 @@ __all__ = [
     "EdgeForce",
     "EffectorArrays",
     "EffectorRecord",
+    "FarPoint",
     "ImposedDisplacement",
     "ImposedForce",
     "MarkerTable",
@@ -97,9 +99,11 @@ __all__ = [
     "build_mechanism",
     "configuration_arrays",
     "configuration_lanes",
+    "farthest",
     "in_frame",
     "measured_as",
     "measured_at_rest",
+    "motions",
     "read_c3d",
     "read_markers",
     "read_polhemus",
