@@ -179,10 +179,10 @@ def _check_distance(
     if fits and distance[worst] > 10.0 * mesh.size:
         hint = "The points would fit the mesh in millimetres: give both in metres."
     where = readable_values(points[worst].tolist(), "m")
+    away, allowed = (readable_values([d], "m") for d in (float(distance[worst]), limit))
     others = [labels[i] for i in far if i != worst]
     also = ", ".join(others[:5]) + ", ..." * (len(others) > 5)
     raise ValueError(
-        f"{labels[worst]} at {where} lies {readable_values([float(distance[worst])], 'm')} "
-        f"from the mesh, farther than {readable_values([limit], 'm')}."
+        f"{labels[worst]} at {where} lies {away} from the mesh, farther than {allowed}."
         f"{f' So do {also}.' if others else ''} {hint}"
     )
