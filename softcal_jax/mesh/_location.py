@@ -180,7 +180,7 @@ def _check_distance(
         hint = "The points would fit the mesh in millimetres: give both in metres."
     where = readable_values(points[worst].tolist(), "m")
     away, allowed = (readable_values([d], "m") for d in (float(distance[worst]), limit))
-    others = [labels[i] for i in far if i != worst]
+    others = [labels[i] for i in far.tolist() if i != worst]
     also = ", ".join(others[:5]) + ", ..." * (len(others) > 5)
     raise ValueError(
         f"{labels[worst]} at {where} lies {away} from the mesh, farther than {allowed}."

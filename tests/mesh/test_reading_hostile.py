@@ -134,5 +134,8 @@ def test_the_sizes_of_includes_add_up(tmp_path, monkeypatch):
 def test_control_characters_in_the_name_of_a_group_are_shown(tmp_path):
     path = tmp_path / "beam.inp"
     meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]).write(path)
-    path.write_text(path.read_text() + "*NSET, NSET=\x1b[2J\n1, 2, 3\n")
-    assert list(read_mesh(path, length_unit="m").node_groups) == [r"\x1b[2J"]
+    sets = "*NSET, NSET=\x1b[2J\n1, 2, 3\n*ELSET, ELSET=\x1b[1J\n1, 2\n"
+    path.write_text(path.read_text() + sets)
+    mesh = read_mesh(path, length_unit="m")
+    assert set(mesh.node_groups) == {r"\x1b[2J", r"\x1b[1J"}
+    assert set(mesh.tet_groups) == {r"\x1b[1J"}
