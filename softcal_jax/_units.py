@@ -68,7 +68,8 @@ def readable_estimate(value: float, standard_error: float, unit: str) -> str:
 def readable_values(values: Sequence[float], unit: str, *, digits: int = 4) -> str:
     """Format one SI value or several in a readable unit, with so many digits."""
     factor, shown = readable_unit(values, unit)
-    largest = max(abs(factor * value) for value in values)
+    finite = [abs(factor * value) for value in values if math.isfinite(value)]
+    largest = max(finite, default=0.0)
     if largest == 0.0:
         factor, shown = 1.0, unit  # all zero: no prefix reads better
     # Values far below the largest are rounding errors, like 1e-13 N beside 2 N.

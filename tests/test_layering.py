@@ -12,7 +12,11 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
-    {"_compilation_cache", "_machine", "_names", "_typing", "_results", "_units"},
+    {
+        *("_compilation_cache", "_limits", "_machine", "_names", "_results"),
+        *("_text", "_typing", "_units"),
+    },
+    {"_files"},
     {"elements"},
     {"mesh"},
     {"materials"},

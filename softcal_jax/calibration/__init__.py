@@ -56,6 +56,7 @@ from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_
 from softcal_jax.calibration._search import (
     FROM_ANYWHERE,
     SearchProgress,
+    check_starts,
     default_starts,
     multi_start,
     random_starts,
@@ -110,6 +111,7 @@ __all__ = [
     "build_problem",
     "calibrate",
     "check_references",
+    "check_starts",
     "considered_errors",
     "correlated_noise",
     "default_starts",

@@ -21,6 +21,7 @@ from softcal_jax.calibration._result import (
 )
 from softcal_jax.calibration._search import (
     SearchProgress,
+    check_starts,
     default_starts,
 )
 from softcal_jax.calibration._state import CalibrationSettings
@@ -119,8 +120,7 @@ def calibrate(
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
     if starts is None:
         starts = 1 if start is not None else default_starts(as_space(parameters))
-    if starts < 1:
-        raise ValueError(f"starts must be at least 1, got {starts}.")
+    check_starts(starts)
     check_precision(precision)
     if intervals is not None:
         check_level(intervals)

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._limits import TRIALS
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._evaluation import Evaluator
@@ -237,6 +238,13 @@ def default_starts(space: ParameterSpace) -> int:
     return SEVERAL if space.axes or angle or several else 1
 
 
+def check_starts(n: int) -> None:
+    """Raise ValueError unless there may be so many starts."""
+    if n < 1:
+        raise ValueError(f"starts must be at least 1, got {n}.")
+    TRIALS.check(f"starts = {n}", n)
+
+
 def random_starts(
     space: ParameterSpace, n: int, *, seed: int = 0
 ) -> Float[Array, "n p"]:
@@ -250,10 +258,9 @@ def random_starts(
         seed: Seed.
 
     Raises:
-        ValueError: If n is less than one.
+        ValueError: If n is less than one, or above a limit.
     """
-    if n < 1:
-        raise ValueError(f"the number of starts must be at least 1, got {n}.")
+    check_starts(n)
     random = np.random.default_rng(seed)
     bounds = space.lower(), space.upper()
     low, high = (np.asarray(space.from_scaled(z)) for z in bounds)

@@ -1,5 +1,7 @@
 """Settings of the outer loop, and its state between steps."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -49,10 +51,13 @@ class CalibrationSettings(eqx.Module):
             raise ValueError(f"tol must lie in (0, 1), got {self.tol}.")
         if self.max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
-        for name in ("step_bound", "damping", "max_step_bound"):
+        if not 0.0 < self.damping <= 1.0:
+            # More, and every step would be too short to tell from none.
+            raise ValueError(f"damping must lie in (0, 1], got {self.damping}.")
+        for name in ("step_bound", "max_step_bound"):
             value = getattr(self, name)
-            if not value > 0.0:
-                raise ValueError(f"{name} must be positive, got {value}.")
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} must be positive and finite, got {value}.")
 
 
 class CalibrationState(eqx.Module):

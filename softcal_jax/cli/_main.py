@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-from rich.console import Console
-
 from softcal_jax.cli._commands import calibrate, demo, identify, simulate
 from softcal_jax.cli._compare import add_compare
+from softcal_jax.cli._console import PlainConsole, PlainParser
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Display,
@@ -70,14 +69,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         text, code = str(stop), stop.code
     except KeyboardInterrupt:
         text, code = "interrupted; nothing was written.", INTERRUPTED
-    errors = Console(stderr=True)
+    errors = PlainConsole(stderr=True)
     errors.print(text, markup=False, highlight=False, soft_wrap=True)
     return code
 
 
 def _parser() -> argparse.ArgumentParser:
     raw = lambda prog: argparse.RawDescriptionHelpFormatter(prog, max_help_position=26)
-    parser = argparse.ArgumentParser(
+    parser = PlainParser(
         "softcal", description=_ABOUT, epilog=_EXAMPLES, formatter_class=raw
     )
     parser.add_argument(

@@ -10,8 +10,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, RenderableType
+from rich.console import RenderableType
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from softcal_jax._text import escaped
+from softcal_jax.cli._console import PlainConsole
 
 if TYPE_CHECKING:
     from softcal_jax.equilibrium import Model
@@ -37,7 +40,7 @@ class Display:
     """
 
     def __init__(self, begin: float):
-        self.console = Console(file=sys.stdout)
+        self.console = PlainConsole(file=sys.stdout)
         self.begin = self.last = begin
         self.laps: dict[str, float] = {}
         self.progress = Progress(
@@ -106,12 +109,14 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
     from softcal_jax.calibration import CalibrationWarning
     from softcal_jax.configurations import TrackerWarning
     from softcal_jax.mesh import MeshWarning
+    from softcal_jax.project import ProjectWarning
     from softcal_jax.report import PictureWarning
 
     own = (
         CalibrationWarning,
         CompilationCacheWarning,
         MeshWarning,
+        ProjectWarning,
         PictureWarning,
         TrackerWarning,
     )
@@ -123,7 +128,7 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
             if issubclass(category, own) or mended:
                 show.line(f"warning: {mended or message}")
             else:
-                plain(message, category, *where, **more)
+                plain(escaped(str(message)), category, *where, **more)
 
         warnings.showwarning = line
         for category in own:

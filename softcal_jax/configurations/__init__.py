@@ -21,7 +21,6 @@ from softcal_jax.configurations._configuration import (
     measured_at_rest,
     shared_names,
 )
-from softcal_jax.configurations._csv_table import MarkerTable, read_markers
 from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
 from softcal_jax.configurations._effector_arrays import EffectorRecord
 from softcal_jax.configurations._effectors import (
@@ -32,6 +31,7 @@ from softcal_jax.configurations._effectors import (
     Centroid,
     SupportReaction,
 )
+from softcal_jax.configurations._far import FarPoint, farthest, motions
 from softcal_jax.configurations._loads import (
     AbstractLoad,
     EdgeForce,
@@ -40,6 +40,7 @@ from softcal_jax.configurations._loads import (
     SurfaceForce,
     SurfaceTraction,
 )
+from softcal_jax.configurations._marker_table import MarkerTable, read_markers
 from softcal_jax.configurations._markers import STD, Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._pose_table import (
@@ -76,6 +77,7 @@ __all__ = [
     "EdgeForce",
     "EffectorArrays",
     "EffectorRecord",
+    "FarPoint",
     "ImposedDisplacement",
     "ImposedForce",
     "MarkerTable",
@@ -97,9 +99,11 @@ __all__ = [
     "build_mechanism",
     "configuration_arrays",
     "configuration_lanes",
+    "farthest",
     "in_frame",
     "measured_as",
     "measured_at_rest",
+    "motions",
     "read_c3d",
     "read_markers",
     "read_polhemus",

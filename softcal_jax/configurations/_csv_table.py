@@ -1,22 +1,31 @@
-"""Rows of a CSV file with a header, their coordinates with a unit, and markers."""
+"""Rows of a CSV file with a header, and their coordinates with a unit."""
 
 import csv
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._files import check_file
 from softcal_jax._names import METRES, suggestion
+from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
+
+_DELIMITERS = (",", ";", "\t")
+"""What may stand between columns; the header has most of it."""
+
+
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
 class CsvTable(NamedTuple):
     """The selected rows of a file, as cells by column, and their lines from 1.
 
-    `key` is the column that names what a row is about: "marker" or "sensor".
+    `key` is the column that names what a row is about: "marker" or "sensor", and
+    `point` what stands before the decimals of a number.
     """
 
     path: Path
@@ -25,6 +34,7 @@ class CsvTable(NamedTuple):
     lines: tuple[int, ...]
     key: str
     source: str
+    point: str = "."
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -37,22 +47,25 @@ class CsvTable(NamedTuple):
         for i, row in enumerate(self.rows):
             for k, column in enumerate(columns):
                 try:
-                    values[i, k] = float(row[column] or "nan")
+                    values[i, k] = _number(row[column] or "nan", self.point)
                 except ValueError as error:
                     raise ValueError(
                         f"{self.path}, line {self.lines[i]}: {column} of {self.key} "
-                        f"{row[self.key]!r} is {row[column]!r}, not a number."
+                        f"{row[self.key]!r} is {row[column]!r}, {error}."
                     ) from error
         return values
 
     def check_columns(self, columns: Iterable[str]) -> None:
         """Raise ValueError for a column that is not in the header."""
+        columns = list(columns)
+        # One that is asked for as well is no misspelt other.
+        others = [c for c in self.header if c not in columns]
         for column in columns:
             if column in self.header:
                 continue
-            hint = suggestion(column, self.header)
+            hint = suggestion(column, others)
             if len(self.header) == 1:
-                hint += " Separate the columns by commas."
+                hint += " Separate the columns by commas, semicolons or tabs."
             raise ValueError(
                 f"{self.path}: column {column!r} is missing.{hint} Columns there: "
                 f"{', '.join(self.header)}."
@@ -64,13 +77,12 @@ def read_table(
 ) -> CsvTable:
     """Read a file and select rows, without comments (`#`) and blank lines."""
     path = Path(path)
-    # Parsed line by line, so that messages can name the line: no cell spans two.
-    lines = [
-        (number, [cell.strip() for cell in next(csv.reader([line]))])
-        for number, line in read_lines(path, key)
-    ]
-    if len(lines) < 2:
+    texts = read_lines(path, key)
+    if len(texts) < 2:
         raise ValueError(f"{key} file {path} holds no rows below a header.")
+    delimiter = max(_DELIMITERS, key=texts[0][1].count)
+    # Parsed line by line, so that messages can name the line: no cell spans two.
+    lines = [(n, _cells(path, n, text, delimiter)) for n, text in texts]
     header = lines[0][1]
     for column in header:
         if header.count(column) > 1:
@@ -78,15 +90,47 @@ def read_table(
     rows = []
     for number, cells in lines[1:]:
         if len(cells) != len(header):
+            many = delimiter == "," and len(cells) > len(header)
+            hint = " If its numbers have decimal commas, put ; between columns." * many
             raise ValueError(
                 f"{path}, line {number}: {len(cells)} cells under a header of "
-                f"{len(header)} columns ({', '.join(header)})."
+                f"{len(header)} columns ({', '.join(header)}).{hint}"
             )
         rows.append(dict(zip(header, cells, strict=True)))
     numbers = tuple(number for number, _ in lines[1:])
-    table = CsvTable(path, header, rows, numbers, key, str(path))
+    # Of the whole file, so that a thousand in a part of it is not taken for a one.
+    german = delimiter != "," and any(
+        _DECIMAL_COMMA.fullmatch(cell) for _, cells in lines for cell in cells
+    )
+    point = "," if german else "."
+    table = CsvTable(path, header, rows, numbers, key, str(path), point)
     table.check_columns([key])
     return _selected(table, select) if select else table
+
+
+def _cells(path: Path, number: int, line: str, delimiter: str) -> list[str]:
+    try:
+        cells = next(csv.reader([line], delimiter=delimiter))
+    except csv.Error as error:
+        raise ValueError(
+            f"{path}, line {number}: {error}. Expected a row of a table, like "
+            '"tip,1.5,2,3".'
+        ) from error
+    return [from_cell(cell.strip()) for cell in cells]
+
+
+def _number(cell: str, point: str) -> float:
+    """Read a number with a decimal point or comma; the error says what is wrong."""
+    if point == "," and "." in cell:
+        raise ValueError(
+            "with a point in a file that has decimal commas: write all numbers with "
+            "either, and none with a sign between thousands"
+        )
+    try:
+        return float(cell.replace(point, "."))
+    except ValueError:
+        hint = ": write a decimal point" if _DECIMAL_COMMA.fullmatch(cell) else ""
+        raise ValueError(f"not a number{hint}") from None
 
 
 def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
@@ -114,19 +158,32 @@ def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
 
 def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
     """Read lines that are neither blank nor comments (`#`), with numbers from 1."""
-    if not path.exists():
-        raise FileNotFoundError(f"{key} file {path} does not exist.")
-    if not path.is_file():
-        raise ValueError(f"{key} file {path} is a directory.")
+    check_file(path, f"{key} file")
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (UnicodeDecodeError, OSError) as error:
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{key} file {path} cannot be read: {error}. Save it as UTF-8 (in a "
+            'spreadsheet, "CSV UTF-8").'
+        ) from error
+    except OSError as error:
         raise ValueError(f"{key} file {path} cannot be read: {error}.") from error
-    return [
+    lines = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
+    for number, line in lines:
+        if not line.isprintable():
+            _check_line(path, number, line)
+    return lines
+
+
+def _check_line(path: Path, number: int, line: str) -> None:
+    try:
+        check_characters(line)
+    except ValueError as error:
+        raise ValueError(f"{path}, line {number}: {error}") from error
 
 
 def check_length_unit(unit: str) -> None:
@@ -143,7 +200,8 @@ def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], fl
     path, header = table.path, table.header
     if length_unit is not None:
         check_length_unit(length_unit)
-    units = [unit for unit in METRES if f"x_{unit}" in header]
+    named = lambda axes: [u for u in METRES if {f"{a}_{u}" for a in axes} & {*header}]
+    units = named("x") or named("yz")
     if len(units) > 1:
         raise ValueError(
             f"{path}: it has the coordinates in more than one unit "
@@ -163,85 +221,3 @@ def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], fl
     columns = [axis if unit is None else f"{axis}_{unit}" for axis in "xyz"]
     table.check_columns(columns)
     return columns, METRES[unit or str(length_unit)]
-
-
-class MarkerTable(eqx.Module):
-    """Marker positions as they were read, in the frame and order of the file.
-
-    Attributes:
-        names: Names of the markers, each once.
-        positions: Their positions; nan where the file says so or is blank [m].
-        places: Where in the source each was, for messages, like "line 7".
-        source: What was read, for messages.
-    """
-
-    names: tuple[str, ...]
-    positions: Float[HostArray, "n_markers 3"]
-    places: tuple[str, ...]
-    source: str
-
-    def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3"]:
-        """Return positions of some markers, in the order of their names [m].
-
-        Raises:
-            ValueError: If a marker is not there, or its position is not finite.
-        """
-        for name in names:
-            if name not in self.names:
-                raise ValueError(
-                    f"{self.source} has no marker {name!r}."
-                    f"{suggestion(name, self.names)} It has {', '.join(self.names)}."
-                )
-            row = self.names.index(name)
-            if not np.all(np.isfinite(self.positions[row])):
-                raise ValueError(
-                    f"{self.source}, {self.places[row]}: the position of marker "
-                    f"{name!r} is missing or not finite. Leave a marker that was lost "
-                    "out of this configuration."
-                )
-        return self.positions[[self.names.index(name) for name in names]]
-
-
-def read_markers(
-    path: str | os.PathLike[str],
-    *,
-    length_unit: str | None = None,
-    select: Mapping[str, str] | None = None,
-) -> MarkerTable:
-    """Read marker positions from a CSV file with a header line.
-
-    Columns: `marker`, and either `x`, `y`, `z` or columns that carry their unit, like
-    `x_mm`, `y_mm`, `z_mm`. Any other column can be selected on. Lines that start with
-    `#` and blank lines are skipped. A blank or `nan` coordinate is a marker that was
-    lost: it is kept, and raises only when it is asked for.
-
-    Args:
-        path: The file.
-        length_unit: Unit of the coordinates: "m", "cm", "mm", "um" or "inch"; not
-            needed where the columns carry it.
-        select: Column and value pairs; only the rows that have them all are taken.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, a column is missing, the unit is unknown,
-            unstated or contradicts the columns, nothing is selected, a marker is
-            selected twice, or a coordinate is not a number.
-
-    Example:
-        The rows of one recording::
-
-            read_markers("markers.csv", select={"run": "gravity", "phase": "held"})
-    """
-    table = read_table(path, "marker", select)
-    columns, metres = coordinates(table, length_unit)
-    for name, line in zip(table.names, table.lines, strict=True):
-        first = table.lines[table.names.index(name)]
-        if first != line:
-            raise ValueError(
-                f"{table.path}: marker {name!r} is there twice, in lines {first} and "
-                f"{line}; select the rows of one recording "
-                f"(columns: {', '.join(table.header)})."
-            )
-    positions = metres * table.numbers(columns)
-    places = tuple(f"line {line}" for line in table.lines)
-    return MarkerTable(table.names, positions, places, table.source)

@@ -52,7 +52,8 @@ class PointForce(AbstractLoad):
         """Compute forces on the nodes of the tet that holds the point [N]."""
         point = three_numbers("point", "m", self.point)
         force = three_numbers("force", "N", self.force)
-        at = locate(mesh, point[None], max_distance=1e-3 * mesh.size)
+        near, names = 1e-3 * mesh.size, ["the point of the force"]
+        at = locate(mesh, point[None], max_distance=near, names=names)
         return _added(mesh, at.nodes[0], at.weights[0][:, None] * force)
 
 

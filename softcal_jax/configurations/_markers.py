@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._units import readable
 from softcal_jax.configurations._effector import EffectorRow
 from softcal_jax.configurations._values import Unstated, as_floats, parse_axes
 from softcal_jax.mesh import TetMesh, locate, volumes
@@ -72,17 +73,17 @@ class Markers(eqx.Module):
                 "expected three finite numbers [m]."
             )
         std = np.asarray(self.std, float)
-        bad = ~(np.isfinite(std) & (std > 0))
-        if np.any(bad):
-            worst = np.atleast_1d(std)[np.atleast_1d(bad)][0]
-            raise ValueError(
-                f"std must be positive and finite [m], got {worst:g}; leave a "
-                "coordinate out with `axes` instead of giving it no precision."
-            )
         if std.shape not in ((), (n,), (n, 3)):
             raise ValueError(
                 f"std must be one number, one per marker ({n},) or one per marker and "
                 f"axis ({n}, 3), got shape {std.shape}."
+            )
+        bad = np.argwhere(~(np.isfinite(std) & (std > 0)))
+        if len(bad):
+            of = f" of marker {self.names[bad[0][0]]!r}" if std.ndim else ""
+            raise ValueError(
+                f"std{of} must be positive and finite [m], got {std[tuple(bad[0])]:g}; "
+                "leave a coordinate out with `axes` instead of giving it no precision."
             )
 
     def inverse_std(self) -> Float[HostArray, "n_markers 3"]:
@@ -140,7 +141,12 @@ def _carriers(
     mesh: TetMesh, markers: Markers
 ) -> list[tuple[Int[HostArray, " n"], Float[HostArray, " n"]]]:
     """Find nodes whose positions, summed with weights, are those of each marker."""
-    at = locate(mesh, markers.positions, max_distance=markers.max_distance)
+    at = locate(
+        mesh,
+        markers.positions,
+        max_distance=markers.max_distance,
+        names=[f"marker {name!r}" for name in markers.names],
+    )
     if markers.base_radius == 0.0:
         return list(zip(at.nodes, at.weights, strict=True))
     # The volume of each tet is shared evenly among its nodes: integrals of quadratic
@@ -162,8 +168,8 @@ def _patch(mesh, volume, foot, position, name, *, radius):
     if nodes.size < 4 or singular[-1] < 1e-3 * singular[0]:
         raise ValueError(
             f"marker {name!r}: only {nodes.size} nodes lie within base_radius "
-            f"{radius:g} m of its foot, too few to carry a post. Refine the mesh "
-            "there, or raise base_radius above the edge length."
+            f"{readable(radius, 'm')} of its foot, too few to carry a post. Refine the "
+            "mesh there, or raise base_radius above the edge length."
         )
     at_marker = np.concatenate([[1.0], (position - centre) / radius])
     return nodes, at_marker @ np.linalg.pinv(share[:, None] * A) * share

@@ -7,9 +7,11 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._files import check_file
 from softcal_jax._names import METRES, suggestion
+from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations._csv_table import MarkerTable
+from softcal_jax.configurations._marker_table import MarkerTable
 
 STEP = 0.05
 """Share of the largest motion of a marker from which it has begun to move [-]."""
@@ -107,8 +109,9 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
     Raises:
         FileNotFoundError: If there is no such file.
         ImportError: If ezc3d is not installed.
-        ValueError: If it cannot be read, holds no frames or no markers, or two markers
-            of one label, or does not state a known unit of length.
+        ValueError: If it is no file of a disk, cannot be read, holds no frames or no
+            markers, or two markers of one label, or does not state a known unit of
+            length.
 
     Example:
         The pose from 1.25 to 1.35 s after the valve opened::
@@ -123,14 +126,13 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
             "reading .c3d files needs ezc3d: pip install 'softcal-jax[mocap]'."
         ) from error
     path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"recording {path} does not exist.")
+    check_file(path, "recording")
     try:
         content = ezc3d.c3d(str(path))
     except (OSError, RuntimeError, ValueError) as error:
         raise ValueError(f"recording {path} cannot be read: {error}.") from error
     point = content["parameters"]["POINT"]
-    names = tuple(point["LABELS"]["value"])
+    names = tuple(map(escaped, point["LABELS"]["value"]))
     units = point["UNITS"]["value"] if "UNITS" in point else []
     _check(path, names, units)
     positions = np.moveaxis(np.asarray(content["data"]["points"], float), 2, 0)

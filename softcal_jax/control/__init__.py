@@ -22,7 +22,11 @@ from softcal_jax.control._result import (
     StepRecord,
     TrajectoryResult,
 )
-from softcal_jax.control._solve import follow_trajectory, solve_inverse
+from softcal_jax.control._solve import (
+    ControlWarning,
+    follow_trajectory,
+    solve_inverse,
+)
 from softcal_jax.control._step import ControlSettings
 from softcal_jax.control._workspace import Workspace, sample_workspace
 
@@ -33,6 +37,7 @@ __all__ = [
     "Attempt",
     "BlindDirection",
     "ControlSettings",
+    "ControlWarning",
     "Goal",
     "GoalFit",
     "InverseResult",

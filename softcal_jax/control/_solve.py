@@ -1,5 +1,6 @@
 """Open-loop inverse control: the actuation that reaches goals (paper Eq. 6)."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -9,7 +10,12 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float
-from softcal_jax.configurations import Configuration, configuration_lanes
+from softcal_jax.configurations import (
+    Configuration,
+    configuration_lanes,
+    farthest,
+    motions,
+)
 from softcal_jax.control._goals import Goal, goal_levels, with_goals
 from softcal_jax.control._holding import Holding, what_holds
 from softcal_jax.control._limits import Limits, limit_arrays
@@ -23,6 +29,10 @@ from softcal_jax.control._result import (
 from softcal_jax.control._search import Found, search
 from softcal_jax.control._step import ControlSettings
 from softcal_jax.equilibrium import Model
+
+
+class ControlWarning(UserWarning):
+    """A goal that is probably a mistake."""
 
 
 def solve_inverse(
@@ -70,6 +80,9 @@ def solve_inverse(
             unknown, a goal has the wrong number of coordinates, or limits clash.
         RuntimeError: If there is no equilibrium at the start or a singular one, or the
             search does not end at an optimum within the limits.
+
+    Warns:
+        ControlWarning: If a goal is farther away than the robot is large.
     """
     command = _prepare(model, configuration, goals, limits, priorities, settings)
     if guess is None:
@@ -142,6 +155,11 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> Comma
     configuration = with_goals(configuration, goals or {})
     allowed = limit_arrays(model.mechanism, configuration, limits or {})
     lanes = configuration_lanes(model.mesh, [configuration], model.mechanism)
+    far = farthest(motions(lanes.effectors[0]), model.mesh.size)
+    if far is not None:
+        warnings.warn(
+            f"the goal of {far.name!r} is {far}", ControlWarning, stacklevel=3
+        )
     return Command(
         model=model,
         configuration=configuration,

@@ -78,6 +78,16 @@ class NewtonSettings(eqx.Module):
                 "max_steps and max_steps_per_load must be at least 1, got "
                 f"{self.max_steps} and {self.max_steps_per_load}."
             )
+        for name in ("smallest_load_step", "strict_below"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(
+                    f"{name} is a share of the load and must lie in (0, 1], got "
+                    f"{getattr(self, name)}."
+                )
+        if self.max_backtracks < 1:
+            raise ValueError(
+                f"max_backtracks must be at least 1, got {self.max_backtracks}."
+            )
 
     def as_arrays(self) -> "NewtonSettings":
         """Return them as arrays, so that one compiled program serves all settings."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from softcal_jax._text import as_cell
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import EffectorRecord
@@ -89,4 +90,5 @@ def _text(value: float, digits: str = ".9g") -> str:
 
 def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([header, *rows])
+        lines = ([as_cell(cell) for cell in line] for line in (header, *rows))
+        csv.writer(file, lineterminator="\n").writerows(lines)

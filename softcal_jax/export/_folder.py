@@ -20,6 +20,9 @@ INDEX_FILES = (
 _RESERVED = {"convergence", "markers", "result", "simulation"}
 """Stems of the other files of a results folder."""
 
+_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
+"""Names that are devices on Windows, whatever follows a point."""
+
 
 def file_stems(names: Sequence[str]) -> list[str]:
     """Make one file name per configuration, without extension, safe on every system.
@@ -32,7 +35,9 @@ def file_stems(names: Sequence[str]) -> list[str]:
     stems = []
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:80]
-        stem = unique = stem or "configuration"
+        if not stem or _DEVICE.match(stem):
+            stem = f"configuration_{stem}".strip("_")
+        unique = stem
         copy = 2
         while taken & (own := {unique.lower(), f"{unique.lower()}_robot"}):
             unique, copy = f"{stem}_{copy}", copy + 1

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
 from softcal_jax.fields._model_fields import region_tets, set_field
@@ -287,10 +288,13 @@ class ControlPointParameters(AbstractFieldEntry):
             distance = float(np.min(np.linalg.norm(nodes - x, axis=1)))
             if distance > max(reach, 0.5 * coarse):
                 where = "the body" if self.region is None else f"{self.region!r}"
+                far, near = (
+                    readable_values([d], "m", digits=3) for d in (distance, reach)
+                )
                 raise ValueError(
-                    f"control point {name!r} of {self.field} lies {distance:.3g} m "
-                    f"from {where}, more than max_distance, {reach:.3g} m. Check its "
-                    "unit and frame, or raise max_distance."
+                    f"control point {name!r} of {self.field} lies {far} from {where}, "
+                    f"more than max_distance, {near}. Check its unit and frame, or "
+                    "raise max_distance."
                 )
         self._check_weights(mesh)
 

@@ -18,6 +18,7 @@ from softcal_jax.calibration import (
     Run,
     best_of,
     build_problem,
+    check_starts,
     default_starts,
     images_of,
     n_measured,
@@ -189,8 +190,8 @@ def check_folds(n: int, starts: int | None) -> None:
             f"cross-validation fits all configurations but one and predicts that one: "
             f"at least 2 are needed, got {n}."
         )
-    if starts is not None and starts < 1:
-        raise ValueError(f"starts must be at least 1, got {starts}.")
+    if starts is not None:
+        check_starts(starts)
 
 
 def cross_validated(

@@ -1,9 +1,11 @@
 """Meshes of boxes."""
 
+import math
 from itertools import permutations, product
 
 import numpy as np
 
+from softcal_jax._limits import TETS
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import HostArray
 from softcal_jax.mesh._conversion import check_order, to_quadratic
@@ -103,7 +105,7 @@ def beam(
 
     Raises:
         ValueError: If an extent is not positive and finite, a cell count is not a
-            positive integer, or the order or pattern is unknown.
+            positive integer, there are too many, or the order or pattern is unknown.
     """
     extent = np.array([length, width, height], dtype=float)
     if not (np.isfinite(extent).all() and (extent > 0).all()):
@@ -119,6 +121,8 @@ def beam(
     check_order(order)
     if pattern not in _PATTERNS:
         raise unknown_name("pattern", pattern, _PATTERNS)
+    each = len(_centred_cell() if pattern == "centred" else _KUHN_CELLS[0])
+    TETS.check(f"cells = {counts.tolist()}", each * math.prod(counts.tolist()))
 
     used, tets = np.unique(_lattice_tets(counts, pattern), return_inverse=True)
     upper = lower + extent

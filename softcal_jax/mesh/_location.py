@@ -1,9 +1,12 @@
 """Markers as material points: which tet carries a point, and with which weights."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._units import readable_values
 from softcal_jax.elements import shape_functions, shape_gradients
 from softcal_jax.mesh._inverse_map import barycentric_in_tets, bounds, nearest_on_face
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
@@ -42,7 +45,13 @@ class MaterialPoints(eqx.Module):
         return (weights * field[self.nodes]).sum(axis=1)
 
 
-def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> MaterialPoints:
+def locate(
+    mesh: TetMesh,
+    points: ArrayData,
+    *,
+    max_distance: float,
+    names: Sequence[str] | None = None,
+) -> MaterialPoints:
     """Find the tet that carries each point, and the weights of its nodes.
 
     Inside the mesh the weights are the shape functions. A point outside, such as a
@@ -54,6 +63,7 @@ def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> Material
         mesh: The mesh, in its reference state.
         points: Positions [m].
         max_distance: How far outside the mesh a point may lie [m].
+        names: What the points are called in messages; their numbers by default.
 
     Raises:
         ValueError: If a point is not finite or lies too far outside, or
@@ -80,7 +90,8 @@ def locate(mesh: TetMesh, points: ArrayData, *, max_distance: float) -> Material
             X = mesh.points[mesh.tets[tet[i]]]
             foot[i] = shape_functions(b0, n_en) @ X
             b[i], weights[i] = _extrapolate(X, b0, p[i])
-    _check_distance(mesh, p, distance, max_distance)
+    labels = names or [f"point {i}" for i in range(len(p))]
+    _check_distance(mesh, p, distance, max_distance, labels)
     return MaterialPoints(
         tet=tet,
         barycentric=b,
@@ -149,12 +160,16 @@ def _extrapolate(X: HostArray, b0: HostArray, point: HostArray):
 
 
 def _check_distance(
-    mesh: TetMesh, points: HostArray, distance: HostArray, limit: float
+    mesh: TetMesh,
+    points: HostArray,
+    distance: HostArray,
+    limit: float,
+    labels: Sequence[str],
 ):
     far = np.flatnonzero(distance > limit)
     if not far.size:
         return
-    worst = far[np.argmax(distance[far])]
+    worst = int(far[np.argmax(distance[far])])
     lower, upper = mesh.points.min(axis=0) - limit, mesh.points.max(axis=0) + limit
     hint = "Check the frame and the length unit of the points."
     scaled = 1e-3 * points
@@ -163,8 +178,11 @@ def _check_distance(
     fits = ((lower <= scaled) & (scaled <= upper)).all()
     if fits and distance[worst] > 10.0 * mesh.size:
         hint = "The points would fit the mesh in millimetres: give both in metres."
+    where = readable_values(points[worst].tolist(), "m")
+    away, allowed = (readable_values([d], "m") for d in (float(distance[worst]), limit))
+    others = [labels[i] for i in far.tolist() if i != worst]
+    also = ", ".join(others[:5]) + ", ..." * (len(others) > 5)
     raise ValueError(
-        f"{far.size} of {len(points)} points lie farther than {limit:.3g} m from the "
-        f"mesh: {far[:5].tolist()}{', ...' * (far.size > 5)}; the farthest is point "
-        f"{worst}, {distance[worst]:.3g} m away at {points[worst].tolist()} [m]. {hint}"
+        f"{labels[worst]} at {where} lies {away} from the mesh, farther than {allowed}."
+        f"{f' So do {also}.' if others else ''} {hint}"
     )

@@ -6,7 +6,6 @@ returns a mesh or raises a `ValueError` that names the file.
 
 import contextlib
 import io
-import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +14,12 @@ from typing import Any, NamedTuple
 import meshio
 import numpy as np
 
+from softcal_jax._files import check_file
+from softcal_jax._limits import LimitError
+from softcal_jax._text import escaped
 from softcal_jax._typing import HostArray
+from softcal_jax.mesh._inp import check_inp, mend_inp_sets
+from softcal_jax.mesh._packed import bounded_unpacking
 
 FORMATS = {
     ".msh": "gmsh",
@@ -33,21 +37,15 @@ class MeshWarning(UserWarning):
 
 def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
     """Read a file with meshio, and add what it prints to the notes."""
-    if not path.exists():
-        raise FileNotFoundError(f"mesh file {path} does not exist.")
-    if not path.is_file():
-        raise ValueError(f"mesh file {path} is a directory.")
+    check_file(path, "mesh file")
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(
             f"mesh file {path} has the extension {suffix!r}; "
             f"expected one of {', '.join(FORMATS)}."
         )
-    if suffix == ".inp" and (sections := len(_headers(path, "NODE"))) > 1:
-        raise ValueError(
-            f"mesh file {path} has {sections} *NODE sections, of which the reader "
-            "keeps the last; merge them into one (export a flat file, without parts)."
-        )
+    if suffix == ".inp":
+        check_inp(path)
 
     out, err = io.StringIO(), io.StringIO()
     try:
@@ -55,6 +53,7 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
             contextlib.redirect_stdout(out),
             contextlib.redirect_stderr(err),
             warnings.catch_warnings(),
+            bounded_unpacking(path),
         ):
             # NumPy's warnings about old calls in the parsers do not concern the file.
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -65,11 +64,14 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
             f"reading {path} needs the package {error.name!r}: "
             f"pip install {error.name}."
         ) from error
+    except LimitError:
+        raise
     # Its parsers raise exceptions of any type, and exit on some errors.
     except (Exception, SystemExit) as error:
         said = " ".join(f"{out.getvalue()} {err.getvalue()}".split())
         if not isinstance(error, SystemExit):
             said = f"{said} {type(error).__name__}: {error}".strip()
+        said = escaped(said)
         raise ValueError(
             f"mesh file {path} cannot be read as {FORMATS[suffix]}; it may be "
             f"truncated or not be a mesh. The parser said: {said}"
@@ -77,32 +79,8 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
     if said := " ".join(err.getvalue().split()):
         notes.append(f"meshio says: {said}")
     if suffix == ".inp":
-        _mend_inp_sets(path, raw)
+        mend_inp_sets(path, raw)
     return raw
-
-
-def _headers(path: Path, keyword: str) -> list[str]:
-    """Find the lines of an Abaqus file that open a section."""
-    text = path.read_text(errors="replace")
-    return re.findall(rf"(?im)^\*{keyword}[ \t]*(?:,.*)?$", text)
-
-
-def _mend_inp_sets(path: Path, raw: meshio.Mesh):
-    """Assign the sets named in *ELEMENT lines to the cells of their own sections.
-
-    meshio counts these sets by name, not by section, so a section without ELSET shifts
-    all later ones, and a name that is used twice keeps only its last section.
-    """
-    headers = _headers(path, "ELEMENT")
-    if len(headers) != len(raw.cells):
-        return  # *INCLUDE brings sections of other files, which carry no sets.
-    found = [re.search(r"(?i)ELSET\s*=\s*([^,\s]+)", header) for header in headers]
-    names = [match.group(1) if match else None for match in found]
-    for name in {name for name in names if name}:
-        raw.cell_sets[name] = [
-            np.arange(len(block) if own == name else 0)
-            for own, block in zip(names, raw.cells, strict=True)
-        ]
 
 
 _KINDS = ("point", "line", "surface", "volume")
@@ -119,14 +97,15 @@ def raw_groups(raw: meshio.Mesh) -> RawGroups:
     """Collect sets, Gmsh's physical groups and MED's families by name."""
     cells: dict[str, dict[int, HostArray]] = {}
     for name, block, members in _cell_members(raw):
-        own = cells.setdefault(name, {})
+        own = cells.setdefault(escaped(name), {})
         if np.size(members):
             members = np.asarray(members, dtype=int)
             own[block] = np.union1d(own.get(block, members), members)
-    points = {name: np.asarray(p, int) for name, p in raw.point_sets.items()}
+    sets = raw.point_sets.items()
+    points = {escaped(name): np.asarray(p, int) for name, p in sets}
     for tag, names in getattr(raw, "point_tags", {}).items():
         members = np.flatnonzero(raw.point_data["point_tags"] == tag)
-        for name in names:
+        for name in map(escaped, names):
             points[name] = np.union1d(points.get(name, members), members)
     return RawGroups(cells, points)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from softcal_jax._limits import TETS
 from softcal_jax._names import METRES, unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.mesh._checks import check_mesh
@@ -147,7 +148,10 @@ def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
         kinds[block.type] += len(block)
     listed = ", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "no cells"
     if not (kinds["tetra"] or kinds["tetra10"]):
-        raise ValueError(f"it has no tetrahedra of 4 or 10 nodes; it has {listed}.")
+        raise ValueError(
+            f"it has no tetrahedra of 4 or 10 nodes; it has {listed}. {_remedy(kinds)}"
+        )
+    TETS.check("it is too large", kinds["tetra"] + kinds["tetra10"])
     if kinds["tetra"] and kinds["tetra10"]:
         raise ValueError(
             f"it mixes {kinds['tetra']} linear (tetra) and {kinds['tetra10']} "
@@ -160,6 +164,20 @@ def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
             parts.append(np.asarray(block.data))
             n += len(block)
     return np.concatenate(parts), first
+
+
+def _remedy(kinds: Counter) -> str:
+    """Say how a mesh without tets becomes one with."""
+    flat = {*_TRIANGLES, "line", "line3", "vertex", "quad", "quad8", "quad9"}
+    if not kinds:
+        return "Is it the file of the mesh?"
+    if set(kinds) <= flat:
+        return (
+            "That is a surface. Fill it with tets: in Gmsh, a Surface Loop, a Volume "
+            "and Mesh > 3D. If there is a volume already, give it a physical group "
+            "too: Gmsh leaves out what is in none as soon as something is in one."
+        )
+    return "Mesh the volume with tets, or split its cells into tets, and export again."
 
 
 def _left_out(raw: meshio.Mesh, groups: RawGroups) -> list[str]:

@@ -11,6 +11,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._units import readable, readable_values
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
@@ -72,6 +73,10 @@ class Box(AbstractRegion):
         """Compute the distance of points from the box [m], zero inside."""
         return np.linalg.norm(points - np.clip(points, self.lower, self.upper), axis=1)
 
+    def __str__(self) -> str:
+        """Describe it, for messages."""
+        return f"the box from {_place(self.lower)} to {_place(self.upper)}"
+
 
 class Plane(AbstractRegion):
     """The points of a plane.
@@ -96,6 +101,11 @@ class Plane(AbstractRegion):
         normal = self.normal / np.linalg.norm(self.normal)
         return np.abs((points - self.point) @ normal)
 
+    def __str__(self) -> str:
+        """Describe it, for messages."""
+        normal = ", ".join(f"{x:.4g}" for x in self.normal)
+        return f"the plane through {_place(self.point)} across ({normal})"
+
 
 class Sphere(AbstractRegion):
     """The points of a ball.
@@ -119,6 +129,15 @@ class Sphere(AbstractRegion):
         """Compute the distance of points from the ball [m], zero inside."""
         gap = np.linalg.norm(points - self.centre, axis=1) - self.radius
         return np.maximum(gap, 0.0)
+
+    def __str__(self) -> str:
+        """Describe it, for messages."""
+        radius = readable(self.radius, "m")
+        return f"the sphere of {radius} around {_place(self.centre)}"
+
+
+def _place(point: Float[HostArray, "3"]) -> str:
+    return readable_values(point.tolist(), "m")
 
 
 def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
@@ -205,8 +224,8 @@ def _mask(mesh: TetMesh, where: Predicate) -> HostArray:
 
 def _whereabouts(mesh: TetMesh, where: Predicate) -> str:
     lower, upper = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    text = f"The mesh spans {lower.tolist()} to {upper.tolist()} m."
+    text = f"The mesh spans {_place(lower)} to {_place(upper)}."
     if isinstance(where, AbstractRegion):
-        nearest = where.distance(mesh.points).min()
-        text += f" The nearest node is {nearest:.3g} m away; check the length unit."
+        nearest = readable(float(where.distance(mesh.points).min()), "m")
+        text += f" The nearest node is {nearest} away; check the length unit."
     return text

@@ -37,6 +37,17 @@ def _as_groups(groups: Mapping[str, ArrayData]) -> dict[str, HostArray]:
     return {str(name): _as_indices(members) for name, members in groups.items()}
 
 
+def _unknown_group(kind: str, name: str, known: Mapping[str, object]) -> ValueError:
+    """Build the error for an unknown group; where there is none, say where to begin."""
+    if known:
+        return unknown_name(kind, name, known)
+    return ValueError(
+        f"unknown {kind} {name!r}: the mesh has none. Name the parts where the mesh is "
+        "made (physical groups in Gmsh), or take them by place: [groups.NAME] in a "
+        "project file, `select_nodes` and `select_faces` in Python."
+    )
+
+
 class TetMesh(eqx.Module):
     """Nodes, tets and the named groups that supports, loads and laws refer to.
 
@@ -139,7 +150,7 @@ class TetMesh(eqx.Module):
         if name in self.tet_groups:
             return np.unique(self.tets[self.tet_groups[name]])
         known = {**self.node_groups, **self.surface_groups, **self.tet_groups}
-        raise unknown_name("group", name, known)
+        raise _unknown_group("group", name, known)
 
     def faces(self, name: str) -> Int[HostArray, "_ n_fn"]:
         """Return the faces of a surface group.
@@ -148,7 +159,7 @@ class TetMesh(eqx.Module):
             ValueError: If no surface group has the name.
         """
         if name not in self.surface_groups:
-            raise unknown_name("surface group", name, self.surface_groups)
+            raise _unknown_group("surface group", name, self.surface_groups)
         return self.surface_groups[name]
 
     def tets_of(self, name: str) -> Int[Array | HostArray, " _"]:
@@ -158,7 +169,7 @@ class TetMesh(eqx.Module):
             ValueError: If no tet group has the name.
         """
         if name not in self.tet_groups:
-            raise unknown_name("tet group", name, self.tet_groups)
+            raise _unknown_group("tet group", name, self.tet_groups)
         return self.tet_groups[name]
 
     def with_node_group(self, name: str, nodes: ArrayData) -> "TetMesh":

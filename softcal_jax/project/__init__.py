@@ -2,16 +2,19 @@
 
 from softcal_jax.project._compare import compare_projects
 from softcal_jax.project._load import load_project
+from softcal_jax.project._plausibility import ProjectWarning
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion
 from softcal_jax.project._project import Project
 from softcal_jax.project._quantities import parse_in_si
-from softcal_jax.project._reading import read_schema, read_toml
+from softcal_jax.project._reading import read_schema
 from softcal_jax.project._table import Integer, Table
+from softcal_jax.project._toml import read_toml
 
 __all__ = [
     "Integer",
     "Project",
     "ProjectError",
+    "ProjectWarning",
     "Table",
     "at",
     "compare_projects",

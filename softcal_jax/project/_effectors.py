@@ -29,6 +29,7 @@ from softcal_jax.project._quantities import (
     dimension_of,
     parse_scalar,
     parse_vector,
+    scalar,
     shown,
 )
 from softcal_jax.project._sensors import FrameTable, MeasuredPoseTable, OrientationTable
@@ -67,7 +68,7 @@ class EffectorTable(Table):
         unit = effector.rows(mesh, mechanism)[0].unit
         if self.std is not None:
             with under("std"):
-                std = parse_scalar(self.std, dimension_of(unit))
+                std = scalar(dimension_of(unit), "positive")(self.std)
             effector = replace(effector, std=std)
             effector.rows(mesh, mechanism)
         return effector

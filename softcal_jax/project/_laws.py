@@ -9,11 +9,11 @@ import functools
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoints, entry_points
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Optional
+from typing import Any, ClassVar, Literal, NamedTuple, Optional
 
 import equinox as eqx
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, create_model
+from pydantic import ConfigDict, Field, create_model
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
@@ -23,13 +23,12 @@ from softcal_jax.materials import (
     AbstractLaw,
     Fibre,
     Isotropic,
-    constant,
 )
 from softcal_jax.mesh import TetMesh
+from softcal_jax.project._constants import DENSITY, Constant
 from softcal_jax.project._directions import AnyDirections, TetData
 from softcal_jax.project._problems import one_of, under
-from softcal_jax.project._quantities import dimension_of, scalar
-from softcal_jax.project._table import Density, Flag, Number, Table
+from softcal_jax.project._table import Density, Flag, Table
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
@@ -39,43 +38,6 @@ _FRAME = "directions"
 """Key of the formula for the directions of fibres."""
 
 _DIRECTIONS: Any = Optional[AnyDirections]  # noqa: UP045 (`|` takes no Annotated)
-
-
-class Constant(NamedTuple):
-    """A constant of a material, as its law declares it.
-
-    Attributes:
-        unit: SI unit, as results name it.
-        words: What it is, with an example.
-        within: Open interval in which the bounds of a parameter must lie.
-        may_vanish: Whether the constant itself may be 0 too.
-    """
-
-    unit: str
-    words: str
-    within: tuple[float, float]
-    may_vanish: bool
-
-    @property
-    def is_angle(self) -> bool:
-        """Whether it is the angle of an axis."""
-        return self.unit == "rad"
-
-    @property
-    def scale(self) -> Literal["log", "linear"]:
-        """Default scale: moduli are positive, so that their steps are ratios."""
-        signed = self.within[0] < 0.0
-        return "linear" if self.unit in ("", "rad") or signed else "log"
-
-    @property
-    def type(self) -> Any:
-        """Pydantic type of its key in a table."""
-        if not self.unit:
-            return Number
-        return Annotated[float, BeforeValidator(scalar(dimension_of(self.unit)))]
-
-
-DENSITY = Constant(**constant("kg/m3", 'mass density: "1070 kg/m^3"'))
 
 
 class _OfLaw(Table):

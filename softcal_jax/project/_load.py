@@ -1,6 +1,7 @@
 """Load a project file."""
 
 import os
+import warnings
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,7 @@ from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import build_configuration
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
+from softcal_jax.project._plausibility import ProjectWarning, implausible
 from softcal_jax.project._problems import WrongKeyError, in_file, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import ProjectTable, read_tables
@@ -47,6 +49,10 @@ def load_project(
         ProjectError: If anything in it is wrong; the text names each key, says what
             was expected and suggests the closest match.
         ValueError: If float64 is off in JAX.
+
+    Warns:
+        ProjectWarning: If a density, gravity, load or measured point is hard to
+            believe.
     """
     if not jax.config.read("jax_enable_x64"):
         raise ValueError(
@@ -56,7 +62,18 @@ def load_project(
     path = Path(path)
     table = read_tables(path, changes)
     with in_file(path):
-        return _built(path, table)
+        project = _built(path, table)
+    if changes is None:  # else it was said of the file, and a sweep has many
+        _warn(project)
+    return project
+
+
+def _warn(project: Project) -> None:
+    """Warn of numbers that are probably a slip of a unit."""
+    posed = {f"configurations.{c.name}": c for c in project.configurations}
+    posed |= {f"candidates.{c.name}": c for c in project.candidates}
+    for line in implausible(project.model, posed):
+        warnings.warn(f"{project.path}: {line}", ProjectWarning, stacklevel=3)
 
 
 def _built(path: Path, table: ProjectTable) -> Project:

@@ -21,14 +21,21 @@ from softcal_jax.project._effectors import Measured
 from softcal_jax.project._mesh import LengthUnit
 from softcal_jax.project._problems import known_here
 from softcal_jax.project._sensors import Selection
-from softcal_jax.project._table import Length, Position, Table, TableOr, Time
+from softcal_jax.project._table import (
+    Length,
+    Position,
+    PositiveLength,
+    Table,
+    TableOr,
+    Time,
+)
 
 
 class MarkerEntry(Table):
     """A marker with a standard deviation of its own."""
 
     position: Position = Field(description='"(0, 15, 36) mm"')
-    std: Length | None = None
+    std: PositiveLength | None = None
 
 
 class MarkersTable(Table):
@@ -37,7 +44,7 @@ class MarkersTable(Table):
     positions: dict[str, TableOr[MarkerEntry, Position]] = Field(
         description="names and positions of the markers"
     )
-    std: Length | None = None
+    std: PositiveLength | None = None
     axes: str = "xyz"
     max_distance: Length = 0.01
     base_radius: Length = 0.0

@@ -20,11 +20,14 @@ from softcal_jax.mesh import (
 )
 from softcal_jax.project._table import (
     ByKeys,
+    Corner,
+    Extent,
     Integer,
     Length,
     Maker,
     Number,
     Position,
+    PositiveLength,
     Table,
 )
 
@@ -64,7 +67,7 @@ class MeshFileTable(_MeshTable):
 class BeamTable(Table):
     """A box of tets, long along x; its sides are the groups "x_min" to "z_max"."""
 
-    size: Position = Field(description='length, width, height: "(100, 30, 30) mm"')
+    size: Extent = Field(description='length, width, height: "(100, 30, 30) mm"')
     cells: tuple[Integer, Integer, Integer] = Field(
         description="cells along x, y and z: [14, 4, 4]"
     )
@@ -97,8 +100,8 @@ MeshTable = Annotated[MeshFileTable | BeamMeshTable, ByKeys()]
 
 class BoxTable(Maker):
     makes = Box
-    lower: Position = Field(description='a corner: "(0, 0, 0) mm"')
-    upper: Position = Field(description='a corner: "(0, 30, 30) mm"')
+    lower: Corner = Field(description='a corner: "(0, 0, 0) mm"')
+    upper: Corner = Field(description='a corner: "(0, 30, 30) mm"')
 
 
 class PlaneTable(Maker):
@@ -110,7 +113,7 @@ class PlaneTable(Maker):
 class SphereTable(Maker):
     makes = Sphere
     centre: Position = Field(description='its centre: "(0, 0, 0) mm"')
-    radius: Length = Field(description='its radius: "5 mm"')
+    radius: PositiveLength = Field(description='its radius: "5 mm"')
 
 
 class _GroupTable(Table):

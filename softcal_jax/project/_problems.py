@@ -32,6 +32,10 @@ _EXPECTED = {
 }
 
 
+MOST_PROBLEMS = 30
+"""Problems of a file that are listed; a file with more is not meant as one of ours."""
+
+
 class ProjectError(ValueError):
     """Something in a project file is wrong; nothing was solved or written."""
 
@@ -41,8 +45,12 @@ def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
     problems = list(dict.fromkeys(problems))
     if len(problems) == 1:
         return ProjectError(f"{path}: {problems[0]}")
+    number = str(len(problems))
+    if len(problems) > MOST_PROBLEMS:
+        number = f"more than {MOST_PROBLEMS}"
+        problems = [*problems[:MOST_PROBLEMS], "..."]
     listed = "".join(f"\n- {problem}" for problem in problems)
-    return ProjectError(f"{path}: {len(problems)} problems.{listed}")
+    return ProjectError(f"{path}: {number} problems.{listed}")
 
 
 class WrongKeyError(ValueError):
@@ -97,7 +105,7 @@ def _message(
     details: ErrorDetails, schema: type[BaseModel], raw: dict[str, Any]
 ) -> str:
     place, kind = _place(schema, details["loc"]), details["type"]
-    where, key = _path(place.keys, raw), str(place.keys[-1]) if place.keys else ""
+    where, key = key_path(place.keys, raw), str(place.keys[-1]) if place.keys else ""
     if kind == "extra_forbidden":
         known = list(place.table.model_fields)
         if len(place.keys) == 1 and "configurations" in known:
@@ -187,7 +195,7 @@ def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None
     raise ValueError(f'there is no {kind} "{name}".{known_here(name, known)}')
 
 
-def _path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
+def key_path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
     """Join keys to a path; an entry of a list goes by its name, or counts from 1."""
     posed = keys[:1] in (("configurations",), ("candidates",))
     if posed and len(keys) > 2 and functools.reduce(_step, keys, raw) is None:

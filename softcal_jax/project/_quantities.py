@@ -3,12 +3,13 @@
 import functools
 import math
 import re
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, Literal, NamedTuple
 
 import pint
 
 from softcal_jax._names import METRES, suggestion
+from softcal_jax._text import shortened
 
 
 class Dimension(NamedTuple):
@@ -40,6 +41,9 @@ MASS = Dimension("a mass", "kg", "10 g", ("kg", "g", "mg"))
 VOLUME = Dimension("a volume", "m^3", "2 ml", ("ml", "mm^3", "cm^3", "l", "m^3"))
 TORQUE = Dimension("a torque", "N*m", "50 N*mm", ("N*m", "N*mm", "mN*m"))
 BEDDING = Dimension("a stiffness per area", "Pa/m", "1 GPa/m", ("N/mm^3", "GPa/m"))
+
+Size = Literal["any", "finite", "not negative", "positive"]
+"""What a quantity may be; every size but "any" is finite."""
 
 OF_UNIT = {
     "m": LENGTH,
@@ -103,7 +107,7 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
 
 def shown(value: Any) -> str:
     """Format a value as a project file writes it."""
-    return f'"{value}"' if isinstance(value, str) else str(value)
+    return f'"{shortened(value)}"' if isinstance(value, str) else shortened(str(value))
 
 
 def is_number(value: Any) -> bool:
@@ -122,9 +126,8 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
             f"got {shown(value)}; expected {dimension.name} in quotes, like "
             f'"{dimension.example}".'
         )
-    number = int(number) if float(number).is_integer() else number
     raise ValueError(
-        f"{number} has no unit; expected {dimension.name}, in quotes and with its "
+        f"{number:.15g} has no unit; expected {dimension.name}, in quotes and with its "
         f'unit, like "{dimension.example}".'
     )
 
@@ -170,14 +173,42 @@ def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]
     return x, y, z
 
 
-def scalar(dimension: Dimension) -> Callable[[Any], float]:
-    """Return a parser of quantities of one dimension."""
-    return functools.partial(parse_scalar, dimension=dimension)
+def scalar(dimension: Dimension, size: Size = "any") -> Callable[[Any], float]:
+    """Return a parser of quantities of one dimension, and of a size."""
+
+    def parse(value: Any) -> float:
+        number = parse_scalar(value, dimension)
+        _check_size([number], size, value)
+        return number
+
+    return parse
 
 
-def vector(dimension: Dimension) -> Callable[[Any], tuple[float, float, float]]:
-    """Return a parser of vectors of one dimension."""
-    return functools.partial(parse_vector, dimension=dimension)
+def vector(
+    dimension: Dimension, size: Size = "finite"
+) -> Callable[[Any], tuple[float, float, float]]:
+    """Return a parser of vectors of one dimension, each component of a size."""
+
+    def parse(value: Any) -> tuple[float, float, float]:
+        numbers = parse_vector(value, dimension)
+        _check_size(numbers, size, value)
+        return numbers
+
+    return parse
+
+
+def _check_size(numbers: Iterable[float], size: Size, value: Any) -> None:
+    """Raise ValueError unless all numbers are of a size; `value` is what was typed."""
+    if size == "any":
+        return
+    words = {"finite": "", "not negative": ", zero or more", "positive": " above zero"}
+    within = {
+        "finite": lambda x: True,
+        "not negative": lambda x: x >= 0.0,
+        "positive": lambda x: x > 0.0,
+    }
+    if not all(math.isfinite(number) and within[size](number) for number in numbers):
+        raise ValueError(f"got {shown(value)}; expected a finite value{words[size]}.")
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:

@@ -3,7 +3,7 @@
 The description of a key is also the text of the message if the key is missing.
 """
 
-import tomllib
+import math
 from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -11,7 +11,8 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, field_validator
 
-from softcal_jax.calibration import LEVEL
+from softcal_jax._names import listed
+from softcal_jax.calibration import LEVEL, check_starts
 from softcal_jax.fields import PRECISION
 from softcal_jax.project._actuators import AnyActuator
 from softcal_jax.project._bodies import BodyTable
@@ -35,6 +36,7 @@ from softcal_jax.project._problems import (
 from softcal_jax.project._quantities import shown
 from softcal_jax.project._setup import AnySetup
 from softcal_jax.project._table import Flag, Integer, Number, Table
+from softcal_jax.project._toml import read_toml
 from softcal_jax.project._uncertain import UncertainTable
 
 T = TypeVar("T", bound=BaseModel)
@@ -55,8 +57,8 @@ class SettingsTable(Table):
     step_bound: Number | None = None
     max_step_bound: Number | None = None
     damping: Number | None = None
-    starts: Annotated[Integer, Field(ge=1)] | None = None
-    seed: Integer = 0
+    starts: Integer | None = None
+    seed: Annotated[Integer, Field(ge=0)] = 0
     intervals: Number | None = LEVEL
     precision: Number = PRECISION
     adapt: Flag | None = None
@@ -73,8 +75,14 @@ class SettingsTable(Table):
     @field_validator("precision")
     @classmethod
     def _check_precision(cls, value: float) -> float:
-        if not value > 0.0:
+        if not 0.0 < value < math.inf:
             raise ValueError(f"got {value:g}; expected a share like 0.1, for 10 %.")
+        return value
+
+    @field_validator("starts")
+    @classmethod
+    def _check_starts(cls, value: int) -> int:
+        check_starts(value)
         return value
 
 
@@ -119,6 +127,20 @@ class ProjectTable(Table, Generic[M]):
     uncertain: UncertainTable = UncertainTable()
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
+
+    @field_validator("configurations", "candidates")
+    @classmethod
+    def _check_names(cls, posed: tuple[CandidateTable, ...], info: Any) -> Any:
+        places: dict[str, list[str]] = {}
+        for i, own in enumerate(posed, start=1):
+            places.setdefault(own.name, []).append(f"{info.field_name}[{i}]")
+        for name, where in places.items():
+            if len(where) > 1:
+                raise ValueError(
+                    f'"{name}" is the name of {listed(where)}, counted from 1; give '
+                    "each a name of its own."
+                )
+        return posed
 
     @field_validator("control_points", mode="before")
     @classmethod
@@ -185,23 +207,6 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
         return schema.model_validate(raw)
     except ValidationError as error:
         raise one_by_one(path, describe(error, schema, raw)) from error
-
-
-def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file, unchecked; `what` it is stands in messages.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ProjectError: If it is a folder, or not TOML.
-    """
-    if not path.exists():
-        raise FileNotFoundError(f"{what} {path} does not exist.")
-    if not path.is_file():
-        raise ProjectError(f"{what} {path} is a directory; name the file in it.")
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error
 
 
 def _with_changes(

@@ -1,5 +1,6 @@
 """The table [uncertain]: how well everything is known that is not calibrated."""
 
+import math
 import re
 from typing import Any, Literal
 
@@ -85,6 +86,6 @@ def _quantity(value: Any, dimension: Dimension) -> float:
 
 
 def _not_negative(number: float, value: Any) -> float:
-    if not number >= 0.0:
-        raise ValueError(f"got {shown(value)}; expected zero or more.")
+    if not 0.0 <= number < math.inf:
+        raise ValueError(f"got {shown(value)}; expected zero or more, and finite.")
     return number

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -9,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from softcal_jax._files import similar_file
+from softcal_jax._limits import TRIALS
 from softcal_jax.project import (
     Project,
     ProjectError,
@@ -116,7 +119,8 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
     table = read_schema(path, SweepTable, "sweep file")
     source = path.parent / table.project
     if not source.exists():
-        raise FileNotFoundError(f"{path}: project: there is no file {source}.")
+        hint = similar_file(source)
+        raise FileNotFoundError(f"{path}: project: there is no file {source}.{hint}")
     project = load_project(source)
     files = {str(file.resolve()): digest_of(file) for file in project.files}
     function = CalibrationTrial(
@@ -192,6 +196,7 @@ def _values(
     """Check the values of an axis against the project."""
     with at(path, f"axes.{axis}"):
         if isinstance(given, CountTable):
+            TRIALS.check(f"count = {given.count}", given.count)
             return list(range(1, given.count + 1))
         if isinstance(given, RangeTable):
             return _range(given)
@@ -211,6 +216,8 @@ def _subsets(given: Any, names: list[str]) -> list[list[str]]:
                 f"choose = {given.choose}, but the project has {len(names)} "
                 f"configurations with the role calibration: {', '.join(names)}."
             )
+        n = math.comb(len(names), given.choose)
+        TRIALS.check(f"choose = {given.choose} of {len(names)}", n)
         return [list(s) for s in itertools.combinations(names, given.choose)]
     for subset in given:
         if not isinstance(subset, list) or not subset:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from softcal_jax._text import as_cell
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_estimate, readable_unit
 from softcal_jax.plotting import plot_trials
@@ -223,13 +224,15 @@ def write_sweep_csv(result: SweepResult, path: str | Path) -> None:
     columns = ["state", "reason", "seconds", "compile_seconds", "worker", "ended"]
     with Path(path).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*result.axes, *columns, *figures, "notes"])
+        head = [*result.axes, *columns, *figures, "notes"]
+        writer.writerow([as_cell(name) for name in head])
         for row in result.rows:
             point = (row.point[axis] for axis in result.axes)
             cells = [shown(v) if isinstance(v, list) else v for v in point]
             cells += [getattr(row, column) for column in columns]
             cells += [row.figures.get(figure) for figure in figures]  # None: empty
-            writer.writerow([*cells, " ".join(row.notes)])
+            cells.append(" ".join(row.notes))
+            writer.writerow([as_cell(c) if isinstance(c, str) else c for c in cells])
 
 
 def plot_sweep(

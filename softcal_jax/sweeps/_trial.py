@@ -10,9 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from softcal_jax._limits import TRIALS
 from softcal_jax._names import unknown_name
 
 Point = dict[str, Any]
+
+_MOST_POINTS = 2**62
+"""Points of a grid that whole numbers of 64 bits can count."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,8 @@ def grid(axes: Mapping[str, Sequence[Any] | Range]) -> list[Point]:
     """List every combination of the values of each axis; the last varies fastest.
 
     Raises:
-        ValueError: If there is no axis, one without values, or a range.
+        ValueError: If there is no axis, one without values, a range, or too many
+            combinations.
     """
     lists = _lists(axes)
     for axis in axes:
@@ -65,6 +70,8 @@ def grid(axes: Mapping[str, Sequence[Any] | Range]) -> list[Point]:
                 f"axis {axis!r} is a range, which has no end of values: sample it, or "
                 "list the values."
             )
+    n = math.prod(map(len, lists.values()))
+    TRIALS.check("all combinations of the values (`sample` draws some of them)", n)
     found = itertools.product(*lists.values())
     return [dict(zip(lists, values, strict=True)) for values in found]
 
@@ -85,20 +92,27 @@ def sample(
 
     Raises:
         ValueError: If there is no axis, or one without values, or n is less than one or
-            more than the grid has.
+            more than the grid has, or too many.
     """
     lists = _lists(axes)
     if n < 1:
         raise ValueError(f"a sample has at least 1 point, got {n}.")
+    TRIALS.check(f"a sample of {n}", n)
     random = np.random.default_rng(seed)
     if len(lists) == len(axes):
         sizes = [len(values) for values in lists.values()]
-        if n > math.prod(sizes):
+        total = math.prod(sizes)
+        if n > total:
             raise ValueError(
-                f"the axes have {math.prod(sizes)} different points, so {n} cannot be "
+                f"the axes have {total} different points, so {n} cannot be "
                 "sampled; ask for fewer, or for the whole grid."
             )
-        chosen = np.sort(random.choice(math.prod(sizes), n, replace=False))
+        if total > _MOST_POINTS:
+            raise ValueError(
+                f"the axes have more than {_MOST_POINTS:.3g} different points, too "
+                "many to number; leave an axis out, or give fewer values."
+            )
+        chosen = np.sort(random.choice(total, n, replace=False))
         cells = np.array(np.unravel_index(chosen, sizes)).T.tolist()
         pick = lambda values, i: values[i]
     else:

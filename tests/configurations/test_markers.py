@@ -123,7 +123,7 @@ def test_marker_far_outside_the_mesh():
     """The message names the markers, the configuration, and the likely unit error."""
     far = markers(positions=[INSIDE, [0.1, 0.01, 0.05]])
     with pytest.raises(
-        ValueError, match=r"markers a, b of configuration 'one'.*0\.03 m"
+        ValueError, match=r"'one': marker 'b' at \(100, 10, 50\) mm lies 30 mm from"
     ):
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=far)])
     in_mm = markers(positions=1e3 * np.array([INSIDE, POST]))

@@ -109,7 +109,7 @@ def test_no_rows(table, text):
         ("marker,x_mm,z_mm,n", ["column 'y_mm' is missing."]),
         ("marker,x_mm,y_cm,z_mm", ["column 'y_mm' is missing. Did you mean"]),
         ("marker,a,b,c", ["column 'x' is missing."]),
-        ("marker;x_mm;y_mm;z_mm", ["Separate the columns by commas."]),
+        ("marker x_mm y_mm z_mm", ["Separate the columns by commas, semicolons"]),
         ("marker,x_mm,x_cm,z_mm", ["more than one unit (x_cm, x_mm); keep one"]),
         ("marker,x,y,z", ["carry no unit; name them like x_mm, or give length_unit"]),
         ("marker,x_mm,x_mm,z_mm", ["its header has the column 'x_mm' twice"]),
@@ -147,6 +147,64 @@ def test_not_a_number_names_the_line(table):
     path = table(TABLE.replace("1.5", "1;5"))
     with refused("line 4: y_mm of marker 'tip' is '1;5', not a number."):
         read_markers(path, select={"phase": "rest"})
+
+
+GERMAN = """\
+phase;marker;x_mm;y_mm;z_mm
+rest;tip;0;1,5;-2e1
+rest;base;10,25;11;12
+"""
+
+
+def test_a_german_table(table):
+    """Semicolons between columns, commas before decimals."""
+    markers = read_markers(table(GERMAN))
+    expected = [[0.0, 0.0015, -0.02], [0.01025, 0.011, 0.012]]
+    np.testing.assert_allclose(markers.positions, expected, rtol=1e-15)
+    tabs = read_markers(table(GERMAN.replace(";", "\t")))
+    np.testing.assert_array_equal(tabs.positions, markers.positions)
+    points = read_markers(table(GERMAN.replace(",", ".")))
+    np.testing.assert_array_equal(points.positions, markers.positions)
+
+
+def test_a_thousand_is_not_taken_for_one(table):
+    path = table(GERMAN.replace("1,5", "1.234,5"))
+    with refused("line 2: y_mm of marker 'tip' is '1.234,5', with a point in a file"):
+        read_markers(path)
+    path = table(GERMAN.replace("1,5", "1.5"))
+    with refused("that has decimal commas: write all numbers with either"):
+        read_markers(path)
+
+
+def test_decimal_commas_between_commas_are_explained(table):
+    with refused("is '1,5', not a number: write a decimal point."):
+        read_markers(table('marker,x_mm,y_mm,z_mm\ntip,0,"1,5",2\n'))
+    with refused("5 cells under a header of 4", "decimal commas, put ; between col"):
+        read_markers(table("marker,x_mm,y_mm,z_mm\ntip,0,1,5,2\n"))
+
+
+def test_another_encoding_is_explained(table):
+    path = table("marker,x_mm,y_mm,z_mm\n")
+    path.write_bytes("marker,x_mm,y_mm,z_mm\nRücken,1,2,3\n".encode("latin-1"))
+    with refused("'utf-8' codec", 'Save it as UTF-8 (in a spreadsheet, "CSV UTF-8").'):
+        read_markers(path)
+
+
+def test_no_column_is_proposed_that_is_there_for_itself(table):
+    with refused("column 'z_mm' is missing. Columns there: marker, x_mm, y_mm."):
+        read_markers(table("marker,x_mm,y_mm\ntip,1,2\n"))
+    with refused("column 'x_mm' is missing. Did you mean 'X_mm'?"):
+        read_markers(table("marker,X_mm,y_mm,z_mm\ntip,1,2,3\n"))
+
+
+def test_a_control_character_names_the_line(table):
+    with refused("line 2: got 'tip\\x1b[2J,1,2,3', with the control character '\\x1b'"):
+        read_markers(table("marker,x_mm,y_mm,z_mm\ntip\x1b[2J,1,2,3\n"))
+
+
+def test_names_as_spreadsheets_get_them_from_us(table):
+    markers = read_markers(table("marker,x_mm,y_mm,z_mm\n'-tip,1,2,3\n'a,1,2,3\n"))
+    assert markers.names == ("-tip", "'a")
 
 
 def test_a_row_of_another_length(table):

@@ -12,7 +12,13 @@ from softcal_jax.configurations import (
     ImposedDisplacement,
     Markers,
 )
-from softcal_jax.control import ControlSettings, Limits, solve_inverse, with_goals
+from softcal_jax.control import (
+    ControlSettings,
+    ControlWarning,
+    Limits,
+    solve_inverse,
+    with_goals,
+)
 
 EFFECTORS = [
     BodyFrame("frame", "tip"),
@@ -42,6 +48,18 @@ GOAL = {"tip": (0.1, 0.0, 0.0)}
 def test_goals(goals, message):
     with pytest.raises(ValueError, match=message):
         solve_inverse(arm(), START, goals=goals)
+
+
+def test_a_goal_many_body_lengths_away():
+    """A goal in millimetres; the command itself is refused, so nothing is solved."""
+    message = "the goal of 'tip' is 99.9 m from its place at rest, 961 times the size"
+    with (
+        pytest.warns(ControlWarning, match=message),
+        pytest.raises(ValueError, match="unknown effector with a priority 'tpi'"),
+    ):
+        solve_inverse(
+            arm(), START, goals={"tip": (100.0, 0.0, 0.0)}, priorities={"tpi": 1}
+        )
 
 
 @pytest.mark.parametrize(

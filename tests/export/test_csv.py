@@ -1,7 +1,8 @@
 import csv
+import dataclasses
 
 import pytest
-from export.handmade import make_fit, make_result, small_model
+from export.handmade import make_fit, make_result, small_model, with_points
 
 from softcal_jax.export import write_json, write_markers_csv
 
@@ -32,6 +33,21 @@ def test_what_was_not_measured_is_empty(tmp_path):
     assert row["measured_x_mm"] == row["residual_x_mm"] == ""
     assert row["measured_y_mm"] == "20.000000"
     assert row["distance_mm"] == "0.000000"
+
+
+def test_no_name_is_a_formula_for_a_spreadsheet(tmp_path):
+    """Numbers stay numbers, negative ones too."""
+    (fit,) = make_result().configurations[:1]
+    fit = dataclasses.replace(fit, name="=cmd|' /C calc'!A0")
+    fit = with_points(fit, simulated=lambda p: -p.measured)
+    write_markers_csv(tmp_path / "m.csv", [fit])
+    with (tmp_path / "m.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {r["configuration"] for r in rows} == {"'=cmd|' /C calc'!A0"}
+    cells = [cell for row in rows for cell in row.values()]
+    assert any(cell.startswith("-") for cell in cells)
+    assert all(float(cell) <= 0.0 for cell in cells if cell.startswith("-"))
+    assert not any(cell.startswith(("=", "@", "+")) for cell in cells)
 
 
 def test_json_refuses_nan(tmp_path):

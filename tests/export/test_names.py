@@ -16,6 +16,14 @@ def test_nothing_leads_out_of_the_folder():
     assert all(re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,85}", s) for s in stems)
 
 
+def test_no_name_is_a_device_of_windows():
+    names = ["CON", "nul", "com1.left", "LPT9", "console", "com", "Aux."]
+    assert file_stems(names) == [
+        *("configuration_CON", "configuration_nul", "configuration_com1.left"),
+        *("configuration_LPT9", "console", "com", "configuration_Aux"),
+    ]
+
+
 def test_no_two_configurations_share_a_file():
     # Case does not count on macOS and Windows.
     assert file_stems(["a b", "a/b", "A_B"]) == ["a_b", "a_b_2", "A_B_3"]

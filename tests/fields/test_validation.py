@@ -108,7 +108,7 @@ def test_control_points_and_a_parameter_must_not_set_the_same_tets():
 def test_control_point_far_outside_is_named_with_its_distance():
     """Millimetres for metres, or another frame."""
     points = ControlPoints({"root": (0.0, 0.25, 0.25), "tip": (1000.0, 250.0, 250.0)})
-    message = r"'tip' of E lies 1.06e\+03 m from the body, more than .* 0.122 m. Check"
+    message = r"'tip' of E lies 1.06e\+03 m from the body, more than .* 122 mm. Check"
     with pytest.raises(ValueError, match=message):
         check(model(), spread(points=points))
 
@@ -119,7 +119,7 @@ def test_max_distance_and_the_region_decide_what_is_far():
         check(model(), spread(points=ControlPoints(outside)))
     check(model(), spread(points=ControlPoints(outside, max_distance=1.01)))
     near = {"root": (0.0, 0.25, 0.25), "tip": (1.0, 0.25, 0.25)}
-    message = "'tip' of E lies 0.612 m from 'near', more than max_distance, 0.1 m"
+    message = "'tip' of E lies 612 mm from 'near', more than max_distance, 100 mm"
     points = ControlPoints(near, max_distance=0.1)
     with pytest.raises(ValueError, match=message):
         check(model(), spread(points=points, region="near"))

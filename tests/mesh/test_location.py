@@ -152,14 +152,14 @@ def test_no_points():
 def test_far_points_are_named():
     mesh = beam(*BOX, (2, 2, 2))
     points = [[0.05, 0.01, 0.01], [0.05, 0.01, 0.04], [0.05, 0.01, 0.05]]
-    with pytest.raises(
-        ValueError, match=r"2 of 3 points lie farther than 0.005 m"
-    ) as e:
+    with pytest.raises(ValueError, match="point 2 at") as e:
         locate(mesh, points, max_distance=0.005)
-    assert "[1, 2]; the farthest is point 2, 0.02 m away at [0.05, 0.01, 0.05]" in str(
-        e.value
+    assert str(e.value) == (
+        "point 2 at (50, 10, 50) mm lies 20 mm from the mesh, farther than 5 mm. So do "
+        "point 1. Check the frame and the length unit of the points."
     )
-    assert "Check the frame and the length unit" in str(e.value)
+    with pytest.raises(ValueError, match=r"^c at .* farther than 5 mm\. So do b\. "):
+        locate(mesh, points, max_distance=0.005, names=["a", "b", "c"])
 
 
 def test_millimetres_are_recognised():

@@ -87,8 +87,22 @@ def test_arguments(tmp_path):
 def test_no_tets(tmp_path):
     path = _write(tmp_path, BEAM.points, [("hexahedron", [range(8)])])
     with pytest.raises(
-        ValueError, match=r"bad\.vtu: it has no tetra.*; it has 1 hexahe"
+        ValueError, match=r"no tetra.*; it has 1 hexahe.*split its cells into tets"
     ):
+        read_mesh(path, length_unit="m")
+
+
+@pytest.mark.parametrize("groups", [{}, {"gmsh:physical": [np.ones(1, int)]}])
+def test_a_surface_says_what_is_missing(tmp_path, groups):
+    """Also that of a volume which Gmsh left out, since only its surface is a group."""
+    cells = [("triangle", [[0, 1, 2]])]
+    path = tmp_path / "shell.msh"
+    meshio.Mesh(BEAM.points, cells, cell_data=groups).write(path, file_format="gmsh22")
+    message = (
+        r"it has 1 triangle\. That is a surface\. Fill it with tets: in Gmsh, .*"
+        "If there is a volume already, give it a physical group too"
+    )
+    with pytest.raises(ValueError, match=message):
         read_mesh(path, length_unit="m")
 
 

@@ -61,10 +61,10 @@ def test_faces_need_all_their_nodes():
 
 
 def test_empty_selection_says_how_far():
-    with pytest.raises(ValueError, match=r"no node lies in Sphere\(") as error:
+    with pytest.raises(ValueError, match=r"no node lies in the sphere of ") as error:
         select_nodes(MESH, Sphere((0.4, 0.0, 0.0), 0.1))
-    assert "The mesh spans [0.0, 0.0, 0.0] to [0.1, 0.02, 0.02] m" in str(error.value)
-    assert "nearest node is 0.2 m away; check the length unit" in str(error.value)
+    assert "The mesh spans (0, 0, 0) m to (100, 20, 20) mm." in str(error.value)
+    assert "nearest node is 200 mm away; check the length unit" in str(error.value)
     with pytest.raises(ValueError, match=r"no boundary face .*; 9 nodes lie in it"):
         select_faces(MESH, Plane((0.05, 0.0, 0.0), (1.0, 0.0, 0.0)))
     with pytest.raises(ValueError, match=r"no node lies in .*The mesh spans"):

@@ -27,7 +27,8 @@ def test_unknown_group_suggests_the_near_one():
         ValueError, match=r"unknown surface group 'tip'. Known: 'x_max'"
     ):
         mesh.faces("tip")
-    with pytest.raises(ValueError, match=r"unknown tet group 'all'. Known: none\."):
+    message = r"unknown tet group 'all': the mesh has none\. Name the parts where the "
+    with pytest.raises(ValueError, match=message):
         mesh.tets_of("all")
 
 

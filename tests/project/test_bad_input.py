@@ -113,7 +113,7 @@ CASES = {
     ),
     "unknown region": (
         ("[[parameters]]", '[material.regions.tipp]\nE = "1 MPa"\n\n[[parameters]]'),
-        "material: unknown tet group 'tipp'.",
+        "material: unknown tet group 'tipp': the mesh has none. Name the parts where",
     ),
     "unknown parameter": (
         ('field = "E"', 'field = "young"'),
@@ -201,8 +201,8 @@ CASES = {
     ),
     "marker far outside": (
         ('tip = "(60, 10, 10) mm"', 'tip = "(600, 10, 10) mm"'),
-        "configurations: markers tip, side of configuration 'weight': 1 of 2 points "
-        "lie farther than 0.01 m from the mesh",
+        "configurations: markers tip, side of configuration 'weight': marker 'tip' at "
+        "(600, 10, 10) mm lies 540 mm from the mesh, farther than 10 mm. Check the ",
     ),
     "unknown marker": (
         ('markers = ["tip", "side"]', 'markers = ["tip", "sides"]'),
@@ -219,7 +219,7 @@ CASES = {
     ),
     "no precision": (
         ('std = "0.1 mm"', 'std = "0 mm"'),
-        "configurations.weight.markers: std must be positive and finite [m], got 0;",
+        'markers.std: got "0 mm"; expected a finite value above zero.',
     ),
     "registration on a line": (
         ('markers = ["a", "b", "c"]', 'markers = ["a", "b"]'),
@@ -235,7 +235,8 @@ CASES = {
     ),
     "configuration twice": (
         ('name = "pulled"', 'name = "weight"'),
-        "configurations: configuration 'weight' is named more than once.",
+        'configurations: "weight" is the name of configurations[1] and '
+        "configurations[2], counted from 1; give each a name of its own.",
     ),
     "unknown role": (
         ('role = "validation"', 'role = "validaton"'),

@@ -155,7 +155,7 @@ CASES = {
     ),
     "a zero std": (
         ('std = "0.1 mm"\nstd_angle', 'std = "0 mm"\nstd_angle'),
-        "effectors.sensor: std of effector 'sensor' must be positive and finite [m]",
+        'effectors.sensor.std: got "0 mm"; expected a finite value above zero.',
     ),
     "a choice of an unknown effector": (
         (PULLED, f'{PULLED}\neffectors = ["senser"]'),

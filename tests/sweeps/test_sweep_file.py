@@ -8,7 +8,7 @@ from anisotropic_project import write_anisotropic_project
 from small_project import write_small_project
 
 from softcal_jax.project import ProjectError, load_project
-from softcal_jax.sweeps import _calibration, load_sweep
+from softcal_jax.sweeps import _calibration, load_sweep, sample
 
 HEAD = 'project = "project.toml"\n'
 
@@ -194,6 +194,20 @@ BAD = {
     "[axes]\nconfigurations = { choose = 2 }": (
         "choose = 2, but the project has 1 configurations with the role calibration"
     ),
+    '[axes]\n"material.nu" = [1979-05-27]': (
+        r"axes.material.nu\[1\]: got the date 1979-05-27, which no key takes"
+    ),
+    "[axes]\nnoise = { count = 1_000_000_000_000 }": (
+        r"axes.noise: count = 1000000000000: 1e\+12 trials, more than the limit of 100 "
+        "000. If that is meant, .* environment variable SOFTCAL_MAX_TRIALS"
+    ),
+    "[axes]\nnoise = { count = 1000 }\nstart = { count = 1000 }": (
+        r"axes: all combinations of the values \(`sample` draws some of them\): 1 000 "
+        "000 trials, more than the limit of 100 000"
+    ),
+    'sample = 1_000_000_000_000\n[axes]\n"material.nu" = { low = 0.1, high = 0.3 }': (
+        r"axes: a sample of 1000000000000: 1e\+12 trials, more than the limit"
+    ),
     '[axes]\nlayout = ["ends"]': r"\[layouts\] and the axis `layout` go together",
     '[axes]\nlayout = ["ends"]\n[layouts.ends]\n': (
         "replaces: missing. Expected the set of control points .* It has none"
@@ -248,6 +262,22 @@ def test_files_that_do_not_exist(tmp_path):
     path = write(tmp_path, "[axes]\nnoise = [1]\n")
     with pytest.raises(FileNotFoundError, match=r"project: there is no file .*project"):
         load_sweep(path)
+
+
+def test_a_project_file_with_a_similar_name_is_proposed(tmp_path):
+    path = write(tmp_path, "[axes]\nnoise = [1]\n")
+    (tmp_path / "projects.toml").touch()
+    with pytest.raises(FileNotFoundError, match=r"Did you mean 'projects.toml'\?"):
+        load_sweep(path)
+
+
+def test_a_sample_of_a_grid_too_large_to_number():
+    axes = {name: range(10**5) for name in "abcd"}
+    with pytest.raises(
+        ValueError, match=r"have more than 4.61e\+18 different points, too"
+    ):
+        sample(axes, 3)
+    assert len(sample({"a": range(10**5), "b": range(10**5)}, 3)) == 3
 
 
 def test_nothing_measured(beam):

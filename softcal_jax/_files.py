@@ -1,0 +1,45 @@
+"""Checks of a file before it is opened."""
+
+from itertools import islice
+from pathlib import Path
+
+from softcal_jax._limits import MEGABYTES
+from softcal_jax._names import suggestion
+
+_LOOKED_AT = 1000
+"""Files of a folder among which a misspelt name is looked for."""
+
+
+def check_file(path: Path, what: str) -> None:
+    """Raise unless a path is that of a regular file of a size that may be read.
+
+    A pipe would wait for ever, and a device like /dev/zero never ends.
+
+    Args:
+        path: The file.
+        what: What it is, for messages: "mesh file".
+
+    Raises:
+        FileNotFoundError: If it does not exist; the text suggests another one there.
+        ValueError: If it is something else, or too large.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{what} {path} does not exist.{similar_file(path)}")
+    if path.is_dir():
+        raise ValueError(f"{what} {path} is a directory; name the file in it.")
+    if not path.is_file():
+        raise ValueError(
+            f"{what} {path} is a pipe or a device; expected a file on a disk."
+        )
+    MEGABYTES.check(f"{what} {path}", path.stat().st_size / 1e6)
+
+
+def similar_file(path: Path) -> str:
+    """Suggest another file of the folder, or say that there is no such folder.
+
+    In a sentence after a space, as `suggestion` does.
+    """
+    if not path.parent.is_dir():
+        return f" There is no folder {path.parent}."
+    others = islice(path.parent.iterdir(), _LOOKED_AT)
+    return suggestion(path.name, (other.name for other in others if other.is_file()))

@@ -1,0 +1,67 @@
+"""Limits on what is read and run; environment variables raise them.
+
+A file cannot raise them: it may be somebody else's, or hold the slip that they are for.
+"""
+
+import os
+from typing import NamedTuple
+
+
+class LimitError(ValueError):
+    """There is more of something than is read or run; the text says how to raise it."""
+
+
+class Limit(NamedTuple):
+    """The largest number of something, above which it is taken for a mistake.
+
+    Attributes:
+        variable: Environment variable with another limit.
+        usual: The limit without it.
+        unit: What is counted, for messages.
+    """
+
+    variable: str
+    usual: int
+    unit: str
+
+    @property
+    def most(self) -> float:
+        """The limit that holds.
+
+        Raises:
+            ValueError: If the environment variable is no positive number.
+        """
+        text = os.environ.get(self.variable, "").strip()
+        try:
+            most = float(text or self.usual)
+        except ValueError:
+            most = 0.0
+        if not most > 0.0:
+            raise ValueError(
+                f"the environment variable {self.variable} is {text!r}; expected a "
+                f"number of {self.unit}, like {self.usual}."
+            )
+        return most
+
+    def check(self, what: str, n: float) -> None:
+        """Raise LimitError if there are more; `what` there is opens the message."""
+        if n > self.most:
+            raise LimitError(
+                f"{what}: {_shown(n)} {self.unit}, more than the limit of "
+                f"{_shown(self.most)}. If that is meant, raise the limit with the "
+                f"environment variable {self.variable}."
+            )
+
+
+def _shown(n: float) -> str:
+    return f"{min(n, 1e300):.3g}" if n >= 1e9 else f"{n:,.15g}".replace(",", " ")
+
+
+TETS = Limit("SOFTCAL_MAX_TETS", 2_000_000, "tets")
+"""Tets of a mesh; a million quadratic ones take more than 10 GB to solve."""
+
+TRIALS = Limit("SOFTCAL_MAX_TRIALS", 100_000, "trials")
+"""Trials of a sweep, and starts of a calibration."""
+
+MEGABYTES = Limit("SOFTCAL_MAX_FILE_MB", 100, "MB")
+"""Size of a file that is read, and of what is packed in it [MB]."""

@@ -1,0 +1,66 @@
+"""Text of users and of files on its way to a terminal, a spreadsheet or a disk.
+
+A control character in a name can rewrite what a terminal shows, or worse, and a
+spreadsheet runs a cell that begins like a formula.
+"""
+
+import re
+import unicodedata
+
+_HIDDEN = {"Cc", "Cs", "Zl", "Zp"}
+"""Unicode's control characters, lone surrogates, and line separators."""
+
+_TURNING = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
+"""Those that write what follows from right to left, or back."""
+
+_QUOTED = 200
+"""Characters of a text that messages quote."""
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+
+
+def _is_hidden(character: str) -> bool:
+    hidden = unicodedata.category(character) in _HIDDEN and character not in "\n\t"
+    return hidden or unicodedata.bidirectional(character) in _TURNING
+
+
+def escaped(text: str) -> str:
+    """Write control characters as escapes; tabs and ends of lines stay."""
+    if text.isprintable():
+        return text
+    return "".join(
+        c.encode("unicode_escape").decode() if _is_hidden(c) else c for c in text
+    )
+
+
+def shortened(text: str) -> str:
+    """Cut a text that is too long to quote in a message."""
+    return text if len(text) <= _QUOTED else f"{text[:_QUOTED]}..."
+
+
+def check_characters(text: str) -> None:
+    """Raise ValueError for a text with control characters."""
+    if text.isprintable():
+        return
+    for character in text:
+        if _is_hidden(character):
+            raise ValueError(
+                f"got {shortened(text)!r}, with the control character {character!r}, "
+                "which would act on a terminal; leave it out."
+            )
+
+
+def as_cell(text: str) -> str:
+    """Write a text so that no spreadsheet takes it for a formula; numbers stay.
+
+    An apostrophe before it is what spreadsheets have for this (CWE-1236).
+    """
+    if text.startswith(_FORMULA) and not _NUMBER.fullmatch(text):
+        return f"'{text}"
+    return text
+
+
+def from_cell(text: str) -> str:
+    """Undo `as_cell`."""
+    return text[1:] if text.startswith("'") and text[1:].startswith(_FORMULA) else text

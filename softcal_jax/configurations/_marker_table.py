@@ -1,0 +1,95 @@
+"""Positions of markers from a CSV file."""
+
+import os
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._names import suggestion
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations._csv_table import coordinates, read_table
+
+
+class MarkerTable(eqx.Module):
+    """Marker positions as they were read, in the frame and order of the file.
+
+    Attributes:
+        names: Names of the markers, each once.
+        positions: Their positions; nan where the file says so or is blank [m].
+        places: Where in the source each was, for messages, like "line 7".
+        source: What was read, for messages.
+    """
+
+    names: tuple[str, ...]
+    positions: Float[HostArray, "n_markers 3"]
+    places: tuple[str, ...]
+    source: str
+
+    def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3"]:
+        """Return positions of some markers, in the order of their names [m].
+
+        Raises:
+            ValueError: If a marker is not there, or its position is not finite.
+        """
+        for name in names:
+            if name not in self.names:
+                raise ValueError(
+                    f"{self.source} has no marker {name!r}."
+                    f"{suggestion(name, self.names)} It has {', '.join(self.names)}."
+                )
+            row = self.names.index(name)
+            if not np.all(np.isfinite(self.positions[row])):
+                raise ValueError(
+                    f"{self.source}, {self.places[row]}: the position of marker "
+                    f"{name!r} is missing or not finite. Leave a marker that was lost "
+                    "out of this configuration."
+                )
+        return self.positions[[self.names.index(name) for name in names]]
+
+
+def read_markers(
+    path: str | os.PathLike[str],
+    *,
+    length_unit: str | None = None,
+    select: Mapping[str, str] | None = None,
+) -> MarkerTable:
+    """Read marker positions from a CSV file with a header line.
+
+    Columns: `marker`, and either `x`, `y`, `z` or columns that carry their unit, like
+    `x_mm`, `y_mm`, `z_mm`. Any other column can be selected on. Lines that start with
+    `#` and blank lines are skipped. Columns may also be separated by semicolons or
+    tabs; numbers then may have a decimal comma, as German spreadsheets write them. A
+    blank or `nan` coordinate is a marker that was
+    lost: it is kept, and raises only when it is asked for.
+
+    Args:
+        path: The file.
+        length_unit: Unit of the coordinates: "m", "cm", "mm", "um" or "inch"; not
+            needed where the columns carry it.
+        select: Column and value pairs; only the rows that have them all are taken.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be read, a column is missing, the unit is unknown,
+            unstated or contradicts the columns, nothing is selected, a marker is
+            selected twice, or a coordinate is not a number.
+
+    Example:
+        The rows of one recording::
+
+            read_markers("markers.csv", select={"run": "gravity", "phase": "held"})
+    """
+    table = read_table(path, "marker", select)
+    columns, metres = coordinates(table, length_unit)
+    for name, line in zip(table.names, table.lines, strict=True):
+        first = table.lines[table.names.index(name)]
+        if first != line:
+            raise ValueError(
+                f"{table.path}: marker {name!r} is there twice, in lines {first} and "
+                f"{line}; select the rows of one recording "
+                f"(columns: {', '.join(table.header)})."
+            )
+    positions = metres * table.numbers(columns)
+    places = tuple(f"line {line}" for line in table.lines)
+    return MarkerTable(table.names, positions, places, table.source)

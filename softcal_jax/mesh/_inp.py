@@ -1,0 +1,80 @@
+"""What meshio leaves to its caller in Abaqus files: sections, sets and *INCLUDE."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from softcal_jax._files import check_file
+from softcal_jax._limits import MEGABYTES
+
+
+def check_inp(path: Path) -> None:
+    """Raise ValueError for a file that meshio would misread, or that leads elsewhere.
+
+    It keeps the last of several *NODE sections, and opens whatever an *INCLUDE names.
+    """
+    included = [*_included(path, path.resolve().parent, {path.resolve()})]
+    size = sum(file.stat().st_size for file in (path, *included)) / 1e6
+    MEGABYTES.check(f"mesh file {path} with what it includes", size)
+    if (sections := len(_headers(path, "NODE"))) > 1:
+        raise ValueError(
+            f"mesh file {path} has {sections} *NODE sections, of which the reader "
+            "keeps the last; merge them into one (export a flat file, without parts)."
+        )
+
+
+def _included(path: Path, folder: Path, seen: set[Path]) -> Iterator[Path]:
+    """Check and yield the files that a file includes, and those that they include."""
+    for name in _named_files(path):
+        named = Path(name) if Path(name).exists() else path.parent / name
+        file = named.resolve()
+        where = f"mesh file {path}: *INCLUDE of {name!r}"
+        if not file.is_relative_to(folder):
+            raise ValueError(
+                f"{where}: it lies outside the folder of the mesh, {folder}; copy it "
+                "there."
+            )
+        check_file(file, f"{where}:")
+        if file in seen:
+            raise ValueError(f"{where}: it is included already; include it once.")
+        seen.add(file)
+        yield file
+        yield from _included(file, folder, seen)
+
+
+def _named_files(path: Path) -> list[str]:
+    """Find what a file includes, in the lines that meshio takes for an *INCLUDE."""
+    lines = path.read_text(errors="replace").split("\n")
+    keywords = (line.partition(",")[0].strip().replace("*", "") for line in lines)
+    return [
+        line.split("=")[-1].strip()
+        for line, keyword in zip(lines, keywords, strict=True)
+        if keyword.upper() == "INCLUDE" and not line.startswith("**")
+    ]
+
+
+def _headers(path: Path, keyword: str) -> list[str]:
+    """Find the lines of an Abaqus file that open a section."""
+    text = path.read_text(errors="replace")
+    return re.findall(rf"(?im)^\*{keyword}[ \t]*(?:,.*)?$", text)
+
+
+def mend_inp_sets(path: Path, raw: meshio.Mesh) -> None:
+    """Assign the sets named in *ELEMENT lines to the cells of their own sections.
+
+    meshio counts these sets by name, not by section, so a section without ELSET shifts
+    all later ones, and a name that is used twice keeps only its last section.
+    """
+    headers = _headers(path, "ELEMENT")
+    if len(headers) != len(raw.cells):
+        return  # *INCLUDE brings sections of other files, which carry no sets.
+    found = [re.search(r"(?i)ELSET\s*=\s*([^,\s]+)", header) for header in headers]
+    names = [match.group(1) if match else None for match in found]
+    for name in {name for name in names if name}:
+        raw.cell_sets[name] = [
+            np.arange(len(block) if own == name else 0)
+            for own, block in zip(names, raw.cells, strict=True)
+        ]

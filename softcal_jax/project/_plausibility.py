@@ -1,0 +1,118 @@
+"""Numbers of a project that are probably a slip of a unit: one line for each kind.
+
+None of them is an error: the method does not mind a robot of lead on Jupiter.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._units import readable_values
+from softcal_jax.configurations import (
+    STANDARD_GRAVITY,
+    Configuration,
+    configuration_lanes,
+    farthest,
+    motions,
+)
+from softcal_jax.equilibrium import Model
+from softcal_jax.mesh import volumes
+
+DENSITIES = 10.0, 23e3
+"""From a light foam to the heaviest metal [kg/m3]."""
+
+GRAVITIES = 1.0, 30.0
+"""From the Moon's to Jupiter's [m/s2]."""
+
+WEIGHTS = 200.0
+"""Dead load over the weight of the robot from which a soft one would be flat [-]."""
+
+
+class ProjectWarning(UserWarning):
+    """A number of a project file that is probably a mistake."""
+
+
+class Doubt(NamedTuple):
+    """Something that is hard to believe: the more so, the larger its `size`."""
+
+    size: float
+    key: str
+    text: str
+
+
+Posed = Mapping[str, Configuration]
+"""Configurations by their keys, like "configurations.weight"."""
+
+
+def implausible(model: Model, posed: Posed) -> Iterator[str]:
+    """Describe the worst of each kind that is hard to believe, in a line each."""
+    yield from _density(model)
+    if not posed:
+        return
+    for found in (_gravity(posed), _loads(model, posed), _places(model, posed)):
+        doubts = list(found)
+        if doubts:
+            worst, more = max(doubts), len(doubts) - 1
+            others = f" And {more} more like it." if more else ""
+            yield f"{worst.key}: {worst.text}{others}"
+
+
+def _density(model: Model) -> Iterator[str]:
+    density = np.atleast_1d(np.asarray(model.density))
+    low, high = DENSITIES
+    strange = density[(density != 0.0) & ((density < low) | (density > high))]
+    if strange.size:
+        yield (
+            f"material.density: {strange[0]:g} kg/m^3 is hardly a robot's (water has "
+            "1000, silicone 1070, steel 7850): check its unit."
+        )
+
+
+def _gravity(posed: Posed) -> Iterator[Doubt]:
+    low, high = GRAVITIES
+    for key, c in posed.items():
+        size = float(np.linalg.norm(c.gravity))
+        if size and not low <= size <= high:
+            text = (
+                f"{readable_values(c.gravity, 'm/s^2')} is "
+                f"{size / STANDARD_GRAVITY:.3g} times that of the Earth: check its "
+                "unit."
+            )
+            yield Doubt(size, f"{key}.gravity", text)
+
+
+def _loads(model: Model, posed: Posed) -> Iterator[Doubt]:
+    mass = float(np.sum(np.asarray(model.density) * volumes(model.mesh)))
+    mass += float(np.sum(model.mechanism.bodies.mass))
+    weight = mass * STANDARD_GRAVITY
+    for key, c in posed.items():
+        forces = [load.nodal_forces(model.mesh).sum(axis=0) for load in c.loads]
+        load = float(sum(np.linalg.norm(force) for force in forces))
+        if weight and load > WEIGHTS * weight:
+            shown = [readable_values([force], "N") for force in (load, weight)]
+            text = (
+                f"{shown[0]} are {load / weight:.3g} times the weight of the robot "
+                f"({shown[1]}): check the units of force, size and density."
+            )
+            yield Doubt(load, f"{key}.loads", text)
+
+
+def _places(model: Model, posed: Posed) -> Iterator[Doubt]:
+    """Check where points were measured, or how far from the reference pose.
+
+    The frame of a reference is its own: only differences from it count.
+    """
+    lanes = configuration_lanes(model.mesh, [*posed.values()], model.mechanism)
+    moved = dict(zip(posed, map(motions, lanes.effectors), strict=True))
+    named = {c.name: moved[key] for key, c in posed.items()}
+    references = {c.displacement_from for c in posed.values()}
+    for key, c in posed.items():
+        own = {} if c.name in references else moved[key]
+        if c.displacement_from is not None:
+            before = named.get(c.displacement_from, {})
+            own = {name: own[name] - before[name] for name in own if name in before}
+        far = farthest(own, model.mesh.size)
+        if far is not None:
+            text = f"{far.name!r} was measured {far}"
+            yield Doubt(far.distance, f"{key}.measured", text)

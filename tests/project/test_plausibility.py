@@ -1,0 +1,90 @@
+"""Numbers that are hard to believe get a line each, and stop nothing."""
+
+import re
+import warnings
+
+import pytest
+from small_project import write_small_project
+
+from softcal_jax.project import ProjectWarning, load_project
+from softcal_jax.robots import pneumatic_arm_path, silicone_beam_path
+
+FORCE = 'force = "(20, 0, -50) mN"'
+GRAVITY = 'gravity = "(0, 0, -9.81) m/s^2"'
+
+
+def said(folder, *changes) -> list[str]:
+    """Load a project, and return what it warns of, without the file."""
+    path = write_small_project(folder, *changes)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_project(path)
+    assert all(issubclass(w.category, ProjectWarning) for w in caught)
+    return [str(w.message).removeprefix(f"{path}: ") for w in caught]
+
+
+def test_a_usual_project_says_nothing(tmp_path):
+    assert said(tmp_path) == []
+
+
+@pytest.mark.parametrize("robot", [silicone_beam_path, pneumatic_arm_path])
+def test_nor_do_the_demos(robot):
+    pytest.importorskip("ezc3d")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ProjectWarning)
+        load_project(robot())
+
+
+@pytest.mark.parametrize("density", ["1 kg/m^3", "1000 g/cm^3"])
+def test_density(tmp_path, density):
+    line, *_ = said(tmp_path, ('"1 g/cm^3"', f'"{density}"'))
+    assert line.startswith("material.density: 1")
+    assert "kg/m^3 is hardly a robot's (water has 1000, silicone 1070, " in line
+
+
+def test_gravity(tmp_path):
+    (line,) = said(tmp_path, (GRAVITY, GRAVITY.replace("m/s^2", "mm/s^2")))
+    assert line == (
+        "configurations.weight.gravity: (0, 0, -0.00981) m/s^2 is 0.001 times that of "
+        "the Earth: check its unit. And 1 more like it."
+    )
+    assert said(tmp_path, (GRAVITY, 'gravity = "(0, 0, 0) m/s^2"')) == []
+
+
+def test_loads(tmp_path):
+    """24 g, so 0.235 N; 141 N are 600 times that."""
+    assert said(tmp_path, (FORCE, 'force = "(0, 0, -1) N"')) == []
+    (line,) = said(tmp_path, (FORCE, 'force = "(0, 0, -141.2) N"'))
+    assert line == (
+        "configurations.pulled.loads: 141.2 N are 600 times the weight of the robot "
+        "(235.4 mN): check the units of force, size and density."
+    )
+
+
+def test_points(tmp_path):
+    """Positions in metres, read as they are, in the frame of the cameras."""
+    far = ('displacement_from = { phase = "rest" }\n', "")
+    start = (
+        'registration = { markers = ["a", "b", "c"], select = { phase = "rest" } }\n'
+    )
+    (line,) = said(tmp_path, far, (start, ""))
+    assert re.match(r"configurations\.(weight|pulled)\.measured: 'side' was meas", line)
+    assert " mm from its place at rest, " in line
+    assert " times the size of the robot (66.33 mm): check the unit of" in line
+
+
+def test_the_frame_of_a_reference_is_its_own(tmp_path):
+    """Only differences count between configurations in the frame of the cameras."""
+    far = ('displacement_from = { phase = "rest" }', 'displacement_from = "weight"')
+    start = (
+        'registration = { markers = ["a", "b", "c"], select = { phase = "rest" } }\n'
+    )
+    assert said(tmp_path, far, (start, "")) == []
+
+
+def test_what_is_not_of_the_file_is_not_judged(tmp_path):
+    """A sweep loads the project with many values, of which the file was judged."""
+    path = write_small_project(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_project(path, changes={"material.density": "1 kg/m^3"})
