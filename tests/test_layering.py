@@ -12,7 +12,15 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
-    {"_compilation_cache", "_machine", "_names", "_typing", "_results", "_units"},
+    {
+        "_compilation_cache",
+        "_machine",
+        "_names",
+        "_places",
+        "_typing",
+        "_results",
+        "_units",
+    },
     {"elements"},
     {"mesh"},
     {"materials"},
