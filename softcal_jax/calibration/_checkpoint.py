@@ -166,19 +166,23 @@ class Journal:
             return
         leaves = enumerate(jax.tree.leaves(tree))
         self._arrays |= {f"{name}_{i}": np.asarray(leaf) for i, leaf in leaves}
+        saved = Saved(self._arrays, tuple(self.history))
         try:
-            write_checkpoint(
-                self._path, self._mark, Saved(self._arrays, tuple(self.history))
-            )
-        except OSError as error:
-            self.unsaved = (
-                f"The checkpoint {self._path} could not be written ({cause(error)}), "
-                "and holds an earlier state or none."
-            )
-            text = f"{self.unsaved} The calibration goes on: make room for the next."
-            warnings.warn(text, CalibrationWarning, stacklevel=2)
-        else:
+            write_checkpoint(self._path, self._mark, saved)
             self.unsaved = ""
+        except OSError as error:
+            self._tell_unsaved(cause(error))
+
+    def _tell_unsaved(self, why: str) -> None:
+        """Note that the file is behind, and warn once."""
+        text = (
+            f"The checkpoint {self._path} could not be written ({why}), and holds an "
+            "earlier state or none."
+        )
+        if text != self.unsaved:
+            more = f"{text} The calibration goes on: make room for it."
+            warnings.warn(more, CalibrationWarning, stacklevel=3)
+        self.unsaved = text
 
     def kept(self, name: str, like: T) -> T | None:
         """Return what was saved, with the types of one like it; None if nothing was."""

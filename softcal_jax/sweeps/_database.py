@@ -197,7 +197,7 @@ def _told(path: Path) -> Iterator[None]:
             f"the database {path} cannot be used: {error}. Rows that were written are "
             "safe; the same sweep goes on from them."
         ) from error
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise ValueError(
             f"{path} is not a database of a sweep ({error}); give another file."
         ) from error

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 
 import cheap
@@ -399,6 +400,23 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
     if n_trials == 3:
         assert 0 < len(read_sweep(path).rows) < 3
         assert len(run_sweep(fat, points, path, workers=0).rows) == 3
+
+
+class FullAtTheEnd(sqlite3.Connection):
+    """SQLite ends a transaction itself where there is no room for it."""
+
+    def execute(self, statement, *values):
+        if statement == "COMMIT":
+            super().execute("ROLLBACK")
+            raise sqlite3.OperationalError("database or disk is full")
+        return super().execute(statement, *values)
+
+
+def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypatch):
+    opened = partial(sqlite3.connect, isolation_level=None, factory=FullAtTheEnd)
+    monkeypatch.setattr(database_module, "_open", lambda path, wait: opened(path))
+    with pytest.raises(OSError, match="cannot be used: database or disk is full"):
+        one(tmp_path / "s.sqlite")
 
 
 @pytest.mark.parametrize(
