@@ -13,8 +13,8 @@ ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
     {
-        *("_compilation_cache", "_limits", "_machine", "_names", "_results"),
-        *("_text", "_typing", "_units"),
+        *("_compilation_cache", "_limits", "_machine", "_names", "_places"),
+        *("_results", "_text", "_typing", "_units"),
     },
     {"_files"},
     {"elements"},

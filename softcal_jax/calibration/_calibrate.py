@@ -93,7 +93,8 @@ def calibrate(
             standard error does not hold, a few fits for each of its ends.
         checkpoint: File in which the state is saved: after every step, and in a search
             from many starts after every image of a run. If it exists, the calibration
-            resumes from it, with the same result.
+            resumes from it, with the same result. Where it cannot be written any more,
+            as on a full disk, the calibration goes on with a warning and a note.
         progress: Called after the first evaluation and after each step.
         search_progress: Called when a run of a search from many starts has ended, see
             `multi_start`.
@@ -109,7 +110,10 @@ def calibrate(
 
     Raises:
         ValueError: If an input is wrong, nothing that is measured depends on a
-            parameter, or the checkpoint is of another calibration.
+            parameter, a standard deviation is so small that the cost is not finite, or
+            the checkpoint is of another calibration.
+        OSError: If the checkpoint cannot be written from the start, or another process
+            is writing to it.
         RuntimeError: If a fitted configuration has no equilibrium at the start, nor
             with the moduli raised up to their bounds; the text names it. If raising
             them helps, the fit begins there, with a note. Later failures only shorten

@@ -1,22 +1,28 @@
 """Time and progress of a calibration, saved so that it can be stopped and resumed."""
 
-import hashlib
-import json
 import os
 import time
+import warnings
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
-from zipfile import BadZipFile
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._places import cause, only_writer
 from softcal_jax._typing import HostArray
+from softcal_jax.calibration._checkpoint_file import (
+    Saved,
+    fingerprint,
+    read_checkpoint,
+    write_checkpoint,
+)
 from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import HistoryEntry
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
@@ -63,7 +69,14 @@ class Journal:
 
     The file holds the last state and, for a search from many starts, the best end of
     each run after each of its images, so that a resumed calibration gives the same
-    result as one that was never stopped.
+    result as one that was never stopped. Inside the context no other calibration
+    writes to it.
+
+    Attributes:
+        history: Steps so far.
+        interrupted: Whether the user has ended the calibration.
+        last: State of the last step, and the noise in whose units it was taken.
+        unsaved: Why the file is older than the history; empty if it is not.
     """
 
     def __init__(
@@ -75,27 +88,52 @@ class Journal:
         *,
         search: tuple,
     ):
-        """Begin the journal with what the file holds, if there is one.
-
-        `search` is what else the calibration depends on.
-
-        Raises:
-            ValueError: If the file is no checkpoint, or one of another calibration.
-        """
+        """Take what is reported where; `search` is what else the fit depends on."""
         self.history: list[HistoryEntry] = []
         self.interrupted = False
         self.last: tuple[CalibrationState, CorrelatedNoise | None] | None = None
+        self.unsaved = ""
         self._problem, self._progress = problem, progress
+        self._depends_on = problem, settings, search
         self._path = None if checkpoint is None else Path(checkpoint)
         self._begin = time.perf_counter()
         self._arrays: dict[str, HostArray] = {}
+        self._open = ExitStack()
+
+    def __enter__(self) -> "Journal":
+        """Begin with what the file holds, if there is one.
+
+        Raises:
+            ValueError: If the file is no checkpoint, or one of another calibration.
+            OSError: If the file cannot be written, or another calibration writes to it.
+        """
         if self._path is None:
-            return
-        self._mark = _fingerprint(problem, settings, search)
-        if self._path.exists():
-            self._load(self._path)
+            return self
+        with ExitStack() as opened:
+            opened.enter_context(only_writer(self._path, "calibration"))
+            self._mark = fingerprint(*self._depends_on)
+            if self._path.exists():
+                saved = read_checkpoint(self._path, self._mark)
+                self._arrays, self.history = saved.arrays, [*saved.history]
+            self._open = opened.pop_all()
         if self.history:
             self._begin -= self.history[-1].seconds
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._open.close()
+
+    @property
+    def stands(self) -> str:
+        """Say that the calibration can go on from the file; empty if it cannot."""
+        if self._path is None or not self._path.exists():
+            return ""
+        return f" The checkpoint {self._path} stands: the same call goes on from it."
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Say that the file is behind, if it is."""
+        return (self.unsaved,) if self.unsaved else ()
 
     def note(self, state: CalibrationState, noise: CorrelatedNoise | None) -> None:
         """Record a step, and the noise in whose units it was taken."""
@@ -118,16 +156,33 @@ class Journal:
         return self.last
 
     def keep(self, name: str, tree: Any) -> None:
-        """Save a state or run: the file is replaced whole or not at all."""
-        if self._path is None:
+        """Save a state or run: the file is replaced whole or not at all.
+
+        Where it cannot be written any more, as on a full disk, the calibration goes on
+        without: hours of work would be lost with it. After an interruption it stays as
+        it is, since what follows is no part of a whole calibration.
+        """
+        if self._path is None or self.interrupted:
             return
         leaves = enumerate(jax.tree.leaves(tree))
         self._arrays |= {f"{name}_{i}": np.asarray(leaf) for i, leaf in leaves}
-        texts = {"mark": self._mark, "history": json.dumps([*map(vars, self.history)])}
-        partial = self._path.with_name(self._path.name + ".partial")
-        with partial.open("wb") as file:
-            np.savez(file, **texts, **self._arrays)  # type: ignore[arg-type]
-        os.replace(partial, self._path)
+        saved = Saved(self._arrays, tuple(self.history))
+        try:
+            write_checkpoint(self._path, self._mark, saved)
+            self.unsaved = ""
+        except OSError as error:
+            self._tell_unsaved(cause(error))
+
+    def _tell_unsaved(self, why: str) -> None:
+        """Note that the file is behind, and warn once."""
+        text = (
+            f"The checkpoint {self._path} could not be written ({why}), and holds an "
+            "earlier state or none."
+        )
+        if text != self.unsaved:
+            more = f"{text} The calibration goes on: make room for it."
+            warnings.warn(more, CalibrationWarning, stacklevel=3)
+        self.unsaved = text
 
     def kept(self, name: str, like: T) -> T | None:
         """Return what was saved, with the types of one like it; None if nothing was."""
@@ -135,44 +190,20 @@ class Journal:
         if not found:
             return None
         leaves, tree = jax.tree.flatten(like)
-        shapes = {f"{name}_{i}": np.shape(leaf) for i, leaf in enumerate(leaves)}
-        if {key: self._arrays[key].shape for key in found} != shapes:
+        kinds = {f"{name}_{i}": _kind(leaf) for i, leaf in enumerate(leaves)}
+        if {key: _kind(self._arrays[key]) for key in found} != kinds:
             raise ValueError(
                 f"{self._path} was written by another version of softcal_jax: remove "
                 "it to start anew, or give another path."
             )
-        kept = [self._arrays[key] for key in shapes]
+        kept = [self._arrays[key] for key in kinds]
         return jax.tree.unflatten(tree, map(_alike, leaves, kept))
 
-    def _load(self, path: Path) -> None:
-        try:
-            # Opened here, since np.load does not close a file that it cannot read.
-            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-                self._arrays = {name: file[name] for name in file.files}
-            mark = str(self._arrays.pop("mark"))
-            history = json.loads(str(self._arrays.pop("history")))
-        except (
-            OSError,
-            EOFError,
-            BadZipFile,
-            ValueError,
-            KeyError,
-            TypeError,
-        ) as error:
-            raise ValueError(
-                f"{path} is not a checkpoint of a calibration ({error}); give another "
-                "path, or remove it."
-            ) from error
-        if mark != self._mark:
-            raise ValueError(
-                f"{path} is a checkpoint of another calibration: mesh, material, "
-                "parameters, configurations, measurements and settings must be the "
-                "same. Remove it to start anew, or give another path."
-            )
-        for entry in history:
-            for name in ("lambda_p", "newton_steps"):
-                entry[name] = tuple(entry[name])
-            self.history.append(HistoryEntry(**entry))
+
+def _kind(leaf) -> tuple:
+    """Return what a saved array must have in common with the leaf it replaces."""
+    array = np.asarray(leaf)
+    return array.shape, array.dtype
 
 
 def _alike(leaf, array: HostArray):
@@ -210,17 +241,3 @@ def _history_entry(
         noise_level=1.0 if problem.noise is None else float(problem.noise.jitter),
         seconds=seconds,
     )
-
-
-def _fingerprint(
-    problem: CalibrationProblem, settings: CalibrationSettings, search: tuple
-) -> str:
-    """Digest everything that a calibration depends on."""
-    # A sparse solver holds a handle that differs from one process to the next.
-    problem = eqx.tree_at(lambda p: p.model.solver, problem, None)
-    arrays, static = eqx.partition(problem, eqx.is_array_like)
-    text = repr((settings, search, jax.tree.flatten(static)))
-    digest = hashlib.sha256(text.encode())
-    for leaf in map(np.asarray, jax.tree.leaves(arrays)):
-        digest.update(f"{leaf.dtype}{leaf.shape}".encode() + leaf.tobytes())
-    return digest.hexdigest()

@@ -55,7 +55,8 @@ class Evaluation(eqx.Module):
         prior: Distance of the parameters from the middle of their priors, in standard
             deviations of these [-].
         tangents: du/dz of each lane, or None where W_ep came from the adjoint side [m].
-        ok: Whether every lane has an equilibrium and a regular tangent.
+        ok: Whether every lane has an equilibrium and a regular tangent, and the cost is
+            finite.
     """
 
     equilibrium: EquilibriumSolution
@@ -124,7 +125,10 @@ def stacked(
     compliance = lanes.W_ep.reshape(-1, z.shape[0])
     error = problem.in_noise_units(jnp.ravel(delta_e))
     W = problem.in_noise_units(compliance)
+    prior = problem.from_prior(z)
     ok = jnp.all(lanes.equilibrium.converged) & jnp.all(lanes.ok)
+    # A tiny `std` makes the squares overflow, and an infinite cost never falls.
+    finite = jnp.isfinite(_cost(ok, error, prior)) & jnp.all(jnp.isfinite(W))
     return Evaluation(
         equilibrium=lanes.equilibrium,
         effectors=lanes.effectors,
@@ -132,9 +136,9 @@ def stacked(
         compliance=compliance,
         error=error,
         W_ep=W,
-        prior=problem.from_prior(z),
+        prior=prior,
         tangents=lanes.displacement,
-        ok=ok & jnp.all(jnp.isfinite(error)) & jnp.all(jnp.isfinite(W)),
+        ok=finite,
     )
 
 

@@ -28,7 +28,11 @@ from softcal_jax.calibration._notes import (
     result_notes,
     warn_if_too_few_data,
 )
-from softcal_jax.calibration._nothing_to_learn import check_effects, check_sensitive
+from softcal_jax.calibration._nothing_to_learn import (
+    check_cost,
+    check_effects,
+    check_sensitive,
+)
 from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
 from softcal_jax.calibration._predict import predict
 from softcal_jax.calibration._problem import CalibrationProblem, n_measured
@@ -120,16 +124,18 @@ def fit(
             raise ValueError(f"configuration {c.name!r} is named more than once.")
     warn_if_too_few_data(problem)
 
-    mark = (starts, seed) if start is None else (starts, seed, *start.tolist())
+    given = () if start is None else tuple(start.tolist())
+    mark = (starts, seed, *given, noise, uncertain.recordings)
     journal = Journal(problem, settings, checkpoint, progress, search=mark)
     evaluate = Evaluator(problem)
     most = starts * max(len(configurations), 2 * len(validation))
-    with Clock() as clock, Workers(model, most) as workers:
+    with journal, Clock() as clock, Workers(model, most) as workers:
         first = _admissible(problem.space, start)
         begun = workers.end_of(begin(evaluate, first, names, equilibrium_progress))
         before = there = begun.evaluation
         if begun.notes:
             first = start = begun.z
+        check_cost(problem, before, names)
         check_sensitive(problem, before)
         found, place, weights = None, first, problem.noise
         if resume is not None:
@@ -247,6 +253,7 @@ def fit(
         notes=(
             *begun.notes,
             *(() if journal.interrupted else fit_notes(state, settings)),
+            *journal.notes,
             *weighed.notes,
             *missing,
             *(not_asked(posed, others) if spread.has_noise else ()),
@@ -274,7 +281,7 @@ def _to_its_end(
     note = (
         f"Interrupted after step {journal.history[-1].step}: the values are those of "
         "that step, and the noise is that which weighed it. Do not use them as a "
-        "result."
+        f"result.{journal.stands}"
     )
     return Weighed(
         state=state,

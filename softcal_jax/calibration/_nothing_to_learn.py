@@ -1,4 +1,6 @@
-"""Refuse a calibration whose data cannot depend on what it calibrates."""
+"""Refuse a calibration whose data cannot tell what it calibrates."""
+
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -117,4 +119,32 @@ def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
         f"nothing to learn of {names}: no measured coordinate moves with it at the "
         "start equilibrium. Check that a load, gravity or an actuator deforms the body "
         "where it is measured, or start from another value."
+    )
+
+
+def check_cost(
+    problem: CalibrationProblem, first: Evaluation, names: Sequence[str]
+) -> None:
+    """Raise unless the squares of the errors at the start can be summed.
+
+    Args:
+        problem: The calibration.
+        first: Its evaluation at the start.
+        names: Names of the configurations.
+
+    Raises:
+        ValueError: If a standard deviation is so small that the cost overflows; the
+            text names it.
+    """
+    error, prior = np.asarray(first.error), np.asarray(first.prior)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(np.sum(error**2) + np.sum(prior**2)):
+            return
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    c = int(np.argmax(np.max(weight, axis=(1, 2))))
+    raise ValueError(
+        "the cost at the start is not finite, since an error is too large beside its "
+        f"standard deviation: the smallest is {1.0 / np.max(weight):.3g} in SI units, "
+        f"in configuration {names[c]!r}. Check the `std` of effectors and priors, and "
+        "their units."
     )

@@ -86,6 +86,8 @@ def multi_start(
     Raises:
         ValueError: If there are no starts, they do not fit the parameters, or the
             checkpoint is of another search.
+        OSError: If the checkpoint cannot be written, or another process is writing to
+            it.
         RuntimeError: If no start has an equilibrium.
         KeyboardInterrupt: If it is interrupted before a run has come to an end; later
             the result holds what was found so far.
@@ -102,7 +104,7 @@ def multi_start(
     mark = ("starts", mirror, *np.ravel(starts).tolist())
     journal = Journal(problem, settings, checkpoint, search=mark)
     lanes = len(starts) * len(problem.configurations.gravity)
-    with Workers(problem.model, lanes) as workers:
+    with journal, Workers(problem.model, lanes) as workers:
         return search(
             workers,
             Evaluator(problem),

@@ -20,6 +20,10 @@ Anal. 23, 1986).
 """
 
 
+MOST_STEPS = 1_000_000
+"""Largest `max_steps`: the history of every run has room for so many."""
+
+
 class CalibrationSettings(eqx.Module):
     """Settings of the outer loop.
 
@@ -49,8 +53,10 @@ class CalibrationSettings(eqx.Module):
     def __check_init__(self):
         if not 0.0 < self.tol < 1.0:
             raise ValueError(f"tol must lie in (0, 1), got {self.tol}.")
-        if self.max_steps < 1:
-            raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
+        if not 1 <= self.max_steps <= MOST_STEPS:
+            raise ValueError(
+                f"max_steps must lie between 1 and {MOST_STEPS}, got {self.max_steps}."
+            )
         if not 0.0 < self.damping <= 1.0:
             # More, and every step would be too short to tell from none.
             raise ValueError(f"damping must lie in (0, 1], got {self.damping}.")

@@ -1,6 +1,7 @@
 """The command line: `softcal demo`, `calibrate`, `simulate`, `identify`, `sweep`.
 
-Exit codes: 0 done, 1 not converged or no equilibrium, 2 bad input, 130 Ctrl-C.
+Exit codes: 0 done, 1 not converged or no equilibrium, 2 bad input, 130 interrupted by
+Ctrl-C or SIGTERM.
 """
 
 from softcal_jax.cli._main import main

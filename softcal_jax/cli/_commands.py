@@ -4,6 +4,7 @@ import argparse
 import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from softcal_jax.cli._shared import (
     load,
     no_equilibrium,
 )
+from softcal_jax.cli._writing import checkpoint_stands, interruptible, write_results
 
 if TYPE_CHECKING:
     from softcal_jax.calibration import (
@@ -77,29 +79,31 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         rms = {name: 1e3 * found.rms for name, found in project.registrations.items()}
         listed = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rms.items())
         show.line(f"camera frame to mesh frame, rms left at the markers: {listed}")
-    written: list[Path] = []
+    early: list[bool] = []
 
-    def write(result: "CalibrationResult", assessment: "Assessment") -> Path:
-        show.now("writing results and pictures")
-        with bad_input():
-            more = _options(project, show, force=args.force or bool(written))
-            folder = report.write_results(
-                result, args.output, assessment=assessment, **more
-            )
-        written.append(folder)
-        show.lap("results and pictures")
-        return folder
+    def write(
+        result: "CalibrationResult", own: "Assessment", where: Path, force: bool
+    ) -> Path:
+        more = _options(project, show, force=force)
+        return report.write_results(result, where, assessment=own, **more)
 
     def profiling(result: "CalibrationResult") -> None:
         # Written before, in case the user does not want to wait.
-        if written:
+        if early:
             return
         show.lap("solve", compiling=result.timing_s["compile"])
-        write(result, assess(result))
+        show.now("writing results and pictures")
+        try:
+            write(result, assess(result), args.output, args.force)
+            early.append(True)
+        except OSError as error:
+            show.line(f"warning: {error}")
+            early.append(False)
+        show.lap("results and pictures")
         show.now("intervals by profile likelihood")
 
     show.now("first equilibrium (compiling)")
-    with bad_input(), no_equilibrium("Nothing was written."):
+    with interruptible(args), bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(
             checkpoint=args.checkpoint,
             progress=_step_lines(project, show),
@@ -107,28 +111,32 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
             equilibrium_progress=_equilibrium_lines(show),
             profiling=profiling,
         )
-    if written:
+    if early:
         show.lap("intervals")
     else:
         show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
-    where = write(result, assessment)
     show.line()
     show.line(report.summary_table(result, assessment))
     _print_held_out(result.configurations, show)
-    show.results(where)
-    _stop_unless_finished(result)
+    with interruptible(args):
+        force = args.force or any(early)
+        write_results(partial(write, result, assessment), args, show, force=force)
+    _stop_unless_finished(result, args)
     if not assessment.identified:
         show.line("Take the values with care: " + " ".join(assessment.reasons))
     return OK
 
 
-def _stop_unless_finished(result: "CalibrationResult") -> None:
+def _stop_unless_finished(
+    result: "CalibrationResult", args: argparse.Namespace
+) -> None:
     """End the command if the fit was interrupted or did not converge."""
     steps = len(result.history) - 1
     if result.interrupted:
         end = "" if result.converged else ", not converged: do not use the values"
-        raise Stop(INTERRUPTED, f"interrupted after {steps} steps{end}.")
+        text = f"interrupted after {steps} steps{end}. {checkpoint_stands(args)}"
+        raise Stop(INTERRUPTED, text.strip())
     if not result.converged:
         raise Stop(
             NOT_CONVERGED, f"not converged after {steps} steps: do not use the values."
@@ -150,15 +158,16 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     with Clock() as clock:
         solution = project.simulate()
     show.lap("solve", compiling=clock.seconds["compile"])
-    show.now("writing results and pictures")
     with bad_input():
         result = simulation_result(project.model, project.configurations, solution)
-        more = _options(project, show, force=args.force)
-        where = report.write_simulation(result, args.output, **more)
-    show.lap("results and pictures")
     show.line()
     show.line(report.simulation_table(result))
-    show.results(where)
+
+    def write(where: Path, force: bool) -> Path:
+        more = _options(project, show, force=force)
+        return report.write_simulation(result, where, **more)
+
+    write_results(write, args, show, force=args.force)
     with no_equilibrium("The results hold the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
     return OK
@@ -186,10 +195,12 @@ def identify(args: argparse.Namespace, show: Display) -> int:
     if args.output is None:
         show.times()
         return OK
-    with bad_input():
-        more = _options(project, show, force=args.force)
-        where = report.write_identifiability(found, ranking, args.output, **more)
-    show.results(where)
+
+    def write(where: Path, force: bool) -> Path:
+        more = _options(project, show, force=force)
+        return report.write_identifiability(found, ranking, where, **more)
+
+    write_results(write, args, show, force=args.force)
     return OK
 
 

@@ -15,6 +15,7 @@ from softcal_jax.cli._shared import (
     load,
     no_equilibrium,
 )
+from softcal_jax.cli._writing import write_results
 
 _COMPARE = """\
 examples:
@@ -46,11 +47,14 @@ def compare(args: argparse.Namespace, show: Display) -> int:
     if args.output is None:
         show.times()
     else:
-        with bad_input():
-            where = report.write_comparison(
-                comparison, args.output, force=args.force, timing_s=dict(show.laps)
+
+        def write(where: Path, force: bool) -> Path:
+            laps = dict(show.laps)
+            return report.write_comparison(
+                comparison, where, force=force, timing_s=laps
             )
-        show.results(where)
+
+        write_results(write, args, show, force=args.force)
     if comparison.best is None:
         raise Stop(NOT_CONVERGED, "no model predicts every configuration.")
     return OK

@@ -15,6 +15,7 @@ from softcal_jax.cli._shared import (
     Display,
     Stop,
     add_path,
+    sigterm_as_ctrl_c,
     warnings_as_lines,
 )
 from softcal_jax.cli._sweep import add_sweep
@@ -51,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 done, 1 not converged or no equilibrium, 2 bad input,
-        130 interrupted.
+        130 interrupted, by Ctrl-C or SIGTERM.
     """
     # The start of the process will not do: a shell may have run in it before.
     begin = time.time() - (time.process_time() if argv is None else 0.0)
@@ -61,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(words)
     display = Display(begin)
     try:
-        with display:
+        with sigterm_as_ctrl_c(), display:
             display.now("importing", log=False)
             with warnings_as_lines(display):
                 return args.run(args, display)

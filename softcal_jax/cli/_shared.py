@@ -1,7 +1,9 @@
 """What all commands share: exit codes, output, loading a project, ending a command."""
 
 import argparse
+import signal
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Iterator
@@ -97,6 +99,19 @@ class Display:
         files = sorted(p.name for p in where.iterdir())
         self.line(f"Results in {where}: {', '.join(files)}")
         self.times()
+
+
+@contextmanager
+def sigterm_as_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM, by which schedulers end a job, end the command as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may choose
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 @contextmanager

@@ -44,6 +44,9 @@ In longer ones Newton's method spends more iterations on crushed tets than it sa
 _NEAR = 1e-3
 """Residual relative to internal forces below which a step hardly moves the tangent."""
 
+_MOST = np.iinfo(np.int32).max
+"""Largest number of iterations that can be counted."""
+
 
 Number = float | Float[Array | HostArray, ""]
 Count = int | Int[Array | HostArray, ""]
@@ -73,20 +76,21 @@ class NewtonSettings(eqx.Module):
     def __check_init__(self):
         if not 0.0 < self.rtol < 1.0:
             raise ValueError(f"rtol must lie in (0, 1), got {self.rtol}.")
-        if self.max_steps < 1 or self.max_steps_per_load < 1:
-            raise ValueError(
-                "max_steps and max_steps_per_load must be at least 1, got "
-                f"{self.max_steps} and {self.max_steps_per_load}."
-            )
+        for name in ("max_steps", "max_steps_per_load"):
+            if not 1 <= getattr(self, name) <= _MOST:
+                raise ValueError(
+                    f"{name} must lie between 1 and {_MOST}, got {getattr(self, name)}."
+                )
         for name in ("smallest_load_step", "strict_below"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(
                     f"{name} is a share of the load and must lie in (0, 1], got "
                     f"{getattr(self, name)}."
                 )
-        if self.max_backtracks < 1:
+        if not 1 <= self.max_backtracks <= _MOST:
             raise ValueError(
-                f"max_backtracks must be at least 1, got {self.max_backtracks}."
+                f"max_backtracks must lie between 1 and {_MOST}, got "
+                f"{self.max_backtracks}."
             )
 
     def as_arrays(self) -> "NewtonSettings":

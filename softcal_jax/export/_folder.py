@@ -9,6 +9,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from softcal_jax._places import cause
+
 INDEX_FILES = (
     "result.json",
     "simulation.json",
@@ -47,13 +49,26 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
 
 def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
-    """Raise unless results may be written to a folder; call it before a long run.
+    """Raise unless results can be written to a folder; call it before a long run.
 
     Raises:
         FileExistsError: If it is a file, or is not empty and `force` is off or it is
             not a results folder; nothing but earlier results is ever replaced.
+        OSError: If nothing can be written there; the text says why.
     """
     directory = Path(directory)
+    with _told(directory):
+        _check_contents(directory, force=force)
+        with _partial_folder(directory.resolve()):
+            if directory.exists():
+                tempfile.TemporaryFile(dir=directory).close()
+            else:
+                directory.mkdir()
+                directory.rmdir()
+
+
+def _check_contents(directory: Path, *, force: bool) -> None:
+    """Raise if a folder holds anything but earlier results that may be replaced."""
     if not directory.exists():
         return
     if not directory.is_dir():
@@ -84,31 +99,52 @@ def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Pa
     Raises:
         FileExistsError: As `check_results_folder`, or if a foreign file would be
             overwritten.
+        OSError: If the files cannot be written; the text says why.
     """
     directory = Path(directory).resolve()
-    check_results_folder(directory, force=force)
-    made = _make_parents(directory)
-    try:
-        name = tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent)
-        partial = Path(name)
-        try:
+    with _told(directory):
+        _check_contents(directory, force=force)
+        with _partial_folder(directory) as partial:
             yield partial
             _move_into_place(partial, directory)
+
+
+@contextmanager
+def _told(directory: Path) -> Iterator[None]:
+    """Turn errors of the system into errors that say what to do."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:  # raised with a text of its own
+            raise
+        raise OSError(
+            f"no results can be written to {directory} ({cause(error)}): choose "
+            "another folder."
+        ) from error
+
+
+@contextmanager
+def _partial_folder(directory: Path) -> Iterator[Path]:
+    """Make a folder beside a path for the time being, and its missing parents.
+
+    These stay if something was put there.
+    """
+    made = []
+    try:
+        for parent in reversed(directory.parents):
+            if not parent.exists():
+                parent.mkdir()
+                made.append(parent)
+        # A name of its own: that of the folder may be as long as any can be.
+        partial = Path(tempfile.mkdtemp(prefix=".softcal.", dir=directory.parent))
+        try:
+            yield partial
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-    except BaseException:
+    finally:
         for parent in reversed(made):
-            with suppress(OSError):  # another program may have put something there
+            with suppress(OSError):
                 parent.rmdir()
-        raise
-
-
-def _make_parents(directory: Path) -> list[Path]:
-    """Create the missing parents, and return them from the outermost in."""
-    missing = [p for p in reversed(directory.parents) if not p.exists()]
-    for parent in missing:
-        parent.mkdir()
-    return missing
 
 
 def _own_files(directory: Path) -> set[str]:

@@ -137,6 +137,7 @@ class Project(eqx.Module):
         Raises:
             ProjectError: If there is nothing to calibrate.
             ValueError: If the checkpoint is of another calibration.
+            OSError: If it cannot be written, or another process is writing to it.
             RuntimeError: If a configuration has no equilibrium; the text names it.
         """
         self.check_calibration()

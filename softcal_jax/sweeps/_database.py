@@ -9,13 +9,15 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from softcal_jax._places import only_writer
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import TrialRow
+from softcal_jax.sweeps._stored import AS_JSON, COLUMNS, stored_sweep
 from softcal_jax.sweeps._trial import Trial
 
 APPLICATION = 0x50F7CA1
@@ -37,44 +39,15 @@ CREATE TABLE trials (
     worker TEXT NOT NULL, ended TEXT NOT NULL, traceback TEXT NOT NULL
 );"""
 
-_COLUMNS = tuple(TrialRow.__dataclass_fields__)
-_AS_JSON = ("point", "figures", "notes")
-
 
 @contextmanager
 def sweep_database(path: Path) -> Iterator["SweepDatabase"]:
     """Open or make a database, to which no other sweep writes meanwhile."""
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder; name a database in it.")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(
-            f"the folder {path.parent} of the database does not exist."
-        )
-    with _locked(path):
+    with only_writer(path, "sweep"):
         with _told(path):
             file = _open(path, WAIT_S)
         with closing(file):
             yield SweepDatabase(path, file)
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    # An SQLite lock on a separate file is portable, ends with the process, and does
-    # not block readers of the database itself.
-    lock_path = path.with_name(path.name + ".lock")
-    with closing(_open(lock_path, 0.0)) as lock:
-        try:
-            lock.execute("BEGIN EXCLUSIVE")
-        except sqlite3.OperationalError as error:
-            raise BlockingIOError(
-                f"another sweep is writing to {path}: wait until it has ended, or give "
-                "another file."
-            ) from error
-        try:
-            yield
-        finally:
-            with suppress(PermissionError):  # Windows removes no open file
-                lock_path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -107,15 +80,31 @@ class SweepDatabase:
         about = {**about, "axes": tuple(trials[0].point)}
         words = [(what, json.dumps(value)) for what, value in about.items()]
         plan = [(i, t.key, json.dumps(t.point)) for i, t in enumerate(trials)]
-        with _told(self.path), self.file:  # rolled back if anything is wrong
-            self.file.execute("BEGIN IMMEDIATE")
+        with _told(self.path), self._transaction():
             self._prepare()
             self._check_definitions(definitions)
             self._write("definitions", list(definitions.items()))
             self._write("sweep", words)
             self.file.execute("DELETE FROM plan")
             self._write("plan", plan)
-            return dict(self.file.execute("SELECT key, state FROM trials"))
+            rows = stored_sweep(self.file, self.path).rows
+        return {row.key: row.state for row in rows}
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """Write everything or, if anything is wrong, nothing.
+
+        Where the disk is full SQLite has ended it already, and to end it again would
+        hide why.
+        """
+        self.file.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self.file.execute("COMMIT")
+        except BaseException:
+            if self.file.in_transaction:
+                self.file.execute("ROLLBACK")
+            raise
 
     def _prepare(self) -> None:
         """Make the tables in a new file; refuse a file that is something else."""
@@ -145,11 +134,11 @@ class SweepDatabase:
         """Write a row, and return once it is on disk.
 
         Raises:
-            BlockingIOError: If another program keeps the database locked.
+            OSError: If the disk is full, or another program keeps the file locked.
         """
-        named = vars(row) | {name: json.dumps(getattr(row, name)) for name in _AS_JSON}
+        named = vars(row) | {name: json.dumps(getattr(row, name)) for name in AS_JSON}
         with _told(self.path):
-            self._write("trials", [tuple(named[name] for name in _COLUMNS)])
+            self._write("trials", [tuple(named[name] for name in COLUMNS)])
 
 
 def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
@@ -171,31 +160,11 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
     with _told(path), closing(_open(uri, WAIT_S, uri=True)) as file:
         file.execute("BEGIN")
         _check_format(file, path)
-        about = {w: json.loads(v) for w, v in file.execute("SELECT * FROM sweep")}
-        plan = file.execute("SELECT key, point FROM plan ORDER BY number")
-        planned = {key: json.loads(point) for key, point in plan}
-        rows = file.execute(
-            f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
-            "FROM trials LEFT JOIN plan ON plan.key = trials.key "
-            "ORDER BY plan.number IS NULL, plan.number, trials.ended"
-        ).fetchall()
-    return SweepResult(
-        about["name"],
-        tuple(about["axes"]),
-        tuple(about["repeats"]),
-        planned,
-        tuple(map(_row, rows)),
-    )
+        return stored_sweep(file, path)
 
 
 def _open(database: str | Path, wait: float, **options: Any) -> sqlite3.Connection:
     return sqlite3.connect(database, timeout=wait, isolation_level=None, **options)
-
-
-def _row(values: tuple[Any, ...]) -> TrialRow:
-    named = dict(zip(_COLUMNS, values, strict=True))
-    named |= {name: json.loads(named[name]) for name in _AS_JSON}
-    return TrialRow(**{**named, "notes": tuple(named["notes"])})
 
 
 def _check_format(file: sqlite3.Connection, path: Path) -> None:
@@ -224,8 +193,11 @@ def _told(path: Path) -> Iterator[None]:
                 f"the database {path} is locked by another program; close it there and "
                 "run this again. Rows that were written are safe."
             ) from error
-        raise OSError(f"the database {path} cannot be used: {error}.") from error
-    except sqlite3.DatabaseError as error:
+        raise OSError(
+            f"the database {path} cannot be used: {error}. Rows that were written are "
+            "safe; the same sweep goes on from them."
+        ) from error
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise ValueError(
             f"{path} is not a database of a sweep ({error}); give another file."
         ) from error

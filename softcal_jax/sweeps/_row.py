@@ -19,7 +19,7 @@ from softcal_jax.sweeps._trial import Trial
 
 State = Literal["converged", "not converged", "failed"]
 
-Figure = float | int | str | None
+Figure = bool | float | int | str | None
 
 
 @dataclass(frozen=True)

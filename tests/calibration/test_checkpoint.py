@@ -1,5 +1,9 @@
 """A calibration that is stopped goes on where it was, or says why it cannot."""
 
+import errno
+import json
+import os
+import signal
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +14,10 @@ from softcal_jax.calibration import (
     FROM_ANYWHERE,
     CalibrationResult,
     CalibrationSettings,
+    CalibrationWarning,
     Evaluator,
     SearchProgress,
+    _checkpoint_file,
     build_problem,
     calibrate,
     multi_start,
@@ -47,8 +53,8 @@ def fit(beam, data):
     """Calibrate this beam, with other data, start or settings if given."""
 
     def run(path=None, data=data, space=beam.space, starts=1, **keywords):
-        keywords |= {"noise": "stated", "intervals": None, "starts": starts}
-        keywords |= {"uncertain": exactly_known()}
+        fixed = {"noise": "stated", "intervals": None, "uncertain": exactly_known()}
+        keywords = {**fixed, "starts": starts, **keywords}
         return calibrate(beam.model, space, data, checkpoint=path, **keywords)
 
     return run
@@ -150,26 +156,79 @@ def test_steps_of_both_parts_count_against_the_limit(tmp_path, fit):
         assert "inf" not in note
 
 
-def test_a_checkpoint_is_written_whole_or_not_at_all(tmp_path, fit, monkeypatch):
-    """The disk is full while step 3 is written: step 2 is still there."""
+def half_written(error):
+    """A `np.savez` that fails on its way."""
+
+    def fail(file, **arrays):
+        file.write(b"half of it")
+        raise error
+
+    return fail
+
+
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "fit.npz.partial")
+
+
+def test_on_a_full_disk_the_fit_goes_on_and_the_checkpoint_stays(
+    tmp_path, fit, whole, monkeypatch
+):
+    """The disk is full from step 3 on: step 2 is still there."""
     path = interrupted(fit, tmp_path / "fit.npz", 2)
     assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
     before = path.read_bytes()
-
-    def full(file, **arrays):
-        file.write(b"half of it")
-        raise OSError("no space left on device")
-
+    full = r"fit\.npz could not be written \(No space left on device\), and holds an"
     with monkeypatch.context() as patch:
-        patch.setattr(np, "savez", full)
-        with pytest.raises(OSError, match="no space left"):
-            fit(path)
+        patch.setattr(np, "savez", half_written(FULL))
+        with pytest.warns(CalibrationWarning, match=full):
+            result = fit(path)
+    np.testing.assert_array_equal(result.z, whole.z)
+    assert any("could not be written (No space left" in note for note in result.notes)
     assert path.read_bytes() == before
-    assert fit(path).converged
+    again = fit(path)
+    np.testing.assert_array_equal(again.z, whole.z)
+    assert not any("could not be written" in note for note in again.notes)
     assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
 
 
-@pytest.mark.parametrize("what", ["measurement", "settings", "start"])
+def test_interrupted_while_it_writes_it_leaves_no_half_of_a_file(tmp_path, fit):
+    path = interrupted(fit, tmp_path / "fit.npz", 2)
+    before = path.read_bytes()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(np, "savez", half_written(KeyboardInterrupt()))
+        assert fit(path).interrupted
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
+
+
+@pytest.mark.parametrize("name", ["no/fit.npz", "n" * 250])
+def test_a_place_that_cannot_be_written_is_refused_before_the_first_equilibrium(
+    tmp_path, fit, monkeypatch, name
+):
+    evaluations = Evaluations(monkeypatch)
+    with pytest.raises(OSError, match=r"does not exist|File name too long"):
+        fit(tmp_path / name)
+    assert evaluations.n == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_calibration_per_checkpoint(tmp_path, beam, data, fit):
+    """The second ends at once; when the first has ended, the file is free."""
+    path = tmp_path / "fit.npz"
+    problem = build_problem(beam.model, beam.space, data)
+
+    def second(entry):
+        for run in (fit, lambda path: multi_start(problem, 2, checkpoint=path)):
+            with pytest.raises(BlockingIOError, match="another calibration is writing"):
+                run(path)
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        fit(path, progress=second)
+    assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
+    assert fit(path, settings=CalibrationSettings()).converged
+
+
+@pytest.mark.parametrize("what", ["measurement", "settings", "start", "noise"])
 def test_checkpoint_of_another_calibration_is_refused(tmp_path, data, fit, what):
     path = interrupted(fit, tmp_path / "fit.npz", 1)
     before = path.read_bytes()
@@ -178,6 +237,8 @@ def test_checkpoint_of_another_calibration_is_refused(tmp_path, data, fit, what)
         moved = data[1].measured.copy()
         moved[0, 2] += 1e-9
         changed = {"data": [data[0], with_measured(data[1], moved)]}
+    elif what == "noise":
+        changed = {"noise": "estimated"}
     elif what == "settings":
         changed = {"settings": CalibrationSettings(tol=1e-7)}
     else:
@@ -192,13 +253,11 @@ def test_checkpoint_of_another_calibration_is_refused(tmp_path, data, fit, what)
 MESH = beam_mesh(0.1, 0.02, 0.02, (1, 1, 1), order=2)
 
 
-def journal(path, guide=0.02, formulation="displacement"):
+def journal(path, guide=0.02, **options):
     """The checkpoint of a beam that a cable pulls, whose modulus is calibrated."""
     cable = Cable("cable", [(0.0, 0.01, 0.02), (0.1, 0.01, guide)])
     law = Corotational(Isotropic(3e5, 0.3))
-    model = build_model(
-        MESH, law, density=1e3, actuators=[cable], formulation=formulation
-    )
+    model = build_model(MESH, law, density=1e3, actuators=[cable], **options)
     tip = Markers(["tip"], [(0.1, 0.01, 0.01)])
     pose = Configuration("pose", "x_min", markers=tip, measured=tip.positions)
     E = Parameter("E", "E", 3e5, 1e5, 1e6)
@@ -207,15 +266,97 @@ def journal(path, guide=0.02, formulation="displacement"):
 
 
 @pytest.mark.parametrize(
-    "changed", [{"guide": 0.015}, {"formulation": "mean-dilatation"}]
+    "changed",
+    [{"guide": 0.015}, {"formulation": "mean-dilatation"}, {"solver": "klu"}],
 )
 def test_checkpoint_of_another_robot_is_refused(tmp_path, changed):
     """The mesh, the law, the configurations and what was measured are the same."""
     path = tmp_path / "fit.npz"
-    journal(path).keep("state", np.ones(2))
-    np.testing.assert_array_equal(journal(path).kept("state", np.zeros(2)), 1.0)
-    with pytest.raises(ValueError, match="a checkpoint of another calibration"):
-        journal(path, **changed)
+    with journal(path) as first:
+        first.keep("state", np.ones(2))
+    with journal(path) as again:
+        np.testing.assert_array_equal(again.kept("state", np.zeros(2)), 1.0)
+    with (
+        pytest.raises(ValueError, match="a checkpoint of another calibration"),
+        journal(path, **changed),
+    ):
+        pass
+
+
+def test_a_checkpoint_names_the_version_that_wrote_it(tmp_path, monkeypatch):
+    path = tmp_path / "fit.npz"
+    with journal(path) as first:
+        first.keep("state", np.ones(2))
+    monkeypatch.setattr(_checkpoint_file, "version", lambda name: "9.0")
+    message = r"fit\.npz was written by softcal_jax .*, and this is 9\.0: remove it to"
+    with pytest.raises(ValueError, match=message), journal(path):
+        pass
+
+
+def edited_array(content):
+    content["state_0"] = content["state_0"] + 1e-9
+
+
+def edited_history(content):
+    history = json.loads(str(content["history"]))
+    history[0]["cost"] *= 2.0
+    content["history"] = np.array(json.dumps(history))
+
+
+def without_an_array(content):
+    del content["state_1"]
+
+
+def of_another_kind(content):
+    content["state_0"] = np.array("seven")
+
+
+@pytest.mark.parametrize(
+    ("edit", "key"),
+    [
+        (edited_array, "state_0"),
+        (edited_history, "history"),
+        (without_an_array, "state_1"),
+        (of_another_kind, "state_0"),
+    ],
+)
+def test_a_checkpoint_that_was_edited_is_refused_and_kept(tmp_path, fit, edit, key):
+    path = interrupted(fit, tmp_path / "fit.npz", 1)
+    changed = edit_saved(path, edit)
+    message = rf"fit\.npz is not as a calibration wrote it: {key} differ"
+    with pytest.raises(ValueError, match=message):
+        fit(path)
+    assert path.read_bytes() == changed
+
+
+def edit_saved(path, edit):
+    """Edit what a checkpoint holds, and return its new bytes."""
+    with np.load(path) as file:
+        content = {name: file[name] for name in file.files}
+    edit(content)
+    np.savez(path, **content)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("history", "[" * 100_000),
+        ("history", '[{"lambda_p": 3}]'),
+        ("history", "[7]"),
+        ("history", "{}["),
+        ("digests", "[1, 2]"),
+        ("digests", "null"),
+    ],
+)
+def test_a_checkpoint_whose_texts_are_nonsense_is_refused(tmp_path, value, name):
+    path = tmp_path / "fit.npz"
+    with journal(path) as first:
+        first.keep("state", np.ones(2))
+    edit_saved(path, lambda content: content.update({name: np.array(value)}))
+    message = r"fit\.npz is not a checkpoint of a calibration \(.*\); give another"
+    with pytest.raises(ValueError, match=message), journal(path):
+        pass
 
 
 def text(path):
@@ -246,16 +387,17 @@ def one_array(path):
         np.save(file, np.zeros(6))
 
 
-def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path, fit):
-    path = interrupted(fit, tmp_path / "fit.npz", 1)
-    with np.load(path) as file:
-        content = {name: file[name] for name in file.files}
-    del content[f"state_{len(content) - 3}"]  # the last, beside mark and history
-    np.savez(path, **content)
-    before = path.read_bytes()
-    with pytest.raises(ValueError, match=r"fit\.npz was written by another version"):
-        fit(path)
-    assert path.read_bytes() == before
+def test_a_checkpoint_of_another_development_version_is_refused(tmp_path):
+    """Its arrays are others, though the number of the version is the same."""
+    path = tmp_path / "fit.npz"
+    with journal(path) as first:
+        first.keep("state", np.ones(2))
+    for other in (np.zeros(3), np.zeros(2, np.int64), (np.zeros(2), 1.0)):
+        with (
+            journal(path) as again,
+            pytest.raises(ValueError, match=r"fit\.npz was written by another version"),
+        ):
+            again.kept("state", other)
 
 
 @pytest.mark.parametrize(
@@ -382,5 +524,27 @@ def test_a_search_that_has_ended_is_not_forgotten(tmp_path, fit, searched, monke
     evaluations = Evaluations(monkeypatch)
     resumed = fit(path, starts=STARTS)
     assert evaluations.n <= len(resumed.history) + 3
+    same_search(resumed.starts, searched.result.starts)
+    np.testing.assert_array_equal(resumed.z, searched.result.z)
+
+
+def test_an_interrupted_search_goes_on_as_if_nothing_had_stopped_it(
+    tmp_path, fit, searched
+):
+    """The best end so far is returned, but it is no part of the whole search."""
+    path = tmp_path / "fit.npz"
+
+    def ctrl_c(progress):
+        signal.raise_signal(signal.SIGINT)
+
+    stopped = fit(path, starts=STARTS, search_progress=ctrl_c)
+    assert stopped.interrupted
+    stands = f"The checkpoint {path} stands: the same call goes on from it."
+    assert any(stands in note for note in stopped.notes)
+    with np.load(path) as file:
+        assert {name.partition("_")[0] for name in file.files} >= {"run0", "mark"}
+        assert not any(name.startswith("state") for name in file.files)
+    resumed = fit(path, starts=STARTS)
+    assert not resumed.interrupted
     same_search(resumed.starts, searched.result.starts)
     np.testing.assert_array_equal(resumed.z, searched.result.z)

@@ -2,10 +2,17 @@
 
 import numpy as np
 import pytest
+from light_beam import MODEL, measured, unknowns
 
-from softcal_jax.calibration import calibrate
+from softcal_jax.calibration import (
+    FROM_ANYWHERE,
+    Evaluator,
+    build_problem,
+    calibrate,
+)
+from softcal_jax.calibration._runs import minimise
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
-from softcal_jax.equilibrium import build_model
+from softcal_jax.equilibrium import Workers, build_model
 from softcal_jax.fields import (
     Parameter,
     exactly_known,
@@ -100,3 +107,16 @@ def test_one_blind_parameter_among_others_is_no_error(model):
     result = calibrate(model, both, clamped, uncertain=exactly_known())
     assert not np.any(result.W_ep[:, 1])
     assert np.isnan(result.parameters[1].standard_error)
+
+
+def test_a_cost_that_is_not_finite_is_never_converged():
+    """Squares of errors overflow beside so small a standard deviation."""
+    tiny = measured(std=1e-300)
+    problem = build_problem(MODEL, unknowns(), tiny)
+    with Workers(problem.model, 2) as workers:
+        start = problem.space.start()
+        end = workers.end_of(minimise(Evaluator(problem), FROM_ANYWHERE, start))
+    assert end.cost == np.inf
+    assert not end.converged
+    match = "the cost at the start is not finite.* 1e-300 in SI units, in configuration"
+    refused(MODEL, unknowns(), tiny, match)

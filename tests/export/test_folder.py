@@ -1,5 +1,7 @@
+import errno
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -57,10 +59,10 @@ def test_failure_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def write_and_fail(target, **kwargs):
+def write_and_fail(target, error=None, **kwargs):
     with results_folder(target, **kwargs) as folder:
         write(folder, one="new")
-        raise RuntimeError("disk full")
+        raise error or RuntimeError("disk full")
 
 
 def test_a_full_folder_is_refused_without_force(tmp_path):
@@ -157,3 +159,47 @@ def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "a").write_text("text")
     with pytest.raises(FileExistsError, match=r"a is a file; results need a folder"):
         check_results_folder(tmp_path / "a", force=True)
+
+
+def below_a_file(folder):
+    (folder / "file").write_text("")
+    return folder / "file" / "out"
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        (below_a_file, "Not a directory"),
+        (lambda folder: folder / ("n" * 300), "File name too long"),
+        (lambda folder: folder / "a" / ("n" * 300) / "b", "File name too long"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_found_before(tmp_path, place, why):
+    target = place(tmp_path)
+    before = list(tmp_path.iterdir())
+    message = re.escape(f"{target} ({why}): choose another folder.")
+    with pytest.raises(OSError, match=f"no results can be written to {message}"):
+        check_results_folder(target)
+    assert list(tmp_path.iterdir()) == before
+
+
+def test_the_longest_name_is_no_problem(tmp_path):
+    target = tmp_path / ("n" * 255)
+    check_results_folder(target)
+    with results_folder(target) as folder:
+        write(folder, one="1")
+    assert contents(target) == {"one.txt": "1"}
+
+
+def test_to_try_a_place_leaves_nothing(tmp_path):
+    check_results_folder(tmp_path / "a" / "b" / "c")
+    (tmp_path / "there").mkdir()
+    check_results_folder(tmp_path / "there")
+    assert [path.name for path in tmp_path.rglob("*")] == ["there"]
+
+
+def test_a_full_disk_is_called_that(tmp_path):
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "markers.csv")
+    with pytest.raises(OSError, match=r"to .*a \(No space left on device\): choose"):
+        write_and_fail(tmp_path / "a", error=full)
+    assert list(tmp_path.iterdir()) == []

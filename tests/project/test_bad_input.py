@@ -280,7 +280,23 @@ CASES = {
             '[[configurations]]\nname = "weight"',
             '[newton]\nmax_steps = 0\n\n[[configurations]]\nname = "weight"',
         ),
-        "newton: max_steps and max_steps_per_load must be at least 1",
+        "newton: max_steps must lie between 1 and 2147483647, got 0.",
+    ),
+    "newton overflow": (
+        (
+            '[[configurations]]\nname = "weight"',
+            "[newton]\nmax_steps_per_load = 99999999999999999999\n\n"
+            '[[configurations]]\nname = "weight"',
+        ),
+        "newton: max_steps_per_load must lie between 1 and 2147483647, got 99999999999",
+    ),
+    "settings overflow": (
+        (
+            '[[configurations]]\nname = "weight"',
+            "[settings]\nmax_steps = 99999999999999999999\n\n"
+            '[[configurations]]\nname = "weight"',
+        ),
+        "settings: max_steps must lie between 1 and 1000000, got 99999999999999999999.",
     ),
     "solver": (
         (

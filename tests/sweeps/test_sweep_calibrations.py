@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import signal
 
 import jax.numpy as jnp
 import numpy as np
@@ -175,12 +176,13 @@ def test_a_project_that_changes_while_a_sweep_runs(tmp_path, monkeypatch):
         sweep.function(Trial(sweep.points[0]))
 
 
-def test_interrupted(swept, capsys, monkeypatch):
-    """Ctrl-C: what is there stays, and the message says how to go on."""
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted(swept, capsys, monkeypatch, sent):
+    """Ctrl-C or SIGTERM: what is there stays, and the message says how to go on."""
     from softcal_jax.sweeps import CalibrationTrial
 
     def interrupt(self, trial):
-        raise KeyboardInterrupt
+        signal.raise_signal(sent)
 
     monkeypatch.setattr(CalibrationTrial, "__call__", interrupt)
     code, _, errors = run(swept, capsys, "-o", str(swept / "third.sqlite"))
@@ -193,7 +195,6 @@ def test_interrupted(swept, capsys, monkeypatch):
 def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
     """Bit for bit: one worker undisturbed; two, killed twice and resumed."""
     import os
-    import signal
     import subprocess
     import sys
 

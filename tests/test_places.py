@@ -1,0 +1,121 @@
+"""A file has one writer, and one that cannot be written says why."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from softcal_jax import _places
+from softcal_jax._places import only_writer
+
+# By path, since the rest of the package takes seconds to import.
+IN_ANOTHER_PROCESS = f"""\
+import runpy, sys, time
+from pathlib import Path
+only_writer = runpy.run_path({_places.__file__!r})["only_writer"]
+path = Path(sys.argv[1])
+"""
+
+
+def another(code, path):
+    return subprocess.Popen(
+        [sys.executable, "-c", IN_ANOTHER_PROCESS + code, str(path)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+HOLD = """\
+with only_writer(path, "test"):
+    print("held", flush=True)
+    time.sleep(60.0)
+"""
+
+
+def test_a_second_process_is_refused_at_once_and_a_killed_one_blocks_nobody(tmp_path):
+    path = tmp_path / "file"
+    with another(HOLD, path) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "held\n"
+        with (
+            pytest.raises(BlockingIOError, match=r"another test is writing to .*file"),
+            only_writer(path, "test"),
+        ):
+            pass
+        first.kill()
+    assert (tmp_path / "file.lock").exists()  # nobody had time to remove it
+    with only_writer(path, "test"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_second_writer_in_one_process_is_refused(tmp_path):
+    with only_writer(tmp_path / "file", "test"):
+        with (
+            pytest.raises(BlockingIOError, match="another test is writing to"),
+            only_writer(tmp_path / "file", "test"),
+        ):
+            pass
+        with only_writer(tmp_path / "other", "test"):
+            pass
+
+
+ADD = """\
+for _ in range(1500):
+    try:
+        with only_writer(path, "test"):
+            path.write_text(str(int(path.read_text()) + 1))
+            print(end="+")
+    except BlockingIOError:
+        pass
+"""
+
+
+def test_two_never_write_at_once_though_the_lock_comes_and_goes(tmp_path):
+    path = tmp_path / "count"
+    path.write_text("0")
+    running = [another(ADD, path) for _ in range(3)]
+    added = sum(len(one.communicate()[0]) for one in running)
+    assert [one.returncode for one in running] == [0, 0, 0]
+    assert int(path.read_text()) == added > 0
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def below_a_file(folder):
+    (folder / "file").write_text("")
+    return folder / "file" / "fit.npz"
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        (below_a_file, r"the folder .*file of fit\.npz does not exist: make it, or"),
+        (lambda folder: folder / "none" / "fit", "the folder .* does not exist"),
+        (lambda folder: folder, "is a folder; name a file in it"),
+        (lambda folder: folder / ("n" * 245), r"\(File name too long\): give another"),
+        (lambda folder: folder / ("n" * 300), r"\(File name too long\): give another"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_found_before(tmp_path, place, message):
+    path = place(tmp_path)
+    before = list(tmp_path.iterdir())
+    with pytest.raises(OSError, match=message), only_writer(path, "test"):
+        raise AssertionError("too late")
+    assert list(tmp_path.iterdir()) == before
+
+
+def test_a_full_disk_is_called_that(tmp_path, monkeypatch):
+    def full(path, content):
+        path.touch()  # of no length, which a full disk has room for
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with (
+        pytest.raises(OSError, match=r"fit cannot be written \(No space left on devi"),
+        only_writer(tmp_path / "fit", "test"),
+    ):
+        raise AssertionError("too late")
+    assert list(tmp_path.iterdir()) == []
