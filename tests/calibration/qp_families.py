@@ -1,4 +1,4 @@
-"""Twenty families of random bounded QPs that all have a solution, and an exact solver.
+"""Families of random bounded QPs that all have a solution, and an exact solver.
 
 Goldfarb and Idnani's dual method (quadprog) ends in the optimum after finitely many
 steps from the unconstrained minimum, so it shares nothing with the package's methods.
