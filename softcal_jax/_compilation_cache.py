@@ -7,12 +7,23 @@ XLA and the instruction set of the processor, so one folder serves several machi
 import glob
 import os
 import re
+import stat
 import tempfile
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import jax
 import platformdirs
+
+LARGEST = 2_000_000_000
+"""Size of the folder above which the least recently used programs go [bytes]."""
+
+_MAX_SIZE = "jax_compilation_cache_max_size"
+"""JAX's setting for this, -1 for any size."""
+
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+"""Bits of a mode that let group or others write."""
 
 
 class CompilationCacheWarning(UserWarning):
@@ -25,6 +36,14 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
     It acts on the whole process, so programs call it and libraries do not. Call it
     before anything is compiled.
 
+    Programs are native code that later runs execute, so the folder must be out of the
+    reach of others: a new one gets the mode 0700, and one that belongs to others or
+    that they may write is refused. That they may read one does no harm.
+
+    Here, programs that were used longest ago are removed until those left take at most
+    `LARGEST`, or JAX_COMPILATION_CACHE_MAX_SIZE [bytes, -1 for no limit]. JAX itself
+    would go through all entries whenever it writes one, and needs the package filelock.
+
     Args:
         folder: Cache folder; by default JAX_COMPILATION_CACHE_DIR, else a folder in the
             user's cache.
@@ -32,8 +51,8 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
     Returns:
         The absolute path of the folder. None if there is none on this machine:
         JAX_ENABLE_COMPILATION_CACHE=0 switched the cache off, JAX_COMPILATION_CACHE_DIR
-        is an address like "gs://...", or the folder cannot be written, which gives one
-        `CompilationCacheWarning`.
+        is an address like "gs://...", or the folder cannot be written or is within the
+        reach of others, which gives one `CompilationCacheWarning`.
     """
     if not jax.config.values["jax_enable_compilation_cache"]:
         return None
@@ -47,14 +66,15 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
         # Otherwise JAX would try, and warn, for every single program.
         jax.config.update("jax_enable_compilation_cache", False)
         warnings.warn(
-            f"compiled programs are not kept, so that every run compiles them anew: "
-            f"{folder} cannot be written ({problem}). Name another folder in "
-            "JAX_COMPILATION_CACHE_DIR, or set JAX_ENABLE_COMPILATION_CACHE=0.",
+            "compiled programs are not kept, so that every run compiles them anew: "
+            f"{folder} {problem}. Name another folder in JAX_COMPILATION_CACHE_DIR, or "
+            "set JAX_ENABLE_COMPILATION_CACHE=0.",
             CompilationCacheWarning,
             stacklevel=2,
         )
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
+    _remove_least_recently_used(folder)
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         # By default JAX keeps only programs that take a second to compile. A run has
         # two hundred faster ones, which together take as long as the large ones.
@@ -86,10 +106,60 @@ _UNREADABLE = r"Error reading persistent compilation cache entry for '(.+?)':"
 
 
 def _problem_of(folder: Path) -> str | None:
-    """Create a folder and say why it cannot be written to; None if it can."""
+    """Create a folder and say why it must not be used; None if it may."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return None
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # Before anything is written there.
+        problem = _reach_of_others(folder.resolve()) if os.name == "posix" else None
+        if problem is None:
+            tempfile.TemporaryFile(dir=folder).close()
+        return problem
     except OSError as error:
-        return error.strerror or str(error)
+        return f"cannot be written ({error.strerror or error})"
+
+
+def _reach_of_others(folder: Path) -> str | None:
+    """Say how others could put programs into a folder; None if they cannot."""
+    own = folder.stat()
+    if own.st_uid != os.getuid():
+        return (
+            f"belongs to another user (uid {own.st_uid}), whose programs would run "
+            "under your name"
+        )
+    if own.st_mode & _OTHERS_WRITE:
+        return (
+            f"may be written by others (mode {stat.S_IMODE(own.st_mode):04o}), whose "
+            "programs would run under your name; if all in it are your own, "
+            f"`chmod 700 {folder}` makes it private"
+        )
+    for parent in folder.parents:
+        mode = parent.stat().st_mode
+        # In a folder like /tmp only the owner may replace what is his.
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            return f"may be replaced by anyone, who may write {parent}"
+    return None
+
+
+def _remove_least_recently_used(folder: Path) -> None:
+    """Remove the programs that were used longest ago from a folder that is too large.
+
+    Systems note when a file was read about once a day, or only when it was written.
+    """
+    limit = jax.config.values[_MAX_SIZE]
+    if limit == -1:
+        limit = int(os.environ.get(_MAX_SIZE.upper(), LARGEST))
+    jax.config.update(_MAX_SIZE, -1)
+    if limit == -1:
+        return
+    found = []
+    for entry in folder.glob("*-cache"):
+        with suppress(FileNotFoundError):  # another process may remove them as well
+            own = entry.stat()
+            found.append((max(own.st_atime, own.st_mtime), own.st_size, entry))
+    too_much = sum(size for _, size, _ in found) - limit
+    for _, size, entry in sorted(found):
+        if too_much <= 0:
+            return
+        with suppress(PermissionError):  # as one that is being read, on Windows
+            entry.unlink(missing_ok=True)
+            too_much -= size

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import stat
 import subprocess
 import sys
 import warnings
@@ -17,6 +18,7 @@ import platformdirs
 import pytest
 from small_project import write_small_project
 
+from softcal_jax import _compilation_cache
 from softcal_jax._compilation_cache import (
     CompilationCacheWarning,
     use_compilation_cache,
@@ -25,6 +27,7 @@ from softcal_jax.cli import main
 from softcal_jax.cli._shared import Display, warnings_as_lines
 
 KEYS = (
+    "jax_compilation_cache_max_size",
     "jax_enable_compilation_cache",
     "jax_compilation_cache_dir",
     "jax_persistent_cache_min_compile_time_secs",
@@ -38,6 +41,8 @@ def config(monkeypatch, tmp_path):
     jax.config.update("jax_enable_compilation_cache", True)
     jax.config.update("jax_compilation_cache_dir", None)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+    jax.config.update("jax_compilation_cache_max_size", -1)
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_MAX_SIZE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     yield lambda key: jax.config.values[key]
     for key, value in before.items():
@@ -82,6 +87,106 @@ def test_a_folder_that_cannot_be_written_is_said_once(config, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert use_compilation_cache(folder) is None
+
+
+posix = pytest.mark.skipif(os.name != "posix", reason="modes and owners of POSIX")
+
+
+def mode(folder):
+    return stat.S_IMODE(folder.stat().st_mode)
+
+
+def refused(folder, text):
+    """Whether a warning says so, and JAX neither reads nor writes programs there."""
+    with pytest.warns(CompilationCacheWarning, match=text):
+        assert use_compilation_cache(folder) is None
+    return not jax.config.values["jax_enable_compilation_cache"]
+
+
+@posix
+def test_a_new_folder_is_private(config, tmp_path):
+    """Whatever the umask; one of the user's that others may read is left as it is."""
+    before = os.umask(0o002)
+    try:
+        assert mode(use_compilation_cache()) == 0o700
+        assert mode(use_compilation_cache(tmp_path / "named" / "deep")) == 0o700
+    finally:
+        os.umask(before)
+    (tmp_path / "shown").mkdir(mode=0o755)
+    assert mode(use_compilation_cache(tmp_path / "shown")) == 0o755
+
+
+@posix
+@pytest.mark.parametrize("bits", [0o770, 0o707])
+def test_a_folder_that_others_may_write_is_refused(config, tmp_path, bits):
+    """Also through a link: programs are native code, and somebody else's would run."""
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(bits)
+    (tmp_path / "link").symlink_to(tmp_path / "shared")
+    folder = tmp_path / "link"
+    said = rf"are not kept.*link may be written by others \(mode 0{bits:o}\)"
+    assert refused(folder, said + ".* `chmod 700 .*` makes it private")
+    assert list(folder.iterdir()) == []
+
+
+@posix
+def test_a_folder_of_another_user_is_refused(config, tmp_path, monkeypatch):
+    (tmp_path / "theirs").mkdir()
+    uid = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: uid + 1)
+    text = rf"theirs belongs to another user \(uid {uid}\), whose programs would run"
+    assert refused(tmp_path / "theirs", text)
+
+
+@posix
+def test_a_folder_that_anyone_may_replace_is_refused(config, tmp_path):
+    """As below a folder for all, unless only owners may rename there, as in /tmp."""
+    (tmp_path / "for all").mkdir()
+    (tmp_path / "for all").chmod(0o1777)
+    assert use_compilation_cache(tmp_path / "for all" / "mine") is not None
+    (tmp_path / "for all").chmod(0o777)
+    text = "mine may be replaced by anyone, who may write .*for all"
+    assert refused(tmp_path / "for all" / "mine", text)
+
+
+def three_programs(folder):
+    """Three programs of 1000 bytes, and a note; the second was used last."""
+    folder.mkdir(mode=0o700)
+    for name, used in {"jit_a-1": 100.0, "jit_b-2": 300.0, "jit_c-3": 200.0}.items():
+        (folder / f"{name}-cache").write_bytes(bytes(1000))
+        os.utime(folder / f"{name}-cache", (used, 50.0))
+    (folder / "note.txt").write_bytes(bytes(1000))
+    return folder
+
+
+def kept(folder):
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("largest", "left"), [(2999, "bc"), (2000, "bc"), (1999, "b"), (3000, "abc")]
+)
+def test_the_least_recently_used_programs_go(
+    config, tmp_path, monkeypatch, largest, left
+):
+    """Until the rest is small enough; files of others are not touched."""
+    monkeypatch.setattr(_compilation_cache, "LARGEST", largest)
+    folder = use_compilation_cache(three_programs(tmp_path / "cache"))
+    assert [name[4] for name in kept(folder) if name != "note.txt"] == list(left)
+    assert "note.txt" in kept(folder)
+
+
+@pytest.mark.parametrize(("limit", "left"), [("2500", 2), ("-1", 3)])
+def test_the_size_can_be_chosen(config, tmp_path, monkeypatch, limit, left):
+    """By JAX's variable, of which JAX's own removal would need another package."""
+    monkeypatch.setattr(_compilation_cache, "LARGEST", 0)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_MAX_SIZE", limit)
+    jax.config.update("jax_compilation_cache_max_size", int(limit))
+    folder = three_programs(tmp_path / "cache")
+    for _ in range(2):
+        use_compilation_cache(folder)
+        assert len(kept(folder)) == left + 1
+        assert config("jax_compilation_cache_max_size") == -1
 
 
 def test_commands_use_it(config, tmp_path, capsys):

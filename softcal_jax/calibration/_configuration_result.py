@@ -47,6 +47,8 @@ class ConfigurationResult(eqx.Module):
         newton_steps: Newton iterations of the equilibrium.
         load_steps: Its load steps.
         residual: Its relative residual [-].
+        rounding: What rounding leaves of that, see `EquilibriumSolution` [-].
+        at_rounding: Whether Newton stopped there, with a residual above `rtol`.
         min_det_F: Its smallest det F [-].
         robot: Rigid bodies, actuators and reactions; None without an equilibrium, and
             for a body without rigid bodies and actuators.
@@ -65,6 +67,8 @@ class ConfigurationResult(eqx.Module):
     newton_steps: int
     load_steps: int
     residual: float
+    rounding: float
+    at_rounding: bool
     min_det_F: float
     robot: RobotState | None = None
     W_ep: Float[HostArray, "n_rows 3 n_p"] | None = None
@@ -351,17 +355,30 @@ def _results(
             name=configuration.name,
             role=role,
             converged=bool(solution.converged[i]),
-            outcome=RESULTS[_lane(solution.result, i)],
+            outcome=_outcome(solution, i),
             effectors=effectors[i],
             displacement=np.asarray(solution.displacement[i])[: model.mesh.n_nodes],
             newton_steps=int(solution.steps[i]),
             load_steps=int(solution.load_steps[i]),
             residual=float(solution.residual[i]),
+            rounding=float(solution.rounding[i]),
+            at_rounding=bool(solution.at_rounding[i]),
             min_det_F=float(solution.min_det_F[i]),
             robot=states[i],
         )
         for i, configuration in enumerate(configurations)
     )
+
+
+def _outcome(solution: EquilibriumSolution, i: int) -> str:
+    """Say how the solve of a configuration ended."""
+    words = RESULTS[_lane(solution.result, i)]
+    if not solution.at_rounding[i]:
+        return words
+    # Without any load, rounding is all that there is.
+    loaded = solution.rounding[i] < 1.0
+    residual = f" (residual {solution.residual[i]:.1e})" if loaded else ""
+    return f"{words} at rounding{residual}"
 
 
 def _lane(batch, i: int):

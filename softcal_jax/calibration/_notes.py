@@ -36,7 +36,8 @@ def result_notes(
     spread: Uncertainty,
 ) -> list[str]:
     """Collect the notes on fits, parameters, their standard errors and the mesh."""
-    notes = _misfit_notes(fits, spread) + order_notes(problem.space, z)
+    notes = _misfit_notes(fits, spread) + _rounding_notes(fits)
+    notes += order_notes(problem.space, z)
     notes += uncertainty_notes(problem, spread)
     if problem.model.mesh.order == 1:
         notes.append(
@@ -87,6 +88,19 @@ def _misfit_notes(
                 "names."
             )
     return notes
+
+
+def _rounding_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
+    """Name configurations that are in balance up to rounding only."""
+    return [
+        f"{fit.name} is in balance only up to {fit.residual:.1e} of its forces, where "
+        f"rounding, estimated at {fit.rounding:.1e}, stopped Newton before its rtol: a "
+        "region is stiffer than the others by orders of magnitude, or the loads are "
+        "tiny for the stiffness. Check units and moduli."
+        for fit in fits
+        # Without any load, rounding is all there is.
+        if fit.at_rounding and fit.rounding < 1.0
+    ]
 
 
 def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:

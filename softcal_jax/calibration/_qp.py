@@ -24,6 +24,12 @@ ROW_REGULARISATION = 1e-12
 ROW_SHIFT = 1e-8
 """Shift that separates rows that meet in one point, relative to their extent [-]."""
 
+PENALTY = 1e4
+"""Cost of violating rows, above the sum of the multipliers of unit data [-]."""
+
+SLIGHT = 1e-7
+"""Violation of a row by what BoxOSQP leaves, for unit data [-]."""
+
 ROUNDING = 1e-14
 """Largest multiplier of the wrong sign that counts as rounding, for unit data [-]."""
 
@@ -110,11 +116,11 @@ def bounded_step(
     `damping` adds damping / 2 times ||D l||^2, with D the lengths of the columns of W.
     `jaxopt.BoxOSQP` solves the problem scaled to unit columns, rows and error. An
     active-set method gives its starting point and polishes its solution, by solving
-    with the constraints that are active at the end as equalities, which is exact. Where
-    a step of zero satisfies the rows, as in a calibration, the starting point is nearly
-    always the optimum; elsewhere BoxOSQP finds a feasible point (`python -m benchmarks
-    run qp` measures which stage decides). BoxOSQP solves with LU, since its default,
-    conjugate gradients, can end far from the optimum in a flat valley.
+    with the constraints that are active at the end as equalities, which is exact. The
+    starting point is nearly always the optimum, whether a step of zero satisfies the
+    rows, as in a calibration, or not (`python -m benchmarks run qp` measures which
+    stage decides). BoxOSQP solves with LU, since its default, conjugate gradients, can
+    end far from the optimum in a flat valley.
 
     Args:
         W: Stacked compliances in noise units [-].
@@ -258,25 +264,32 @@ def _kkt_residual(qp: _Scaled, y, mu):
 
 
 def _polished(qp: _Scaled, start: _Point) -> _Point:
+    """Descend from a point, unless it is the optimum already."""
+    done = start.kkt <= SOLVED
+    return jax.lax.cond(done, lambda: start, lambda: _descended(qp, start))
+
+
+def _descended(qp: _Scaled, start: _Point) -> _Point:
     """Descend from a point by an active-set method, and solve with its last active set.
 
     The primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, Alg.
-    16.3) changes one active constraint at a time, so the cost never rises. Rows that
-    the start violates are relaxed until it satisfies them: from such a start the result
-    is not optimal, and BoxOSQP finds a feasible one. All rows are also shifted outwards
-    by different small amounts, since the method could cycle where more rows meet than
+    16.3) changes one active constraint at a time, so the cost never rises. It needs a
+    start that satisfies the rows, see `_elastic`. All rows are also shifted outwards by
+    different small amounts, since the method could cycle where more rows meet than
     there are parameters. The last active set is solved with the unshifted rows.
     """
-    n, n_rows = qp.c.shape[0], qp.r.shape[0]
+    n_rows = qp.r.shape[0]
+    relaxed, y = _elastic(qp, start.y)
+    n = y.shape[0]
     shift = ROW_SHIFT * (1.0 + jnp.arange(n_rows, dtype=qp.r.dtype) * 0.618 % 1.0)
-    relaxed = qp._replace(r=jnp.maximum(qp.r, qp.R @ start.y) + shift * _extent(qp))
+    relaxed = relaxed._replace(r=relaxed.r + shift * _extent(qp))
 
     def change(state: _Descent) -> _Descent:
         active = state.active
         target, mu = _equality_solution(relaxed, active, passes=1)
         move = target - state.y
-        to_bound = jnp.where(move > 0.0, qp.high - state.y, state.y - qp.low)
-        along, slack = qp.R @ move, relaxed.r - qp.R @ state.y
+        to_bound = jnp.where(move > 0.0, relaxed.high - state.y, state.y - relaxed.low)
+        along, slack = relaxed.R @ move, relaxed.r - relaxed.R @ state.y
         # Only inactive constraints that the move approaches can stop it.
         ahead = (active == 0) & jnp.concatenate([move != 0.0, along > 0.0])
         speed = jnp.where(ahead, jnp.concatenate([jnp.abs(move), along]), 1.0)
@@ -293,16 +306,39 @@ def _polished(qp: _Scaled, start: _Point) -> _Point:
         drop = (place == jnp.argmax(wrong)) & (wrong > ROUNDING)
         return _Descent(
             active=jnp.where(stopped, added, jnp.where(drop, 0, active)),
-            y=jnp.clip(state.y + length * move, qp.low, qp.high),
+            y=jnp.clip(state.y + length * move, relaxed.low, relaxed.high),
             step=state.step + 1,
             settled=~stopped & ~jnp.any(drop),
         )
 
     going = lambda s: ~s.settled & (s.step < 4 * (n + n_rows))
-    inactive, count = jnp.zeros(n + n_rows, jnp.int32), jnp.zeros((), jnp.int32)
-    state = _Descent(inactive, start.y, count, start.kkt <= SOLVED)
-    active = jax.lax.while_loop(going, change, state).active
+    feasible = (jnp.arange(n + n_rows) == n - 1) & (y[-1] == 0.0)
+    count = jnp.zeros((), jnp.int32)
+    state = _Descent(-feasible.astype(jnp.int32), y, count, start.kkt <= SOLVED)
+    active = jnp.delete(jax.lax.while_loop(going, change, state).active, n - 1)
     return _better(qp, start, *_equality_solution(qp, active, passes=3))
+
+
+def _elastic(qp: _Scaled, y) -> tuple[_Scaled, Float[Array, " n_p_plus_1"]]:
+    """Add a variable that relaxes the rows violated at `y`, and its value there.
+
+    Its cost is so high that it vanishes wherever the rows can be satisfied. Rows that
+    are violated by rounding alone are relaxed for good.
+    """
+    there = qp.R @ y
+    far = there > qp.r + SLIGHT
+    violation = jnp.where(far, there - qp.r, 0.0)
+    worst = jnp.max(violation, initial=0.0)
+    share = violation / jnp.where(worst > 0.0, worst, 1.0)
+    more = lambda array, value: jnp.append(array, jnp.asarray(value, array.dtype))
+    return _Scaled(
+        Q=jnp.pad(qp.Q, (0, 1)).at[-1, -1].set(1.0),
+        c=more(qp.c, PENALTY),
+        low=more(qp.low, 0.0),
+        high=more(qp.high, worst),
+        R=jnp.column_stack([qp.R, -share]),
+        r=jnp.where(far, qp.r, jnp.maximum(qp.r, there)),
+    ), more(y, worst)
 
 
 def _equality_solution(qp: _Scaled, active, passes: int):

@@ -191,17 +191,38 @@ def merit(posed: Posed, at: Point, lambda_a, gap_stiffness) -> Float[Array, ""]:
     return jnp.sqrt(jnp.sum(g**2) + jnp.sum((gap_stiffness * to_go) ** 2))
 
 
-def relative(posed: Posed, at: Point, merit, stiffness, rtol):
-    """Divide a merit by the larger of external and internal force [-].
+class Residual(NamedTuple):
+    """Out-of-balance forces, and how small rounding lets them become [-].
 
-    `stiffness` is the mean stiffness of an unknown [N/m], `rtol` where Newton stops.
+    Both are relative to the larger of external and internal force; where that is less
+    than the rounding of the internal forces, relative to the latter.
+    """
+
+    size: Float[Array, ""]
+    rounding: Float[Array, ""]
+
+    def settled(self, rtol) -> Bool[Array, ""]:
+        """Tell whether Newton stops: at `rtol`, or at rounding if that is larger."""
+        return self.size <= jnp.maximum(rtol, self.rounding)
+
+    def at_rounding(self, rtol) -> Bool[Array, ""]:
+        """Tell whether Newton stops, but not at `rtol`."""
+        return self.settled(rtol) & (self.size > rtol)
+
+
+def relative(posed: Posed, at: Point, merit, stiffness) -> Residual:
+    """Divide a merit by the larger of external and internal force.
+
+    `stiffness` is the mean stiffness of an unknown [N/m]. Times the rounding of the
+    displacements, it is that of the internal forces. A region that is stiffer than the
+    others by orders of magnitude sets it for all; without any load, also in a robot
+    that is rotated as a whole, nothing else remains.
     """
     points = jnp.asarray(posed.model.mechanism.points)
     size = jnp.maximum(jnp.max(jnp.ptp(points, axis=0)), jnp.max(jnp.abs(at.u)))
     norm = jnp.linalg.norm
     scale = jnp.maximum(norm(posed.load * posed.f_ext), norm(at.force))
-    # Without any load only rounding of the displacements remains, also in a robot that
-    # is rotated as a whole.
     eps = jnp.finfo(points.dtype).eps
-    rounding = eps / rtol * stiffness * size * posed.model.n_dof**0.5
-    return merit / jnp.maximum(scale, rounding)
+    rounding = eps * stiffness * size * posed.model.n_dof**0.5
+    scale = jnp.maximum(scale, rounding)
+    return Residual(merit / scale, rounding / scale)

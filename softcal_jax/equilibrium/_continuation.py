@@ -111,7 +111,8 @@ def continue_equilibrium(
     if not model.solver.counts_negative or has_volume_unknowns(model):
         # Without a count of negative eigenvalues a quick step could end in an unstable
         # state unnoticed; in a nearly incompressible mesh it hardly ever converges.
-        solution = as_solution(newton(model, configuration, guess, settings))
+        state = newton(model, configuration, guess, settings)
+        solution = as_solution(state, settings)
         u, lambda_a = solution.displacement, solution.multipliers
         return Continuation(solution, linearise(model, configuration, u, lambda_a))
     quick = _QuickSteps(Posed.of(model.tabulated(), configuration), settings, precise)
@@ -150,6 +151,7 @@ class _QuickSteps(NamedTuple):
         usable = usable & jnp.any(guess != 0.0)
         lambda_a = estimated_forces(posed, at)
         count, one = jnp.zeros((), jnp.int32), jnp.ones((), guess.dtype)
+        no = jnp.zeros((), bool)
         unsolved = EquilibriumSolution(
             displacement=at.u,
             multipliers=lambda_a,
@@ -158,10 +160,11 @@ class _QuickSteps(NamedTuple):
             load_steps=count,
             load_reached=one,
             residual=jnp.inf * one,
+            rounding=jnp.zeros_like(one),
+            at_rounding=no,
             min_det_F=at.min_det_F,
             n_negative=count,
         )
-        no = jnp.zeros((), bool)
         before = at.u if before is None else before
         return _Quick(
             solution=unsolved,
@@ -180,13 +183,12 @@ class _QuickSteps(NamedTuple):
     def careful(self, s: _Quick) -> tuple[EquilibriumSolution, Point, Array]:
         """Run Newton with line search and load steps from the state's displacement."""
         state = newton(self.model, self.posed.configuration, s.at.u, self.settings)
-        return as_solution(state), state.at, state.lambda_a
+        return as_solution(state, self.settings), state.at, state.lambda_a
 
     def residual(self, at: Point, lambda_a):
         """Compute the relative out-of-balance force, without gaps of actuators."""
         size = merit(self.posed, at, lambda_a, jnp.zeros_like(lambda_a))
-        no_stiffness = jnp.zeros((), at.u.dtype)
-        return relative(self.posed, at, size, no_stiffness, self.settings.rtol)
+        return relative(self.posed, at, size, jnp.zeros((), at.u.dtype)).size
 
     def newton_step(self, at: Point, lambda_a, before) -> tuple[Step, Factor]:
         """Compute a Newton step and its factor."""
@@ -219,11 +221,11 @@ class _QuickSteps(NamedTuple):
         new = evaluate(self.model, posed.move(at.u, share * step.d))
         new_lambda = step.lambda_a + share * step.d_lambda
         size = merit(posed, new, new_lambda, factor.gap_stiffness)
-        residual = relative(posed, new, size, factor.stiffness, rtol)
+        residual = relative(posed, new, size, factor.stiffness)
         stable = factor.ok & (factor.n_negative == 0) & (new.min_det_F > 0.0)
-        sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual)
-        arrived = sound & (residual <= rtol)
-        falls = residual <= solution.residual
+        sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual.size)
+        arrived = sound & residual.settled(rtol)
+        falls = residual.size <= solution.residual
         n_newton = s.step + (~s.chord).astype(s.step.dtype)
         contracts = s.chord | (sound & falls & (n_newton < MAX_QUICK_STEPS))
         last = arrived & (s.arrived | ~jnp.asarray(self.precise))
@@ -233,15 +235,19 @@ class _QuickSteps(NamedTuple):
             result=RESULTS.converged,
             steps=solution.steps + (~s.chord).astype(solution.steps.dtype),
             load_steps=jnp.ones_like(s.step),
-            load_reached=jnp.ones_like(residual),
-            residual=residual,
+            load_reached=jnp.ones_like(residual.size),
+            residual=residual.size,
+            rounding=residual.rounding,
+            at_rounding=residual.at_rounding(rtol),
             min_det_F=new.min_det_F,
             n_negative=factor.n_negative,
         )
         taken = ~was_careful & sound & (falls | ~s.chord)
         # Extrapolate the fall of the residual: will a few chord steps be enough?
-        to_come = residual * (residual / solution.residual) ** MOST_CHORDS
-        close = jnp.where(s.chord, to_come <= rtol, residual <= CHORDS_FROM)
+        rate = residual.size / solution.residual
+        to_come = residual._replace(size=residual.size * rate**MOST_CHORDS)
+        near = residual.size <= CHORDS_FROM
+        close = jnp.where(s.chord, to_come.settled(rtol), near)
         pick = lambda a, b: jnp.where(taken, a, b)
         solution = jax.tree.map(pick, quick, solution)
         short = self.residual(new, new_lambda) <= SHORT

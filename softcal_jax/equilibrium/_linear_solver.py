@@ -242,6 +242,20 @@ class Pardiso(AbstractLinearSolver):
         )
 
 
+_KLU_SHIFT = {True: 2.0**-46, False: 2.0**-43}
+"""Smallest shift of KLU's diagonal, by symmetry, relative to the rows' entries [-].
+
+So many times the rounding of a pivot that no pivot becomes zero: 64 times where all
+shifts add up, more where they may cancel.
+"""
+
+_KLU_CHANGE = 1e-3
+"""Relative change of a solution by the shift above which a matrix is singular [-].
+
+It is the shift times the condition of the matrix, usually less than 1e-8.
+"""
+
+
 class Klu(AbstractLinearSolver):
     """KLU through klujax, for platforms without PARDISO.
 
@@ -249,12 +263,19 @@ class Klu(AbstractLinearSolver):
     aborts at the first indefinite tangent of a batch. The full matrix has the entries
     of the pattern, then the lower triangle of a symmetric one, with values from
     `source`.
+
+    klujax raises at a pivot of zero, and all lanes of a batch with it. So the diagonal
+    of the matrix, with rows of unit size, is moved by `shift`, everywhere in one
+    direction: the last pivots of a singular matrix then have about this size, and it
+    answers the `probes`, random right-hand sides, with huge values.
     """
 
     sparsity: Sparsity
     full_rows: Int[Array, " n_full"]
     full_cols: Int[Array, " n_full"]
     source: Int[Array, " n_full"]
+    shift: Float[Array, " n_dof"]
+    probes: Float[Array, "n_probes n_dof"]
     name: str = eqx.field(static=True, default="KLU (klujax)")
     counts_negative: bool = eqx.field(static=True, default=False)
 
@@ -264,23 +285,32 @@ class Klu(AbstractLinearSolver):
         rows, cols = sparsity.rows, sparsity.indices
         off = np.flatnonzero((rows != cols) & sparsity.symmetric)
         source = np.concatenate([np.arange(rows.size), off])
+        random, n = np.random.default_rng(0), sparsity.n_dof
+        shift = _KLU_SHIFT[sparsity.symmetric] * random.uniform(1.0, 2.0, n)
         return cls(
             sparsity=sparsity,
             full_rows=jnp.asarray(np.concatenate([rows, cols[off]])),
             full_cols=jnp.asarray(np.concatenate([cols, rows[off]])),
             source=jnp.asarray(source.astype(np.int32)),
+            shift=jnp.asarray(shift),
+            probes=jnp.asarray(random.normal(size=(2, n))),
         )
 
     def _factor_solve(self, values, rhs):
         import klujax
 
         rows, cols, full = self.full_rows, self.full_cols, values[self.source]
-        # KLU raises at a row of zeros, and other lanes with it: take the identity.
-        size = jnp.zeros(rhs.shape[1]).at[rows].add(jnp.abs(full))
-        regular = jnp.all(size > 0.0)
-        full = jnp.where(regular, full, (rows == cols).astype(full.dtype))
-        x = klujax.solve(rows, cols, full, rhs.T).T
-        return x, jnp.full((), -1, jnp.int32), regular & jnp.all(jnp.isfinite(x))
+        size = jnp.zeros(rhs.shape[1]).at[rows].max(jnp.abs(full))
+        filled = size > 0.0
+        # A row of zeros becomes that of the identity.
+        unit, shift = jnp.where(filled, size, 1.0), jnp.where(filled, self.shift, 1.0)
+        shifted = (full / unit[rows]).at[self.sparsity.diagonal].add(shift)
+        right = jnp.concatenate([self.probes, rhs / unit[None]])
+        x = klujax.solve(rows, cols, shifted, right.T).T
+        answers, x = jnp.split(x, [len(self.probes)])
+        change = jnp.linalg.norm(shift[None] * answers, axis=1)
+        regular = jnp.all(filled) & jnp.all(change <= _KLU_CHANGE)
+        return x, jnp.full((), -1, jnp.int32), regular
 
 
 def require_float64() -> None:

@@ -20,6 +20,7 @@ from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._balance import (
     Point,
+    Residual,
     at_rest,
     estimated_forces,
     evaluate,
@@ -57,7 +58,7 @@ class NewtonSettings(eqx.Module):
 
     Attributes:
         rtol: Residual at which Newton stops, relative to the larger of external and
-            internal force [-].
+            internal force; it also stops where rounding leaves more [-].
         max_steps: Newton iterations for one configuration, all load steps together.
         max_steps_per_load: Newton iterations after which a load step is cut, unless
             the last one reduced the residual tenfold.
@@ -125,7 +126,7 @@ class NewtonState(NamedTuple):
     step_in_load: Int[Array, ""]
     load_steps: Int[Array, ""]
     merit_before: Float[Array, ""] | None
-    residual: Float[Array, ""]
+    residual: Residual
     n_negative: Int[Array, ""]
     lost: Int[Array, ""]
     limit: Int[Array, ""]
@@ -192,8 +193,8 @@ class NewtonLoop:
             posed, s.at, direction, strict=strict, reference=reference, backtracks=most
         )
         good = tried.good & factor.ok & downhill
-        residual = relative(posed, tried.at, tried.merit, factor.stiffness, rtol)
-        residual = jnp.where(good, residual, jnp.inf)
+        residual = relative(posed, tried.at, tried.merit, factor.stiffness)
+        residual = residual._replace(size=jnp.where(good, residual.size, jnp.inf))
         before_step = s.residual
         s = s._replace(
             step=s.step + 1,
@@ -208,9 +209,9 @@ class NewtonLoop:
         # tangent of another state: factorize once more at this state without moving.
         near = before <= _NEAR * jnp.linalg.norm(tried.at.force)
         near = near | (factor.n_negative < 0)
-        stay = (s.residual <= rtol) & (s.step_in_load > 1)
+        stay = s.residual.settled(rtol) & (s.step_in_load > 1)
         good, near = good | (stay & factor.ok), near | stay
-        residual = jnp.where(stay, s.residual, residual)
+        residual = _select(stay, s.residual, residual)
         tried = _select(stay, tried._replace(at=s.at, lambda_a=s.lambda_a), tried)
         u, du = s.at.u, tried.at.u - s.at.u
         moved = s._replace(
@@ -220,11 +221,11 @@ class NewtonLoop:
             residual=residual,
             theta=dilatation(self.model, s.theta, u, du),
         )
-        settled = residual <= rtol
+        settled = residual.settled(rtol)
         astray = settled & near & self.suspicious(s, tried.at.min_det_F)
         good, converged = good & ~astray, settled & near & ~astray
         # Do not cut the load while the residual still falls tenfold.
-        closing = residual < 0.1 * before_step
+        closing = residual.size < 0.1 * before_step.size
         out_of_steps = s.step_in_load >= self.settings.max_steps_per_load
         failed = ~good | (~settled & out_of_steps & ~closing)
         s = _select(good, moved, s)
@@ -324,7 +325,7 @@ class NewtonLoop:
             step_in_load=count,
             load_steps=count,
             merit_before=self.remembered(jnp.full_like(zero, jnp.inf)),
-            residual=jnp.full_like(zero, jnp.inf),
+            residual=Residual(jnp.full_like(zero, jnp.inf), zero),
             n_negative=count,
             lost=count,
             limit=count,

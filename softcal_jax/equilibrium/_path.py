@@ -225,10 +225,10 @@ def _next_state(
         )
         stiff = jnp.where(posed.by_multiplier, model.among_all(1.0 / compliance), 0.0)
         off = merit(posed, at, s.lambda_a, stiff)
-        residual = relative(posed, at, off, tangent.stiffness, settings.rtol)
+        residual = relative(posed, at, off, tangent.stiffness)
         apart = off_plane(s.u, s.load)
         near = jnp.abs(apart) <= 1e-3 * jnp.maximum(jnp.abs(ds), SMALLEST)
-        arrived = (residual <= settings.rtol) & near & solved.ok
+        arrived = residual.settled(settings.rtol) & near & solved.ok
         by_balance = posed.scatter(s.u, solved.x[0])
         du = held + posed.scatter(s.u, solved.x[1])
         slope = tau_t + old.weight * jnp.sum(tau_u * du)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Bool, Float, Int
 
 
 class EquilibriumSolution(eqx.Module):
@@ -22,6 +22,9 @@ class EquilibriumSolution(eqx.Module):
         load_steps: Load increments that were taken (1: full load at once).
         load_reached: Share of the load at the last equilibrium [-]; 1 if converged.
         residual: Residual relative to the larger of external and internal force [-].
+        rounding: What rounding leaves of it, estimated at the mean stiffness; forces
+            below their own rounding count as large as that [-].
+        at_rounding: Whether Newton stopped there, with a residual above `rtol`.
         min_det_F: Smallest det F over all quadrature points [-].
         n_negative: Number of negative eigenvalues of the last tangent, 0 for a stable
             state; at a limit point the fewest of an iterate beyond it; -1 if unknown,
@@ -36,6 +39,8 @@ class EquilibriumSolution(eqx.Module):
     load_steps: Int[Array, "*batch"]
     load_reached: Float[Array, "*batch"]
     residual: Float[Array, "*batch"]
+    rounding: Float[Array, "*batch"]
+    at_rounding: Bool[Array, "*batch"]
     min_det_F: Float[Array, "*batch"]
     n_negative: Int[Array, "*batch"]
 
@@ -74,7 +79,9 @@ def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str
             f"configuration {names[lane]!r}: {what} "
             f"({of(solution.steps)} Newton steps, "
             f"{100 * share:.3g} % of the load carried, residual "
-            f"{of(solution.residual):.1e}, smallest det F {of(solution.min_det_F):.3g})"
+            f"{of(solution.residual):.1e} with rounding at "
+            f"{of(solution.rounding):.1e}, smallest det F "
+            f"{of(solution.min_det_F):.3g})"
         )
 
     return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad.size else ""

@@ -24,7 +24,7 @@ from softcal_jax.equilibrium._sensitivity import input_rows, sensitivity
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
-def as_solution(state: NewtonState) -> EquilibriumSolution:
+def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolution:
     """Turn the final state of Newton's loop into a solution."""
     carried = state.done & (state.load_ok >= 1.0)
     beyond = state.result == RESULTS.limit_point
@@ -36,7 +36,9 @@ def as_solution(state: NewtonState) -> EquilibriumSolution:
         steps=state.step,
         load_steps=state.load_steps,
         load_reached=state.load_ok,
-        residual=state.residual,
+        residual=state.residual.size,
+        rounding=state.residual.rounding,
+        at_rounding=carried & state.residual.at_rounding(settings.rtol),
         min_det_F=state.at.min_det_F,
         n_negative=jnp.where(beyond, state.limit, state.n_negative),
     )
@@ -69,14 +71,14 @@ def continue_newton(
     loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
     most = jnp.minimum(state.step + steps, settings.max_steps)
     state = loop.run(state, most)
-    return state, as_solution(state)
+    return state, as_solution(state, settings)
 
 
 @eqx.filter_custom_jvp
 def _equilibrium(model, configuration, u0, settings):
     @lane_by_lane
     def lane(model, configuration, u0, settings):
-        return as_solution(newton(model, configuration, u0, settings))
+        return as_solution(newton(model, configuration, u0, settings), settings)
 
     return lane(model, configuration, u0, settings)
 

@@ -44,8 +44,10 @@ def result_dict(
     `robot`, null if there is nothing in it: `rigid_bodies` (`name`, `state`,
     `position_mm`, `translation_mm`, `rotation_vector`), `actuators` (`name`, `kind`,
     `imposed`, `force`, `force_unit`, `displacement`, `displacement_unit`), `reactions`
-    (`name`, `force` of the ground on the robot); then `newton_steps`, `residual`,
-    `min_det_F`); `history` (one entry per step, 0 is the start); `solver`; `settings`;
+    (`name`, `force` of the ground on the robot); then `newton_steps`, `residual`
+    of the equilibrium, relative to its forces, `rounding` and `at_rounding`: what
+    rounding leaves of it, and whether Newton stopped there, `min_det_F`);
+    `history` (one entry per step, 0 is the start); `solver`; `settings`;
     `uncertainty` (covariance of the scaled parameters by the noise alone); `budget`
     (standard errors by cause, see `budget_dict`); `noise` (`jitter`: factor on the
     stated standard deviations of coordinates; `offset_mm`: offset of the recording of
@@ -148,10 +150,11 @@ def simulation_dict(
     """Convert a forward simulation to the content of `simulation.json`.
 
     Keys: `format`, `name`, `converged` (whether all did); `configurations` (`name`,
-    `converged`, `outcome`, `newton_steps`, `load_steps`, `residual`, `min_det_F`,
-    `largest_displacement_mm`, `markers` and other points with `name`, `at_rest_mm`,
-    `simulated_mm`, `effectors` that are not points with `name`, `unit`, `is_turn`,
-    `simulated`, `robot` as in `result_dict`); `solver`; `versions`; `timing_s` [s].
+    `converged`, `outcome`, `newton_steps`, `load_steps`, `residual`, `rounding`,
+    `at_rounding`, `min_det_F`, `largest_displacement_mm`, `markers` and other points
+    with `name`, `at_rest_mm`, `simulated_mm`, `effectors` that are not points with
+    `name`, `unit`, `is_turn`, `simulated`, `robot` as in `result_dict`); `solver`;
+    `versions`; `timing_s` [s].
     Where there is no equilibrium, positions and displacement are null, and `outcome`
     says why.
     """
@@ -227,7 +230,7 @@ def _fit(fit: ConfigurationResult) -> dict[str, Any]:
         "rms_after_percent_of_motion": 100.0 * fit.rms_share,
         **_effectors(fit, "measured", "simulated_before", "simulated", "residual"),
         "robot": _robot(fit.robot),
-        **pick(fit, "newton_steps", "residual", "min_det_F"),
+        **pick(fit, "newton_steps", "residual", "rounding", "at_rounding", "min_det_F"),
     }
 
 
@@ -235,7 +238,8 @@ def _simulated(result: ConfigurationResult) -> dict[str, Any]:
     largest = 1e3 * result.largest_displacement if result.converged else None
     return {
         **pick(result, "name", "converged", "outcome"),
-        **pick(result, "newton_steps", "load_steps", "residual", "min_det_F"),
+        **pick(result, "newton_steps", "load_steps", "residual", "rounding"),
+        **pick(result, "at_rounding", "min_det_F"),
         "largest_displacement_mm": largest,
         **_effectors(result, "at_rest", "simulated"),
         "robot": _robot(result.robot),

@@ -262,6 +262,15 @@ def test_what_cannot_be_met_shows_in_the_residual(size):
         assert np.isfinite(kkt)
 
 
+def test_step_is_optimal_where_neither_bounds_nor_rows_allow_no_step():
+    A = [[-1.0, 0.0, -1.0], [0.0, 0.0, -1.0], [-1.0, 1.0, 0.0], [1.0, -1.0, -1.0]]
+    b = [-3.7, -1.8, -0.8, -1.0]
+    error, one = np.array([0.0, 0.0, -1.0]), np.ones(3)
+    y, kkt = step(np.eye(3), error, one, 2.0 * one, A=np.array(A), b=np.array(b))
+    np.testing.assert_allclose(y, [1.8, 1.0, 1.9], atol=1e-9)  # damped by 1e-10
+    assert kkt < ROUNDING
+
+
 def test_bounds_that_exclude_no_step_are_met_without_any_error():
     low, high = np.array([0.5, -1.0]), np.ones(2)
     y, kkt = step(np.eye(2), np.zeros(2), low, high)

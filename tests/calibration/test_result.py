@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 from export.handmade import AT_REST, make_simulation, small_model
 
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.calibration._configuration_result import configuration_results
+from softcal_jax.calibration._notes import _rounding_notes
 from softcal_jax.configurations import Configuration, Markers, configuration_lanes
 
 
@@ -42,3 +45,15 @@ def test_no_equilibrium_at_the_start_has_no_distance():
     fit = one_fit(jnp.full((1, 2, 3), jnp.nan), 0.0)
     assert np.isnan(fit.rms_before)
     np.testing.assert_allclose(fit.rms_after, 0.02, rtol=1e-12)
+
+
+def test_a_pose_in_balance_up_to_rounding_alone_is_noted():
+    """Where there is a load: without any, rounding is all there is."""
+    fit = one_fit(jnp.asarray(AT_REST)[None], 0.0)
+    stopped = replace(fit, residual=3e-6, rounding=5e-6, at_rounding=True)
+    idle = replace(fit, residual=0.1, rounding=1.0, at_rounding=True)
+    (note,) = _rounding_notes([fit, stopped, idle])
+    assert note.startswith(
+        "droop is in balance only up to 3.0e-06 of its forces, where"
+    )
+    assert "rounding, estimated at 5.0e-06, stopped Newton before its rtol" in note

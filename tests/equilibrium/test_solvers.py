@@ -26,13 +26,15 @@ from bodies import (
 
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import build_model, factor_solve, tangent_values
+from softcal_jax.equilibrium._bordered import System
 from softcal_jax.equilibrium._linear_solver import (
     _MINIMUM_DEGREE,
     _NESTED,
+    Klu,
     Pardiso,
     _work,
 )
-from softcal_jax.equilibrium._sparsity import mask_supports
+from softcal_jax.equilibrium._sparsity import from_entries, mask_supports
 from softcal_jax.materials import (
     Corotational,
     Isotropic,
@@ -47,6 +49,7 @@ PACKAGES = {
     "pardiso-host": "pypardiso",
 }
 
+SOLVERS = {"pardiso": Pardiso, "klu": Klu}
 each_solver = pytest.mark.parametrize("solver", PACKAGES)
 MESH = beam(LENGTH, SIDE, SIDE, (8, 2, 2))
 SQUEEZED = MESH.points * np.array([-0.3, 0.0, 0.0])
@@ -130,6 +133,65 @@ def test_a_body_that_nothing_holds_is_singular(solver):
     # Rounding may hide the singularity; then the solution is huge, not plausible: a
     # held beam answers these forces with displacements of about 1 m.
     assert not bool(solved.ok) or float(jnp.max(jnp.abs(solved.x))) > 1e6
+
+
+SINGULAR = {
+    # A chain that nothing holds, of whole numbers, so that its last pivot is zero.
+    "loose": [[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]],
+    "indefinite": [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 2.0]],
+    "one row": [[1.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 0.0]],
+    "zero": np.zeros((3, 3)),
+    "tiny": np.full((3, 3), 1e-310),
+    "nan": np.full((3, 3), np.nan),
+}
+
+
+@pytest.mark.parametrize("solver", ["pardiso", "klu"])
+def test_singular_matrices_are_flagged_in_their_lanes_alone(solver):
+    """In one batch with regular ones, definite and indefinite, of any unit."""
+    pytest.importorskip(PACKAGES[solver], reason="not installed on this platform")
+    held = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
+    regular = [held, -1e-9 * held, 1e9 * (held - np.eye(3))]
+    pattern = from_entries(*np.indices((3, 3)).reshape(2, -1), 3, symmetric=True)
+    matrices = np.stack([*regular, *SINGULAR.values()])
+    values = jnp.asarray(matrices[:, pattern.rows, pattern.indices])
+    own = SOLVERS[solver].analyse(pattern)
+    rhs = jnp.array([[1.0, 2.0, -3.0], [1.0, 1.0, -2.0]])
+    no_row, no_gap = jnp.zeros((0, 3)), jnp.zeros((2, 0))
+
+    @jax.jit
+    @jax.vmap
+    def solve_all(values):
+        system = System(values, no_row, jnp.zeros(0, bool))
+        return system.solve(own, rhs, no_gap)
+
+    found = solve_all(values)
+    n = len(regular)
+    np.testing.assert_array_equal(found.ok, [True] * n + [False] * len(SINGULAR))
+    np.testing.assert_array_equal(found.x[n:], 0.0)
+    exact = np.linalg.solve(np.stack(regular), rhs.T).swapaxes(1, 2)
+    size = np.abs(exact).max(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(found.x[:n] / size, exact / size, rtol=0, atol=1e-12)
+
+
+def test_no_singular_matrix_of_whole_numbers_makes_klu_raise():
+    """Most have a pivot of exactly zero; those without symmetry are moved farther."""
+    pytest.importorskip(PACKAGES["klu"], reason="not installed on this platform")
+    random, n = np.random.default_rng(0), 5
+    U = random.integers(-3, 4, (1000, n, n - 1)).astype(float)
+    V = random.integers(-3, 4, (1000, n - 1, n)).astype(float)
+    D = random.choice([-1.0, 1.0], (1000, 1, n - 1))
+    for symmetric, K in {True: (U * D) @ U.swapaxes(1, 2), False: U @ V}.items():
+        pattern = from_entries(
+            *np.indices((n, n)).reshape(2, -1), n, symmetric=symmetric
+        )
+        solver = Klu.analyse(pattern)
+        values = jnp.asarray(K[:, pattern.rows, pattern.indices])
+        one = lambda values, solver=solver: solver.factor_solve(
+            values, jnp.ones((1, n))
+        )
+        found = jax.jit(lambda values, one=one: jax.lax.map(one, values))(values)
+        assert not bool(jnp.any(found.ok))
 
 
 @each_solver

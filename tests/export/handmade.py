@@ -80,6 +80,8 @@ def make_fit(
         newton_steps=5,
         load_steps=1,
         residual=1e-9,
+        rounding=1e-12,
+        at_rounding=False,
         min_det_F=0.9,
     )
 
@@ -250,6 +252,8 @@ def make_simulation(model, outcomes=(True, False)):
         load_steps=jnp.ones(n, int),
         load_reached=jnp.where(jnp.array(outcomes), 1.0, 0.0),
         residual=jnp.full(n, 1e-9),
+        rounding=jnp.full(n, 1e-12),
+        at_rounding=jnp.zeros(n, bool),
         min_det_F=jnp.where(jnp.array(outcomes), 0.9, -0.1),
         n_negative=jnp.zeros(n, int),
     )

@@ -238,6 +238,8 @@ def test_simulation_lists_lanes_that_failed_with_the_reason():
     good, bad = data["configurations"]
     assert good["outcome"] == "converged"
     assert good["newton_steps"] == 4
+    assert (good["residual"], good["rounding"]) == (1e-9, 1e-12)
+    assert good["at_rounding"] is False
     # The tip goes down by 20 mm and back by 4 mm.
     np.testing.assert_allclose(
         good["largest_displacement_mm"], np.hypot(20.0, 4.0), rtol=1e-12
