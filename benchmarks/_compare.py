@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from benchmarks._problem import Better, Figure, Goal, usual_better
+from benchmarks._problem import TIMES, Better, Figure, Goal, unit_of, usual_better
 
 RECORDS = Path(__file__).with_name("records")
 """Where the committed records are."""
@@ -21,6 +21,13 @@ process do not show that.
 
 UNSAMPLED = 0.10
 """The same for a measured figure without samples of its own [-]."""
+
+OTHER_DAY = 1.0
+"""The same for a bare time [-].
+
+One machine is twice as fast on one day as on another, where others share its processor.
+Ratios of times that were measured in one run are what shows a smaller change.
+"""
 
 Verdict = Literal["worse", "better", "same", "changed", "new", "gone"]
 
@@ -199,10 +206,12 @@ def _ratio(old: Figure | None, new: Figure | None) -> float | None:
 def _allowed(name: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> float:
     """Relative change of a figure that is not told from noise [-].
 
-    Nothing for a count. Otherwise half the quartile range of the samples of either run,
-    added up, so that a change counts where the middle halves of the samples do not
-    touch.
+    Nothing for a count, and for a time what the machine does by itself. Otherwise half
+    the quartile range of the samples of either run, added up, so that a change counts
+    where the middle halves of the samples do not touch.
     """
+    if unit_of(name) in TIMES:
+        return OTHER_DAY
     values = [record["figures"].get(name) for record in (before, now)]
     if all(isinstance(value, int) for value in values):
         return 0.0
@@ -212,12 +221,8 @@ def _allowed(name: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> fl
 
 
 def _spread(name: str, samples: Mapping[str, Sequence[float]]) -> float | None:
-    """Half the quartile range of a figure's samples over their median [-].
-
-    They have the name of the figure; samples of times are in seconds throughout.
-    """
-    stem, _, unit = name.rpartition("_")
-    own = samples.get(name) or samples.get(f"{stem}_s" if unit == "ms" else name)
+    """Half the quartile range of the samples of that name over their median [-]."""
+    own = samples.get(name)
     if own is None or len(own) < 2:
         return None
     low, middle, high = statistics.quantiles(own, n=4, method="inclusive")

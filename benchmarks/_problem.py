@@ -17,8 +17,11 @@ Figure = float | int | str
 Better = Literal["higher", "lower", "between", "either"]
 """Which change of a figure is one for the better; "between": into the goal's range."""
 
-COSTS = {"s", "ms", "us", "bytes", "kb", "mb", "gb"}
-"""Last words of names of times and memory, of which less is better."""
+TIMES = {"s", "ms", "us"}
+"""Last words of names of times."""
+
+COSTS = TIMES | {"bytes", "kb", "mb", "gb"}
+"""The same of times and memory, of which less is better."""
 
 
 @dataclass(frozen=True)

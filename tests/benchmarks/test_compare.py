@@ -20,6 +20,8 @@ def old():
         {
             "solve_ms": 10.0,
             "setup_s": 2.0,
+            "peak_mb": 10.0,
+            "model_mb": 2.0,
             "peer_ms": 40.0,
             "vs_peer": 4.0,
             "recovered": 30,
@@ -27,7 +29,7 @@ def old():
             "size": 7.0,
             "solver": "PARDISO",
         },
-        {"solve_s": [0.009, 0.010, 0.010, 0.012]},
+        {"solve_s": [0.009, 0.010, 0.010, 0.012], "peak_mb": [9.0, 10.0, 10.0, 12.0]},
         GOALS,
         better={"peer_ms": "either"},
     )
@@ -54,16 +56,19 @@ def test_nothing_changed(old):
     ("name", "value", "verdict"),
     [
         # The quartiles of the samples are 9.75 and 10.5: 3.75 % on each side and run.
-        ("solve_ms", 10.74, None),
-        ("solve_ms", 10.76, "worse"),
-        ("solve_ms", 9.2, "better"),
+        ("peak_mb", 10.74, None),
+        ("peak_mb", 10.76, "worse"),
+        ("peak_mb", 9.2, "better"),
         # Without samples: a tenth.
-        ("setup_s", 2.19, None),
-        ("setup_s", 2.21, "worse"),
+        ("model_mb", 2.19, None),
+        ("model_mb", 2.21, "worse"),
+        # The same machine takes up to twice as long on another day.
+        ("solve_ms", 19.9, None),
+        ("solve_ms", 20.1, "worse"),
         ("vs_peer", 3.5, "worse"),
         ("vs_peer", 4.5, "better"),
         # Another program's time, and a number that may go either way.
-        ("peer_ms", 80.0, "changed"),
+        ("peer_ms", 81.0, "changed"),
         ("size", 14.0, "changed"),
         # A count has no noise.
         ("recovered", 29, "worse"),
@@ -82,8 +87,8 @@ def test_verdicts(old, name, value, verdict):
 
 def test_more_noise_allows_more(old):
     now = copy.deepcopy(old)
-    now["figures"]["solve_ms"] = 10.76
-    now["samples"]["solve_s"] = [0.008, 0.011, 0.011, 0.016]
+    now["figures"]["peak_mb"] = 10.76
+    now["samples"]["peak_mb"] = [8.0, 11.0, 11.0, 16.0]
     assert _compare.compare(old, now).worse == []
 
 
@@ -98,7 +103,7 @@ def test_ratios(old):
 def test_records_of_old_know_what_is_usual(old):
     """Records that do not say which way is better: goals and units do."""
     del old["better"]
-    assert judged(old, setup_s=3.0, vs_peer=3.0, size=14.0) == {
+    assert judged(old, setup_s=5.0, vs_peer=3.0, size=14.0) == {
         "setup_s": "worse",
         "vs_peer": "worse",
         "size": "changed",
@@ -227,8 +232,11 @@ def test_the_page_has_a_line_for_everything(old):
         ("figures: time [ms]", "solve_ms"),
         ("figures: time [ms]", "peer_ms"),
         ("figures: time [s]", "setup_s"),
+        ("figures: memory [MB]", "peak_mb"),
+        ("figures: memory [MB]", "model_mb"),
         ("figures: others [-]", "size"),
         ("samples: time [s]", "solve_s"),
+        ("samples: memory [MB]", "peak_mb"),
     ]
     assert "solver: PARDISO" in _page._head(old)
 
@@ -249,6 +257,8 @@ def test_an_outcome_says_which_way_is_better(old):
     assert json.loads(json.dumps(old["better"])) == {
         "solve_ms": "lower",
         "setup_s": "lower",
+        "peak_mb": "lower",
+        "model_mb": "lower",
         "peer_ms": "either",
         "vs_peer": "higher",
         "recovered": "higher",
