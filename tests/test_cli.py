@@ -1,12 +1,9 @@
 """The command line: exit codes, what is printed, and what is left on the disk."""
 
-import errno
 import json
-import os
 import signal
 import subprocess
 import sys
-import tempfile
 from importlib.metadata import version
 
 import numpy as np
@@ -369,21 +366,6 @@ def stop_at_the_first_solve(monkeypatch):
     monkeypatch.setattr(_fit.Evaluator, "__call__", interrupt)
 
 
-def test_interrupted(tmp_path, out, capsys, monkeypatch):
-    stop_at_the_first_solve(monkeypatch)
-    path = write_small_project(tmp_path)
-    assert main(["calibrate", str(path), "-o", str(out)]) == 130
-    assert capsys.readouterr().err == "interrupted; nothing was written.\n"
-    assert left_behind(tmp_path) == set()
-    # Of a command that was stopped later, before this one.
-    checkpoint = tmp_path / "fit.npz"
-    checkpoint.write_bytes(b"")
-    monkeypatch.setattr("softcal_jax.project.Project.calibrate", interrupt)
-    command = ["calibrate", str(path), "-o", str(out), "--checkpoint", str(checkpoint)]
-    assert main(command) == 130
-    assert capsys.readouterr().err == "interrupted. " + stands(checkpoint)
-
-
 def test_demo_writes_its_project(tmp_path, capsys):
     folder = tmp_path / "mine"
     assert main(["demo", "--write", str(folder)]) == 0
@@ -400,60 +382,6 @@ def test_demo_writes_its_project(tmp_path, capsys):
     assert (folder / "project.toml").read_text() == "mine"
     assert main(["demo", "--write", str(folder), "--force"]) == 0
     assert (folder / "project.toml").read_text() != "mine"
-
-
-@pytest.mark.parametrize("command", ["calibrate", "simulate", "identify"])
-@pytest.mark.parametrize("place", ["project.toml/out", "n" * 300])
-def test_an_unwritable_folder_is_found_before_anything_is_solved(
-    tmp_path, capsys, monkeypatch, command, place
-):
-    """Even before the project is read."""
-    monkeypatch.setattr("softcal_jax.project.load_project", interrupt)
-    path = write_small_project(tmp_path)
-    assert main([command, str(path), "-o", str(tmp_path / place)]) == 2
-    errors = capsys.readouterr().err
-    assert errors.startswith(f"error: no results can be written to {tmp_path / place}")
-    assert errors.endswith("choose another folder.\n")
-    assert left_behind(tmp_path) == set()
-
-
-@pytest.mark.parametrize("also_there", [True, False])
-def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
-    tmp_path, out, capsys, monkeypatch, also_there
-):
-    from softcal_jax.report import _write
-
-    really, second = _write.write_json, tmp_path / "second"
-    second.mkdir()
-
-    def full(path, data):
-        if path.is_relative_to(second) and also_there:
-            return really(path, data)
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-    monkeypatch.setattr(_write, "write_json", full)
-    monkeypatch.setattr(tempfile, "tempdir", str(second))
-    path = write_small_project(tmp_path)
-    checkpoint = tmp_path / "fit.npz"
-    command = ["calibrate", str(path), "-o", str(out), "--checkpoint", str(checkpoint)]
-    assert main(command) == 2
-    text, errors = capsys.readouterr()
-    assert "300.0" in text  # E of the recordings [kPa]
-    first, then = errors.splitlines()
-    where = f"{out} (No space left on device): choose another folder."
-    assert first == f"error: no results can be written to {where}"
-    assert stands(checkpoint).strip() in then
-    assert left_behind(tmp_path) == {"second", "fit.npz"}
-    if also_there:
-        (folder,) = second.iterdir()
-        assert then.startswith(f"The results are in {folder} instead: copy them")
-        assert json.loads((folder / "result.json").read_text())["converged"]
-    else:
-        assert then.startswith(f"Nor could they be written to {second} (")
-        assert list(second.iterdir()) == []
-        monkeypatch.undo()
-        assert main(command) == 0
-        assert "step 1" not in capsys.readouterr().out  # nothing is fitted again
 
 
 def test_a_cost_that_is_not_finite_is_no_fit(tmp_path, out, capsys):

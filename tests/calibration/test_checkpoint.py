@@ -1,7 +1,6 @@
 """A calibration that is stopped goes on where it was, or says why it cannot."""
 
 import errno
-import json
 import os
 import signal
 from typing import NamedTuple
@@ -9,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from softcal_jax.actuators import Cable
 from softcal_jax.calibration import (
     FROM_ANYWHERE,
     CalibrationResult,
@@ -17,19 +15,13 @@ from softcal_jax.calibration import (
     CalibrationWarning,
     Evaluator,
     SearchProgress,
-    _checkpoint_file,
     build_problem,
     calibrate,
     multi_start,
     synthetic_measurements,
     with_measured,
 )
-from softcal_jax.calibration._checkpoint import Journal
-from softcal_jax.configurations import Configuration, Markers
-from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import Parameter, exactly_known
-from softcal_jax.materials import Corotational, Isotropic
-from softcal_jax.mesh import beam as beam_mesh
+from softcal_jax.fields import exactly_known
 from softcal_jax.robots import anisotropic_beam
 
 BEAM = {"cells": (4, 1, 1), "order": 1, "poses": (1, 5), "n_effectors": 4}
@@ -248,169 +240,6 @@ def test_checkpoint_of_another_calibration_is_refused(tmp_path, data, fit, what)
     with pytest.raises(ValueError, match=message):
         fit(path, **changed)
     assert path.read_bytes() == before
-
-
-MESH = beam_mesh(0.1, 0.02, 0.02, (1, 1, 1), order=2)
-
-
-def journal(path, guide=0.02, **options):
-    """The checkpoint of a beam that a cable pulls, whose modulus is calibrated."""
-    cable = Cable("cable", [(0.0, 0.01, 0.02), (0.1, 0.01, guide)])
-    law = Corotational(Isotropic(3e5, 0.3))
-    model = build_model(MESH, law, density=1e3, actuators=[cable], **options)
-    tip = Markers(["tip"], [(0.1, 0.01, 0.01)])
-    pose = Configuration("pose", "x_min", markers=tip, measured=tip.positions)
-    E = Parameter("E", "E", 3e5, 1e5, 1e6)
-    problem = build_problem(model, E, pose)
-    return Journal(problem, CalibrationSettings(), path, search=())
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [{"guide": 0.015}, {"formulation": "mean-dilatation"}, {"solver": "klu"}],
-)
-def test_checkpoint_of_another_robot_is_refused(tmp_path, changed):
-    """The mesh, the law, the configurations and what was measured are the same."""
-    path = tmp_path / "fit.npz"
-    with journal(path) as first:
-        first.keep("state", np.ones(2))
-    with journal(path) as again:
-        np.testing.assert_array_equal(again.kept("state", np.zeros(2)), 1.0)
-    with (
-        pytest.raises(ValueError, match="a checkpoint of another calibration"),
-        journal(path, **changed),
-    ):
-        pass
-
-
-def test_a_checkpoint_names_the_version_that_wrote_it(tmp_path, monkeypatch):
-    path = tmp_path / "fit.npz"
-    with journal(path) as first:
-        first.keep("state", np.ones(2))
-    monkeypatch.setattr(_checkpoint_file, "version", lambda name: "9.0")
-    message = r"fit\.npz was written by softcal_jax .*, and this is 9\.0: remove it to"
-    with pytest.raises(ValueError, match=message), journal(path):
-        pass
-
-
-def edited_array(content):
-    content["state_0"] = content["state_0"] + 1e-9
-
-
-def edited_history(content):
-    history = json.loads(str(content["history"]))
-    history[0]["cost"] *= 2.0
-    content["history"] = np.array(json.dumps(history))
-
-
-def without_an_array(content):
-    del content["state_1"]
-
-
-def of_another_kind(content):
-    content["state_0"] = np.array("seven")
-
-
-@pytest.mark.parametrize(
-    ("edit", "key"),
-    [
-        (edited_array, "state_0"),
-        (edited_history, "history"),
-        (without_an_array, "state_1"),
-        (of_another_kind, "state_0"),
-    ],
-)
-def test_a_checkpoint_that_was_edited_is_refused_and_kept(tmp_path, fit, edit, key):
-    path = interrupted(fit, tmp_path / "fit.npz", 1)
-    changed = edit_saved(path, edit)
-    message = rf"fit\.npz is not as a calibration wrote it: {key} differ"
-    with pytest.raises(ValueError, match=message):
-        fit(path)
-    assert path.read_bytes() == changed
-
-
-def edit_saved(path, edit):
-    """Edit what a checkpoint holds, and return its new bytes."""
-    with np.load(path) as file:
-        content = {name: file[name] for name in file.files}
-    edit(content)
-    np.savez(path, **content)
-    return path.read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("history", "[" * 100_000),
-        ("history", '[{"lambda_p": 3}]'),
-        ("history", "[7]"),
-        ("history", "{}["),
-        ("digests", "[1, 2]"),
-        ("digests", "null"),
-    ],
-)
-def test_a_checkpoint_whose_texts_are_nonsense_is_refused(tmp_path, value, name):
-    path = tmp_path / "fit.npz"
-    with journal(path) as first:
-        first.keep("state", np.ones(2))
-    edit_saved(path, lambda content: content.update({name: np.array(value)}))
-    message = r"fit\.npz is not a checkpoint of a calibration \(.*\); give another"
-    with pytest.raises(ValueError, match=message), journal(path):
-        pass
-
-
-def text(path):
-    path.write_text("E_t = 7e5\n")
-
-
-def empty(path):
-    path.write_bytes(b"")
-
-
-def truncated(path):
-    path.write_bytes(path.read_bytes()[:-40])
-
-
-def flipped(path):
-    content = bytearray(path.read_bytes())
-    content[200] ^= 0xFF
-    path.write_bytes(bytes(content))
-
-
-def other_arrays(path):
-    with path.open("wb") as file:
-        np.savez(file, z=np.zeros(6))
-
-
-def one_array(path):
-    with path.open("wb") as file:
-        np.save(file, np.zeros(6))
-
-
-def test_a_checkpoint_of_another_development_version_is_refused(tmp_path):
-    """Its arrays are others, though the number of the version is the same."""
-    path = tmp_path / "fit.npz"
-    with journal(path) as first:
-        first.keep("state", np.ones(2))
-    for other in (np.zeros(3), np.zeros(2, np.int64), (np.zeros(2), 1.0)):
-        with (
-            journal(path) as again,
-            pytest.raises(ValueError, match=r"fit\.npz was written by another version"),
-        ):
-            again.kept("state", other)
-
-
-@pytest.mark.parametrize(
-    "damage", [text, empty, truncated, flipped, other_arrays, one_array]
-)
-def test_a_file_that_is_no_checkpoint_is_refused_and_kept(tmp_path, fit, damage):
-    path = interrupted(fit, tmp_path / "fit.npz", 1)
-    damage(path)
-    before = path.read_bytes()
-    with pytest.raises(ValueError, match=r"fit\.npz is not a checkpoint of a calib"):
-        fit(path)
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
 
 
 def test_without_a_path_nothing_is_written(tmp_path, fit, monkeypatch):

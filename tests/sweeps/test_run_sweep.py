@@ -1,13 +1,11 @@
-"""Running functions: rows, resuming, dying workers, and what a database refuses."""
+"""Running functions: rows, resuming, dying workers."""
 
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
 import warnings
-from functools import partial
 from pathlib import Path
 
 import cheap
@@ -16,7 +14,6 @@ import pytest
 from killable import kill, started, wait_for
 from rows import substance
 
-from softcal_jax.sweeps import _database as database_module
 from softcal_jax.sweeps import grid, read_sweep, run_sweep
 from softcal_jax.sweeps._worker import WorkerSetup
 
@@ -290,180 +287,3 @@ def test_bad_arguments(arguments, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         run_sweep(cheap.measure, database=tmp_path / "s.sqlite", **given)
     assert list(tmp_path.iterdir()) == []
-
-
-def one(path, function=cheap.measure, **more):
-    points = grid({"E": [1.0], "kind": ["u"], "draw": [0]})
-    return run_sweep(function, points, path, workers=0, **more)
-
-
-@pytest.mark.parametrize(
-    ("again", "message"),
-    [
-        (
-            {"seed": 1},
-            "holds another sweep: its seed is 0, that of this one is 1. Give another",
-        ),
-        (
-            {"function": cheap.where},
-            "its function is measure, that of this one is where",
-        ),
-        ({"definitions": {"mesh": "b"}}, "its mesh is a, that of this one is b"),
-    ],
-)
-def test_another_sweep_is_refused(again, message, tmp_path):
-    path = tmp_path / "s.sqlite"
-    before = one(path, definitions={"mesh": "a"})
-    with pytest.raises(ValueError, match=message):
-        one(path, **again)
-    assert substance(read_sweep(path)) == substance(before)
-    # What was not known before is no contradiction.
-    assert len(one(path, definitions={"layout three": "c"}).rows) == 1
-
-
-def test_other_axes_are_another_sweep(tmp_path):
-    path = tmp_path / "s.sqlite"
-    one(path)
-    with pytest.raises(ValueError, match="its set of axes is E, draw, kind, that of"):
-        run_sweep(cheap.measure, grid({"E": [1.0]}), path, workers=0)
-
-
-def test_files_that_are_no_database_of_a_sweep(tmp_path):
-    text = tmp_path / "text.sqlite"
-    text.write_text("a diary, long enough to be taken for something else" * 30)
-    other = tmp_path / "other.sqlite"
-    with sqlite3.connect(other) as file:
-        file.execute("CREATE TABLE addresses (name TEXT)")
-    file.close()
-    for use in (one, read_sweep):
-        with pytest.raises(ValueError, match="is not a database of a sweep"):
-            use(text)
-        with pytest.raises(ValueError, match="a database of something else than a"):
-            use(other)
-    with pytest.raises(FileNotFoundError, match="there is no sweep database"):
-        read_sweep(tmp_path / "none.sqlite")
-    with pytest.raises(FileNotFoundError, match=r"the folder .* does not exist"):
-        one(tmp_path / "no" / "s.sqlite")
-    with pytest.raises(IsADirectoryError, match="is a folder; name a file in it"):
-        one(tmp_path)
-
-
-def test_two_sweeps_do_not_share_a_database(tmp_path):
-    path = tmp_path / "s.sqlite"
-
-    def meddling(trial):
-        with pytest.raises(BlockingIOError, match="another sweep is writing to") as e:
-            one(path)
-        assert str(e.value).endswith("wait until it has ended, or give another file.")
-        assert read_sweep(path).rows == ()  # reading is fine
-        return {"x": 1}
-
-    (row,) = one(path, meddling).rows
-    assert (row.state, row.reason) == ("converged", "")
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_locked_database_says_so(tmp_path, monkeypatch):
-    path = tmp_path / "s.sqlite"
-    one(path)
-    monkeypatch.setattr(database_module, "WAIT_S", 0.1)
-    other = sqlite3.connect(path, isolation_level=None)
-    other.execute("BEGIN EXCLUSIVE")
-    with pytest.raises(BlockingIOError, match="is locked by another program; close it"):
-        one(path)
-    other.close()
-    assert len(one(path).rows) == 1
-
-
-def on_a_full_disk(monkeypatch, pages):
-    """Databases have room for so many pages of 4096 bytes."""
-    really = database_module._open
-
-    def opened(*args, **options):
-        file = really(*args, **options)
-        file.execute(f"PRAGMA max_page_count = {pages}")
-        return file
-
-    monkeypatch.setattr(database_module, "_open", opened)
-
-
-@pytest.mark.parametrize("n_trials", [3, 5000])
-def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
-    """Where a row does not fit any more, and where the plan does not."""
-    path = tmp_path / "s.sqlite"
-    points = grid({"a": range(n_trials)})
-    fat = lambda trial: {"x": 1, "text": "x" * 20_000}
-    with monkeypatch.context() as patch:
-        on_a_full_disk(patch, pages=20)
-        with pytest.raises(OSError, match="cannot be used: database or disk is full"):
-            run_sweep(fat, points, path, workers=0)
-    assert list(tmp_path.iterdir()) == [path]
-    if n_trials == 3:
-        assert 0 < len(read_sweep(path).rows) < 3
-        assert len(run_sweep(fat, points, path, workers=0).rows) == 3
-
-
-class FullAtTheEnd(sqlite3.Connection):
-    """SQLite ends a transaction itself where there is no room for it."""
-
-    def execute(self, statement, *values):
-        if statement == "COMMIT":
-            super().execute("ROLLBACK")
-            raise sqlite3.OperationalError("database or disk is full")
-        return super().execute(statement, *values)
-
-
-def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypatch):
-    opened = partial(sqlite3.connect, isolation_level=None, factory=FullAtTheEnd)
-    monkeypatch.setattr(database_module, "_open", lambda path, wait: opened(path))
-    with pytest.raises(OSError, match="cannot be used: database or disk is full"):
-        one(tmp_path / "s.sqlite")
-
-
-@pytest.mark.parametrize(
-    ("statement", "message"),
-    [
-        ("UPDATE trials SET state = 'great'", r"trials\.\w+\.state is 'great': Input"),
-        ("UPDATE trials SET figures = '{'", r"figures is '{', which is no JSON"),
-        ("UPDATE trials SET figures = '[1]'", r"figures is \[1\]: Input should be a"),
-        (
-            "UPDATE trials SET figures = '{\"x\": [1]}'",
-            r"figures\.x\.\w+ is \[1\]: Input should",
-        ),
-        (
-            f"UPDATE trials SET figures = '{{\"x\": 1{'0' * 400}}}'",
-            r"figures\.x is a number that is too large",
-        ),
-        ("UPDATE trials SET notes = '3'", r"notes is 3: Input should be a valid tuple"),
-        ("UPDATE trials SET seconds = 'long'", r"seconds is 'long': Input should be a"),
-        ("UPDATE trials SET worker = x'ff'", r"worker is b'\\xff': Input should be a"),
-        ("UPDATE trials SET point = '{}'", r"point is \{\}, which is not the point"),
-        (
-            'UPDATE trials SET point = \'{"E": 2, "kind": "u", "draw": 0}\'',
-            r"which is not the point of this key",
-        ),
-        ("UPDATE plan SET point = '7'", r"plan\.\w+\.point is 7: Input should be"),
-        (
-            "UPDATE plan SET key = 'b'",
-            r"plan\.b\.point is \{.*not the point of this",
-        ),
-        ("DELETE FROM sweep", r"sweep\.name is None, which is no JSON"),
-        ("UPDATE sweep SET value = '[1]'", r"sweep\.name is \[1\]: Input should be a"),
-        (
-            f"UPDATE sweep SET value = '{'[' * 100_000}'",
-            r"sweep\.name is '\[+\.\.\., which is no JSON",
-        ),
-    ],
-)
-def test_a_database_that_was_edited_names_the_place(tmp_path, statement, message):
-    path = tmp_path / "s.sqlite"
-    one(path)
-    with sqlite3.connect(path) as file:
-        file.execute(statement)
-    file.close()
-    remedy = r".*\. No sweep has written that: take an earlier copy of the file, or"
-    for use in (one, read_sweep):
-        if use is one and statement.startswith(("UPDATE plan", "DELETE", "UPDATE sw")):
-            continue  # a sweep writes these anew
-        with pytest.raises(ValueError, match=rf"s\.sqlite: .*{message}{remedy}"):
-            use(path)
