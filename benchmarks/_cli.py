@@ -61,12 +61,15 @@ def _run(arguments: argparse.Namespace, package: ModuleType) -> int:
     if arguments.all == (arguments.name is not None):
         raise WrongCall("name one benchmark, or give --all; `list` names them.")
     if arguments.all:
+        if arguments.count:
+            raise WrongCall("--count belongs to one benchmark: name it.")
         return _run_all(arguments, package)
     name, json = arguments.name, arguments.json
     if json is not None:
         _check_writable(json)
     try:
-        _run_one(package, name, json, arguments.output or _RESULTS / name)
+        output = arguments.output or _RESULTS / name
+        _run_one(package, name, json, output, dict(arguments.count))
     except ModuleNotFoundError as error:
         if error.name not in _PEERS:
             raise
@@ -77,14 +80,23 @@ def _run(arguments: argparse.Namespace, package: ModuleType) -> int:
     return 0
 
 
-def _run_one(package: ModuleType, name: str, json: Path | None, output: Path) -> None:
+def _run_one(
+    package: ModuleType,
+    name: str,
+    json: Path | None,
+    output: Path,
+    counts: dict[str, int],
+) -> None:
     """Run a problem, print what it found, write the record and the page of plots."""
-    run = load(package, name)
+    problem = load(package, name)
+    for part in counts:
+        if part not in problem.counts:
+            known = ", ".join(problem.counts) or "none"
+            raise WrongCall(f"{name} has no part {part!r} to count. It has: {known}.")
     before = load_average()
     begin = time.perf_counter()
     _enable_float64()
-    options = Options(output, _say)
-    outcome = run(options)
+    outcome = problem.run(options := Options(output, _say, counts))
     from benchmarks._page import plot_page
     from benchmarks._show import show_outcome
 
@@ -174,6 +186,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--all", action="store_true", help="run every benchmark")
     run.add_argument(
+        "--count",
+        type=_part_and_count,
+        metavar="PART=N",
+        action="append",
+        default=[],
+        help="run this part alone, so many times (several times for several)",
+    )
+    run.add_argument(
         "--json",
         type=Path,
         metavar="FILE",
@@ -220,6 +240,16 @@ def _parser() -> argparse.ArgumentParser:
             f"(default: {default})",
         )
     return parser
+
+
+def _part_and_count(text: str) -> tuple[str, int]:
+    """Read "kills=6"."""
+    part, _, number = text.partition("=")
+    if not number.isdecimal() or int(number) < 1:
+        raise argparse.ArgumentTypeError(
+            f"got {text!r}; expected a part and a whole number from 1 on, like kills=6."
+        )
+    return part, int(number)
 
 
 def _check_writable(path: Path) -> None:

@@ -31,10 +31,13 @@ class Options:
     Attributes:
         output: Folder for pictures and other files of the problem.
         say: Tells the user what is being done.
+        counts: Which parts are run, and how many times each; empty for all, as often
+            as the problem's own `COUNTS` say.
     """
 
     output: Path
     say: Callable[[str], None] = print
+    counts: Mapping[str, int] = field(default_factory=dict)
 
     def folder(self) -> Path:
         """The output folder, made when the first problem writes into it."""
@@ -189,8 +192,20 @@ def discover(package: ModuleType) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def load(package: ModuleType, name: str) -> Callable[[Options], Outcome]:
-    """The `run` function of a problem.
+class Problem(NamedTuple):
+    """A problem, as its module has it.
+
+    Attributes:
+        run: Runs it.
+        counts: Its parts, and how many times each is run; empty if it has none.
+    """
+
+    run: Callable[[Options], Outcome]
+    counts: Mapping[str, int]
+
+
+def load(package: ModuleType, name: str) -> Problem:
+    """A problem by its name.
 
     Args:
         package: The package that holds the problems.
@@ -206,4 +221,5 @@ def load(package: ModuleType, name: str) -> Callable[[Options], Outcome]:
         raise UnknownProblem(
             f"unknown benchmark {name!r}.{hint} Known: {', '.join(known)}."
         )
-    return importlib.import_module(f"{package.__name__}.{name}").run
+    module = importlib.import_module(f"{package.__name__}.{name}")
+    return Problem(module.run, getattr(module, "COUNTS", {}))

@@ -5,35 +5,14 @@ meshes of quadratic tets in the mean-dilatation form, on the middle one in the
 displacement form, and on linear tets. Only the mesh keys of the project file differ.
 """
 
-import re
-import shutil
 import statistics
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
 
+from benchmarks._demo import Variant, copy_demo
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax.calibration import CalibrationResult
-from softcal_jax.equilibrium import Formulation
 from softcal_jax.project import load_project
-from softcal_jax.robots import silicone_beam_path
-
-
-class Variant(NamedTuple):
-    """Cells of the beam, and the element on it."""
-
-    cells: tuple[int, int, int]
-    element: str = "quadratic"
-    formulation: Formulation = "mean-dilatation"
-
-    @property
-    def name(self) -> str:
-        """Name in the figures."""
-        kind = "tet4" if self.element == "linear" else "tet10"
-        displacement = kind == "tet10" and self.formulation == "displacement"
-        cells = "x".join(map(str, self.cells))
-        return f"{kind}{'_displacement' if displacement else ''}_{cells}"
-
 
 REFINED = [Variant((7, 2, 2)), Variant((14, 4, 4)), Variant((20, 6, 6))]
 OTHERS = [
@@ -88,31 +67,9 @@ def _calibrate(variant: Variant) -> CalibrationResult:
     Raises:
         RuntimeError: If it does not converge.
     """
-    source = silicone_beam_path()
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(shutil.copytree(source.parent, Path(folder) / "project"))
-        path = copy / source.name
-        text = path.read_text(encoding="utf-8")
-        path.write_text(_edited(text, variant), encoding="utf-8")
+        path = copy_demo(Path(folder) / "project", variant)
         result = load_project(path).calibrate()
     if not result.converged:
         raise RuntimeError(f"{variant.name}: the calibration did not converge.")
     return result
-
-
-def _edited(text: str, variant: Variant) -> str:
-    """The project file of a variant.
-
-    Raises:
-        RuntimeError: If the file no longer has the keys that are replaced here.
-    """
-    changes = {
-        r"cells = \[[^\]]*\]": f"cells = {list(variant.cells)}",
-        r'(?m)^element = "\w+"': f'element = "{variant.element}"',
-        r"(?m)^\[material\]$": f'[material]\nformulation = "{variant.formulation}"',
-    }
-    for pattern, new in changes.items():
-        text, found = re.subn(pattern, new, text)
-        if found != 1:
-            raise RuntimeError(f"{pattern} occurs {found} times in the project file.")
-    return text

@@ -65,7 +65,7 @@ def test_list_of_the_house():
     assert "peers" in known
     paper = {"paper_fig1", "paper_fig3", "paper_fig4", "paper_table1"}
     assert paper | {"noise_coverage", "model_error", "calibration_beam"} <= set(known)
-    assert {"random_truths", "silent_errors"} <= set(known)
+    assert {"random_truths", "silent_errors", "reliability"} <= set(known)
     assert all(known.values()), known
 
 
