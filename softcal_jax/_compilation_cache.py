@@ -59,16 +59,16 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
     chosen = str(folder or jax.config.values["jax_compilation_cache_dir"] or "")
     if "://" in chosen:
         return None  # JAX handles addresses itself
-    usual = platformdirs.user_cache_path("softcal_jax", appauthor=False) / "jax"
-    folder = (Path(chosen) if chosen else usual).absolute()
-    problem = _problem_of(folder)
-    if problem is not None:
+    folder = _place(chosen)
+    no_home = "the user's cache has no place, because there is no home folder"
+    problem = no_home if folder is None else _problem_of(folder)
+    if folder is None or problem is not None:
         # Otherwise JAX would try, and warn, for every single program.
         jax.config.update("jax_enable_compilation_cache", False)
         warnings.warn(
             "compiled programs are not kept, so that every run compiles them anew: "
-            f"{folder} {problem}. Name another folder in JAX_COMPILATION_CACHE_DIR, or "
-            "set JAX_ENABLE_COMPILATION_CACHE=0.",
+            f"{problem}. Name another folder in JAX_COMPILATION_CACHE_DIR, or set "
+            "JAX_ENABLE_COMPILATION_CACHE=0.",
             CompilationCacheWarning,
             stacklevel=2,
         )
@@ -105,6 +105,16 @@ _UNREADABLE = r"Error reading persistent compilation cache entry for '(.+?)':"
 """Pattern of the beginning of JAX's warning, with the name of the program."""
 
 
+def _place(chosen: str) -> Path | None:
+    """Return the folder that was chosen, or the usual one; None without a home."""
+    try:
+        usual = lambda: platformdirs.user_cache_path("softcal_jax", appauthor=False)
+        return (Path(chosen) if chosen else usual() / "jax").expanduser().absolute()
+    except RuntimeError:
+        # Older versions of platformdirs return "~/...", which Path cannot expand.
+        return None
+
+
 def _problem_of(folder: Path) -> str | None:
     """Create a folder and say why it must not be used; None if it may."""
     try:
@@ -113,9 +123,10 @@ def _problem_of(folder: Path) -> str | None:
         problem = _reach_of_others(folder.resolve()) if os.name == "posix" else None
         if problem is None:
             tempfile.TemporaryFile(dir=folder).close()
-        return problem
+            return None
     except OSError as error:
-        return f"cannot be written ({error.strerror or error})"
+        problem = f"cannot be written ({error.strerror or error})"
+    return f"{folder} {problem}"
 
 
 def _reach_of_others(folder: Path) -> str | None:

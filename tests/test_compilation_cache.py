@@ -189,6 +189,24 @@ def test_the_size_can_be_chosen(config, tmp_path, monkeypatch, limit, left):
         assert config("jax_compilation_cache_max_size") == -1
 
 
+def test_without_a_home_nothing_is_made_where_the_program_runs(
+    config, tmp_path, monkeypatch
+):
+    """As in a container whose user has no entry; "~" is no folder then."""
+
+    def unknown(uid):
+        raise KeyError(uid)
+
+    pwd = pytest.importorskip("pwd", reason="Windows knows no such users")
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(CompilationCacheWarning, match="there is no home folder"):
+        assert use_compilation_cache() is None
+    assert not list(tmp_path.iterdir())
+
+
 def test_commands_use_it(config, tmp_path, capsys):
     """Also where they go no further than the project file; a problem is a line."""
     missing = str(tmp_path / "no.toml")

@@ -1,6 +1,7 @@
 """Text of others on the terminal."""
 
 import io
+import sys
 
 import pytest
 from rich.progress import Progress, TextColumn
@@ -42,3 +43,19 @@ def test_tables_and_spinners_show_control_characters():
         assert f"row {hidden}" not in text
         assert f"task {hidden}" not in text
     assert "\x9b" not in text
+
+
+def test_characters_that_the_encoding_lacks_are_escaped(tmp_path, monkeypatch):
+    """As in the locale C, whose streams take nothing but ASCII."""
+    streams = {
+        name: io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
+        for name in ("stdout", "stderr")
+    }
+    for name, stream in streams.items():
+        monkeypatch.setattr(sys, name, stream)
+    path = tmp_path / "größe.toml"
+    assert main(["simulate", str(path), "-o", str(tmp_path / "out")]) == 2
+    sys.stdout.write("±")
+    said = {name: stream.buffer.getvalue() for name, stream in streams.items()}
+    assert rb"gr\xf6\xdfe.toml does not exist" in said["stderr"]
+    assert said["stdout"].endswith(rb"\xb1")

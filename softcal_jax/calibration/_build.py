@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from softcal_jax._process import check_process
 from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._noise import correlated_noise
 from softcal_jax.calibration._notes import (
@@ -64,6 +65,7 @@ def build(
     uncertain: Uncertain,
 ) -> tuple[CalibrationProblem, ConfigurationLanes]:
     """Stack a calibration into arrays, and return its lanes with effector records."""
+    check_process()
     for configuration in configurations:
         if not configuration.is_measured:
             raise ValueError(

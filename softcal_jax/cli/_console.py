@@ -1,6 +1,8 @@
 """Printing of text that others wrote: names, paths, the rows of a database."""
 
 import argparse
+import io
+import sys
 from collections.abc import Iterable
 from typing import NoReturn
 
@@ -30,3 +32,14 @@ class PlainParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End the program with a message."""
         super().error(escaped(message))
+
+
+def escape_what_cannot_be_encoded() -> None:
+    """Let standard output and error show characters that their encoding lacks.
+
+    That of the locale C, or of a pipe on Windows, may have no "±" or "ö": a command
+    would end in a traceback once its work is done.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")

@@ -9,7 +9,11 @@ from pathlib import Path
 
 from softcal_jax.cli._commands import calibrate, demo, identify, simulate
 from softcal_jax.cli._compare import add_compare
-from softcal_jax.cli._console import PlainConsole, PlainParser
+from softcal_jax.cli._console import (
+    PlainConsole,
+    PlainParser,
+    escape_what_cannot_be_encoded,
+)
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Display,
@@ -56,6 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     # The start of the process will not do: a shell may have run in it before.
     begin = time.time() - (time.process_time() if argv is None else 0.0)
+    escape_what_cannot_be_encoded()
     words = list(sys.argv[1:] if argv is None else argv)
     if words[:2] == ["sweep", "show"]:  # one command for the parser
         words[:2] = ["sweep show"]

@@ -19,7 +19,7 @@ from scipy import sparse
 
 from softcal_jax._machine import available_cores
 from softcal_jax._typing import HostArray
-from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
+from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver, fix_threads
 from softcal_jax.equilibrium._sparsity import Sparsity
 
 _ANALYSE, _FACTORIZE, _SOLVE = 11, 22, 33
@@ -121,6 +121,7 @@ def _slot(symmetric: bool) -> _Slot:
 
     kind = _SYMMETRIC_INDEFINITE if symmetric else _STRUCTURALLY_SYMMETRIC
     pardiso = PyPardisoSolver(mtype=kind)
+    fix_threads(pardiso.libmkl)
     for entry, value in _OPTIONS.items():
         pardiso.set_iparm(entry, value)
     pardiso.set_iparm(_PERTURBATION, 8 if symmetric else 13)

@@ -3,9 +3,11 @@
 pyproject.toml installs PARDISO on x86-64 Linux and Windows, and KLU elsewhere.
 """
 
+import ctypes
 import os
 from abc import abstractmethod
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -119,12 +121,33 @@ _MKL_DOMAIN_PARDISO = 4
 """Code of PARDISO among the domains of oneMKL (mkl_types.h)."""
 
 
-def _load_pardiso(sparsity: Sparsity):
-    """Import pardiso-mkl-jax with OpenMP threads that do not spin.
+def fix_threads(mkl: ctypes.CDLL) -> None:
+    """Fix the number of threads of PARDISO at what it would take now.
 
-    MKL's threads would spin after each call, but the assembly needs their cores.
+    Otherwise `torch.set_num_threads`, or whatever sets it for OpenMP or all of oneMKL,
+    would change it, and PARDISO crashes where a factorization has fewer threads than
+    its analysis.
+    """
+    n = mkl.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
+    mkl.MKL_Domain_Set_Num_Threads(n, _MKL_DOMAIN_PARDISO)
+
+
+@cache
+def _mkl() -> ctypes.CDLL:
+    """Load oneMKL with OpenMP threads that do not spin, and a fixed number of them.
+
+    They would spin after each call, but the assembly needs their cores.
     """
     os.environ.setdefault("KMP_BLOCKTIME", "1")
+    from pardiso_mkl_jax._mkl_loader import libmkl_rt
+
+    fix_threads(libmkl_rt)
+    return libmkl_rt
+
+
+def _load_pardiso(sparsity: Sparsity):
+    """Import pardiso-mkl-jax, once oneMKL is loaded as it should be."""
+    _mkl()
     from pardiso_mkl_jax import MatrixType, primitive
 
     if sparsity.symmetric:
@@ -216,14 +239,13 @@ class Pardiso(AbstractLinearSolver):
 
         PARDISO plans for a number of threads, and fails if it differs later.
         """
-        from pardiso_mkl_jax._mkl_loader import libmkl_rt
-
-        before = libmkl_rt.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
-        libmkl_rt.MKL_Domain_Set_Num_Threads(1, _MKL_DOMAIN_PARDISO)
+        mkl = _mkl()
+        before = mkl.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
+        mkl.MKL_Domain_Set_Num_Threads(1, _MKL_DOMAIN_PARDISO)
         try:
             yield
         finally:
-            libmkl_rt.MKL_Domain_Set_Num_Threads(before, _MKL_DOMAIN_PARDISO)
+            mkl.MKL_Domain_Set_Num_Threads(before, _MKL_DOMAIN_PARDISO)
 
     def solve_again(self, values, rhs):
         """Solve with the factors of the last `factor_solve`."""
@@ -311,13 +333,3 @@ class Klu(AbstractLinearSolver):
         change = jnp.linalg.norm(shift[None] * answers, axis=1)
         regular = jnp.all(filled) & jnp.all(change <= _KLU_CHANGE)
         return x, jnp.full((), -1, jnp.int32), regular
-
-
-def require_float64() -> None:
-    """Raise unless JAX computes in float64; in float32 equilibria do not converge."""
-    if not jax.config.read("jax_enable_x64"):
-        raise ValueError(
-            "softcal_jax needs float64, but JAX is in float32. Put "
-            '`jax.config.update("jax_enable_x64", True)` at the top of your program, '
-            "or set JAX_ENABLE_X64=1."
-        )

@@ -10,16 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Shaped
 
+from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators import AbstractActuator, clique_nodes
 from softcal_jax.bodies import RigidBody
 from softcal_jax.configurations import Mechanism, build_mechanism
 from softcal_jax.elements import shape_functions, shape_gradients, tet_rule
 from softcal_jax.equilibrium._element import Formulation
-from softcal_jax.equilibrium._linear_solver import (
-    AbstractLinearSolver,
-    require_float64,
-)
+from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._solver_choice import (
     check_solver,
     choose_solver,
@@ -222,8 +220,9 @@ def build_model(
             not fit the mesh, the formulation is unknown or needs a potential that the
             law lacks, or the solver is unknown or cannot run where JAX computes.
         ImportError: If the package of the solver is not installed.
+        RuntimeError: If this process was forked from one that had computed.
     """
-    require_float64()
+    check_process()
     check_solver(solver)
     _check_fields(law, mesh.n_tets)
     density = _checked_density(density, mesh.n_tets)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
@@ -191,8 +192,11 @@ def solve_equilibrium(
         batch may fail; `check_converged` raises. With `path` the states along the load.
 
     Raises:
-        ValueError: If a path is asked for together with a guess, or under `jit`.
+        ValueError: If a path is asked for together with a guess, or under `jit`, or
+            float64 is off in JAX.
+        RuntimeError: If this process was forked from one that had computed.
     """
+    check_process()
     if path is not None:
         if guess is not None:
             raise ValueError("a path begins at rest: leave out `guess`.")

@@ -6,12 +6,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from heapq import heappop, heappush
 from queue import SimpleQueue
-from threading import Lock
+from threading import Lock, RLock
 from typing import Any, NamedTuple, TypeVar
 
 import jax
 
 from softcal_jax._machine import available_cores
+from softcal_jax._process import check_process
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
 
@@ -19,6 +20,10 @@ T = TypeVar("T")
 
 _COMPILED: set[Hashable] = set()
 """Programs that have run since JAX last forgot what it had compiled."""
+
+_TURN = RLock()
+"""Held by the thread whose workers run: how many threads PARDISO uses, and the factors
+of equal patterns, belong to the whole process."""
 
 _COMPILING: dict[Hashable, Lock] = {}
 """Locks held by the thread that compiles a program, while others wait."""
@@ -80,7 +85,8 @@ class Workers:
 
     Each thread runs whole lanes on one core, with a sparse solver of its own, because
     threads that share one would overwrite its factors. The result of a lane does not
-    depend on the thread.
+    depend on the thread. Where several threads of a program open such a context, each
+    waits for its turn.
 
     Attributes:
         n: Number of threads. With one, everything runs in the caller's thread and the
@@ -97,8 +103,10 @@ class Workers:
             n: Number of threads; by default that of usable cores.
 
         Raises:
-            ValueError: If `n` is less than one.
+            ValueError: If `n` is less than one, or float64 is off in JAX.
+            RuntimeError: If this process was forked from one that had computed.
         """
+        check_process()
         if n is not None and n < 1:
             raise ValueError(f"the number of workers must be at least 1, got {n}.")
         self._solver = model.solver
@@ -107,17 +115,21 @@ class Workers:
         self._free: SimpleQueue[AbstractLinearSolver] = SimpleQueue()
 
     def __enter__(self) -> "Workers":
-        if self.n > 1:
-            _forget_as_jax()
-            self._pool = ThreadPoolExecutor(self.n)
-            with self._solver.on_one_core():
-                for k in range(1, self.n + 1):
-                    self._free.put(jax.block_until_ready(self._solver.another(k)))
+        with ExitStack() as turn:
+            turn.enter_context(_TURN)
+            if self.n > 1:
+                _forget_as_jax()
+                self._pool = ThreadPoolExecutor(self.n)
+                with self._solver.on_one_core():
+                    for k in range(1, self.n + 1):
+                        self._free.put(jax.block_until_ready(self._solver.another(k)))
+            self._turn = turn.pop_all()
         return self
 
     def __exit__(self, *error) -> None:
         if self.n > 1:
             self._pool.shutdown(cancel_futures=True)
+        self._turn.close()
 
     def end_of(self, job: Job[T]) -> T:
         """Run one job and return its result; see `ends`."""

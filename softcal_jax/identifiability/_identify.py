@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
@@ -280,6 +281,7 @@ def survey(
     Arguments and errors are those of `rank_configurations`. The first `required`
     configurations, by default all, must have an equilibrium.
     """
+    check_process()
     if noise is not None and not 0.0 < noise < np.inf:
         raise ValueError(f"noise must be positive and finite [m], got {noise:g}.")
     space = as_space(parameters)

@@ -7,8 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
-
+from softcal_jax._process import check_process
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings
@@ -49,16 +48,13 @@ def load_project(
         ProjectError: If anything in it is wrong; the text names each key, says what
             was expected and suggests the closest match.
         ValueError: If float64 is off in JAX.
+        RuntimeError: If this process was forked from one that had computed.
 
     Warns:
         ProjectWarning: If a density, gravity, load or measured point is hard to
             believe.
     """
-    if not jax.config.read("jax_enable_x64"):
-        raise ValueError(
-            "a calibration needs float64, which is off: call "
-            'jax.config.update("jax_enable_x64", True) at the start of the program.'
-        )
+    check_process()
     path = Path(path)
     table = read_tables(path, changes)
     with in_file(path):

@@ -1,6 +1,6 @@
 """Lanes side by side on several threads, against the same lanes one after the other."""
 
-from threading import Barrier, BrokenBarrierError
+from threading import Barrier, BrokenBarrierError, Event, Thread
 
 import equinox as eqx
 import jax
@@ -132,6 +132,24 @@ def test_a_job_without_lanes_to_run_ends_at_once(cantilever):
 
     with Workers(cantilever[0], 8, 2) as workers:
         assert workers.ends([nothing(), nothing()]) == [7, 7]
+
+
+def test_threads_of_a_program_take_turns(cantilever):
+    """Else one would change the number of PARDISO's threads under the other."""
+    entered = Event()
+
+    def other():
+        with Workers(cantilever[0], 2, 2):
+            entered.set()
+
+    with Workers(cantilever[0], 2, 2):
+        with Workers(cantilever[0], 2, 2):
+            pass  # the thread whose turn it is need not wait for itself
+        thread = Thread(target=other)
+        thread.start()
+        assert not entered.wait(0.5)
+    thread.join(20.0)
+    assert entered.is_set()
 
 
 def test_there_are_no_more_threads_than_lanes(cantilever):

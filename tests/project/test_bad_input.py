@@ -459,6 +459,6 @@ def test_float32(tmp_path):
     path = write_small_project(tmp_path)
     with (
         jax.enable_x64(False),
-        pytest.raises(ValueError, match="needs float64, which is"),
+        pytest.raises(ValueError, match="needs float64, but JAX is"),
     ):
         load_project(path)

@@ -1,0 +1,37 @@
+"""What a process must be like for JAX to compute in it."""
+
+import os
+
+import jax
+
+_first: list[int] = []
+"""The process in which this package first computed; a forked child has a copy."""
+
+
+def check_process() -> None:
+    """Raise unless JAX can compute here, and in float64.
+
+    In float32 equilibria do not converge. A child that was forked lacks the threads
+    of JAX and of the sparse solver: a computation would wait for them for ever.
+
+    Raises:
+        ValueError: If float64 is off.
+        RuntimeError: If this process was forked from one that had computed.
+    """
+    if not jax.config.read("jax_enable_x64"):
+        raise ValueError(
+            "softcal_jax needs float64, but JAX is in float32. Put "
+            '`jax.config.update("jax_enable_x64", True)` at the top of your program, '
+            "or set JAX_ENABLE_X64=1."
+        )
+    here = os.getpid()
+    if not _first:
+        _first.append(here)
+    if _first[0] != here:
+        raise RuntimeError(
+            f"this process ({here}) was forked from one in which softcal_jax had "
+            f"computed ({_first[0]}), whose threads it lacks: it would wait for them "
+            'for ever. Start processes with `multiprocessing.get_context("spawn")`, '
+            "which a ProcessPoolExecutor takes as `mp_context`, or with joblib's "
+            '"loky".'
+        )
