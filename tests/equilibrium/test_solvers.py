@@ -29,6 +29,7 @@ from softcal_jax.equilibrium import build_model, factor_solve, tangent_values
 from softcal_jax.equilibrium._bordered import System
 from softcal_jax.equilibrium._linear_solver import (
     _MINIMUM_DEGREE,
+    _MKL_DOMAIN_PARDISO,
     _NESTED,
     Klu,
     Pardiso,
@@ -227,6 +228,20 @@ def test_solvers_of_the_cpu_have_a_clear_error_on_a_gpu(solver, monkeypatch):
     message = rf"'{solver}'.*computes on 'gpu'.*pardiso-host.*JAX_PLATFORMS=cpu"
     with pytest.raises(ValueError, match=message):
         linear_model(solver)
+
+
+def test_others_in_the_process_do_not_change_the_threads_of_pardiso():
+    """As `torch.set_num_threads` would, between an analysis and its factorization."""
+    linear_model("pardiso")
+    from pardiso_mkl_jax._mkl_loader import libmkl_rt
+
+    threads = lambda: libmkl_rt.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
+    before, for_all = threads(), libmkl_rt.MKL_Get_Max_Threads()
+    libmkl_rt.MKL_Set_Num_Threads(before + 1)
+    try:
+        assert threads() == before
+    finally:
+        libmkl_rt.MKL_Set_Num_Threads(for_all)
 
 
 def test_float32_has_a_clear_error():
