@@ -285,7 +285,7 @@ CASES = {
     "newton overflow": (
         (
             '[[configurations]]\nname = "weight"',
-            "[newton]\nmax_steps_per_load = 99999999999999999999\n\n"
+            "[newton]\nmax_steps_per_load = 99999999999\n\n"
             '[[configurations]]\nname = "weight"',
         ),
         "newton: max_steps_per_load must lie between 1 and 2147483647, got 99999999999",
@@ -293,10 +293,10 @@ CASES = {
     "settings overflow": (
         (
             '[[configurations]]\nname = "weight"',
-            "[settings]\nmax_steps = 99999999999999999999\n\n"
+            "[settings]\nmax_steps = 99999999999\n\n"
             '[[configurations]]\nname = "weight"',
         ),
-        "settings: max_steps must lie between 1 and 1000000, got 99999999999999999999.",
+        "settings: max_steps must lie between 1 and 1000000, got 99999999999.",
     ),
     "solver": (
         (
