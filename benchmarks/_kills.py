@@ -22,7 +22,7 @@ from softcal_jax.sweeps import read_sweep
 
 SEED = 22
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-TRIALS = 8
+TRIALS = 6
 """Trials of each sweep."""
 
 ENDS_S = 300.0

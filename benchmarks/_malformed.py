@@ -227,7 +227,7 @@ def wrong_types(given, random):
 @kind
 def deep_nesting(given, random):
     """Deep nesting."""
-    n = int(random.integers(500, 20000))
+    n = int(random.integers(200, 4900))
     open_, close = pick(random, [("[", "]"), ("{a=", "}"), ("[{a=", "}]")])
     return edit(given, ("[newton]\n", f"[newton]\nx = {open_ * n}1{close * n}\n"))
 

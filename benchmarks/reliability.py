@@ -36,7 +36,8 @@ GOALS = {
     "leaks_mb_per_call": Goal("at most", 0.1),
     "leaks_more_threads": NONE,
     "leaks_more_files": NONE,
-    "leaks_more_maps": NONE,
+    # The allocator maps and unmaps; a program that is compiled anew takes dozens.
+    "leaks_more_maps": Goal("at most", 50),
 }
 
 

@@ -4,6 +4,7 @@ import signal
 import sys
 import time
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -58,13 +59,18 @@ def test_the_oracles_laws_are_hookes_at_small_strain(law):
 @pytest.mark.slow  # a program for each kind of element
 @pytest.mark.parametrize("kind", BODIES[4::6])
 def test_the_oracle_and_the_package_agree_on_forces(kind):
-    """Two programs that share no line: only rounding may separate them."""
+    """Two programs that share no line: only rounding may separate them.
+
+    A flat tet magnifies it by the ratio of its height to its size.
+    """
     drawn = draw(np.random.default_rng(1), kind)
-    u = 1e-4 * np.random.default_rng(2).normal(size=drawn.body.points.shape)
+    # Quadratic in place, so that quadratic tets hold it and none is inverted.
+    X, A = drawn.body.points, 0.1 * np.random.default_rng(2).normal(size=(3, 3))
+    u = X @ A + X * X
     theirs = _oracle.Assembly(drawn.body).balance(u)
-    ours = np.asarray(internal_force(drawn.model, u))
+    ours = np.asarray(internal_force(drawn.model, jnp.asarray(u)))
     scale = np.abs(ours).max()
-    np.testing.assert_allclose(theirs.internal, ours, rtol=0, atol=1e-11 * scale)
+    np.testing.assert_allclose(theirs.internal, ours, rtol=0, atol=1e-9 * scale)
 
 
 @pytest.fixture(scope="module")
