@@ -121,7 +121,7 @@ def _slot(symmetric: bool) -> _Slot:
 
     kind = _SYMMETRIC_INDEFINITE if symmetric else _STRUCTURALLY_SYMMETRIC
     pardiso = PyPardisoSolver(mtype=kind)
-    fix_threads(pardiso.libmkl)
+    fix_threads(pardiso.libmkl)  # type: ignore[arg-type]  # its constructor loads it
     for entry, value in _OPTIONS.items():
         pardiso.set_iparm(entry, value)
     pardiso.set_iparm(_PERTURBATION, 8 if symmetric else 13)

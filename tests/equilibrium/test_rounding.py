@@ -29,19 +29,22 @@ def body(contrast):
     return build_model(MESH, NeoHookean(E, 0.3), density=1000.0)
 
 
-@pytest.mark.parametrize("contrast", [1.0, 1e6])
-def test_the_residual_is_relative_to_the_forces(contrast):
-    """To the larger of external and internal force, whatever is stiffest."""
+@pytest.mark.parametrize(("contrast", "rounding"), [(1.0, 0.1), (1e6, 0.5)])
+def test_the_residual_is_relative_to_the_forces(contrast, rounding):
+    """To the larger of external and internal force, whatever is stiffest.
+
+    A floor by the stiffest region would hide a factor of ten and more.
+    """
     model = body(contrast)
     solution = solve(model, LANES)
     inside = internal_force(model, solution.displacement[HANGING])
     outside = external_force(model, lane(LANES, HANGING))
     free = np.where(lane(LANES, HANGING).fixed, 0.0, inside - outside)
     scale = max(np.linalg.norm(inside), np.linalg.norm(outside))
-    # What is left is partly rounding, which another program does not repeat.
-    np.testing.assert_allclose(
-        solution.residual[HANGING], np.linalg.norm(free) / scale, rtol=0.1
-    )
+    # What is left is partly rounding, which another program does not repeat: more of
+    # it the stiffer a region is beside its load.
+    residual = np.linalg.norm(free) / scale
+    np.testing.assert_allclose(solution.residual[HANGING], residual, rtol=rounding)
 
 
 def test_rounding_that_stopped_the_solve_is_said():
