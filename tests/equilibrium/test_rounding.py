@@ -33,7 +33,7 @@ def body(contrast):
 def test_the_residual_is_relative_to_the_forces(contrast, rounding):
     """To the larger of external and internal force, whatever is stiffest.
 
-    A floor by the stiffest region would hide a factor of ten and more.
+    A floor by the stiffest region would hide most of it.
     """
     model = body(contrast)
     solution = solve(model, LANES)
