@@ -17,12 +17,14 @@ from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.materials import (
     AbstractLaw,
     Corotational,
+    Fibre,
     Gent,
     Isotropic,
     MooneyRivlin,
     NeoHookean,
     Ogden,
     StVenantKirchhoff,
+    TransverseIsotropic,
     Yeoh,
 )
 from softcal_jax.mesh import MeshWarning, TetMesh, beam, to_quadratic
@@ -72,7 +74,7 @@ def draw(random: np.random.Generator, kind: Kind) -> Drawn:
             formulation=kind.formulation,  # type: ignore[arg-type]
             solver=kind.solver,
         )
-    soft = float(np.min(constants.get("E", 3.0 * constants.get("mu", np.inf))))
+    soft = _softest(constants)
     size = soft * SIZE[1] * SIZE[2] * 10.0 ** random.uniform(-10.0, 0.5)
     push = size * random.normal(size=(1, 3)) * (random.random() < 0.7)
     node = mesh.node_groups["x_max"][[random.integers(len(mesh.node_groups["x_max"]))]]
@@ -88,6 +90,12 @@ def draw(random: np.random.Generator, kind: Kind) -> Drawn:
     mean = kind.formulation == "mean-dilatation"
     body = _oracle.Body(mesh.points, mesh.tets, kind.law, constants, mean, free, load)
     return Drawn(model, _first(lanes), body)
+
+
+def _softest(constants: dict[str, np.ndarray]) -> float:
+    """The smallest modulus of a body [Pa]."""
+    moduli = [constants[name] for name in ("E", "E_t", "E_l") if name in constants]
+    return float(np.min(moduli or 3.0 * constants["mu"]))
 
 
 def _first(lanes: ConfigurationArrays) -> ConfigurationArrays:
@@ -144,6 +152,17 @@ def _constants(
     if law in ("neo-hookean", "st-venant-kirchhoff", "corotational"):
         nu = random.choice([0.0, 0.3, 0.45, 0.499])
         return {"E": level, "nu": full(nu)}
+    if law == "transverse":
+        stiffer, nu_t = 10.0 ** random.uniform(-1.0, 1.0), random.uniform(0.0, 0.45)
+        most = np.sqrt((1.0 - nu_t) / (2.0 * stiffer))
+        return {
+            "E_t": level,
+            "E_l": stiffer * level,
+            "nu_t": full(nu_t),
+            "nu_tl": full(random.uniform(-0.9, 0.9) * most),
+            "mu_l": random.uniform(0.1, 1.0) * level,
+            "phi": random.uniform(0.0, np.pi, n),
+        }
     nu = full(random.choice([0.45, 0.49, 0.499]))
     if law == "gent":
         return {"mu": level, "J_m": full(random.uniform(3.0, 100.0)), "nu": nu}
@@ -178,6 +197,10 @@ def _law(name: str, constants: dict[str, np.ndarray]) -> AbstractLaw:
         return Corotational(Isotropic(**constants))
     if name == "st-venant-kirchhoff":
         return StVenantKirchhoff(Isotropic(**constants))
+    if name == "transverse":
+        own = {k: v for k, v in constants.items() if k != "phi"}
+        fibre = Fibre(constants["phi"], plane="xy")
+        return Corotational(TransverseIsotropic(**own, fibre=fibre))
     law = _LAWS[name]
     # The oracle has the shear modulus of every rubber, also where it follows.
     own = {k: v for k, v in constants.items() if k in law.__dataclass_fields__}

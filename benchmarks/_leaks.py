@@ -46,16 +46,29 @@ def meshes(count: int) -> int:
 
 
 def held() -> dict[str, float]:
-    """What this process holds: memory [MB], maps, threads and open files."""
+    """What this process holds: memory [MB], maps, threads and open files.
+
+    Of the maps only programs and files count: the allocator's own come and go.
+    """
     gc.collect()
     status = Path("/proc/self/status").read_text().splitlines()
     of = dict(line.split(":", 1) for line in status if ":" in line)
     return {
         "mb": int(of["VmRSS"].split()[0]) / 1024.0,
-        "maps": Path("/proc/self/maps").read_bytes().count(b"\n"),
+        "maps": sum(map(_is_program_or_file, _maps())),
         "threads": int(of["Threads"]),
         "files": len(os.listdir("/proc/self/fd")),
     }
+
+
+def _maps() -> list[list[str]]:
+    """Fields of each map: addresses, permissions, offset, device, inode, any path."""
+    lines = Path("/proc/self/maps").read_text().splitlines()
+    return [line.split(maxsplit=5) for line in lines]
+
+
+def _is_program_or_file(fields: list[str]) -> bool:
+    return "x" in fields[1] or fields[4] != "0"
 
 
 def main() -> None:

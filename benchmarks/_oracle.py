@@ -105,6 +105,41 @@ def _corotational(F, J, G, c):
     return (U * P[..., None, :]) @ V
 
 
+def _transverse(F, J, G, c):
+    """The stress of 1/2 e : C : e with the stretch less one, e = V^T s V - I.
+
+    In the principal axes de_ij = (s_i dF_ij + s_j dF_ji) / (s_i + s_j).
+    """
+    U, s, V = np.linalg.svd(F)
+    e = np.swapaxes(V, -1, -2) @ (s[..., None] * V) - np.eye(3)
+    inside = V @ _of_fibre(e, c) @ np.swapaxes(V, -1, -2)
+    share = 2.0 * s[..., :, None] / (s[..., :, None] + s[..., None, :])
+    return U @ (inside * share) @ V
+
+
+def _of_fibre(strain, c):
+    """The stress of a strain, by its compliance in axes with the fibre last."""
+    phi = c["phi"][..., 0, 0]
+    along = np.stack([np.cos(phi), np.sin(phi), 0.0 * phi], axis=-1)
+    beside = np.stack([-np.sin(phi), np.cos(phi), 0.0 * phi], axis=-1)
+    Q = np.stack([beside, np.cross(along, beside), along], axis=-2)
+    back = np.swapaxes(Q, -1, -2)
+    e = Q @ strain @ back
+    E_t, E_l, nu_t, nu_tl = (c[k][..., 0, 0] for k in ("E_t", "E_l", "nu_t", "nu_tl"))
+    S = np.zeros((*phi.shape, 3, 3))
+    S[..., 0, 0] = S[..., 1, 1] = 1.0 / E_t
+    S[..., 0, 1] = S[..., 1, 0] = -nu_t / E_t
+    S[..., :2, 2] = S[..., 2, :2] = (-nu_tl / E_t)[..., None]
+    S[..., 2, 2] = 1.0 / E_l
+    normal = np.diagonal(e, axis1=-2, axis2=-1)[..., None]
+    stress = np.zeros_like(e)
+    stress[..., range(3), range(3)] = np.linalg.solve(S, normal)[..., 0]
+    across, mu_l = E_t / (2.0 * (1.0 + nu_t)), c["mu_l"][..., 0, 0]
+    for i, j, mu in ((0, 1, across), (0, 2, mu_l), (1, 2, mu_l)):
+        stress[..., i, j] = stress[..., j, i] = 2.0 * mu * e[..., i, j]
+    return back @ stress @ Q
+
+
 def _volume(J, G, c):
     """The stress of K/4 (J^2 - 1 - 2 ln J)."""
     bulk = c["mu"] * 2.0 * (1.0 + c["nu"]) / (3.0 * (1.0 - 2.0 * c["nu"]))
@@ -149,6 +184,7 @@ STRESSES = {
     "neo-hookean": _neo_hookean,
     "st-venant-kirchhoff": _st_venant_kirchhoff,
     "corotational": _corotational,
+    "transverse": _transverse,
     "mooney-rivlin": _by_invariants(lambda x, c: c["c10"], lambda c: c["c01"]),
     "yeoh": _by_invariants(_yeoh, lambda c: 0.0),
     "gent": _by_invariants(_gent, lambda c: 0.0),
@@ -230,6 +266,8 @@ class Assembly:
     def _stiffest(self) -> np.ndarray:
         """The largest modulus of each tet, against change of volume [Pa]."""
         c = self.body.constants
+        if "E_t" in c:
+            return 10.0 * np.maximum(c["E_t"], c["E_l"])
         if "E" in c:
             return c["E"] * (1.0 + 1.0 / (1.0 - 2.0 * c["nu"]))
         return c["mu"] * (4.0 + 2.0 / (1.0 - 2.0 * c["nu"]))

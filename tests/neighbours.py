@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 import scipy.linalg
 
 
@@ -201,6 +202,20 @@ def fork_after(folder):
     said = _forked(folder)
     assert "was forked from one in which softcal_jax had computed" in said, said
     assert 'get_context("spawn")' in said
+    return [first, calibrated(folder)]
+
+
+def float32_later(folder):
+    """Another part of the program switches float64 off between two calibrations."""
+    import jax
+    from small_project import write_small_project
+
+    from softcal_jax.project import load_project
+
+    first = calibrated(folder)
+    jax.config.update("jax_enable_x64", False)
+    with pytest.raises(ValueError, match="needs float64, but JAX is in float32"):
+        load_project(write_small_project(Path(folder))).calibrate()
     return [first, calibrated(folder)]
 
 

@@ -156,8 +156,8 @@ class Parameter(AbstractFieldEntry):
             )
         if not lower <= start <= upper:
             raise ValueError(
-                f"{what}: the start {show(start)} lies outside its bounds "
-                f"[{show(lower)}, {show(upper)}]."
+                f"{what}: the start {show(start)} does not lie between lower "
+                f"{show(lower)} and upper {show(upper)}."
             )
         if self.scale not in ("log", "linear"):
             raise ValueError(

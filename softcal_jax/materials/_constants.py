@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax._units import readable
 
 
 def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
@@ -150,8 +151,9 @@ def check_fibre_ratio(
         i = int(np.argmax(bad))
         raise ValueError(
             f"nu_tl must lie in (-{limit[i]:.4g}, {limit[i]:.4g}) for E_t = "
-            f"{stiff_t[i]:g} Pa, E_l = {stiff_l[i]:g} Pa, nu_t = {plane[i]:g}, or the "
-            f"stiffness is not positive definite; got {ratio[i]:g}."
+            f"{readable(stiff_t[i], 'Pa')}, E_l = {readable(stiff_l[i], 'Pa')}, "
+            f"nu_t = {plane[i]:g}, or the stiffness is not positive definite; got "
+            f"{ratio[i]:g}."
         )
 
 
@@ -171,6 +173,7 @@ def check_shared_ratio(
     if np.any(bad):
         i = int(np.argmax(bad))
         raise ValueError(
-            f"nu must lie in ({low[i]:.4g}, {high[i]:.4g}) for E_t = {stiff_t[i]:g} "
-            f"Pa, E_l = {stiff_l[i]:g} Pa, got {ratio[i]:g}."
+            f"nu must lie in ({low[i]:.4g}, {high[i]:.4g}) for E_t = "
+            f"{readable(stiff_t[i], 'Pa')}, E_l = {readable(stiff_l[i], 'Pa')}, got "
+            f"{ratio[i]:g}."
         )

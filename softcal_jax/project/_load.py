@@ -118,7 +118,7 @@ def _model(folder: Path, table: ProjectTable) -> Model:
         with under(f"groups.{name}"):
             mesh = group.add(mesh, name)
     bodies, actuators = _parts(table, mesh)
-    with under("material"):
+    with under("material", table.material.typed):
         return build_model(
             mesh,
             table.material.build(mesh, partial(table.mesh.tet_data, folder)),

@@ -218,7 +218,7 @@ def build_space(table: "ProjectTable") -> ParameterSpace | None:
             points.build()
     entries: list[Entry] = []
     for own in table.parameters:
-        with under(f"parameters.{own.label}"):
+        with under(f"parameters.{own.label}", own.typed):
             entries.append(own.build(table))
     for i, own in enumerate(table.setup, start=1):
         with under(f"setup[{i}].{own.label}"):
@@ -265,9 +265,10 @@ def _each(
 def _check_within(parameter: Parameter, within: tuple[float, float]) -> None:
     """Raise unless the bounds lie where the law is meaningful."""
     low, high = within
-    for bound in map(float, (parameter.lower, parameter.upper)):
+    for key in ("lower", "upper"):
+        bound = float(getattr(parameter, key))
         if not low < bound < high:
             raise ValueError(
-                f"the bounds of {parameter.name} must lie in ({low:g}, {high:g}), got "
+                f"{key} of {parameter.name} must lie in ({low:g}, {high:g}), got "
                 f"{readable(bound, parameter.unit)}."
             )

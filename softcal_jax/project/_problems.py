@@ -4,7 +4,7 @@ import contextlib
 import functools
 import re
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Any, NamedTuple, get_args
@@ -63,8 +63,11 @@ class WrongKeyError(ValueError):
 
 
 @contextlib.contextmanager
-def under(key: str) -> Iterator[None]:
-    """Prefix errors raised inside, and their keys, with a key."""
+def under(key: str, typed: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Prefix errors raised inside, and their keys, with a key.
+
+    What is `typed` there is quoted for each of its keys that an error names.
+    """
     try:
         yield
     except ProjectError:
@@ -72,7 +75,17 @@ def under(key: str) -> Iterator[None]:
     except WrongKeyError as error:
         raise WrongKeyError(f"{key}.{error.key}", error.problem) from error
     except (ValueError, OSError, ImportError) as error:
-        raise WrongKeyError(key, error) from error
+        raise WrongKeyError(key, f"{error}{_quoted(str(error), typed)}") from error
+
+
+def _quoted(problem: str, typed: Mapping[str, str] | None) -> str:
+    """Quote what is typed for the keys that a problem names in other units."""
+    quotes = [
+        f"{key} = {shown(text)}"
+        for key, text in (typed or {}).items()
+        if re.search(rf"\b{re.escape(key)}\b", problem) and text not in problem
+    ]
+    return f" The file has {', '.join(quotes)}." if quotes else ""
 
 
 @contextlib.contextmanager

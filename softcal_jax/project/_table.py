@@ -1,6 +1,6 @@
 """What all tables of a project file share; parsed values are in SI units."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import (
@@ -10,8 +10,10 @@ from pydantic import (
     Discriminator,
     Field,
     GetCoreSchemaHandler,
+    PrivateAttr,
     Strict,
     Tag,
+    model_validator,
 )
 from pydantic_core import PydanticKnownError, core_schema
 
@@ -74,6 +76,22 @@ class Table(BaseModel):
     """A table of the file; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    _typed: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _remember(cls, raw: Any, handler: Callable[[Any], Any]) -> Any:
+        table = handler(raw)
+        if isinstance(raw, dict):
+            texts = {k: v for k, v in raw.items() if isinstance(v, str)}
+            table._typed = texts
+        return table
+
+    @property
+    def typed(self) -> dict[str, str]:
+        """Its texts, quantities with their units among them, as they were typed."""
+        return self._typed
 
     @classmethod
     def foreign(cls, key: str) -> str | None:

@@ -56,6 +56,18 @@ def test_the_oracles_laws_are_hookes_at_small_strain(law):
     np.testing.assert_allclose(np.diag(P), [1.2 * e, 0.4 * e, 0.4 * e], rtol=1e-5)
 
 
+def test_the_oracles_fibres_keep_to_hookes_law_by_its_constants():
+    """A bar along its fibre, and one across it, under tension alone."""
+    c = {"E_t": 2.0, "E_l": 8.0, "nu_t": 0.3, "nu_tl": 0.1, "mu_l": 0.7}
+    e = 1e-6
+    along = stretch("transverse", 1.0 + e * np.array([1, -0.4, -0.4]), phi=0.0, **c)
+    np.testing.assert_allclose(along, np.diag([8.0 * e, 0, 0]), rtol=1e-5, atol=1e-11)
+    across = stretch(
+        "transverse", 1.0 + e * np.array([1, -0.1, -0.3]), phi=np.pi / 2, **c
+    )
+    np.testing.assert_allclose(across, np.diag([2.0 * e, 0, 0]), rtol=1e-5, atol=1e-11)
+
+
 @pytest.mark.slow  # a program for each kind of element
 @pytest.mark.parametrize("kind", BODIES[4::6])
 def test_the_oracle_and_the_package_agree_on_forces(kind):

@@ -67,7 +67,10 @@ def test_apply_passes_derivatives_to_every_parameter(model):
     ("changes", "message"),
     [
         ({"lower": 1e6, "upper": 1e5}, "bounds are crossed, lower 1e+06"),
-        ({"start": 2e6}, r"start 2e\+06 lies outside its bounds \[100000, 1e\+06\]"),
+        (
+            {"start": 2e6},
+            "start 2e[+]06 does not lie between lower 100000 and upper 1e+06",
+        ),
         ({"start": np.nan}, "must be finite"),
         ({"lower": -1.0}, "a log scale needs positive bounds"),
         ({"scale": "linear", "S": 0.0}, "S must be positive, got 0"),

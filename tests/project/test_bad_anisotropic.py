@@ -127,8 +127,8 @@ CASES = {
     ),
     "start outside": (
         ('{ "CP 2" = "0.6 MPa" }', '{ "CP 2" = "6 MPa" }'),
-        "parameters.E_t: parameter 'E_t of CP 2': the start 6 MPa lies outside its "
-        "bounds [50 kPa, 1 MPa].",
+        "parameters.E_t: parameter 'E_t of CP 2': the start 6 MPa does not lie "
+        "between lower 50 kPa and upper 1 MPa.",
     ),
     "a bound for one of two": (
         (THETA_BOUNDS, 'lower = { "CP 1" = "-90 deg" }\nupper = "90 deg"'),
@@ -300,3 +300,18 @@ def test_nothing_at_all(tmp_path):
     assert problems_of(path) == [
         "configurations: missing. Expected at least one table [[configurations]]."
     ]
+
+
+def test_constants_that_do_not_fit_are_quoted_as_they_are_typed(tmp_path):
+    path = write_anisotropic_project(
+        tmp_path,
+        ('"reduced-transverse-isotropic"', '"transverse-isotropic"'),
+        ("nu = 0.3", 'nu_t = 0.3\nnu_tl = 0.9\nmu_l = "200 kPa"'),
+        ('E_t = "700 kPa"', 'E_t = "0.7 MPa"'),
+    )
+    (problem,) = problems_of(path)
+    assert problem == (
+        "material: nu_tl must lie in (-0.7826, 0.7826) for E_t = 700 kPa, E_l = 400 "
+        "kPa, nu_t = 0.3, or the stiffness is not positive definite; got 0.9. The file "
+        'has E_t = "0.7 MPa".'
+    )

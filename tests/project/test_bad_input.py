@@ -126,19 +126,24 @@ CASES = {
     ),
     "start outside": (
         ('lower = "100 kPa"', 'lower = "250 kPa"'),
-        "parameters.E: parameter 'E': the start 200 kPa lies outside its bounds "
-        "[250 kPa, 1 MPa].",
+        "parameters.E: parameter 'E': the start 200 kPa does not lie between lower "
+        "250 kPa and upper 1 MPa.",
+    ),
+    "bounds in another unit": (
+        ('lower = "100 kPa"', 'lower = "0.25 MPa"'),
+        "parameters.E: parameter 'E': the start 200 kPa does not lie between "
+        'lower 250 kPa and upper 1 MPa. The file has lower = "0.25 MPa".',
     ),
     "negative modulus": (
         ('lower = "100 kPa"', 'lower = "-1 Pa"\nscale = "linear"'),
-        "parameters.E: the bounds of E must lie in (0, inf), got -1 Pa.",
+        "parameters.E: lower of E must lie in (0, inf), got -1 Pa.",
     ),
     "bounds of nu": (
         (
             'field = "E"\nlower = "100 kPa"\nupper = "1 MPa"',
             'field = "nu"\nlower = 0.2\nupper = 0.5',
         ),
-        "parameters.nu: the bounds of nu must lie in (-1, 0.5), got 0.5.",
+        "parameters.nu: upper of nu must lie in (-1, 0.5), got 0.5.",
     ),
     "parameter twice": (
         (
