@@ -53,12 +53,13 @@ from softcal_jax.mesh import beam, read_mesh, select_nodes
 
 if TYPE_CHECKING:
     from softcal_jax.project import load_project
-    from softcal_jax.report import write_results
+    from softcal_jax.report import load_result, write_results
 
 __version__ = version("softcal-jax")
 
 _ON_DEMAND = {
     "load_project": "softcal_jax.project",
+    "load_result": "softcal_jax.report",
     "write_results": "softcal_jax.report",
 }
 """Names that are imported on first use, since their packages take long to load."""
@@ -94,6 +95,7 @@ __all__ = [
     "compare_laws",
     "identify",
     "load_project",
+    "load_result",
     "profile_intervals",
     "rank_configurations",
     "read_markers",

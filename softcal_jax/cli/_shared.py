@@ -125,7 +125,7 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
     from softcal_jax.configurations import TrackerWarning
     from softcal_jax.mesh import MeshWarning
     from softcal_jax.project import ProjectWarning
-    from softcal_jax.report import PictureWarning
+    from softcal_jax.report import PictureWarning, ResultWarning
 
     own = (
         CalibrationWarning,
@@ -133,6 +133,7 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
         MeshWarning,
         ProjectWarning,
         PictureWarning,
+        ResultWarning,
         TrackerWarning,
     )
     with warnings.catch_warnings():

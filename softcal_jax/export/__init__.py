@@ -19,16 +19,19 @@ from softcal_jax.export._folder import (
     results_folder,
 )
 from softcal_jax.export._json import (
+    RESULT_FORMAT,
     identifiability_dict,
     outlook_dict,
     result_dict,
     simulation_dict,
 )
 from softcal_jax.export._plain import write_json
+from softcal_jax.export._source import source_dict
 from softcal_jax.export._vtu import write_vtu
 from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
+    "RESULT_FORMAT",
     "Readable",
     "budget_dict",
     "check_results_folder",
@@ -42,6 +45,7 @@ __all__ = [
     "result_dict",
     "results_folder",
     "simulation_dict",
+    "source_dict",
     "write_effectors_csv",
     "write_json",
     "write_markers_csv",

@@ -1,5 +1,11 @@
-"""The results folder and the tables for the terminal."""
+"""The results folder, written and loaded, and the tables for the terminal."""
 
+from softcal_jax.report._load import (
+    LoadedResult,
+    ResultError,
+    ResultWarning,
+    load_result,
+)
 from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (
     PictureWarning,
@@ -10,7 +16,11 @@ from softcal_jax.report._write import (
 )
 
 __all__ = [
+    "LoadedResult",
     "PictureWarning",
+    "ResultError",
+    "ResultWarning",
+    "load_result",
     "simulation_table",
     "summary_table",
     "write_comparison",

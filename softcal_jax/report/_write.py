@@ -67,7 +67,8 @@ def write_results(
         FileExistsError: If the folder is not empty, and `force` is off or it is not a
             results folder.
     """
-    data = result_dict(result, name=name, assessment=assessment, timing_s=timing_s)
+    more: dict[str, Any] = {"assessment": assessment, "timing_s": timing_s}
+    data = result_dict(result, name=name, directory=directory, **more)
     return _write(result, data, Path(directory), "result.json", force=force)
 
 
