@@ -18,6 +18,7 @@ from softcal_jax.export._folder import (
     file_stems,
     results_folder,
 )
+from softcal_jax.export._inp import write_inp
 from softcal_jax.export._json import (
     RESULT_FORMAT,
     identifiability_dict,
@@ -47,6 +48,7 @@ __all__ = [
     "simulation_dict",
     "source_dict",
     "write_effectors_csv",
+    "write_inp",
     "write_json",
     "write_markers_csv",
     "write_robot_csv",

@@ -25,6 +25,7 @@ from softcal_jax.mesh._topology import (
     boundary_tets,
     face_shares,
     surface_shares,
+    tet_faces,
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
@@ -53,6 +54,7 @@ __all__ = [
     "select_faces",
     "select_nodes",
     "surface_shares",
+    "tet_faces",
     "to_linear",
     "to_quadratic",
     "tripod",

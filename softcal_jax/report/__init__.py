@@ -1,5 +1,6 @@
-"""The results folder, written and loaded, and the tables for the terminal."""
+"""Results written, loaded and exported, and the tables for the terminal."""
 
+from softcal_jax.report._export import export_inp
 from softcal_jax.report._load import (
     LoadedResult,
     ResultError,
@@ -20,6 +21,7 @@ __all__ = [
     "PictureWarning",
     "ResultError",
     "ResultWarning",
+    "export_inp",
     "load_result",
     "simulation_table",
     "summary_table",
