@@ -153,7 +153,7 @@ def _materials(model: Model) -> tuple[list[str], list[str]]:
         lines += [f"*ELSET, ELSET=E{k + 1}", *_members(tets)]
         lines += [f"*MATERIAL, NAME=M{k + 1}", law.keyword]
         lines += _rows(map(_number, constants))
-        lines += ["*DENSITY", _number(rho)] * (rho > 0.0)
+        lines += ["*DENSITY", _number(rho)] if rho > 0.0 else []
         lines.append(f"*SOLID SECTION, ELSET=E{k + 1}, MATERIAL=M{k + 1}{axes}")
     return notes, lines
 
