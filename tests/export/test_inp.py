@@ -507,13 +507,20 @@ def test_calculix_locks_where_we_do_not(tmp_path):
 
 @pytest.mark.slow
 @needs_calculix
-@pytest.mark.parametrize("order", [1, 2])
-def test_calculix_inflates_a_cube_as_we_do(order, tmp_path):
-    """Pressures follow the wall in both programs."""
+@pytest.mark.parametrize(
+    ("order", "pressure", "allowed"),
+    [(1, 1.5e4, 1e-4), (2, 1.5e4, 5e-3), (2, 1.5e3, 5e-4)],
+)
+def test_calculix_inflates_a_cube_as_we_do(order, pressure, allowed, tmp_path):
+    """Pressures follow the wall in both programs.
+
+    On curved faces the product of area vector and shape functions is of degree 4, for
+    which CalculiX has too few points: the difference falls with the curvature.
+    """
     law = StVenantKirchhoff(Isotropic(2e5, 0.3))
-    found, motion = difference(tmp_path, *inflated(order, law, 1.5e4))
+    found, motion = difference(tmp_path, *inflated(order, law, pressure))
     assert motion > 1e-3
-    assert found < 1e-3
+    assert found < allowed
 
 
 @pytest.mark.slow
