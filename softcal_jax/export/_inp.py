@@ -188,7 +188,7 @@ def _supports(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
         return
     yield "*BOUNDARY"
     for node, axis in np.argwhere(fixed):
-        value = _number(imposed[node, axis])
+        value = _number(float(imposed[node, axis]))
         yield f"{node + 1}, {axis + 1}, {axis + 1}, {value}"
 
 
@@ -198,7 +198,7 @@ def _loads(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     if force.any():
         yield "*CLOAD"
         for node, axis in np.argwhere(force):
-            yield f"{node + 1}, {axis + 1}, {_number(force[node, axis])}"
+            yield f"{node + 1}, {axis + 1}, {_number(float(force[node, axis]))}"
     g = np.asarray(c.acceleration)
     size = float(np.linalg.norm(g))
     if size > 0.0 and np.any(np.asarray(model.density) > 0.0):
@@ -250,4 +250,4 @@ def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     for face, owner in zip(np.sort(walls.faces[:, :3]), walls.face_owner, strict=True):
         if acting[owner]:
             tet, side = divmod(place[tuple(face.tolist())], 4)
-            yield f"{tet + 1}, P{side + 1}, {_number(forces[owner])}"
+            yield f"{tet + 1}, P{side + 1}, {_number(float(forces[owner]))}"
