@@ -25,6 +25,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import build_model, solve_from_rest
 from softcal_jax.export import write_inp
+from softcal_jax.export._inp import _check_rims
 from softcal_jax.materials import (
     Corotational,
     Fibre,
@@ -407,6 +408,22 @@ def test_pressure_acts_on_the_wall(order, tmp_path):
     assert found == {frozenset(face) for face in wall.tolist()}
     assert len(loads.rows) == len(wall)
     assert not only(blocks, "DENSITY")
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_an_open_wall_must_be_held_at_its_rim(order):
+    """One face fewer leaves a rim of three corners, and their mid nodes."""
+    model, _ = inflated(order)
+    wall = model.mesh.surface_groups["cavity"]
+    fixed = np.zeros((model.n_points, 3), bool)
+    _check_rims("chamber 'c'", wall, fixed)
+    fixed[wall[0]] = True
+    _check_rims("chamber 'c'", wall[1:], fixed)
+    fixed[wall[0, -1], 1] = False
+    with pytest.raises(
+        ValueError, match=r"chamber 'c': its wall is open.* 1 nodes are"
+    ):
+        _check_rims("chamber 'c'", wall[1:], fixed)
 
 
 def solved_by_calculix(folder, n_nodes):
