@@ -11,6 +11,7 @@ from softcal_jax.materials._elasticity import (
     AbstractElasticity,
     Isotropic,
     StVenantKirchhoff,
+    Tabulated,
     lame,
 )
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
@@ -65,6 +66,7 @@ __all__ = [
     "PointValues",
     "ReducedTransverseIsotropic",
     "StVenantKirchhoff",
+    "Tabulated",
     "TransverseHyperelastic",
     "TransverseIsotropic",
     "Yeoh",
