@@ -12,15 +12,13 @@ from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.configurations import (
-    Configuration,
-    Registration,
     build_mechanism,
     configuration_arrays,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
 from softcal_jax.fields import check_parameters
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._configurations import build_configuration
+from softcal_jax.project._configurations import Built, build_configuration
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
 from softcal_jax.project._plausibility import ProjectWarning, implausible
@@ -83,7 +81,7 @@ def _built(path: Path, table: ProjectTable) -> Project:
     posed = found["configurations"]
     of_role = lambda role: tuple(
         configuration
-        for (configuration, _), own in zip(posed, table.configurations, strict=True)
+        for (configuration, *_), own in zip(posed, table.configurations, strict=True)
         if own.role == role
     )
     own = {"noise", "starts", "seed", "intervals", "precision"}
@@ -100,13 +98,14 @@ def _built(path: Path, table: ProjectTable) -> Project:
         space=space,
         calibration=of_role("calibration"),
         validation=of_role("validation"),
-        candidates=tuple(candidate for candidate, _ in found["candidates"]),
+        candidates=tuple(own.configuration for own in found["candidates"]),
         **table.settings.model_dump(include=own),
         uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
         files=_files(path, table),
-        registrations={c.name: fitted for c, fitted in posed if fitted is not None},
+        registrations={c.name: fit for c, fit, _ in posed if fit is not None},
+        traces={c.name: own for c, _, own in posed if own is not None},
     )
 
 
@@ -154,11 +153,11 @@ def _parts(
 
 def _configurations(
     folder: Path, table: ProjectTable, model: Model
-) -> dict[str, list[tuple[Configuration, Registration | None]]]:
+) -> dict[str, list[Built]]:
     """Build the configurations and the candidates, by their keys."""
     with under("effectors"):
         effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
-    found = {"configurations": [], "candidates": []}
+    found: dict[str, list[Built]] = {"configurations": [], "candidates": []}
     for key, built in found.items():
         for own in getattr(table, key):
             with under(f"{key}.{own.name}"):
@@ -166,7 +165,7 @@ def _configurations(
     for key, built in found.items():
         with under(key):
             if built:
-                posed = [configuration for configuration, _ in built]
+                posed = [own.configuration for own in built]
                 configuration_arrays(model.mesh, posed, model.mechanism)
     names = {own.name for own in table.configurations}
     for candidate in table.candidates:

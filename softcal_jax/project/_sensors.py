@@ -29,6 +29,12 @@ from softcal_jax.project._table import (
 Selection = dict[str, str]
 """Values that the selected rows of a file of readings have, by column."""
 
+Delimiter = Literal[",", ";", "\t", "|"]
+"""What stands between the columns of a file, where its header does not tell."""
+
+Decimal = Literal[".", ","]
+"""What stands before decimals, where the numbers of a file do not tell."""
+
 _UNIT_LENGTH = 1e-3
 """Tolerance on the length of a quaternion, above the rounding of four digits."""
 
@@ -97,6 +103,8 @@ class MeasuredPoseTable(OrientationTable):
     file: str | None = None
     format: Literal["table", "polhemus"] = "table"
     length_unit: LengthUnit | None = None
+    delimiter: Delimiter | None = None
+    decimal: Decimal | None = None
     angle_unit: Literal["deg", "rad"] = "deg"
     sensor: str | None = None
     station: Integer | None = None
@@ -122,7 +130,9 @@ class MeasuredPoseTable(OrientationTable):
             raise ValueError("got a pose and a file; give one of them.")
         of_other = {
             "table": {"station", "angle_unit"},
-            "polhemus": {"sensor", "select", "displacement_from"},
+            "polhemus": {
+                *("sensor", "select", "displacement_from", "delimiter", "decimal")
+            },
         }
         foreign = sorted(given & of_other[self.format])
         if foreign:
@@ -185,7 +195,10 @@ class MeasuredPoseTable(OrientationTable):
             return PoseTable(("sensor",), p, R, (1,), "the pose")
         path = folder / self.file
         if self.format == "table":
-            return read_poses(path, length_unit=self.length_unit, select=select)
+            dialect = {"delimiter": self.delimiter, "decimal": self.decimal}
+            return read_poses(
+                path, length_unit=self.length_unit, select=select, **dialect
+            )
         station = self.station
         return read_polhemus(
             path,
