@@ -21,6 +21,7 @@ from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Built, build_configuration
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
+from softcal_jax.project._photos import PhotosTable
 from softcal_jax.project._plausibility import ProjectWarning, implausible
 from softcal_jax.project._problems import WrongKeyError, in_file, under
 from softcal_jax.project._project import Project
@@ -183,4 +184,6 @@ def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
     measured = [c.measured for c in table.configurations if c.measured is not None]
     readings = [own for m in measured for own in (m, *m.effectors.values())]
     files = dict.fromkeys(getattr(own, "file", None) for own in (table.mesh, *readings))
-    return (path, *(path.parent / name for name in files if name is not None))
+    photos = [own for own in readings if isinstance(own, PhotosTable)]
+    shown = dict.fromkeys(file for own in photos for file in own.files(path.parent))
+    return (path, *(path.parent / name for name in files if name is not None), *shown)

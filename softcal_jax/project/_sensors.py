@@ -1,7 +1,7 @@
 """Tables of a project file for the places and readings of 6-D sensors."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -96,6 +96,19 @@ class FrameTable(OrientationTable):
         return Pose.from_matrix(self.rotation, np.array(self.position))
 
 
+class MeasuredMotion(NamedTuple):
+    """The motion of a rigid body, and what its measurement says of its errors.
+
+    Attributes:
+        pose: The motion.
+        covariance: Of its translation and of a rotation vector, in the axes of the
+            mesh; None where nothing is known of it [m, rad].
+    """
+
+    pose: Pose
+    covariance: Float[HostArray, "6 6"] | None
+
+
 class MeasuredPoseTable(OrientationTable):
     """The pose of a 6-D sensor, written out or read from a file."""
 
@@ -155,7 +168,7 @@ class MeasuredPoseTable(OrientationTable):
         base: FrameTable,
         mounted: OrientationTable,
         rest: Float[HostArray, "3"],
-    ) -> Pose:
+    ) -> MeasuredMotion:
         """Compute the motion of a rigid body from the pose of the sensor on it.
 
         It is the motion from rest, or with `displacement_from` between two readings, so
@@ -172,7 +185,8 @@ class MeasuredPoseTable(OrientationTable):
         if self.displacement_from is not None:
             earlier = {**self.select, **self.displacement_from}
             before, mounting = self._mean(folder, base, earlier)
-        return Pose.from_matrix(rotation @ mounting.T, position - before)
+        motion = Pose.from_matrix(rotation @ mounting.T, position - before)
+        return MeasuredMotion(motion, None)
 
     def _mean(
         self, folder: Path, base: FrameTable, select: Selection
