@@ -10,7 +10,7 @@ from softcal_jax.plotting._traces import traces_figure
 
 
 def traces(*, names=("tip", "base"), windows=None):
-    """A marker that rises by 1 mm/s and is not seen in two frames, beside a still one."""
+    """A marker that rises by 1 mm/s, and is not seen in two frames."""
     t = np.arange(100) / 10.0
     positions = np.zeros((100, 3, 3))
     positions[:, 0, 2] = 1e-3 * t
