@@ -139,7 +139,7 @@ def test_the_plateau_is_found(seed):
     """Between the rise, the slow creep and the release, and nowhere at rest."""
     recording = noisy(seed)
     start, stop = recording.plateau(0.5).window
-    assert 2.7 < start < 4.2
+    assert 2.6 < start < 4.2
     assert 5.9 < stop < 6.0
     table = recording.plateau(0.5, after_step_of="tip")
     assert table.window == (start, stop)
@@ -155,14 +155,17 @@ def test_a_recording_at_rest_is_one_plateau():
     assert rest.plateau(1.0).window == pytest.approx((0.0, 1.49))
 
 
-def test_occlusions_do_not_end_a_plateau():
+def test_a_plateau_goes_on_while_something_that_moves_is_seen():
     recording = noisy()
     positions = recording.positions.copy()
     positions[450:470, 1] = np.nan
     gap = Recording(NAMES, recording.times, positions, "run")
     start, stop = gap.plateau(0.5).window
-    assert start < 4.5 or start >= 4.69
-    assert stop - start >= 0.5
+    assert stop < 4.5 or start >= 4.69
+    positions[:, 0] = recording.positions[:, 1]
+    start, stop = gap.plateau(0.5).window
+    assert start < 4.5
+    assert stop > 4.7
 
 
 def test_no_plateau():
@@ -171,8 +174,8 @@ def test_no_plateau():
     positions = np.zeros((400, 2, 3))
     positions[:, 1, 0] = 0.05 * np.sin(3.0 * t)
     moving = Recording(NAMES, t, positions, "run")
-    with pytest.raises(ValueError, match=r"no plateau of 1 s: even in the stillest"):
-        moving.plateau(1.0)
+    with pytest.raises(ValueError, match=r"no plateau of 0.3 s: even in the stillest"):
+        moving.plateau(0.3)
     with pytest.raises(ValueError, match="held for less than 5 s away from"):
         noisy().plateau(5.0)
     with pytest.raises(ValueError, match=r"a plateau has a positive length \[s\]"):
