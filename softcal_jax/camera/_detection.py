@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import UInt8
 from scipy.ndimage import map_coordinates
 
 from softcal_jax._files import check_file
@@ -88,15 +89,14 @@ def _read(path: Path, changed: int, size: int) -> Photo:
                 f"photograph {path} has tag {number} {numbers.count(number)} times: "
                 "use each tag once, and cover the others."
             )
-    linear = _linear(image)
     corners = {
-        number: _refined(linear, np.reshape(own, (4, 2)).astype(float))
+        number: _refined(image, np.reshape(own, (4, 2)).astype(float))
         for number, own in zip(numbers, found, strict=True)
     }
     return Photo(path, (image.shape[1], image.shape[0]), corners)
 
 
-def _linear(image: HostArray) -> Float[HostArray, "height width"]:
+def _linear(image: UInt8[HostArray, "h w"]) -> Float[HostArray, "h w"]:
     """Undo the encoding of sRGB (IEC 61966-2-1), after which blur moves no edge [-]."""
     levels = np.arange(256) / 255.0
     curve = ((levels + 0.055) / 1.055) ** 2.4
@@ -104,13 +104,18 @@ def _linear(image: HostArray) -> Float[HostArray, "height width"]:
 
 
 def _refined(
-    image: Float[HostArray, "height width"], corners: Float[HostArray, "4 2"]
+    image: UInt8[HostArray, "height width"], corners: Float[HostArray, "4 2"]
 ) -> Float[HostArray, "4 2"]:
     """Measure the corners of a tag from its edges, twice: first near OpenCV's."""
+    around = 2.0 * _MOST_REACH
+    low = np.maximum(corners.min(axis=0) - around, 0.0).astype(int)
+    high = (corners.max(axis=0) + around).astype(int)
+    light = _linear(image[low[1] : high[1], low[0] : high[0]])
+    corners = corners - low
     for _ in range(2):
-        edges = [_Edge.of(image, corners[k], corners[(k + 1) % 4]) for k in range(4)]
+        edges = [_Edge.of(light, corners[k], corners[(k + 1) % 4]) for k in range(4)]
         corners = np.array([edges[k - 1].meets(edges[k]) for k in range(4)])
-    return corners
+    return corners + low
 
 
 class _Edge(NamedTuple):
@@ -133,7 +138,7 @@ class _Edge(NamedTuple):
     @classmethod
     def of(
         cls,
-        image: Float[HostArray, "height width"],
+        light: Float[HostArray, "h w"],
         start: Float[HostArray, "2"],
         end: Float[HostArray, "2"],
     ) -> "_Edge":
@@ -150,14 +155,14 @@ class _Edge(NamedTuple):
         t = np.linspace(-reach, reach, 4 * int(np.ceil(reach)) + 1)
         points = start + s[:, None, None] * along + t[None, :, None] * out
         rows_columns = points[..., ::-1].transpose(2, 0, 1)
-        light = map_coordinates(image, rows_columns, order=1, mode="nearest")
+        profiles = map_coordinates(light, rows_columns, order=1, mode="nearest")
         n = max(2, len(t) // 8)
         # The light on a tag changes slowly along an edge.
         black, white = (
             np.polyval(np.polyfit(s, part.mean(axis=1), 1), s)
-            for part in (light[:, :n], light[:, -n:])
+            for part in (profiles[:, :n], profiles[:, -n:])
         )
-        dark = np.trapezoid(white[:, None] - light, t, axis=1) / (white - black)
+        dark = np.trapezoid(white[:, None] - profiles, t, axis=1) / (white - black)
         return cls(start, along, out, np.polyfit(s, dark - reach, 2))
 
     def at(self, s: float) -> Float[HostArray, "2"]:
