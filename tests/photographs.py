@@ -1,9 +1,9 @@
 """Photographs of tags with known poses: VTK draws them, a lens and a sensor spoil them.
 
 What is drawn are the cells of each tag as squares in space, by a pinhole camera that
-looks at them. Each pixel of the photograph is then looked up along its own ray, which
-distortion bends, four times over its area; blur acts on light, and what the sensor read
-is encoded as sRGB, gets noise, and is written as JPEG.
+looks at them, four times as fine as the photograph. Each pixel of that is then looked
+up along its own rays, 16 over its area, which distortion bends; blur acts on light, and
+what the sensor reads is encoded as sRGB, gets noise, and is written as JPEG.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,17 +33,20 @@ class Lens:
     noise: float = 2.0 / 255.0
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Directions, with z = 1, that pixels (n, 2) look along."""
-        import cv2
+        """Directions, with z = 1, that pixels (n, 2) look along.
 
-        cx, cy = self.middle
-        K = np.array([[self.focal, 0, cx], [0, self.focal, cy], [0, 0, 1.0]])
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-        lens = np.array(self.distortion)
-        xy = cv2.undistortPointsIter(
-            pixels.reshape(-1, 1, 2), K, lens, np.eye(3), np.eye(3), stop
-        )
-        return np.column_stack([xy.reshape(-1, 2), np.ones(len(pixels))])
+        Brown's distortion is undone by repeated substitution.
+        """
+        k1, k2, p1, p2, k3 = self.distortion
+        bent = (pixels - np.array(self.middle)) / self.focal
+        x, y = bent.T
+        for _ in range(12):
+            r2 = x**2 + y**2
+            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            aside = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+            up = p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
+            x, y = (bent[:, 0] - aside) / radial, (bent[:, 1] - up) / radial
+        return np.column_stack([x, y, np.ones(len(pixels))])
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Where points in the frame of the camera are on the photograph."""
@@ -110,70 +113,90 @@ def squares(sheet: Sheet) -> tuple[np.ndarray, np.ndarray]:
     return np.array(corners), np.concatenate(white)
 
 
+JITTER = 4
+"""Pictures from which a photograph is looked up."""
+
+
 def draw(
     sheet: Sheet, view: Placement, lens: Lens
 ) -> tuple[np.ndarray, tuple[int, int]]:
     """Light on the part of a photograph that shows tags, and its first column, row."""
-    import pyvista as pv
-
-    from softcal_jax.plotting._offscreen import offscreen
-
     corners, white = squares(sheet)
     seen = corners.reshape(-1, 3) @ view.R.T + view.p
     places = lens.pixels(seen)
-    low = np.maximum(np.floor(places.min(axis=0)).astype(int) - 30, 0)
-    high = np.minimum(np.ceil(places.max(axis=0)).astype(int) + 31, lens.size)
     assert np.all(places > 0), "a tag is outside of the photograph"
     assert np.all(places < lens.size), "a tag is outside of the photograph"
+    low = np.maximum(np.floor(places.min(axis=0)).astype(int) - 30, 0)
+    high = np.minimum(np.ceil(places.max(axis=0)).astype(int) + 31, lens.size)
 
     # A camera at the same place that looks at the middle of what is seen.
     middle = lens.rays(0.5 * (places.min(axis=0) + places.max(axis=0))[None])[0]
     z = middle / np.linalg.norm(middle)
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
-    turned = np.array([x, np.cross(z, x), z])
-    ahead = seen @ turned.T
+    axes = np.array([x, np.cross(z, x), z])
+    ahead = seen @ axes.T
     half = 1.05 * np.abs(ahead[:, :2] / ahead[:, 2:]).max() + 40.0 / lens.focal
-    focal = 2.0 * lens.focal
+    fineness = 4 if half * lens.focal < 700.0 else 2
+    focal = fineness * lens.focal
     width = int(np.ceil(2.0 * half * focal))
-
-    quads = np.hstack(
-        [np.full((len(corners), 1), 4), np.arange(4 * len(corners)).reshape(-1, 4)]
-    )
-    mesh = pv.PolyData(seen, quads)
-    levels = np.where(white, 255, 0).astype(np.uint8)
-    mesh.cell_data["grey"] = np.repeat(levels[:, None], 3, axis=1)
-    with offscreen():
-        plotter = pv.Plotter(
-            off_screen=True, window_size=(width, width), lighting="none"
-        )
-        plotter.enable_anti_aliasing("msaa", multi_samples=8)
-        grey = (TABLE - BLACK) / (WHITE - BLACK)  # so that light mixes linearly
-        plotter.background_color = (grey, grey, grey)
-        plotter.add_mesh(mesh, scalars="grey", rgb=True, lighting=False)
-        plotter.camera.position = (0.0, 0.0, 0.0)
-        plotter.camera.focal_point = tuple(z)
-        plotter.camera.up = tuple(-turned[1])
-        plotter.camera.view_angle = float(
-            np.rad2deg(2.0 * np.arctan(0.5 * width / focal))
-        )
-        plotter.camera.clipping_range = (0.05, 5.0)
-        image = plotter.screenshot(return_img=True)[..., 0] / 255.0
-        plotter.close()
-    dark = BLACK + (WHITE - BLACK) * image
-
+    scene = _Scene(seen.reshape(-1, 4, 3), white, width, focal)
     u, v = (np.arange(a, b) for a, b in zip(low, high, strict=True))
     light = np.zeros((len(v), len(u)))
-    for du in (-0.25, 0.25):
-        for dv in (-0.25, 0.25):
-            pixels = np.stack(np.meshgrid(u + du, v + dv), axis=-1).reshape(-1, 2)
-            ray = lens.rays(pixels.astype(float)) @ turned.T
+    for k in range(JITTER):
+        # Edges of a picture keep to its pixels, so that each has others.
+        aside = np.array([k, (3 * k + 1) % JITTER, 0.0]) / JITTER / focal
+        turned = Rotation.from_rotvec(aside).as_matrix() @ axes
+        dark = scene.picture(turned)
+        own = np.array([k % 2, k // 2])  # which of each 2 x 2 parts of a pixel
+        for step in np.ndindex(fineness // 2, fineness // 2):
+            at = (2 * np.array(step) + own + 0.5) / fineness - 0.5
+            pixels = np.stack(np.meshgrid(u + at[0], v + at[1]), axis=-1).reshape(-1, 2)
+            ray = lens.rays(pixels) @ turned.T
             # The middle of the first pixel of VTK is half a pixel from its border.
-            at = focal * ray[:, :2] / ray[:, 2:] + 0.5 * width - 0.5
-            light += map_coordinates(dark, at.T[::-1], order=1, cval=TABLE).reshape(
-                light.shape
+            found = focal * ray[:, :2] / ray[:, 2:] + 0.5 * width - 0.5
+            looked_up = map_coordinates(dark, found.T[::-1], order=1, cval=TABLE)
+            light += looked_up.reshape(light.shape)
+    return light / (JITTER * (fineness // 2) ** 2), (int(low[0]), int(low[1]))
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Squares in the frame of a camera, and the size of its pictures."""
+
+    corners: np.ndarray
+    white: np.ndarray
+    width: int
+    focal: float
+
+    def picture(self, axes: np.ndarray) -> np.ndarray:
+        """Light that a pinhole camera with some axes sees."""
+        import pyvista as pv
+
+        from softcal_jax.plotting._offscreen import offscreen
+
+        n, width = len(self.corners), self.width
+        faces = np.hstack([np.full((n, 1), 4), np.arange(4 * n).reshape(-1, 4)])
+        mesh = pv.PolyData(self.corners.reshape(-1, 3), faces)
+        levels = np.where(self.white, 255, 0).astype(np.uint8)
+        mesh.cell_data["grey"] = np.repeat(levels[:, None], 3, axis=1)
+        grey = (TABLE - BLACK) / (WHITE - BLACK)
+        with offscreen():
+            plotter = pv.Plotter(
+                off_screen=True, window_size=(width, width), lighting="none"
             )
-    return light / 4.0, (int(low[0]), int(low[1]))
+            # Smoothed edges are mixed as codes of sRGB, which moves them.
+            plotter.disable_anti_aliasing()
+            plotter.background_color = (grey, grey, grey)
+            plotter.add_mesh(mesh, scalars="grey", rgb=True, lighting=False)
+            camera = plotter.camera
+            camera.position = (0.0, 0.0, 0.0)
+            camera.focal_point, camera.up = tuple(axes[2]), tuple(-axes[1])
+            camera.view_angle = np.rad2deg(2.0 * np.arctan(0.5 * width / self.focal))
+            camera.clipping_range = (0.05, 5.0)
+            image = plotter.screenshot(return_img=True)[..., 0] / 255.0
+            plotter.close()
+        return BLACK + (WHITE - BLACK) * image
 
 
 def photograph(

@@ -174,7 +174,7 @@ def _draw_tag(
     for row, cells in enumerate(tag_cells(number)):
         for first, stop in _runs(~cells):
             corner = left + first * cell, top - (row + 1) * cell
-            style = {"facecolor": "black", "edgecolor": "none", "lw": 0.0}
+            style = {"facecolor": "black", "edgecolor": "none", "snap": False}
             axes.add_patch(Rectangle(corner, (stop - first) * cell, cell, **style))
 
 

@@ -124,4 +124,4 @@ def inverse_std(
             f"{what} of effector {name!r} must be positive and finite [{unit}], got "
             f"{bad[0]:g}."
         )
-    return 1.0 / values
+    return np.asarray(1.0 / values)

@@ -269,7 +269,8 @@ def _vicon(path: Path, rows: Rows) -> _Layout:
         for k, name in enumerate(names)
         if name and axes[k : k + 3] == ["X", "Y", "Z"]
     ]
-    found = {units[k] if k < len(units) else "" for _, k in labels}
+    of_markers = [k + i for _, k in labels for i in range(3)]
+    found = {units[k] if k < len(units) else "" for k in of_markers}
     if len(found) != 1 or not found <= {*METRES}:
         stated = ", ".join(sorted(map(repr, found))) or "none"
         raise ValueError(

@@ -86,7 +86,8 @@ def test_noise_is_found_and_what_was_known_of_the_camera_improves():
     assert found.noise == pytest.approx(NOISE, rel=0.15)
     assert np.linalg.norm(off[:3]) < 0.3e-3
     before = np.diag(known(phone()).covariance)
-    assert np.all(np.diag(found.camera.covariance) <= before * (1.0 + 1e-6))
+    # But for the factor of Student's distribution, whose freedom is about 100.
+    assert np.all(np.diag(found.camera.covariance) <= 1.03 * before)
     np.testing.assert_allclose(found.rms, NOISE * np.sqrt(2.0), rtol=0.4)
 
 

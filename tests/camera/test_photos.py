@@ -216,7 +216,7 @@ def test_twelve_megapixels(tmp_path):
         for k in range(8)
     ]
     of_board = photographs(tmp_path / "board", board(), boards, lens, rng)
-    n, inside, worst = 40, 0, np.zeros(2)
+    n, inside, worst = 30, 0, np.zeros(2)
     for trial in range(n):
         turn = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3)).as_matrix()
         aside = rng.uniform(-0.02, 0.02, 3)

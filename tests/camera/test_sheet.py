@@ -51,11 +51,12 @@ def test_tags_are_printed_to_scale(tmp_path, paper):
     found = printed(page, tmp_path / "page.png").corners
     assert sorted(found) == list(range(3, 15))
     side = 20e-3 / INCH * DPI
+    # The scanner mixes codes of sRGB, not light, on the borders of the squares.
     for corners in found.values():
         edges = np.roll(corners, -1, axis=0) - corners
-        np.testing.assert_allclose(np.linalg.norm(edges, axis=1), side, atol=0.3)
+        np.testing.assert_allclose(np.linalg.norm(edges, axis=1), side, atol=0.5)
         # Upright: the first edge is the top one, to the right.
-        np.testing.assert_allclose(edges[0], [side, 0.0], atol=0.3)
+        np.testing.assert_allclose(edges[0], [side, 0.0], atol=0.5)
 
 
 @pytest.mark.parametrize("paper", ["a4", "letter"])
@@ -65,7 +66,7 @@ def test_the_board_is_where_it_is_said_to_be(tmp_path, paper):
     origin = found[FIRST_OF_BOARD].mean(axis=0)
     for number, corners in found.items():
         own = board_corners(number)[:, :2] * [1.0, -1.0] / INCH * DPI
-        np.testing.assert_allclose(corners - origin, own, atol=0.3)
+        np.testing.assert_allclose(corners - origin, own, atol=0.5)
 
 
 def test_more_tags_take_more_pages(tmp_path):

@@ -8,8 +8,8 @@ from softcal_jax.configurations import read_recording, read_wide_table
 
 
 def seen():
-    """The motion of the tip, which is not seen in two frames."""
-    positions = motion()
+    """The motion of the tip, which is not seen in two frames, away from the origin."""
+    positions = motion() + 5.0
     positions[[3, 30], 1] = np.nan
     return positions
 

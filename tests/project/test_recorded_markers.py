@@ -179,6 +179,27 @@ CASES = {
         '["0.1 s", "140 ms"], width = "0.1 s"',
         "shared.measured.select: width is for the window around `at`.",
     ),
+    "three times": (
+        '["0.1 s", "140 ms"]',
+        '["0.1 s", "0.2 s", "0.3 s"]',
+        "shared.measured.select.between",
+    ),
+    "no time": ('"140 ms"', '"140 mm"', "shared.measured.select.between"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message"), CASES.values(), ids=CASES)
+def test_refused(tmp_path, old, new, message):
+    """Before any file is read."""
+    assert RECORDED.count(old) == 1
+    changed = (SELECTED, RECORDED.replace(old, new))
+    path = write_small_project(tmp_path, changed, *NO_ROWS)
+    with pytest.raises(ProjectError) as caught:
+        load_project(path)
+    assert message in str(caught.value)
+
+
+OF_THE_FILE = {
     "event and step": (
         'after_step_of = "tip"',
         'after_step_of = "tip", after_event = "valve"',
@@ -199,19 +220,15 @@ CASES = {
         'file = "run.c3d"\nlabels = { tip = "Tip - 1" }',
         "run.c3d has no marker 'Tip - 1'.",
     ),
-    "three times": (
-        '["0.1 s", "140 ms"]',
-        '["0.1 s", "0.2 s", "0.3 s"]',
-        "shared.measured.select.between",
-    ),
-    "no time": ('"140 ms"', '"140 mm"', "shared.measured.select.between"),
 }
 
 
-@pytest.mark.parametrize(("old", "new", "message"), CASES.values(), ids=CASES)
-def test_refused(tmp_path, old, new, message):
-    """Before any file is read."""
+@pytest.mark.parametrize(
+    ("old", "new", "message"), OF_THE_FILE.values(), ids=OF_THE_FILE
+)
+def test_refused_once_the_file_is_read(tmp_path, old, new, message):
     assert RECORDED.count(old) == 1
+    write_recording(tmp_path / "run.c3d", sinking(), labels=LABELS)
     changed = (SELECTED, RECORDED.replace(old, new))
     path = write_small_project(tmp_path, changed, *NO_ROWS)
     with pytest.raises(ProjectError) as caught:
