@@ -33,9 +33,12 @@ _FOCAL_LENGTHS = (0.6, 0.8, 1.0, 1.3)
 Those of the main cameras of phones are 0.65 to 0.8.
 """
 
-_OUTLIER, _MOST_OFF = 4.0, 0.5
-"""A photograph whose errors exceed the others' median by this factor, and this many
-pixels, does not fit them."""
+_OUTLIER, _MOST_OFF = 3.0, 0.3
+"""Factor and pixels by which a photograph's errors exceed the median of all if it does
+not fit the others."""
+
+_FIRST_OUTLIER, _FIRST_OFF = 6.0, 3.0
+"""Likewise before the adjustment, which a photograph that is far off would spoil."""
 
 _LEAST_ON_BOARD = 4
 """Least tags of the board that a photograph of it must show."""
@@ -223,23 +226,34 @@ def _fitted(
             pixels.append(places)
     seen = Observations(*map(np.concatenate, (photo, target, points, pixels)))
     starts = [start for camera in cameras for start in _starts(seen, camera, targets)]
-    best = min(starts, key=lambda start: start.error)
+    best = min(starts, key=lambda start: float(np.median(start.rms)))
+    _check_alike(photos, best.rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
     found = adjust(seen, best.camera, best.poses, best.targets)
-    usual = float(np.median(found.rms))
-    worst = int(np.argmax(found.rms))
-    if found.rms[worst] > max(_OUTLIER * usual, usual + _MOST_OFF):
-        raise ValueError(
-            f"photograph {photos[worst].path} does not fit the others: its corners are "
-            f"{found.rms[worst]:.2g} px off, those of the others {usual:.2g}. Leave it "
-            "out; the robot moved, or it is blurred."
-        )
+    _check_alike(photos, found.rms, factor=_OUTLIER, off=_MOST_OFF)
     return found
 
 
-class _Start(NamedTuple):
-    """Where an adjustment may begin, and its reprojection error [px]."""
+def _check_alike(
+    photos: Sequence[Photo],
+    rms: Float[HostArray, " n_photos"],
+    *,
+    factor: float,
+    off: float,
+) -> None:
+    """Raise ValueError if a photograph fits much worse than the others."""
+    usual, worst = float(np.median(rms)), int(np.argmax(rms))
+    if rms[worst] > max(factor * usual, usual + off):
+        raise ValueError(
+            f"photograph {photos[worst].path} does not fit the others: its corners are "
+            f"{rms[worst]:.2g} px off, half of the others less than {usual:.2g}. Leave "
+            "it out; the robot moved, or it is blurred."
+        )
 
-    error: float
+
+class _Start(NamedTuple):
+    """Where an adjustment may begin, and its errors on each photograph [px]."""
+
+    rms: Float[HostArray, " n_photos"]
     camera: CameraModel
     poses: tuple[Placement, ...]
     targets: tuple[Placement, ...]
@@ -276,7 +290,7 @@ def _starts(
             pose, error = _best_pose(points, seen.pixels[rows], camera, bases[i])
             poses.append(pose)
             errors.append(error)
-        yield _Start(float(np.mean(errors)), camera, tuple(poses), others)
+        yield _Start(np.sqrt(errors), camera, tuple(poses), others)
 
 
 def _planar_poses(
