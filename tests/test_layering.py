@@ -24,6 +24,7 @@ LAYERS = [
     {"bodies"},
     {"actuators"},
     {"configurations"},
+    {"camera"},
     {"equilibrium"},
     {"sensitivity"},
     {"calibration"},

@@ -84,7 +84,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     def write(
         result: "CalibrationResult", own: "Assessment", where: Path, force: bool
     ) -> Path:
-        more = _options(project, show, force=force)
+        more = {"traces": project.traces, **_options(project, show, force=force)}
         return report.write_results(result, where, assessment=own, **more)
 
     def profiling(result: "CalibrationResult") -> None:
@@ -164,7 +164,7 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     show.line(report.simulation_table(result))
 
     def write(where: Path, force: bool) -> Path:
-        more = _options(project, show, force=force)
+        more = {"traces": project.traces, **_options(project, show, force=force)}
         return report.write_simulation(result, where, **more)
 
     write_results(write, args, show, force=args.force)

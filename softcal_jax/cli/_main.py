@@ -24,6 +24,7 @@ from softcal_jax.cli._shared import (
     warnings_as_lines,
 )
 from softcal_jax.cli._sweep import add_sweep
+from softcal_jax.cli._tags import add_tags
 
 _ABOUT = """\
 Calibrate the finite-element model of a soft robot from a few measured poses."""
@@ -39,6 +40,7 @@ examples:
   softcal export inp results -o job.inp   the calibrated model for CalculiX, Abaqus
   softcal sweep sweep.toml                many calibrations, side by side
   softcal sweep show sweep.sqlite         what they found
+  softcal tags -o tags.pdf                tags to print and photograph
 
 exit codes: 0 done (what to doubt is said last), 1 not converged or no equilibrium,
 2 bad input
@@ -158,4 +160,5 @@ ranked by what measuring them as well would add.""",
     add_compare(commands, raw)
     add_export(commands, raw)
     add_sweep(commands, raw)
+    add_tags(commands, raw)
     return parser

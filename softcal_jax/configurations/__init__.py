@@ -49,7 +49,8 @@ from softcal_jax.configurations._pose_table import (
     average_poses,
     in_frame,
 )
-from softcal_jax.configurations._recording import Recording, read_c3d
+from softcal_jax.configurations._recording import Recording, Traces
+from softcal_jax.configurations._recording_file import C3D, read_c3d, read_recording
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
 from softcal_jax.configurations._tracker import (
@@ -57,8 +58,11 @@ from softcal_jax.configurations._tracker import (
     read_polhemus,
     read_poses,
 )
+from softcal_jax.configurations._values import Unstated
+from softcal_jax.configurations._wide_table import is_wide_table, read_wide_table
 
 __all__ = [
+    "C3D",
     "STANDARD_GRAVITY",
     "STD",
     "AbstractEffector",
@@ -93,7 +97,9 @@ __all__ = [
     "SupportReaction",
     "SurfaceForce",
     "SurfaceTraction",
+    "Traces",
     "TrackerWarning",
+    "Unstated",
     "actuation_arrays",
     "average_poses",
     "build_mechanism",
@@ -101,6 +107,7 @@ __all__ = [
     "configuration_lanes",
     "farthest",
     "in_frame",
+    "is_wide_table",
     "measured_as",
     "measured_at_rest",
     "motions",
@@ -108,6 +115,8 @@ __all__ = [
     "read_markers",
     "read_polhemus",
     "read_poses",
+    "read_recording",
+    "read_wide_table",
     "register",
     "shared_names",
 ]

@@ -14,9 +14,11 @@ from softcal_jax._names import METRES, suggestion
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
 
-_DELIMITERS = (",", ";", "\t")
+_DELIMITERS = (",", ";", "\t", "|")
 """What may stand between columns; the header has most of it."""
 
+_POINTS = (".", ",")
+"""What may stand before decimals."""
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
@@ -47,7 +49,7 @@ class CsvTable(NamedTuple):
         for i, row in enumerate(self.rows):
             for k, column in enumerate(columns):
                 try:
-                    values[i, k] = _number(row[column] or "nan", self.point)
+                    values[i, k] = parse_number(row[column] or "nan", self.point)
                 except ValueError as error:
                     raise ValueError(
                         f"{self.path}, line {self.lines[i]}: {column} of {self.key} "
@@ -73,16 +75,21 @@ class CsvTable(NamedTuple):
 
 
 def read_table(
-    path: str | os.PathLike[str], key: str, select: Mapping[str, str] | None
+    path: str | os.PathLike[str],
+    key: str,
+    select: Mapping[str, str] | None,
+    *,
+    delimiter: str | None = None,
+    decimal: str | None = None,
 ) -> CsvTable:
     """Read a file and select rows, without comments (`#`) and blank lines."""
     path = Path(path)
     texts = read_lines(path, key)
     if len(texts) < 2:
         raise ValueError(f"{key} file {path} holds no rows below a header.")
-    delimiter = max(_DELIMITERS, key=texts[0][1].count)
-    # Parsed line by line, so that messages can name the line: no cell spans two.
-    lines = [(n, _cells(path, n, text, delimiter)) for n, text in texts]
+    check_dialect(delimiter, decimal)
+    delimiter = delimiter or delimiter_of([texts[0][1]])
+    lines = read_cells(path, texts, delimiter)
     header = lines[0][1]
     for column in header:
         if header.count(column) > 1:
@@ -98,14 +105,51 @@ def read_table(
             )
         rows.append(dict(zip(header, cells, strict=True)))
     numbers = tuple(number for number, _ in lines[1:])
-    # Of the whole file, so that a thousand in a part of it is not taken for a one.
-    german = delimiter != "," and any(
-        _DECIMAL_COMMA.fullmatch(cell) for _, cells in lines for cell in cells
-    )
-    point = "," if german else "."
+    point = decimal or decimal_of((cells for _, cells in lines), delimiter)
     table = CsvTable(path, header, rows, numbers, key, str(path), point)
     table.check_columns([key])
     return _selected(table, select) if select else table
+
+
+def check_dialect(delimiter: str | None, decimal: str | None) -> None:
+    """Raise ValueError unless a file could be written with these."""
+    for name, value, known in (
+        ("delimiter", delimiter, _DELIMITERS),
+        ("decimal", decimal, _POINTS),
+    ):
+        if value is not None and value not in known:
+            raise ValueError(
+                f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}."
+            )
+    if delimiter == decimal == ",":
+        raise ValueError(
+            "delimiter and decimal are both a comma, so that numbers cannot be told "
+            "from columns."
+        )
+
+
+def delimiter_of(texts: Iterable[str]) -> str:
+    """Tell what stands between the columns of some lines."""
+    text = "\n".join(texts)
+    return max(_DELIMITERS, key=text.count)
+
+
+def decimal_of(rows: Iterable[Iterable[str]], delimiter: str) -> str:
+    """Tell whether decimals have a point or a comma.
+
+    To be asked of a whole file, so that a thousand in a part of it is no one.
+    """
+    german = delimiter != "," and any(
+        _DECIMAL_COMMA.fullmatch(cell) for cells in rows for cell in cells
+    )
+    return "," if german else "."
+
+
+def read_cells(
+    path: Path, texts: Iterable[tuple[int, str]], delimiter: str
+) -> list[tuple[int, list[str]]]:
+    """Split lines into cells, each line by itself: no cell spans two."""
+    return [(n, _cells(path, n, text, delimiter)) for n, text in texts]
 
 
 def _cells(path: Path, number: int, line: str, delimiter: str) -> list[str]:
@@ -119,7 +163,7 @@ def _cells(path: Path, number: int, line: str, delimiter: str) -> list[str]:
     return [from_cell(cell.strip()) for cell in cells]
 
 
-def _number(cell: str, point: str) -> float:
+def parse_number(cell: str, point: str) -> float:
     """Read a number with a decimal point or comma; the error says what is wrong."""
     if point == "," and "." in cell:
         raise ValueError(

@@ -55,7 +55,9 @@ class EffectorRow(NamedTuple):
         return 1 if self.quantity in ("scalar", "force") else 3
 
     def with_value(
-        self, value: float | Float[ArrayLike, "..."] | None, std: float
+        self,
+        value: float | Float[ArrayLike, "..."] | None,
+        std: float | Float[ArrayLike, "3"],
     ) -> tuple["EffectorRow"]:
         """Add the measured value, of one or three coordinates, and its std."""
         weight = inverse_std(self.name, "std", std, self.unit)
@@ -111,11 +113,15 @@ class AbstractScalar(AbstractEffector):
         return replace(self, measured=float(values[0, 0]))  # pyright: ignore
 
 
-def inverse_std(name: str, what: str, std: float, unit: str) -> float:
-    """Return 1 / standard deviation of an effector, after a check."""
-    if not (np.isfinite(std) and std > 0.0):
+def inverse_std(
+    name: str, what: str, std: float | Float[ArrayLike, "3"], unit: str
+) -> Float[HostArray, "..."]:
+    """Return 1 / standard deviation of an effector, or of each of its coordinates."""
+    values = np.asarray(std, float)
+    bad = values[~(np.isfinite(values) & (values > 0.0))]
+    if bad.size:
         raise ValueError(
             f"{what} of effector {name!r} must be positive and finite [{unit}], got "
-            f"{std:g}."
+            f"{bad[0]:g}."
         )
-    return 1.0 / float(std)
+    return np.asarray(1.0 / values)

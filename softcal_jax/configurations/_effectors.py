@@ -33,8 +33,9 @@ class BodyFrame(AbstractEffector):
         measured: Its measured motion from rest: translation of the point, and rotation.
         point: The point, on the mesh at rest; by default the origin of the body's
             frame [m].
-        std: Standard deviation of each coordinate of the position [m].
-        std_angle: Standard deviation of each coordinate of the rotation [rad].
+        std: Standard deviation of each coordinate of the position, one for all or one
+            for each [m].
+        std_angle: Likewise of the rotation vector [rad].
     """
 
     name: str
@@ -43,8 +44,8 @@ class BodyFrame(AbstractEffector):
     point: Float[HostArray, "3"] | None = eqx.field(
         converter=optional_floats, default=None
     )
-    std: float = Unstated(1e-3)
-    std_angle: float = Unstated(1e-2)
+    std: float | Float[HostArray, "3"] = Unstated(1e-3)
+    std_angle: float | Float[HostArray, "3"] = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         """Return its position, then its orientation."""
@@ -63,7 +64,7 @@ class BodyFrame(AbstractEffector):
             return (*row.with_value(None, self.std), turn)
         turn = turn._replace(
             measured=np.zeros(3),
-            inverse_std=np.full(3, weight_angle),
+            inverse_std=np.broadcast_to(weight_angle, 3),
             reference=self.measured.matrix,
         )
         return (*row.with_value(point + self.measured.translation, self.std), turn)

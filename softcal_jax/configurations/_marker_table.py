@@ -19,12 +19,18 @@ class MarkerTable(eqx.Module):
         positions: Their positions; nan where the file says so or is blank [m].
         places: Where in the source each was, for messages, like "line 7".
         source: What was read, for messages.
+        covariances: Of means over a window of a recording, how the single frames
+            scatter around them, in the axes of the positions; nan where fewer than two
+            frames saw a marker [m2].
+        window: First and last time of that window in the recording [s].
     """
 
     names: tuple[str, ...]
     positions: Float[HostArray, "n_markers 3"]
     places: tuple[str, ...]
     source: str
+    covariances: Float[HostArray, "n_markers 3 3"] | None = None
+    window: tuple[float, float] | None = None
 
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3"]:
         """Return positions of some markers, in the order of their names [m].
@@ -32,20 +38,45 @@ class MarkerTable(eqx.Module):
         Raises:
             ValueError: If a marker is not there, or its position is not finite.
         """
-        for name in names:
-            if name not in self.names:
-                raise ValueError(
-                    f"{self.source} has no marker {name!r}."
-                    f"{suggestion(name, self.names)} It has {', '.join(self.names)}."
-                )
-            row = self.names.index(name)
+        rows = [self._row(name) for name in names]
+        for name, row in zip(names, rows, strict=True):
             if not np.all(np.isfinite(self.positions[row])):
                 raise ValueError(
                     f"{self.source}, {self.places[row]}: the position of marker "
                     f"{name!r} is missing or not finite. Leave a marker that was lost "
                     "out of this configuration."
                 )
-        return self.positions[[self.names.index(name) for name in names]]
+        return self.positions[rows]
+
+    def covariances_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3 3"]:
+        """Return the scatter of single frames of some markers [m2].
+
+        Raises:
+            ValueError: If a marker is not there, they are no means over a window, or
+                fewer than two frames of it saw a marker.
+        """
+        rows = [self._row(name) for name in names]
+        if self.covariances is None:
+            raise ValueError(
+                f"{self.source} holds single positions, which do not scatter; take "
+                "them over a window of a recording."
+            )
+        for name, row in zip(names, rows, strict=True):
+            if not np.all(np.isfinite(self.covariances[row])):
+                raise ValueError(
+                    f"{self.source}, {self.places[row]}: fewer than two frames see "
+                    f"marker {name!r}, so that its scatter is not known: choose a "
+                    "longer window."
+                )
+        return self.covariances[rows]
+
+    def _row(self, name: str) -> int:
+        if name not in self.names:
+            raise ValueError(
+                f"{self.source} has no marker {name!r}."
+                f"{suggestion(name, self.names)} It has {', '.join(self.names)}."
+            )
+        return self.names.index(name)
 
 
 def read_markers(
@@ -53,6 +84,8 @@ def read_markers(
     *,
     length_unit: str | None = None,
     select: Mapping[str, str] | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
 ) -> MarkerTable:
     """Read marker positions from a CSV file with a header line.
 
@@ -60,14 +93,17 @@ def read_markers(
     `x_mm`, `y_mm`, `z_mm`. Any other column can be selected on. Lines that start with
     `#` and blank lines are skipped. Columns may also be separated by semicolons or
     tabs; numbers then may have a decimal comma, as German spreadsheets write them. A
-    blank or `nan` coordinate is a marker that was
-    lost: it is kept, and raises only when it is asked for.
+    blank or `nan` coordinate is a marker that was lost: it is kept, and raises only
+    when it is asked for.
 
     Args:
         path: The file.
         length_unit: Unit of the coordinates: "m", "cm", "mm", "um" or "inch"; not
             needed where the columns carry it.
         select: Column and value pairs; only the rows that have them all are taken.
+        delimiter: What stands between columns: ",", ";", a tab or "|"; by default what
+            the header has most of.
+        decimal: "." or ","; by default told from the numbers.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -80,7 +116,7 @@ def read_markers(
 
             read_markers("markers.csv", select={"run": "gravity", "phase": "held"})
     """
-    table = read_table(path, "marker", select)
+    table = read_table(path, "marker", select, delimiter=delimiter, decimal=decimal)
     columns, metres = coordinates(table, length_unit)
     for name, line in zip(table.names, table.lines, strict=True):
         first = table.lines[table.names.index(name)]

@@ -1,36 +1,43 @@
 """Recordings of motion capture: positions of labelled markers over time."""
 
-import os
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._files import check_file
-from softcal_jax._names import METRES, suggestion
-from softcal_jax._text import escaped
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._names import suggestion, unknown_name
+from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations._marker_table import MarkerTable
+from softcal_jax.configurations._plateau import find_plateau
 
 STEP = 0.05
 """Share of the largest motion of a marker from which it has begun to move [-]."""
 
+WIDTH = 0.1
+"""Width of the window around a single time [s]."""
+
 
 class Recording(eqx.Module):
     """Positions of markers over time, in the frame of the cameras.
+
+    A pose is the mean over a window of time: `between` two times, `at` one, or on a
+    `plateau`. Times count from the first frame, or from an event: the step of a marker,
+    or one that was named when it was recorded; negative ones are then before it.
 
     Attributes:
         names: Labels of the markers.
         times: Time of each frame from the first one [s].
         positions: Positions; nan where a marker was occluded [m].
         source: What was read, for messages.
+        events: Names of events, and their times from the first frame [s].
     """
 
     names: tuple[str, ...]
     times: Float[HostArray, " n_frames"]
     positions: Float[HostArray, "n_frames n_markers 3"]
     source: str
+    events: tuple[tuple[str, float], ...] = ()
 
     def step_of(self, name: str) -> float:
         """Return the time at which a marker begins to move [s].
@@ -49,44 +56,180 @@ class Recording(eqx.Module):
             raise ValueError(f"{self.source}: marker {name!r} does not move.")
         return float(self.times[seen[np.argmax(away > STEP * away.max())]])
 
+    def time_of(self, event: str) -> float:
+        """Return the time of an event that was named when it was recorded [s].
+
+        Raises:
+            ValueError: If there is no such event, or more than one.
+        """
+        times = [time for name, time in self.events if name == event]
+        if not times:
+            names = [name for name, _ in self.events]
+            raise ValueError(f"{self.source}: {unknown_name('event', event, names)}")
+        if len(times) > 1:
+            listed = ", ".join(f"{time:g}" for time in times)
+            raise ValueError(
+                f"{self.source} has the event {event!r} {len(times)} times, at "
+                f"{listed} s: count times from the first frame instead."
+            )
+        return times[0]
+
     def between(
-        self, start: float, stop: float, *, after_step_of: str | None = None
+        self,
+        start: float,
+        stop: float,
+        *,
+        after_step_of: str | None = None,
+        after_event: str | None = None,
     ) -> MarkerTable:
         """Return mean positions over a window of time, of the frames that see a marker.
 
         Args:
             start: Begin of the window [s].
             stop: End of the window [s].
-            after_step_of: Marker from whose step, see `step_of`, both are counted; from
-                the first frame by default. Negative times are then before the step.
+            after_step_of: Marker from whose step, see `step_of`, both are counted.
+            after_event: Named event from which both are counted.
 
         Raises:
-            ValueError: If the window is not in the recording, or holds no frame.
+            ValueError: If the window is not in the recording, or holds no frame, or
+                there is no such step or event.
         """
-        zero = 0.0 if after_step_of is None else self.step_of(after_step_of)
+        zero, since_what = self._zero(after_step_of, after_event)
         # Times are multiples of the frame's length, up to rounding.
         slack = 1e-6 * (self.times[1] - self.times[0]) if len(self.times) > 1 else 0.0
         since = self.times - zero
         inside = (since >= start - slack) & (since <= stop + slack)
-        window = f"between {start:g} and {stop:g} s"
-        if after_step_of is not None:
-            window += f" from the step of {after_step_of!r}"
+        window = f"between {start:g} and {stop:g} s{since_what}"
         out = start < since[0] - slack or stop > since[-1] + slack
         if out or not np.any(inside):
             raise ValueError(
                 f"{self.source}: there are not all frames {window}; it has those "
                 f"between {since[0]:g} and {since[-1]:g} s."
             )
+        return self._mean(inside, window)
+
+    def at(
+        self,
+        time: float,
+        *,
+        width: float = WIDTH,
+        after_step_of: str | None = None,
+        after_event: str | None = None,
+    ) -> MarkerTable:
+        """Return mean positions over a short window around a time.
+
+        Args:
+            time: Middle of the window [s].
+            width: Its width; 0 takes the frame at `time` [s].
+            after_step_of: As for `between`.
+            after_event: As for `between`.
+
+        Raises:
+            ValueError: As for `between`, or if the width is negative.
+        """
+        if not width >= 0.0:
+            raise ValueError(
+                f"the width of a window is zero or more [s], got {width:g}."
+            )
+        half = 0.5 * width
+        after = {"after_step_of": after_step_of, "after_event": after_event}
+        if half == 0.0:
+            zero, _ = self._zero(**after)
+            nearest = self.times[np.argmin(np.abs(self.times - zero - time))] - zero
+            frame = np.median(np.diff(self.times)) if len(self.times) > 1 else 0.0
+            time = nearest if abs(nearest - time) <= 0.5 * frame else time
+        return self.between(time - half, time + half, **after)
+
+    def plateau(
+        self,
+        length: float,
+        *,
+        after_step_of: str | None = None,
+        after_event: str | None = None,
+    ) -> MarkerTable:
+        """Return mean positions while the markers stand still after they have moved.
+
+        See `find_plateau` for what that is. It is looked for in the whole recording, or
+        after the step or event; where nothing moves, the whole recording is one.
+
+        Args:
+            length: Least length of the plateau [s].
+            after_step_of: As for `between`.
+            after_event: As for `between`.
+
+        Raises:
+            ValueError: If there is none of that length, or no such step or event.
+        """
+        zero, since_what = self._zero(after_step_of, after_event)
+        after = self.times >= zero
+        first = int(np.argmax(after)) if after.any() else len(self.times)
+        try:
+            start, stop = find_plateau(
+                self.times[first:], self.positions[first:], self.positions, length
+            )
+        except ValueError as error:
+            raise ValueError(f"{self.source}{since_what}: {error}") from error
+        inside = np.zeros(len(self.times), bool)
+        inside[first + start : first + stop] = True
+        begin, end = self.times[inside][[0, -1]] - zero
+        return self._mean(
+            inside, f"on the plateau between {begin:g} and {end:g} s{since_what}"
+        )
+
+    def renamed(self, labels: Mapping[str, str]) -> "Recording":
+        """Return it with other names of markers.
+
+        Args:
+            labels: Labels of this recording by their new names.
+
+        Raises:
+            ValueError: If a label is not there, or two markers would share a name.
+        """
+        new = {label: name for name, label in labels.items()}
+        for label in new:
+            self._column(label)
+        names = tuple(new.get(name, name) for name in self.names)
+        repeated = [name for name in names if names.count(name) > 1]
+        if repeated or len(new) < len(labels):
+            which = repeated[0] if repeated else "of one marker"
+            raise ValueError(
+                f"{self.source}: the labels {dict(labels)} give two markers the name "
+                f"{which!r}, or one marker two names."
+            )
+        return replace(self, names=names)
+
+    def _zero(
+        self, after_step_of: str | None, after_event: str | None
+    ) -> tuple[float, str]:
+        """Return the time that others are counted from [s], and the words for it."""
+        if after_step_of is not None and after_event is not None:
+            raise ValueError(
+                f"times count from the step of {after_step_of!r} or from the event "
+                f"{after_event!r}, not from both."
+            )
+        if after_step_of is not None:
+            return self.step_of(after_step_of), f" from the step of {after_step_of!r}"
+        if after_event is not None:
+            return self.time_of(after_event), f" from the event {after_event!r}"
+        return 0.0, ""
+
+    def _mean(self, inside: Bool[HostArray, " n_frames"], window: str) -> MarkerTable:
+        """Average the frames of a window that see a marker."""
         part = self.positions[inside]
         seen = np.all(np.isfinite(part), axis=2)
+        n = np.sum(seen, axis=0)
         total = np.sum(np.where(seen[:, :, None], part, 0.0), axis=0)
-        count = np.sum(seen, axis=0)
-        count = np.where(count > 0, count, np.nan)
+        mean = total / np.where(n > 0, n, np.nan)[:, None]
+        off = np.where(seen[:, :, None], part - mean, 0.0)
+        squares = np.einsum("fmx,fmy->mxy", off, off)
+        times = self.times[inside]
         return MarkerTable(
             names=self.names,
-            positions=total / count[:, None],
+            positions=mean,
             places=(window,) * len(self.names),
             source=self.source,
+            covariances=squares / np.where(n > 1, n - 1, np.nan)[:, None, None],
+            window=(float(times[0]), float(times[-1])),
         )
 
     def _column(self, name: str) -> int:
@@ -98,66 +241,16 @@ class Recording(eqx.Module):
         return self.names.index(name)
 
 
-def read_c3d(path: str | os.PathLike[str]) -> Recording:
-    """Read a recording of motion capture, with the units that the file states.
+class Traces(eqx.Module):
+    """A recording, and which parts of it were used, to be looked at.
 
-    A frame in which a marker has a negative residual did not see it.
-
-    Args:
-        path: A file in the format of www.c3d.org.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ImportError: If ezc3d is not installed.
-        ValueError: If it is no file of a disk, cannot be read, holds no frames or no
-            markers, or two markers of one label, or does not state a known unit of
-            length.
-
-    Example:
-        The pose from 1.25 to 1.35 s after the valve opened::
-
-            arm = read_c3d("200mbar.c3d")
-            arm.between(1.25, 1.35, after_step_of="Tip - 1").positions_of(["Tip - 1"])
+    Attributes:
+        recording: The recording.
+        windows: First and last time of each window that was averaged, by what it is
+            for [s].
+        names: Labels of the markers that count.
     """
-    try:
-        import ezc3d
-    except ImportError as error:
-        raise ImportError(
-            "reading .c3d files needs ezc3d: pip install 'softcal-jax[mocap]'."
-        ) from error
-    path = Path(path)
-    check_file(path, "recording")
-    try:
-        content = ezc3d.c3d(str(path))
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ValueError(f"recording {path} cannot be read: {error}.") from error
-    point = content["parameters"]["POINT"]
-    names = tuple(map(escaped, point["LABELS"]["value"]))
-    units = point["UNITS"]["value"] if "UNITS" in point else []
-    _check(path, names, units)
-    positions = np.moveaxis(np.asarray(content["data"]["points"], float), 2, 0)
-    positions = np.swapaxes(positions, 1, 2)[:, : len(names), :3] * METRES[units[0]]
-    residuals = np.asarray(content["data"]["meta_points"]["residuals"])[0].T
-    positions[residuals[:, : len(names)] < 0.0] = np.nan
-    rate = float(point["RATE"]["value"][0])
-    if not (len(positions) and rate > 0.0):
-        raise ValueError(
-            f"recording {path} has {len(positions)} frames at {rate:g} Hz; expected "
-            "one or more, and a positive rate."
-        )
-    times = np.arange(len(positions)) / rate
-    return Recording(names=names, times=times, positions=positions, source=str(path))
 
-
-def _check(path: Path, names: Sequence[str], units: Sequence[str]) -> None:
-    if not names:
-        raise ValueError(f"recording {path} holds no labelled markers.")
-    repeated = [name for name in names if names.count(name) > 1]
-    if repeated:
-        raise ValueError(f"recording {path} has the label {repeated[0]!r} twice.")
-    if not units or units[0] not in METRES:
-        stated = repr(units[0]) if units else "none"
-        raise ValueError(
-            f"recording {path} states the unit of length {stated}; expected one of "
-            f"{', '.join(METRES)} in its parameter POINT:UNITS."
-        )
+    recording: Recording
+    windows: Mapping[str, tuple[float, float]]
+    names: tuple[str, ...]

@@ -36,6 +36,8 @@ def read_poses(
     *,
     length_unit: str | None = None,
     select: Mapping[str, str] | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
 ) -> PoseTable:
     """Read poses of sensors, in their order, from a CSV file with a header line.
 
@@ -52,6 +54,8 @@ def read_poses(
         length_unit: Unit of the positions: "m", "cm", "mm", "um" or "inch"; not needed
             where the columns carry it.
         select: Column and value pairs; only the rows that have them all are taken.
+        delimiter: As for `read_markers`.
+        decimal: As for `read_markers`.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -63,7 +67,7 @@ def read_poses(
     Warns:
         TrackerWarning: If angles in degrees look like radians.
     """
-    table = read_table(path, "sensor", select)
+    table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
     columns, metres = coordinates(table, length_unit)
     turn_columns = _turn_columns(table)
     columns += turn_columns

@@ -22,6 +22,9 @@ INDEX_FILES = (
 _RESERVED = {"convergence", "markers", "result", "simulation"}
 """Stems of the other files of a results folder."""
 
+_ENDINGS = ("", "_robot", "_recording")
+"""What is put behind the stem of a configuration."""
+
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 """Names that are devices on Windows, whatever follows a point."""
 
@@ -31,7 +34,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
     Anything but letters, digits, ".", "-" and "_" is replaced. A number is added where
     two would be the same file on a system that ignores case, or where the name with
-    "_robot" after it, of the file of its actuators, would be another's.
+    "_robot" or "_recording" after it, of the files of its actuators and its markers
+    over time, would be another's.
     """
     taken = set(_RESERVED)
     stems = []
@@ -41,7 +45,7 @@ def file_stems(names: Sequence[str]) -> list[str]:
             stem = f"configuration_{stem}".strip("_")
         unique = stem
         copy = 2
-        while taken & (own := {unique.lower(), f"{unique.lower()}_robot"}):
+        while taken & (own := {unique.lower() + end for end in _ENDINGS}):
             unique, copy = f"{stem}_{copy}", copy + 1
         taken |= own
         stems.append(unique)

@@ -7,6 +7,7 @@ from softcal_jax.plotting._directions import plot_directions
 from softcal_jax.plotting._fibres import plot_fibres
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 from softcal_jax.plotting._robot import SensorFrame
+from softcal_jax.plotting._traces import plot_traces
 
 __all__ = [
     "RenderingError",
@@ -15,6 +16,7 @@ __all__ = [
     "plot_convergence",
     "plot_directions",
     "plot_fibres",
+    "plot_traces",
     "plot_trials",
     "render_body",
     "render_configuration",

@@ -3,8 +3,9 @@
 To add a load, write one table and list it in `AnyLoad`.
 """
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, field_validator
 
@@ -17,6 +18,7 @@ from softcal_jax.configurations import (
     Support,
     SurfaceForce,
     SurfaceTraction,
+    Traces,
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.project._actuators import build_actuation
@@ -167,14 +169,28 @@ def _reference(name: str, measured: MeasuredTable | None) -> str | None:
     return reference if isinstance(reference, str) and reference != name else None
 
 
+class Built(NamedTuple):
+    """A configuration, and where its measured markers are from.
+
+    Attributes:
+        configuration: The configuration.
+        registration: Registration of the frame of its cameras, if any.
+        traces: The recording of its markers and what was used of it, if any.
+    """
+
+    configuration: Configuration
+    registration: Registration | None
+    traces: Traces | None
+
+
 def build_configuration(
     folder: Path,
     table: CandidateTable,
     project: "ProjectTable",
     model: Model,
     effectors: Effectors,
-) -> tuple[Configuration, Registration | None]:
-    """Build a configuration, and the registration of its camera frame, if any.
+) -> Built:
+    """Build a configuration, with what was measured.
 
     Args:
         folder: Folder that relative paths start from.
@@ -194,7 +210,7 @@ def build_configuration(
             loads.append(load.build())
             loads[-1].nodal_forces(mesh)  # raises if there is no such place
     no_markers = ValueError("the project has no markers; add a table [markers].")
-    markers = positions = registration = None
+    markers = positions = registration = traces = None
     with under("markers"):
         if project.markers is not None:
             markers = project.markers.build(table.markers)
@@ -215,7 +231,10 @@ def build_configuration(
         with under("measured"):
             if project.markers is None or markers is None:
                 raise no_markers
-            positions, registration = own.build(folder, project.markers, markers)
+            found = own.build(folder, project.markers, markers)
+            positions, std, registration, traces = found
+            if std is not None:
+                markers = replace(markers, std=std)
     with under("measured.effectors"):
         followed = with_measured(
             {name: effectors[name] for name in chosen},
@@ -238,4 +257,4 @@ def build_configuration(
         displacement_from=_reference(table.name, own),
         relative_std=table.relative_std,
     )
-    return configuration, registration
+    return Built(configuration, registration, traces)

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
     AbstractEffector,
     AbstractScalar,
@@ -21,9 +22,11 @@ from softcal_jax.configurations import (
     Centroid,
     Mechanism,
     SupportReaction,
+    Unstated,
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
+from softcal_jax.project._photos import PhotosTable
 from softcal_jax.project._problems import known_name, type_of, under
 from softcal_jax.project._quantities import (
     dimension_of,
@@ -33,11 +36,23 @@ from softcal_jax.project._quantities import (
     shown,
 )
 from softcal_jax.project._sensors import FrameTable, MeasuredPoseTable, OrientationTable
-from softcal_jax.project._table import Angle, Direction, Position, Table, TableOr
+from softcal_jax.project._table import Angle, Direction, Position, Table
 
 Effectors = dict[str, AbstractEffector]
 
-Measured = TableOr[MeasuredPoseTable, Any]
+
+def _kind(value: Any) -> str:
+    if not isinstance(value, dict):
+        return "(vector)"
+    return "(photos)" if "photos" in value else "(table)"
+
+
+Measured = Annotated[
+    Annotated[MeasuredPoseTable, Tag("(table)")]
+    | Annotated[PhotosTable, Tag("(photos)")]
+    | Annotated[Any, Tag("(vector)")],
+    Discriminator(_kind),
+]
 """A pose, or a quantity as text, whose dimension the effector knows."""
 
 _BODY = 'name of a rigid body, [bodies.NAME]: "plate"'
@@ -73,18 +88,25 @@ class EffectorTable(Table):
             effector.rows(mesh, mechanism)
         return effector
 
-    def value(self, value: Any, unit: str, folder: Path, mechanism: Mechanism) -> Any:
-        """Parse a measured value into the SI `unit`, as the effector takes it."""
+    def measured(
+        self,
+        effector: Any,
+        value: Any,
+        unit: str,
+        folder: Path,
+        mechanism: Mechanism,
+    ) -> AbstractEffector:
+        """Return the effector with its measured value, parsed into the SI `unit`."""
         del folder, mechanism
         dimension = dimension_of(unit)
-        if isinstance(value, MeasuredPoseTable):
+        if isinstance(value, MeasuredPoseTable | PhotosTable):
             raise ValueError(
                 f"got a table; expected {dimension.name}, since type = "
                 f'"{type_of(type(self))}".'
             )
         if issubclass(self.makes, AbstractScalar):
-            return parse_scalar(value, dimension)
-        return np.array(parse_vector(value, dimension))
+            return replace(effector, measured=parse_scalar(value, dimension))
+        return replace(effector, measured=np.array(parse_vector(value, dimension)))
 
 
 class BodyFrameTable(EffectorTable):
@@ -96,19 +118,44 @@ class BodyFrameTable(EffectorTable):
     base: FrameTable = Field(FrameTable(), exclude=True)
     std_angle: Angle | None = None
 
-    def value(self, value: Any, unit: str, folder: Path, mechanism: Mechanism) -> Any:
-        """Parse the motion of the body."""
+    def measured(
+        self,
+        effector: BodyFrame,
+        value: Any,
+        unit: str,
+        folder: Path,
+        mechanism: Mechanism,
+    ) -> BodyFrame:
+        """Return the frame with the motion of its body.
+
+        Where the measurement says how certain it is, that adds to what is stated.
+        """
         del unit
-        if not isinstance(value, MeasuredPoseTable):
+        if not isinstance(value, MeasuredPoseTable | PhotosTable):
             raise ValueError(
                 f"got {shown(value)}; expected a pose, like "
-                '{ position = "(0, 0, 100) mm", azimuth = "10 deg" } or '
-                '{ file = "tracker.csv" }.'
+                '{ position = "(0, 0, 100) mm", azimuth = "10 deg" }, '
+                '{ file = "tracker.csv" } or { photos = "pose1/*.jpg", ... }.'
             )
         rest = mechanism.bodies.origin[mechanism.bodies.names.index(self.body)]
         if self.point is not None:
             rest = np.array(self.point)
-        return value.motion(folder, self.base, self.orientation, rest)
+        pose, covariance = value.motion(folder, self.base, self.orientation, rest)
+        if covariance is None:
+            return replace(effector, measured=pose)
+        own = np.sqrt(np.diag(covariance))
+        return replace(
+            effector,
+            measured=pose,
+            std=_with_stated(effector.std, own[:3]),
+            std_angle=_with_stated(effector.std_angle, own[3:]),
+        )
+
+
+def _with_stated(
+    stated: float | Float[HostArray, "3"], own: Float[HostArray, "3"]
+) -> Float[HostArray, "3"]:
+    return own if isinstance(stated, Unstated) else np.hypot(stated, own)
 
 
 class CentroidTable(EffectorTable):
@@ -191,6 +238,7 @@ def with_measured(
         with under(name):
             known_name("effector", name, effectors, "[effectors]")
             unit = effectors[name].rows(model.mesh, model.mechanism)[0].unit
-            own = tables[name].value(value, unit, folder, model.mechanism)
-            found[name] = replace(found[name], measured=own)  # pyright: ignore
+            found[name] = tables[name].measured(
+                effectors[name], value, unit, folder, model.mechanism
+            )
     return tuple(found.values())

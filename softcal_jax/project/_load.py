@@ -12,17 +12,16 @@ from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings, ProjectSource
 from softcal_jax.configurations import (
-    Configuration,
-    Registration,
     build_mechanism,
     configuration_arrays,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
 from softcal_jax.fields import check_parameters
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._configurations import build_configuration
+from softcal_jax.project._configurations import Built, build_configuration
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
+from softcal_jax.project._photos import PhotosTable
 from softcal_jax.project._plausibility import ProjectWarning, implausible
 from softcal_jax.project._problems import WrongKeyError, in_file, under
 from softcal_jax.project._project import Project
@@ -85,7 +84,7 @@ def _built(
     posed = found["configurations"]
     of_role = lambda role: tuple(
         configuration
-        for (configuration, _), own in zip(posed, table.configurations, strict=True)
+        for (configuration, *_), own in zip(posed, table.configurations, strict=True)
         if own.role == role
     )
     own = {"noise", "starts", "seed", "intervals", "precision"}
@@ -102,13 +101,14 @@ def _built(
         space=space,
         calibration=of_role("calibration"),
         validation=of_role("validation"),
-        candidates=tuple(candidate for candidate, _ in found["candidates"]),
+        candidates=tuple(own.configuration for own in found["candidates"]),
         **table.settings.model_dump(include=own),
         uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
         source=ProjectSource.of(path, _files(path, table), changes),
-        registrations={c.name: fitted for c, fitted in posed if fitted is not None},
+        registrations={c.name: fit for c, fit, _ in posed if fit is not None},
+        traces={c.name: own for c, _, own in posed if own is not None},
     )
 
 
@@ -156,11 +156,11 @@ def _parts(
 
 def _configurations(
     folder: Path, table: ProjectTable, model: Model
-) -> dict[str, list[tuple[Configuration, Registration | None]]]:
+) -> dict[str, list[Built]]:
     """Build the configurations and the candidates, by their keys."""
     with under("effectors"):
         effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
-    found = {"configurations": [], "candidates": []}
+    found: dict[str, list[Built]] = {"configurations": [], "candidates": []}
     for key, built in found.items():
         for own in getattr(table, key):
             with under(f"{key}.{own.name}"):
@@ -168,7 +168,7 @@ def _configurations(
     for key, built in found.items():
         with under(key):
             if built:
-                posed = [configuration for configuration, _ in built]
+                posed = [own.configuration for own in built]
                 configuration_arrays(model.mesh, posed, model.mechanism)
     names = {own.name for own in table.configurations}
     for candidate in table.candidates:
@@ -186,7 +186,9 @@ def _files(path: Path, table: ProjectTable) -> list[Path]:
     measured = [c.measured for c in table.configurations if c.measured is not None]
     readings = [own for m in measured for own in (m, *m.effectors.values())]
     files = dict.fromkeys(getattr(own, "file", None) for own in readings)
+    photos = [own for own in readings if isinstance(own, PhotosTable)]
     return [
         *table.mesh.files(path.parent),
         *(path.parent / name for name in files if name is not None),
+        *dict.fromkeys(file for own in photos for file in own.files(path.parent)),
     ]

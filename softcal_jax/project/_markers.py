@@ -2,33 +2,39 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, model_validator
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
+    C3D,
     STD,
     Markers,
     MarkerTable,
+    Recording,
     Registration,
-    read_c3d,
+    Traces,
+    Unstated,
+    is_wide_table,
     read_markers,
+    read_recording,
     register,
 )
 from softcal_jax.project._effectors import Measured
 from softcal_jax.project._mesh import LengthUnit
-from softcal_jax.project._problems import known_here
-from softcal_jax.project._sensors import Selection
+from softcal_jax.project._problems import known_here, under
+from softcal_jax.project._sensors import Decimal, Delimiter, Selection
 from softcal_jax.project._table import (
+    Flag,
     Length,
     Position,
     PositiveLength,
     Table,
     TableOr,
-    Time,
 )
+from softcal_jax.project._windows import Which, WindowTable
 
 
 class MarkerEntry(Table):
@@ -79,29 +85,6 @@ class MarkersTable(Table):
         return own if full else MarkerEntry.model_construct(position=own)
 
 
-class WindowTable(Table):
-    """A window of time of a recording, over which positions are averaged."""
-
-    between: tuple[Time, Time] = Field(description='["1.2 s", "1.4 s"]')
-    after_step_of: str | None = Field(
-        None, description="marker from whose step the times are counted"
-    )
-
-
-def _is_window(value: object) -> bool:
-    return isinstance(value, dict) and isinstance(value.get("between"), list)
-
-
-Which = Annotated[
-    Annotated[WindowTable, Tag("(window)")] | Annotated[Selection, Tag("(rows)")],
-    Discriminator(lambda value: "(window)" if _is_window(value) else "(rows)"),
-]
-"""What is taken of a file: a window of a recording, or rows of a table."""
-
-RECORDING = ".c3d"
-"""How the names of recordings end."""
-
-
 class RegistrationTable(Table):
     """How to register the frame of the cameras to the frame of the mesh."""
 
@@ -109,19 +92,41 @@ class RegistrationTable(Table):
     select: Which = Field(default_factory=dict)
 
 
+class MeasuredMarkers(NamedTuple):
+    """What was measured of the markers of a configuration.
+
+    Attributes:
+        positions: Positions in the frame of the mesh [m].
+        std: Standard deviations, where the scatter of a recording counts [m].
+        registration: Registration of the frame of the cameras, if there is one.
+        traces: The recording and its windows, if it is one.
+    """
+
+    positions: Float[HostArray, "n_markers 3"]
+    std: Float[HostArray, "n_markers 3"] | None
+    registration: Registration | None
+    traces: Traces | None
+
+
 class MeasuredTable(Table):
     """Where to read measured positions, and how to bring them into the mesh's frame.
 
     `effectors` holds measured values of other effectors. `displacement_from` is the
-    name of a configuration, or rows of the same file as those before the motion.
+    name of a configuration, or what is taken of the same file as before the motion.
+    `labels` are labels of the file by names of the project. With `scatter`, how frames
+    of a recording scatter over its windows adds to the standard deviations.
     """
 
     file: str | None = None
     length_unit: LengthUnit | None = None
+    delimiter: Delimiter | None = None
+    decimal: Decimal | None = None
+    labels: dict[str, str] = Field(default_factory=dict)
     recording: Selection = Field(default_factory=dict)
     select: Which = Field(default_factory=dict)
     registration: RegistrationTable | None = None
     displacement_from: Which | str | None = None
+    scatter: Flag = False
     effectors: dict[str, Measured] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -141,43 +146,81 @@ class MeasuredTable(Table):
         return self
 
     def _check_kind(self, file: str) -> None:
-        """Raise ValueError unless a recording has windows, and a table none."""
-        recorded = file.lower().endswith(RECORDING)
-        every = {"select": self.select, "displacement_from": self.displacement_from}
-        if self.registration is not None:
-            every["registration.select"] = self.registration.select
-        for key, which in every.items():
-            if which is None or isinstance(which, str):
-                continue  # or the name of a configuration
-            if isinstance(which, WindowTable) == recorded:
+        """Raise ValueError unless windows are of a recording, and rows of a table."""
+        of_c3d = file.lower().endswith(C3D)
+        for key, which in self._which().items():
+            if isinstance(which, WindowTable) == self._recorded:
                 continue
-            if recorded:
+            if self._recorded:
                 raise ValueError(
                     f"{file} is a recording: `{key}` says when, as in {{ between = "
                     '["1.2 s", "1.4 s"] }.'
                 )
             raise ValueError(
-                f"{file} is a table of rows: `{key}` names values of its columns, not "
-                "a window of time."
+                f"{file} is a table of rows, by `select`: `{key}` names values of its "
+                "columns too, not a window of time."
             )
-        for key in ("recording", "length_unit"):
-            if recorded and key in self.model_fields_set:
+        given = self.model_fields_set if self._recorded else set()
+        if "recording" in given:
+            raise ValueError(
+                f"`recording` is for tables of rows; {file} is one recording."
+            )
+        for key in ("length_unit", "delimiter", "decimal"):
+            if of_c3d and key in given:
                 raise ValueError(
                     f"`{key}` is for tables; {file} is one recording, which states its "
                     "unit of length."
                 )
+        if self.scatter and not self._recorded:
+            raise ValueError(
+                f"scatter is that of the frames of a recording; {file} is a table of "
+                "rows: state std of the markers."
+            )
 
-    def _read(self, path: Path, which: WindowTable | Selection) -> MarkerTable:
-        if isinstance(which, WindowTable):
-            start, stop = which.between
-            recording = read_c3d(path)
-            return recording.between(start, stop, after_step_of=which.after_step_of)
+    def _which(self) -> dict[str, WindowTable | Selection]:
+        """Return by key what is taken of the file."""
+        every = {"select": self.select, "displacement_from": self.displacement_from}
+        if self.registration is not None:
+            every["registration.select"] = self.registration.select
+        # The name of a configuration is something else.
+        return {k: w for k, w in every.items() if isinstance(w, WindowTable | dict)}
+
+    @property
+    def _recorded(self) -> bool:
+        """Whether the file is a recording over time: so says its name, or `select`."""
+        of_c3d = str(self.file).lower().endswith(C3D)
+        return of_c3d or isinstance(self.select, WindowTable)
+
+    def _read_rows(self, path: Path, which: Selection) -> MarkerTable:
+        dialect = {"delimiter": self.delimiter, "decimal": self.decimal}
         select = {**self.recording, **which}
-        return read_markers(path, length_unit=self.length_unit, select=select)
+        try:
+            return read_markers(
+                path, length_unit=self.length_unit, select=select, **dialect
+            )
+        except ValueError as error:
+            if not is_wide_table(path):
+                raise
+            raise ValueError(
+                f"{path} is a recording over time: `select` says when, as in "
+                '{ between = ["1.2 s", "1.4 s"] }.'
+            ) from error
+
+    def _read_recording(self, path: Path, needed: Sequence[str]) -> Recording:
+        """Read a recording, with markers under the names that the project has."""
+        dialect = {"delimiter": self.delimiter, "decimal": self.decimal}
+        recording = read_recording(path, length_unit=self.length_unit, **dialect)
+        there = {
+            name: label
+            for name, label in self.labels.items()
+            if label in recording.names or name in needed
+        }
+        with under("labels"):
+            return recording.renamed(there)
 
     def build(
         self, folder: Path, nominal: MarkersTable, markers: Markers
-    ) -> tuple[Float[HostArray, "n_markers 3"], Registration | None]:
+    ) -> MeasuredMarkers:
         """Read positions of `markers` in the frame of the mesh; `nominal` are all [m].
 
         With a selection as `displacement_from` they are the nominal positions plus the
@@ -185,20 +228,65 @@ class MeasuredTable(Table):
         was glued. With the name of a configuration they are as read: the calibration
         compares displacements from that one.
         """
-
-        def read(which: WindowTable | Selection, names: Sequence[str]):
-            return self._read(folder / str(self.file), which).positions_of(names)
-
-        loaded, start, registration = read(self.select, markers.names), None, None
-        reference = self.displacement_from
-        if reference is not None and not isinstance(reference, str):
-            start = read(reference, markers.names)
+        for name in self.labels:
+            with under("labels"):
+                nominal.positions_of([name])  # raises if there is no such marker
+        path, names, recording = folder / str(self.file), markers.names, None
+        if self._recorded:
+            fixed = () if self.registration is None else self.registration.markers
+            recording = self._read_recording(path, (*names, *fixed))
+        windows = {
+            key: self._read_rows(path, which)
+            if recording is None
+            else which.of(recording)
+            for key, which in self._which().items()
+        }
+        loaded = self._positions(windows["select"], names)
+        start, registration, R = None, None, np.eye(3)
+        if "displacement_from" in windows:
+            start = self._positions(windows["displacement_from"], names)
         if self.registration is not None:
-            names = self.registration.markers
-            seen = read(self.registration.select, names)
-            registration = register(seen, nominal.positions_of(names))
-            loaded = registration.apply(loaded)
+            own = self.registration.markers
+            seen = self._positions(windows["registration.select"], own)
+            registration = register(seen, nominal.positions_of(own))
+            loaded, R = registration.apply(loaded), registration.rotation
             start = None if start is None else registration.apply(start)
         if start is not None:
             loaded = markers.positions + (loaded - start)
-        return loaded, registration
+        std = traces = None
+        if self.scatter:
+            parts = ("select", "displacement_from")
+            seen = [
+                windows[key].covariances_of(names) for key in parts if key in windows
+            ]
+            std = _with_scatter(markers, R @ np.sum(seen, axis=0) @ R.T)
+        if recording is not None:
+            times = {key: own.window for key, own in windows.items() if own.window}
+            traces = Traces(recording, times, names)
+        return MeasuredMarkers(loaded, std, registration, traces)
+
+    def _positions(
+        self, table: MarkerTable, names: Sequence[str]
+    ) -> Float[HostArray, "n_wanted 3"]:
+        """Return positions by names of the project, which a recording has already."""
+        if self._recorded:
+            return table.positions_of(names)
+        return table.positions_of([self.labels.get(name, name) for name in names])
+
+
+def _with_scatter(
+    markers: Markers, covariances: Float[HostArray, "n_markers 3 3"]
+) -> Float[HostArray, "n_markers 3"]:
+    """Add scatter, in the frame of the mesh, to standard deviations that are stated."""
+    scatter = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    if isinstance(markers.std, Unstated):
+        still = [n for n, s in zip(markers.names, scatter, strict=True) if not s.all()]
+        if still:
+            raise ValueError(
+                f"marker {still[0]!r} does not scatter over its window, so that this "
+                "says nothing of its noise: state std of the markers."
+            )
+        return scatter
+    stated = np.asarray(markers.std, float)
+    stated = stated[:, None] if stated.ndim == 1 else stated
+    return np.hypot(stated, scatter)

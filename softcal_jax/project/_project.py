@@ -18,7 +18,12 @@ from softcal_jax.calibration import (
     SearchProgress,
     calibrate,
 )
-from softcal_jax.configurations import Configuration, Registration, configuration_arrays
+from softcal_jax.configurations import (
+    Configuration,
+    Registration,
+    Traces,
+    configuration_arrays,
+)
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
@@ -57,6 +62,7 @@ class Project(eqx.Module):
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
         registrations: Registrations of the camera frames by configuration.
+        traces: Recordings of markers, with what was used of them, by configuration.
     """
 
     name: str
@@ -76,6 +82,7 @@ class Project(eqx.Module):
     settings: CalibrationSettings
     newton: NewtonSettings
     registrations: dict[str, Registration]
+    traces: dict[str, Traces]
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -1,7 +1,7 @@
 """Tables of a project file for the places and readings of 6-D sensors."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -28,6 +28,12 @@ from softcal_jax.project._table import (
 
 Selection = dict[str, str]
 """Values that the selected rows of a file of readings have, by column."""
+
+Delimiter = Literal[",", ";", "\t", "|"]
+"""What stands between the columns of a file, where its header does not tell."""
+
+Decimal = Literal[".", ","]
+"""What stands before decimals, where the numbers of a file do not tell."""
 
 _UNIT_LENGTH = 1e-3
 """Tolerance on the length of a quaternion, above the rounding of four digits."""
@@ -90,6 +96,19 @@ class FrameTable(OrientationTable):
         return Pose.from_matrix(self.rotation, np.array(self.position))
 
 
+class MeasuredMotion(NamedTuple):
+    """The motion of a rigid body, and what its measurement says of its errors.
+
+    Attributes:
+        pose: The motion.
+        covariance: Of its translation and of a rotation vector, in the axes of the
+            mesh; None where nothing is known of it [m, rad].
+    """
+
+    pose: Pose
+    covariance: Float[HostArray, "6 6"] | None
+
+
 class MeasuredPoseTable(OrientationTable):
     """The pose of a 6-D sensor, written out or read from a file."""
 
@@ -97,6 +116,8 @@ class MeasuredPoseTable(OrientationTable):
     file: str | None = None
     format: Literal["table", "polhemus"] = "table"
     length_unit: LengthUnit | None = None
+    delimiter: Delimiter | None = None
+    decimal: Decimal | None = None
     angle_unit: Literal["deg", "rad"] = "deg"
     sensor: str | None = None
     station: Integer | None = None
@@ -122,7 +143,9 @@ class MeasuredPoseTable(OrientationTable):
             raise ValueError("got a pose and a file; give one of them.")
         of_other = {
             "table": {"station", "angle_unit"},
-            "polhemus": {"sensor", "select", "displacement_from"},
+            "polhemus": {
+                *("sensor", "select", "displacement_from", "delimiter", "decimal")
+            },
         }
         foreign = sorted(given & of_other[self.format])
         if foreign:
@@ -145,7 +168,7 @@ class MeasuredPoseTable(OrientationTable):
         base: FrameTable,
         mounted: OrientationTable,
         rest: Float[HostArray, "3"],
-    ) -> Pose:
+    ) -> MeasuredMotion:
         """Compute the motion of a rigid body from the pose of the sensor on it.
 
         It is the motion from rest, or with `displacement_from` between two readings, so
@@ -162,7 +185,8 @@ class MeasuredPoseTable(OrientationTable):
         if self.displacement_from is not None:
             earlier = {**self.select, **self.displacement_from}
             before, mounting = self._mean(folder, base, earlier)
-        return Pose.from_matrix(rotation @ mounting.T, position - before)
+        motion = Pose.from_matrix(rotation @ mounting.T, position - before)
+        return MeasuredMotion(motion, None)
 
     def _mean(
         self, folder: Path, base: FrameTable, select: Selection
@@ -185,7 +209,10 @@ class MeasuredPoseTable(OrientationTable):
             return PoseTable(("sensor",), p, R, (1,), "the pose")
         path = folder / self.file
         if self.format == "table":
-            return read_poses(path, length_unit=self.length_unit, select=select)
+            dialect = {"delimiter": self.delimiter, "decimal": self.decimal}
+            return read_poses(
+                path, length_unit=self.length_unit, select=select, **dialect
+            )
         station = self.station
         return read_polhemus(
             path,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from softcal_jax.calibration import CalibrationResult, SimulationResult
+from softcal_jax.configurations import Traces
 from softcal_jax.export import (
     comparison_dict,
     file_stems,
@@ -27,6 +28,7 @@ from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import (
     plot_budget,
     plot_convergence,
+    plot_traces,
     render_configuration,
     rendering_problem,
 )
@@ -47,6 +49,7 @@ def write_results(
     force: bool = False,
     assessment: Assessment | None = None,
     timing_s: Mapping[str, float] | None = None,
+    traces: Mapping[str, Traces] | None = None,
 ) -> Path:
     """Write a calibration to a folder, whole or not at all.
 
@@ -54,7 +57,8 @@ def write_results(
     `markers.csv`, `convergence.png`, `budget.png` and, for each configuration, a .vtu
     for ParaView and a .png; `configurations.pvd` opens all .vtu at once. For a robot
     with other effectors, rigid bodies or actuators there are `effectors.csv` and
-    `robot.csv`, too. A calibration that did not converge is written
+    `robot.csv`, too; of a recording of markers over time a picture that ends with
+    `_recording.png`. A calibration that did not converge is written
     too, marked as such. A configuration without an equilibrium has neither .vtu nor
     .png.
 
@@ -65,6 +69,7 @@ def write_results(
         force: Replace earlier results; files that a user added stay.
         assessment: Assessment of the calibration, if known already.
         timing_s: Wall time of further parts, added to those of the result [s].
+        traces: Recordings of markers by configuration, as in a `Project`.
 
     Returns:
         The folder.
@@ -75,7 +80,9 @@ def write_results(
     """
     more: dict[str, Any] = {"assessment": assessment, "timing_s": timing_s}
     data = result_dict(result, name=name, directory=directory, **more)
-    return _write(result, data, Path(directory), "result.json", force=force)
+    return _write(
+        result, data, Path(directory), "result.json", force=force, traces=traces or {}
+    )
 
 
 def write_simulation(
@@ -85,6 +92,7 @@ def write_simulation(
     name: str = "simulation",
     force: bool = False,
     timing_s: Mapping[str, float] | None = None,
+    traces: Mapping[str, Traces] | None = None,
 ) -> Path:
     """Write a forward simulation to a folder, whole or not at all.
 
@@ -95,7 +103,14 @@ def write_simulation(
     `write_results`; returns the folder.
     """
     data = simulation_dict(result, name=name, timing_s=timing_s)
-    return _write(result, data, Path(directory), "simulation.json", force=force)
+    return _write(
+        result,
+        data,
+        Path(directory),
+        "simulation.json",
+        force=force,
+        traces=traces or {},
+    )
 
 
 def write_identifiability(
@@ -163,7 +178,13 @@ Result = CalibrationResult | SimulationResult
 
 
 def _write(
-    result: Result, data: dict[str, Any], directory: Path, index: str, *, force: bool
+    result: Result,
+    data: dict[str, Any],
+    directory: Path,
+    index: str,
+    *,
+    force: bool,
+    traces: Mapping[str, Traces],
 ) -> Path:
     """Write all files, and last the index, which lists them."""
     problem = rendering_problem()
@@ -171,7 +192,8 @@ def _write(
         warnings.warn(problem, PictureWarning, stacklevel=3)
     with results_folder(directory, force=force) as folder:
         files = _write_tables(folder, result, data["name"])
-        files += _write_bodies(folder, result, data, pictures=problem is None)
+        pictures = problem is None
+        files += _write_bodies(folder, result, data, traces, pictures=pictures)
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
         write_json(folder / index, {**data, "files": files})
     return directory
@@ -198,7 +220,12 @@ def _write_tables(folder: Path, result: Result, name: str) -> list[str]:
 
 
 def _write_bodies(
-    folder: Path, result: Result, data: dict[str, Any], *, pictures: bool
+    folder: Path,
+    result: Result,
+    data: dict[str, Any],
+    traces: Mapping[str, Traces],
+    *,
+    pictures: bool,
 ) -> list[str]:
     """Write .vtu and .png of every equilibrium, and list them in its entry of `data`.
 
@@ -212,6 +239,9 @@ def _write_bodies(
     stems = file_stems([own.name for own in shown])
     for own, entry, stem in zip(shown, data["configurations"], stems, strict=True):
         files = entry["files"] = []
+        if own.name in traces:
+            files.append(f"{stem}_recording.png")
+            plot_traces(traces[own.name], folder / files[-1], name=own.name)
         if not own.converged:
             continue
         files.append(f"{stem}.vtu")

@@ -66,3 +66,130 @@ def test_files_that_are_no_recordings_are_refused(tmp_path):
     path = write_recording(tmp_path / "a.c3d", motion(), unit="furlong")
     with pytest.raises(ValueError, match="the unit of length 'furlong'; expected"):
         read_c3d(path)
+
+
+def test_events_count_from_the_first_frame(tmp_path):
+    path = tmp_path / "a.c3d"
+    events = (("valve opens", 0.15), ("valve closes", 61.5), ("valve closes", 62.0))
+    recording = read_c3d(write_recording(path, motion(), events=events))
+    assert [name for name, _ in recording.events] == [name for name, _ in events]
+    assert recording.time_of("valve opens") == pytest.approx(0.15)
+    assert [t for _, t in recording.events] == pytest.approx([t for _, t in events])
+    after = recording.between(0.06, 0.08, after_event="valve opens")
+    np.testing.assert_allclose(
+        after.positions, recording.between(0.21, 0.23).positions, atol=1e-12
+    )
+    with pytest.raises(ValueError, match=r"unknown event 'valve open'. Did you mean"):
+        recording.between(0.0, 0.1, after_event="valve open")
+    with pytest.raises(ValueError, match=r"'valve closes' 2 times, at 61.5, 62 s"):
+        recording.time_of("valve closes")
+    both = {"after_event": "valve opens", "after_step_of": "tip"}
+    with pytest.raises(ValueError, match="not from both"):
+        recording.between(0.0, 0.1, **both)
+
+
+def noisy(seed=0, *, std=0.05e-3):
+    """A marker that rests, moves by 20 mm, creeps by 1 %, and is let go again."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(800) / RATE
+    held = (t >= 2.0) & (t < 6.0)
+    path = np.where(held, 20e-3 * (1.0 - np.exp(-(t - 2.0) / 0.2)), 0.0)
+    path = path + np.where(held, 0.2e-3 * np.minimum(t - 2.0, 2.0) / 2.0, 0.0)
+    positions = np.zeros((800, 2, 3))
+    positions[:, 1, 2] = path
+    return Recording(NAMES, t, positions + std * rng.normal(size=(800, 2, 3)), "run")
+
+
+def test_a_window_around_a_time():
+    recording = noisy()
+    around = recording.at(3.0, width=0.5)
+    np.testing.assert_array_equal(
+        around.positions, recording.between(2.75, 3.25).positions
+    )
+    usual = recording.at(1.0, after_step_of="tip")
+    expected = recording.between(0.95, 1.05, after_step_of="tip")
+    np.testing.assert_array_equal(usual.positions, expected.positions)
+    single = recording.at(3.002, width=0.0)  # of the nearest frame
+    np.testing.assert_array_equal(single.positions, recording.positions[300])
+    with pytest.raises(ValueError, match=r"width of a window is zero or more \[s\]"):
+        recording.at(3.0, width=-0.1)
+
+
+def test_scatter_over_a_window():
+    """Against NumPy, with frames that do not see a marker."""
+    recording = noisy()
+    positions = recording.positions.copy()
+    positions[300:340:3, 1] = np.nan
+    positions[300:340, 0] = np.nan
+    positions[307, 0] = 0.0
+    recording = Recording(NAMES, recording.times, positions, "run")
+    table = recording.between(3.0, 3.39)
+    own = positions[300:340, 1]
+    own = own[np.isfinite(own).all(axis=1)]
+    np.testing.assert_allclose(
+        table.covariances_of(["tip"])[0], np.cov(own.T), rtol=1e-9
+    )
+    assert table.window == pytest.approx((3.0, 3.39))
+    with pytest.raises(ValueError, match="fewer than two frames see marker 'base'"):
+        table.covariances_of(["base"])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_plateau_is_found(seed):
+    """Between the rise, the slow creep and the release, and nowhere at rest."""
+    recording = noisy(seed)
+    start, stop = recording.plateau(0.5).window
+    assert 2.6 < start < 4.2
+    assert 5.9 < stop < 6.0
+    table = recording.plateau(0.5, after_step_of="tip")
+    assert table.window == (start, stop)
+    assert "on the plateau between" in table.places[0]
+    # Creep has ended at 4 s, so that the mean is within what it was before.
+    height = table.positions_of(["tip"])[0, 2]
+    assert 20.0e-3 < height < 20.25e-3
+
+
+def test_a_recording_at_rest_is_one_plateau():
+    recording = noisy()
+    rest = Recording(NAMES, recording.times[:150], recording.positions[:150], "run")
+    assert rest.plateau(1.0).window == pytest.approx((0.0, 1.49))
+
+
+def test_a_plateau_goes_on_while_something_that_moves_is_seen():
+    recording = noisy()
+    positions = recording.positions.copy()
+    positions[450:470, 1] = np.nan
+    gap = Recording(NAMES, recording.times, positions, "run")
+    start, stop = gap.plateau(0.5).window
+    assert stop < 4.5 or start >= 4.69
+    positions[:, 0] = recording.positions[:, 1]
+    start, stop = gap.plateau(0.5).window
+    assert start < 4.5
+    assert stop > 4.7
+
+
+def test_no_plateau():
+    """A marker that never stands still, and one that is held for too short a time."""
+    t = np.arange(400) / RATE
+    positions = np.zeros((400, 2, 3))
+    positions[:, 1, 0] = 0.05 * np.sin(3.0 * t)
+    moving = Recording(NAMES, t, positions, "run")
+    with pytest.raises(ValueError, match=r"no plateau of 0.3 s: even in the stillest"):
+        moving.plateau(0.3)
+    with pytest.raises(ValueError, match="held for less than 5 s away from"):
+        noisy().plateau(5.0)
+    with pytest.raises(ValueError, match=r"a plateau has a positive length \[s\]"):
+        moving.plateau(0.0)
+
+
+def test_labels_are_renamed():
+    recording = Recording(
+        ("arm:1", "arm:2"), np.arange(2.0), np.zeros((2, 2, 3)), "run"
+    )
+    assert recording.renamed({"tip": "arm:2"}).names == ("arm:1", "tip")
+    with pytest.raises(ValueError, match="has no marker 'arm:3'"):
+        recording.renamed({"tip": "arm:3"})
+    with pytest.raises(ValueError, match="give two markers the name 'arm:1'"):
+        recording.renamed({"arm:1": "arm:2"})
+    with pytest.raises(ValueError, match="or one marker two names"):
+        recording.renamed({"tip": "arm:2", "end": "arm:2"})

@@ -1,0 +1,146 @@
+"""The stretch of a recording in which markers stand still after they have moved."""
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+
+HELD = 0.5
+"""Share of the largest motion from which a pose counts as moved [-]."""
+
+STILL = 0.02
+"""Share of the largest motion by which markers may wander on a plateau [-]."""
+
+NOISE = 4.0
+"""Standard deviations of the noise that this may be exceeded by [-]."""
+
+FEWEST = 5
+"""Fewest frames of a plateau: fewer hardly have a trend."""
+
+# A second difference of white noise has six times its variance, and the median of the
+# absolute value of a normal variable is 0.6745 standard deviations.
+_SECOND, _MEDIAN = np.sqrt(6.0), 0.6745
+
+
+def find_plateau(
+    times: Float[HostArray, " n_frames"],
+    positions: Float[HostArray, "n_frames n_markers 3"],
+    whole: Float[HostArray, "n_all n_markers 3"],
+    length: float,
+) -> tuple[int, int]:
+    """Find the frames in which markers stand still after they have moved.
+
+    A marker has moved in a frame in which it is farther from where it was first seen
+    than half of its largest distance from there; where no marker moves by more than
+    its noise, all frames count. Of the stretches of `length` in such frames, the one in
+    which the markers drift least, from its first half to its second, is the core.
+    The plateau is all frames around it, without a break, in which no marker is farther
+    from its mean over the core than 2 % of the largest motion and four standard
+    deviations of the noise.
+
+    Args:
+        times: Time of each frame in which to look [s].
+        positions: Positions in these frames; nan where a marker was occluded [m].
+        whole: Positions in all frames of the recording, for motion and noise [m].
+        length: Least length of the plateau [s].
+
+    Returns:
+        The first of its frames, and the one after its last.
+
+    Raises:
+        ValueError: If there is none of that length.
+    """
+    if not length > 0.0:
+        raise ValueError(f"a plateau has a positive length [s], got {length:g}.")
+    away = np.linalg.norm(positions - _first_seen(whole), axis=2)
+    motion = _largest(np.linalg.norm(whole - _first_seen(whole), axis=2))
+    # Of the distance, which has three coordinates.
+    noise = NOISE * np.sqrt(3.0) * _noise(whole)
+    moving = motion > 2.0 * noise + 1e-12  # the first frame has noise as well
+    allowed = STILL * np.max(motion[moving], initial=0.0) + noise
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (away / motion)[:, moving]
+    seen = np.isfinite(share)
+    total = np.sum(np.where(seen, share, 0.0), axis=1)
+    held = total >= HELD * np.maximum(seen.sum(axis=1), 1) if moving.any() else None
+    held = np.ones(len(times), bool) if held is None else held & seen.any(axis=1)
+    first, stop = _stretches(times, held, length)
+    middle = (first + stop) // 2
+    mean = _means(positions)
+    drifts = np.linalg.norm(mean(middle, stop) - mean(first, middle), axis=2)
+    drift = np.where(np.isfinite(drifts), drifts, -np.inf).max(axis=1, initial=-np.inf)
+    drift = np.where(drift >= 0.0, drift, np.inf)  # of a stretch that sees no marker
+    if not np.any(np.isfinite(drift)):
+        raise ValueError(
+            f"the markers are held for less than {length:g} s away from where they "
+            "begin: there is no plateau of that length."
+        )
+    k = int(np.argmin(drift))
+    best = int(first[k]), int(stop[k])
+    off = np.linalg.norm(positions - mean(first[k], stop[k]), axis=2)
+    still = held & ~np.any(off > allowed, axis=1)
+    breaks = np.flatnonzero(~still)
+    start = int(breaks[breaks < best[0]].max(initial=-1)) + 1
+    stop = int(breaks[breaks >= best[0]].min(initial=len(times)))
+    if stop < best[1]:
+        worst = 1e3 * float(np.nanmax(off[best[0] : best[1]]))
+        raise ValueError(
+            f"there is no plateau of {length:g} s: even in the stillest stretch, "
+            f"between {times[best[0]]:g} and {times[best[1] - 1]:g} s, a marker is "
+            f"{worst:.3g} mm off its mean. Say `between` which times to average."
+        )
+    return start, stop
+
+
+def _stretches(times, held, length):
+    """Return first frames of stretches of held frames, and those after their ends."""
+    # Times are multiples of the frame's length, up to rounding.
+    stop = np.searchsorted(times, times + length * (1.0 - 1e-9)) + 1
+    first = np.arange(len(times))
+    stop = np.maximum(stop, first + FEWEST)
+    within = stop <= len(times)
+    first, stop = first[within], stop[within]
+    before = np.concatenate([[0], np.cumsum(~held)])
+    held = before[stop] == before[first]
+    return first[held], stop[held]
+
+
+def _means(positions):
+    """Return a function for means over stretches, of the frames that see a marker."""
+    seen = np.isfinite(positions).all(axis=2, keepdims=True)
+    # From a point nearby, so that sums of many frames lose no digits.
+    near = np.where(np.isfinite(near := _first_seen(positions)), near, 0.0)
+    sums = np.cumsum(np.where(seen, positions - near, 0.0), axis=0)
+    sums, counts = (
+        np.concatenate([np.zeros_like(a[:1]), a])
+        for a in (sums, np.cumsum(seen, axis=0))
+    )
+
+    def mean(first, stop):
+        n = counts[stop] - counts[first]
+        return near + (sums[stop] - sums[first]) / np.where(n > 0, n, np.nan)
+
+    return mean
+
+
+def _first_seen(positions):
+    """Return where each marker was seen first; nan if never [m]."""
+    seen = np.isfinite(positions).all(axis=2)
+    first = np.argmax(seen, axis=0)
+    return positions[first, np.arange(positions.shape[1])]
+
+
+def _largest(distances):
+    """Return the largest distance of each marker; 0 if it was never seen [m]."""
+    return np.max(np.where(np.isfinite(distances), distances, 0.0), axis=0, initial=0.0)
+
+
+def _noise(positions):
+    """Estimate the noise of a coordinate of each marker from second differences [m]."""
+    second = np.abs(np.diff(positions, n=2, axis=0))
+    noise = np.zeros(positions.shape[1])
+    for marker in range(positions.shape[1]):
+        own = second[:, marker]
+        own = own[np.isfinite(own)]
+        if own.size:
+            noise[marker] = np.median(own) / (_MEDIAN * _SECOND)
+    return noise

@@ -1,0 +1,132 @@
+"""Files of recordings: C3D, and the wide tables that motion capture exports."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softcal_jax._files import check_file
+from softcal_jax._names import METRES
+from softcal_jax._text import escaped
+from softcal_jax.configurations._recording import Recording
+from softcal_jax.configurations._wide_table import read_wide_table
+
+C3D = ".c3d"
+"""How the names of recordings in the format of www.c3d.org end."""
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    length_unit: str | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> Recording:
+    """Read a recording: a file that ends with .c3d, or else a wide table.
+
+    Args:
+        path: The file.
+        length_unit: As for `read_wide_table`; .c3d files state it.
+        delimiter: Of a table, as for `read_wide_table`.
+        decimal: Of a table, as for `read_wide_table`.
+
+    Raises:
+        ImportError: If it is a .c3d file and ezc3d is not installed.
+        FileNotFoundError: As `read_c3d` and `read_wide_table`.
+        ValueError: As those, or if something is given that .c3d files state.
+    """
+    if Path(path).suffix.lower() != C3D:
+        dialect = {"delimiter": delimiter, "decimal": decimal}
+        return read_wide_table(path, length_unit=length_unit, **dialect)
+    stated = {"length_unit": length_unit, "delimiter": delimiter, "decimal": decimal}
+    for key, value in stated.items():
+        if value is not None:
+            raise ValueError(f"{key} is for tables; leave it out for {path}.")
+    return read_c3d(path)
+
+
+def read_c3d(path: str | os.PathLike[str]) -> Recording:
+    """Read a recording of motion capture, with the units that the file states.
+
+    A frame in which a marker has a negative residual did not see it.
+
+    Args:
+        path: A file in the format of www.c3d.org.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ImportError: If ezc3d is not installed.
+        ValueError: If it is no file of a disk, cannot be read, holds no frames or no
+            markers, or two markers of one label, or does not state a known unit of
+            length.
+
+    Example:
+        The pose from 1.25 to 1.35 s after the valve opened::
+
+            arm = read_c3d("200mbar.c3d")
+            arm.between(1.25, 1.35, after_step_of="Tip - 1").positions_of(["Tip - 1"])
+    """
+    try:
+        import ezc3d
+    except ImportError as error:
+        raise ImportError(
+            "reading .c3d files needs ezc3d: pip install 'softcal-jax[mocap]'."
+        ) from error
+    path = Path(path)
+    check_file(path, "recording")
+    try:
+        content = ezc3d.c3d(str(path))
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ValueError(f"recording {path} cannot be read: {error}.") from error
+    point = content["parameters"]["POINT"]
+    names = tuple(map(escaped, point["LABELS"]["value"]))
+    units = point["UNITS"]["value"] if "UNITS" in point else []
+    _check(path, names, units)
+    positions = np.moveaxis(np.asarray(content["data"]["points"], float), 2, 0)
+    positions = np.swapaxes(positions, 1, 2)[:, : len(names), :3] * METRES[units[0]]
+    residuals = np.asarray(content["data"]["meta_points"]["residuals"])[0].T
+    positions[residuals[:, : len(names)] < 0.0] = np.nan
+    rate = float(point["RATE"]["value"][0])
+    if not (len(positions) and rate > 0.0):
+        raise ValueError(
+            f"recording {path} has {len(positions)} frames at {rate:g} Hz; expected "
+            "one or more, and a positive rate."
+        )
+    # Events count from the first frame of the trial, of which this may be a part.
+    trimmed = int(content["header"]["points"]["first_frame"]) / rate
+    return Recording(
+        names=names,
+        times=np.arange(len(positions)) / rate,
+        positions=positions,
+        source=str(path),
+        events=_events(content["parameters"], trimmed),
+    )
+
+
+def _events(
+    parameters: Mapping[str, Any], trimmed: float
+) -> tuple[tuple[str, float], ...]:
+    """Return the named events of a file, whose times are minutes and seconds."""
+    event = parameters.get("EVENT", {})
+    if "LABELS" not in event or "TIMES" not in event:
+        return ()
+    minutes, seconds = np.reshape(event["TIMES"]["value"], (2, -1))
+    times = 60.0 * minutes + seconds - trimmed
+    labels = map(escaped, event["LABELS"]["value"])
+    return tuple((label, float(t)) for label, t in zip(labels, times, strict=False))
+
+
+def _check(path: Path, names: Sequence[str], units: Sequence[str]) -> None:
+    if not names:
+        raise ValueError(f"recording {path} holds no labelled markers.")
+    repeated = [name for name in names if names.count(name) > 1]
+    if repeated:
+        raise ValueError(f"recording {path} has the label {repeated[0]!r} twice.")
+    if not units or units[0] not in METRES:
+        stated = repr(units[0]) if units else "none"
+        raise ValueError(
+            f"recording {path} states the unit of length {stated}; expected one of "
+            f"{', '.join(METRES)} in its parameter POINT:UNITS."
+        )

@@ -1,0 +1,74 @@
+"""Tables of a project file that say which times of a recording are averaged."""
+
+from typing import Annotated, Any
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from softcal_jax.configurations import MarkerTable, Recording
+from softcal_jax.project._sensors import Selection
+from softcal_jax.project._table import Table, Time
+
+_KINDS = ("between", "at", "plateau")
+"""What a window of time is given by; each has a method of `Recording`."""
+
+
+class WindowTable(Table):
+    """A window of time of a recording, over which positions are averaged."""
+
+    between: tuple[Time, Time] | None = Field(None, description='["1.2 s", "1.4 s"]')
+    at: Time | None = Field(None, description='"1.3 s"')
+    width: Time | None = Field(
+        None, description='width of the window around `at`: "100 ms"'
+    )
+    plateau: Time | None = Field(
+        None, description='least length of a plateau that is looked for: "0.5 s"'
+    )
+    after_step_of: str | None = Field(
+        None, description="marker from whose step the times are counted"
+    )
+    after_event: str | None = Field(
+        None, description="event of the file from which the times are counted"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> "WindowTable":
+        given = [key for key in _KINDS if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"got {' and '.join(given) or 'no time'}; expected one of between = "
+                '["1.2 s", "1.4 s"], at = "1.3 s", plateau = "0.5 s". A key of '
+                "[shared] holds as well."
+            )
+        if self.width is not None and self.at is None:
+            raise ValueError("width is for the window around `at`.")
+        return self
+
+    def of(self, recording: Recording) -> MarkerTable:
+        """Average a recording over the window."""
+        after: dict[str, Any] = {
+            "after_step_of": self.after_step_of,
+            "after_event": self.after_event,
+        }
+        if self.between is not None:
+            return recording.between(*self.between, **after)
+        if self.plateau is not None:
+            return recording.plateau(self.plateau, **after)
+        assert self.at is not None
+        width = {} if self.width is None else {"width": self.width}
+        return recording.at(self.at, **width, **after)
+
+
+def _is_window(value: object) -> bool:
+    """Tell a window from values of columns: one may be named like a key of it."""
+    if not isinstance(value, dict) or not {*_KINDS} & {*value}:
+        return False
+    return isinstance(value.get("between"), list) or {*value} <= {
+        *WindowTable.model_fields
+    }
+
+
+Which = Annotated[
+    Annotated[WindowTable, Tag("(window)")] | Annotated[Selection, Tag("(rows)")],
+    Discriminator(lambda value: "(window)" if _is_window(value) else "(rows)"),
+]
+"""What is taken of a file: a window of a recording, or rows of a table."""

@@ -1,0 +1,154 @@
+"""Recordings that motion capture exports as text: their headers are honoured."""
+
+import numpy as np
+import pytest
+from recordings import NAMES, RATE, motion, write_motive, write_qualisys, write_vicon
+
+from softcal_jax.configurations import read_recording, read_wide_table
+
+
+def seen():
+    """The motion of the tip, which is not seen in two frames, away from the origin."""
+    positions = motion() + 5.0
+    positions[[3, 30], 1] = np.nan
+    return positions
+
+
+def check(recording, labels=NAMES, metres=1e-3):
+    assert recording.names == labels
+    np.testing.assert_allclose(recording.times, np.arange(40) / RATE, atol=1e-9)
+    np.testing.assert_allclose(recording.positions, metres * seen(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [("Meters", 1.0), ("Centimeters", 1e-2), ("Millimeters", 1e-3)],
+)
+def test_motive(tmp_path, unit, metres):
+    """Measured markers are read, and not the solved ones 7 mm beside them."""
+    path = write_motive(tmp_path / "take.csv", seen(), unit=unit)
+    check(read_recording(path), metres=metres)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("m", 1.0)])
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_vicon(tmp_path, unit, metres, delimiter):
+    """The section of the trajectories, between others."""
+    path = tmp_path / "trial.csv"
+    write_vicon(path, seen(), unit=unit, delimiter=delimiter)
+    check(read_recording(path), labels=("arm:base", "arm:tip"), metres=metres)
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("titles", [True, False])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_qualisys(tmp_path, timed, titles, decimal):
+    """With time and titles of columns or without, in English and German."""
+    events = (("valve opens", 0.2),)
+    path = write_qualisys(
+        tmp_path / "run.tsv",
+        seen(),
+        timed=timed,
+        titles=titles,
+        decimal=decimal,
+        events=events,
+    )
+    recording = read_recording(path, length_unit="mm")
+    check(recording)
+    assert recording.events == events
+
+
+@pytest.mark.parametrize("gap", ["", "NaN", "NULL"])
+def test_gaps(tmp_path, gap):
+    """As programs write what was not seen; at the end of a row it may lack."""
+    path = write_vicon(tmp_path / "a.csv", motion())
+    whole = read_recording(path).positions
+    text = path.read_text()
+    row = next(row for row in text.splitlines() if row.startswith("131,"))
+    ends = row.rsplit(",", 3)[0]
+    for changed in (",".join([ends, gap, gap, gap]), ends):
+        path.write_text(text.replace(row, changed))
+        positions = read_recording(path).positions
+        assert np.isnan(positions[30, 1]).all()
+        assert np.isfinite(np.delete(positions, 30, axis=0)).all()
+        np.testing.assert_array_equal(positions[:30], whole[:30])
+
+
+def test_the_dialect_of_a_file_can_be_stated(tmp_path):
+    """Where some numbers have a comma and others a point, nothing is guessed."""
+    path = write_qualisys(tmp_path / "a.tsv", motion())
+    path.write_text(path.read_text().replace("\t", "|").replace("3.000000", "3,000000"))
+    with pytest.raises(ValueError, match="has decimal commas: write all numbers"):
+        read_recording(path, length_unit="mm")
+    with pytest.raises(ValueError, match="not a number"):
+        read_recording(path, length_unit="mm", delimiter="|", decimal=".")
+    with pytest.raises(ValueError, match="delimiter is '-'; expected one of ','"):
+        read_recording(path, length_unit="mm", delimiter="-")
+    with pytest.raises(ValueError, match="both a comma"):
+        read_recording(path, length_unit="mm", delimiter=",", decimal=",")
+
+
+REFUSED = {
+    "unknown": (write_vicon, "Trajectories", "Model Outputs", "is no table of motion"),
+    "twice": (write_vicon, "arm:tip", "arm:base", "has the label 'arm:base' twice"),
+    "no unit": (write_vicon, "mm,mm,mm,", "mm,,mm,", "units of length are"),
+    "unknown unit": (write_vicon, ",mm", ",deg", "units of length are 'deg'; expected"),
+    "no rate": (write_vicon, "\n100\n,", "\nfast\n,", "its rate of frames is 'fast'"),
+    "cut short": (write_vicon, "Frame,Sub Frame,X", "no,no,X", "below Trajectories"),
+    "no number": (write_vicon, "\n102,0,1.0", "\n102,0,one", "line 14: a cell is not"),
+    "time": (write_vicon, "\n102,0", "\n99,0", "is not after that of the frame before"),
+    "feet": (write_motive, "Millimeters", "Feet", "Length Units 'Feet'; expected one"),
+    "solved": (
+        write_motive,
+        ",Marker",
+        ",Bone Marker",
+        "no measured markers, only Bone Marker, Rigid Body Marker: switch Markers on",
+    ),
+    "no time": (
+        write_motive,
+        "Time (Seconds)",
+        "Timecode",
+        "there is no column of time",
+    ),
+    "2D": (write_qualisys, "\t3D", "\t2D", "includes 2D data, not 3D positions"),
+    "untimed": (
+        write_qualisys,
+        "Frame\tTime\t",
+        "Frame\t",
+        "before these perhaps Frame",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("write", "old", "new", "message"), REFUSED.values(), ids=REFUSED
+)
+def test_refused(tmp_path, write, old, new, message):
+    path = write(tmp_path / "a.csv", motion())
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    unit = "mm" if write is write_qualisys else None
+    with pytest.raises(ValueError, match=message):
+        read_wide_table(path, length_unit=unit)
+
+
+def test_units_are_stated_once(tmp_path):
+    qualisys = write_qualisys(tmp_path / "a.tsv", motion())
+    with pytest.raises(ValueError, match=r"give length_unit \(Qualisys writes mm\)"):
+        read_recording(qualisys)
+    with pytest.raises(ValueError, match="unknown length unit 'furlong'"):
+        read_recording(qualisys, length_unit="furlong")
+    motive = write_motive(tmp_path / "a.csv", motion())
+    assert read_recording(motive, length_unit="mm").names == NAMES
+    with pytest.raises(ValueError, match="states the unit of length 'mm', but"):
+        read_recording(motive, length_unit="m")
+    with pytest.raises(ValueError, match="length_unit is for tables; leave it out"):
+        read_recording(tmp_path / "a.c3d", length_unit="m")
+
+
+def test_a_table_of_rows_is_none(tmp_path):
+    path = tmp_path / "markers.csv"
+    path.write_text("marker,x_mm,y_mm,z_mm\ntip,1,2,3\n")
+    with pytest.raises(ValueError, match="a table of rows, with a column marker"):
+        read_recording(path)
