@@ -11,14 +11,9 @@ from softcal_jax.mesh._location import MaterialPoints, locate
 from softcal_jax.mesh._meshio import MeshWarning
 from softcal_jax.mesh._reading import read_mesh, read_tet_data
 from softcal_jax.mesh._refinement import Refinement, finer, refine
-from softcal_jax.mesh._selection import (
-    Box,
-    Plane,
-    Sphere,
-    node_indices,
-    select_faces,
-    select_nodes,
-)
+from softcal_jax.mesh._regions import Annulus, Box, Cylinder, Plane, Sphere
+from softcal_jax.mesh._selection import node_indices, select_faces, select_nodes
+from softcal_jax.mesh._surfaces import select_cavity, select_face, select_reachable
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     boundary_faces,
@@ -30,7 +25,9 @@ from softcal_jax.mesh._topology import (
 from softcal_jax.mesh._tripod import tripod
 
 __all__ = [
+    "Annulus",
     "Box",
+    "Cylinder",
     "MaterialPoints",
     "MeshWarning",
     "Plane",
@@ -49,8 +46,11 @@ __all__ = [
     "read_mesh",
     "read_tet_data",
     "refine",
+    "select_cavity",
+    "select_face",
     "select_faces",
     "select_nodes",
+    "select_reachable",
     "surface_shares",
     "to_linear",
     "to_quadratic",

@@ -144,7 +144,7 @@ def test_lids_are_the_same_on_a_finer_mesh(order):
     """Volumes and work of all motions that the coarse mesh can make."""
     mesh = channel(0, 4, order)
     fine, arrays = finer(mesh), arrays_of(mesh, SEALED)
-    (lids,) = [g for g in arrays.groups if not hasattr(g, "nodes") or g.curved][1:]
+    _, lids = arrays.groups
     refined = lids.refined(fine)
     assert refined.quadratic
     assert refined.nodes.shape == (2, 2 * lids.nodes.shape[1])
@@ -191,10 +191,12 @@ def test_equilibrium_is_that_of_a_closed_twin(order):
             actuators=[chamber],
         )
         pose = sc.Configuration("blown", "held", actuation={"c": sc.ImposedForce(5e3)})
-        found.append(np.asarray(sc.solve_equilibrium(model, pose).x)[: body.n_nodes])
-    moved = np.abs(found[0] - mesh.points).max()
-    assert moved > 0.01
-    np.testing.assert_allclose(found[0], found[1][twin], rtol=0, atol=1e-8 * moved)
+        u = np.asarray(sc.solve_equilibrium(model, pose).displacement)
+        found.append(u[: body.n_nodes])
+    assert np.abs(found[0]).max() > 0.01
+    # Far above the tolerance of the equilibrium, 1e-8.
+    largest = np.abs(found[0]).max()
+    np.testing.assert_allclose(found[0], found[1][twin], rtol=0, atol=1e-6 * largest)
 
 
 def test_a_closed_wall_needs_no_seal():
