@@ -4,6 +4,7 @@ Everything here runs on the host in NumPy, once, before the physics. Lengths are
 metres.
 """
 
+from softcal_jax.mesh._cad import CAD_FORMATS, mesh_cad
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._conversion import merge, to_linear, to_quadratic
 from softcal_jax.mesh._generators import beam
@@ -23,8 +24,10 @@ from softcal_jax.mesh._topology import (
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
+from softcal_jax.mesh._writing import write_mesh
 
 __all__ = [
+    "CAD_FORMATS",
     "Annulus",
     "Box",
     "Cylinder",
@@ -42,6 +45,7 @@ __all__ = [
     "finer",
     "locate",
     "merge",
+    "mesh_cad",
     "node_indices",
     "read_mesh",
     "read_tet_data",
@@ -56,4 +60,5 @@ __all__ = [
     "to_quadratic",
     "tripod",
     "volumes",
+    "write_mesh",
 ]

@@ -24,7 +24,7 @@ _ROUNDING = 1e-6
 """Distance at which a point lies on several faces, over the size of the mesh [-]."""
 
 _ENCLOSED = 0.5
-"""Share of all directions in which a cavity's wall is seen from within, at least [-]."""
+"""Share of all directions in which the wall of a cavity is seen, at least [-]."""
 
 
 def select_reachable(
@@ -45,8 +45,12 @@ def select_reachable(
 
     Raises:
         ValueError: If the point is not on the surface, on several surfaces, or on one
-            that is not entered; or a group is unknown.
+            that is not entered; a group is unknown, or the angle out of range.
     """
+    if angle is not None and not 0.0 < angle <= np.pi:
+        raise ValueError(
+            f"angle must lie between 0 and 180 degrees, got {np.rad2deg(angle):g}."
+        )
     surface = _Surface(mesh)
     barred = surface.of_groups(stop_at)
     labels = surface.parts(angle, barred)
@@ -76,7 +80,8 @@ def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
     surface = _Surface(mesh)
     labels = surface.parts(SHARP, np.zeros(len(surface.faces), bool))
     for k, name in enumerate(filter(CAD_FACE.fullmatch, mesh.surface_groups)):
-        labels[surface.rows(mesh.faces(name))] = -1 - k
+        rows = surface.rows(mesh.faces(name))
+        labels[rows[rows >= 0]] = -1 - k
     start = surface.at(np.asarray(point, float))
     return surface.faces[labels == surface.only(labels, start, point)]
 
@@ -120,6 +125,23 @@ def select_cavity(
     return surface.faces[chosen]
 
 
+def surface_parts(mesh: TetMesh) -> list[Int[HostArray, "_ n_fn"]]:
+    """Divide the surface at edges at which it turns by more than 40 degrees."""
+    surface = _Surface(mesh)
+    labels = surface.parts(SHARP, np.zeros(len(surface.faces), bool))
+    return [surface.faces[labels == part] for part in range(labels.max() + 1)]
+
+
+def matching_faces(
+    mesh: TetMesh, surfaces: Sequence[Int[HostArray, "_ 3"]]
+) -> list[Int[HostArray, "_ n_fn"]]:
+    """Find the boundary faces with the corners of triangles, surface by surface."""
+    surface = _Surface(mesh)
+    rows = surface.rows(np.concatenate(surfaces))
+    ends = np.cumsum([len(triangles) for triangles in surfaces])[:-1]
+    return [surface.faces[own[own >= 0]] for own in np.split(rows, ends)]
+
+
 class _Surface:
     """The boundary of a mesh: its faces, which of them meet, and how they turn."""
 
@@ -131,20 +153,21 @@ class _Surface:
         self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def rows(self, faces: Int[HostArray, "n n_fn"]) -> Int[HostArray, " _"]:
-        """Find the indices of faces on the boundary; those within are left out."""
+        """Find the indices of faces on the boundary; -1 for those that are not."""
         n = len(self.faces)
-        corners = np.sort(np.concatenate([self.faces, faces])[:, :3], axis=1)
+        both = np.concatenate([self.faces[:, :3], faces[:, :3]])
+        corners = np.sort(both, axis=1)
         inverse = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
         index = np.full(inverse.max() + 1, -1)
         index[inverse[:n]] = np.arange(n)
-        found = index[inverse[n:]]
-        return found[found >= 0]
+        return index[inverse[n:]]
 
     def of_groups(self, names: Iterable[str]) -> Bool[HostArray, " n_faces"]:
         """Mark the faces of surface groups."""
         marked = np.zeros(len(self.faces), bool)
         for name in names:
-            marked[self.rows(self.mesh.faces(name))] = True
+            rows = self.rows(self.mesh.faces(name))
+            marked[rows[rows >= 0]] = True
         return marked
 
     def parts(
