@@ -14,6 +14,7 @@ from softcal_jax.cli._console import (
     PlainParser,
     escape_what_cannot_be_encoded,
 )
+from softcal_jax.cli._mesh import add_mesh
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Display,
@@ -34,6 +35,7 @@ examples:
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
   softcal identify my_robot/project.toml  would the data suffice? before measuring
+  softcal mesh finger.step -o finger.msh  from CAD to tets, with a picture
   softcal compare a.toml b.toml           which law or mesh predicts best?
   softcal sweep sweep.toml                many calibrations, side by side
   softcal sweep show sweep.sqlite         what they found
@@ -153,6 +155,7 @@ ranked by what measuring them as well would add.""",
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
         command.add_argument("--force", action="store_true", help=again)
+    add_mesh(commands, raw)
     add_compare(commands, raw)
     add_sweep(commands, raw)
     return parser

@@ -9,7 +9,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from softcal_jax._names import listed
 from softcal_jax.calibration import LEVEL, check_starts
@@ -105,6 +105,15 @@ class NewtonTable(Table):
         if name in ("auto", "multigrid"):
             raise ValueError(f"{name!r} was removed: leave solver out.")
         return name
+
+
+class MeshTables(Table):
+    """The tables of a project file that make its mesh; others are not looked at."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    mesh: MeshTable = Field(description="a table [mesh]")
+    groups: dict[str, GroupTable] = Field(default_factory=dict)
 
 
 class ProjectTable(Table, Generic[M]):
