@@ -2,7 +2,12 @@
 
 from contextlib import contextmanager
 
-import gmsh  # pyright: ignore[reportMissingImports]
+import pytest
+
+try:
+    import gmsh  # pyright: ignore[reportMissingImports]
+except (ImportError, OSError) as error:
+    pytest.skip(f"needs gmsh: {error}", allow_module_level=True)
 
 FINGER = (60.0, 16.0, 12.0)
 """Length, width and height of the finger [mm]."""
@@ -17,7 +22,10 @@ MIDDLE = (0.030, 0.008, 0.006)
 
 @contextmanager
 def modelled(path, size=None):
-    """Gmsh with an empty model, which is written to a file in the end."""
+    """A kernel with an empty model, which is written to a file in the end.
+
+    With a size its surface is meshed, for files of triangles.
+    """
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
