@@ -136,7 +136,7 @@ def _described(made: "TetMesh") -> list[str]:
         mean = np.average(centres, axis=0, weights=areas)
         point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
         lines.append(
-            f"  {name:<{width}}  {1e6 * areas.sum():.4g} mm2, a point on it: "
+            f"  {name:<{width}}  {1e6 * areas.sum():.1f} mm2, a point on it: "
             f"{_in_mm(point)}"
         )
     for name, tets in made.tet_groups.items():

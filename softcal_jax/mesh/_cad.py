@@ -160,7 +160,7 @@ def _named(filled: Filled, metres: float) -> TetMesh:
         faces = matching_faces(mesh, filled.faces)
     else:
         faces = surface_parts(mesh)
-    for k, own in enumerate(faces):
+    for k, own in enumerate(filter(len, faces)):
         mesh = mesh.with_surface_group(f"face {k + 1}", own)
     if len(filled.solids) > 1:
         for k, tets in enumerate(filled.solids):

@@ -36,5 +36,5 @@ def fill_wild(triangles: Triangles, size: float) -> Filled:
         tets=tets.reshape(-1, 4),
         faces=[],
         solids=[],
-        volume=triangles.volume,
+        volume=np.nan,  # that of the triangles, if they enclose one, is not known
     )
