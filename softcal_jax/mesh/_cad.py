@@ -146,8 +146,9 @@ def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
         ) from error
     notes.append(
         f"gmsh cannot fill this surface: {said} So fTetWild filled it, whose surface is"
-        f" off by up to {1e3 * ENVELOPE:g} thousandth of the size of the model. Look at"
-        " the picture of `softcal mesh`."
+        f" off by up to {1e3 * ENVELOPE:g} thousandth of the size of the model. It takes"
+        " the side to which triangles are turned for the outside: look at the picture "
+        "of `softcal mesh`, cut open."
     )
     return filled
 

@@ -142,8 +142,10 @@ def fill_stl(path: Path, triangles: Triangles, size: float) -> Filled:
         loop = gmsh.model.geo.addSurfaceLoop(surfaces)
         gmsh.model.geo.addVolume([loop])
         gmsh.model.geo.synchronize()
-        # Gmsh cuts round surfaces in patches, which are no faces of the body.
-        return _filled(gmsh, triangles.volume, size)._replace(faces=[])
+        filled = _filled(gmsh, abs(triangles.volume), size)
+    # Gmsh cuts round surfaces in patches, which are no faces of the body, and triangles
+    # may be turned either way, so that what they enclose is not known.
+    return filled._replace(faces=[], volume=np.nan)
 
 
 def usual_size(extent: Float[HostArray, "3"]) -> float:

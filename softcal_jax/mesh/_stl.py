@@ -46,7 +46,11 @@ def read_stl(path: Path) -> Triangles:
     """
     printed = io.StringIO()
     try:
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+        with (
+            contextlib.redirect_stdout(printed),
+            contextlib.redirect_stderr(printed),
+            np.errstate(over="ignore"),  # it takes text for a number of triangles
+        ):
             raw = meshio.read(path, file_format="stl")
     # Its parser raises exceptions of any type, and exits on some errors.
     except (Exception, SystemExit) as error:

@@ -114,7 +114,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         own = axes(column * width, bottom, width, height)
         _draw_faces(own, view, faces, colours)
         _draw_nodes(own, view, mesh, groups, colours)
-        for group in np.flatnonzero((best == k) & (weights[k] > 0.0)):
+        for group in np.flatnonzero((best == k) & (weights[k] > 0.0)).tolist():
             place = view.project(faces.place(group)[None])[0]
             style = {"ha": "center", "va": "center"}
             annotations.draw_name(own, groups[group], place, (0, 0), **style)

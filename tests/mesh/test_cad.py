@@ -22,6 +22,9 @@ from softcal_jax.mesh import (
 MM = 1e-3
 SIZE = 5 * MM
 INLET_SIDE = (0.0, 2 * MM, 2 * MM)
+CORNERS = 8
+"""Of the rim of the inlet: not twelve, since edges are at least a quarter of the size."""
+HOLE = 0.5 * CORNERS * np.sin(2 * np.pi / CORNERS) * (INLET * MM) ** 2
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +46,10 @@ def area(mesh, faces):
 
 
 def test_volume_and_edges(mesh):
-    channel = 0.5 * (FINGER[0] - CAVITY[0]) * np.pi * INLET**2
-    expected = box(*FINGER) - box(*CAVITY) - channel * MM**3
-    # Of the round inlet only chords are followed.
-    assert volumes(mesh).sum() == pytest.approx(expected, rel=1e-3)
+    channel = 0.5 * (FINGER[0] - CAVITY[0]) * MM * HOLE
+    expected = box(*FINGER) - box(*CAVITY) - channel
+    # The wall of the round inlet is cut in triangles, not in plane strips.
+    assert volumes(mesh).sum() == pytest.approx(expected, rel=3e-4)
     edges = np.array(TET_EDGES)
     X = mesh.points[mesh.tets]
     ends = X[:, edges]
@@ -66,11 +69,10 @@ def test_faces_of_the_model_are_groups(mesh):
     tip = select_face(mesh, (FINGER[0] * MM, 5 * MM, 5 * MM))
     assert area(mesh, tip) == pytest.approx(box(*FINGER[1:]), rel=1e-12)
     side = select_face(mesh, INLET_SIDE)
-    hole = np.pi * (INLET * MM) ** 2
-    assert area(mesh, side) == pytest.approx(box(*FINGER[1:]) - hole, rel=3e-3)
+    assert area(mesh, side) == pytest.approx(box(*FINGER[1:]) - HOLE, rel=1e-9)
     wall = select_face(mesh, (5 * MM, (8 + INLET) * MM, 6 * MM))
     around = 2 * np.pi * INLET * 0.5 * (FINGER[0] - CAVITY[0]) * MM**2
-    assert area(mesh, wall) == pytest.approx(around, rel=0.02)
+    assert area(mesh, wall) == pytest.approx(around, rel=0.04)
 
 
 def test_the_wall_of_a_cavity_with_an_inlet_is_a_chamber(mesh):
@@ -79,10 +81,12 @@ def test_the_wall_of_a_cavity_with_an_inlet_is_a_chamber(mesh):
     mesh = mesh.with_surface_group("chamber", wall)
     chamber = Chamber("air", "chamber", seal=True)
     arrays = actuator_arrays(mesh, mesh.points, [chamber], {})
-    inlet = 0.5 * (FINGER[0] - CAVITY[0]) * np.pi * INLET**2 * MM**3
     (volume,) = np.asarray(arrays.rest)
-    assert volume == pytest.approx(box(*CAVITY) + inlet, rel=2e-3)
-    assert volume > box(*CAVITY)
+    length, circle = 0.5 * (FINGER[0] - CAVITY[0]) * MM, np.pi * (INLET * MM) ** 2
+    assert length * HOLE < volume - box(*CAVITY) < length * circle
+    # What is missing of the box is what the body and the chamber have in common.
+    whole = volumes(mesh).sum() + volume
+    assert whole == pytest.approx(box(*FINGER), rel=1e-12)
 
 
 def test_a_closed_cavity(tmp_path):

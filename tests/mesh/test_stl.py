@@ -7,6 +7,7 @@ from mesh.cad_models import CAVITY, FINGER, MIDDLE, modelled, write_finger
 
 from softcal_jax.mesh import (
     MeshWarning,
+    boundary_faces,
     face_shares,
     mesh_cad,
     select_cavity,
@@ -30,11 +31,11 @@ def stl(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def holed(stl):
-    """The same with a triangle missing."""
-    raw = meshio.read(stl)
-    (triangles,) = (block.data for block in raw.cells if block.type == "triangle")
+    """The same with a triangle missing, and all others turned outwards."""
+    mesh = mesh_cad(stl, size=2 * SIZE, length_unit="mm", order=1)
     path = stl.with_name("holed.stl")
-    meshio.Mesh(raw.points, [("triangle", triangles[1:])]).write(path)
+    triangles = [("triangle", boundary_faces(mesh)[1:])]
+    meshio.Mesh(mesh.points / MM, triangles).write(path)
     return path
 
 
