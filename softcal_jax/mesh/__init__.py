@@ -14,7 +14,12 @@ from softcal_jax.mesh._reading import read_mesh, read_tet_data
 from softcal_jax.mesh._refinement import Refinement, finer, refine
 from softcal_jax.mesh._regions import Annulus, Box, Cylinder, Plane, Sphere
 from softcal_jax.mesh._selection import node_indices, select_faces, select_nodes
-from softcal_jax.mesh._surfaces import select_cavity, select_face, select_reachable
+from softcal_jax.mesh._surfaces import (
+    CAD_FACE,
+    select_cavity,
+    select_face,
+    select_reachable,
+)
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     boundary_faces,
@@ -27,6 +32,7 @@ from softcal_jax.mesh._tripod import tripod
 from softcal_jax.mesh._writing import write_mesh
 
 __all__ = [
+    "CAD_FACE",
     "CAD_FORMATS",
     "Annulus",
     "Box",

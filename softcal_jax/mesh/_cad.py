@@ -145,10 +145,10 @@ def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
             "install pytetwild."
         ) from error
     notes.append(
-        f"gmsh cannot fill this surface: {said} So fTetWild filled it, whose surface is"
-        f" off by up to {1e3 * ENVELOPE:g} thousandth of the size of the model. It takes"
-        " the side to which triangles are turned for the outside: look at the picture "
-        "of `softcal mesh`, cut open."
+        f"gmsh cannot fill this surface: {said} So fTetWild filled it; its surface is "
+        f"off by up to {1e3 * ENVELOPE:g} thousandth of the size of the model. Outside "
+        "is for it where triangles are turned to: look at the picture that `softcal "
+        "mesh` draws."
     )
     return filled
 

@@ -118,9 +118,9 @@ def select_cavity(
         known = ", ".join(map(repr, mesh.surface_groups)) or "none yet"
         raise ValueError(
             f"no cavity surrounds the point {place(p)}: what is reached from there "
-            f"closes {max(0, round(100 * share))} % of the view. If the cavity is open, "
-            "name the surface that its opening lies in (stop_at), where the wall ends; "
-            f"surface groups: {known}."
+            f"closes {max(0, round(100 * share))} % of the view. If the cavity is open,"
+            " name the surface that its opening lies in (stop_at), where the wall ends."
+            f" Surface groups: {known}."
         )
     return surface.faces[chosen]
 

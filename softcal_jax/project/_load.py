@@ -29,7 +29,7 @@ from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
     MeshTables,
     ProjectTable,
-    read_schema,
+    read_mesh_tables,
     read_tables,
 )
 
@@ -77,7 +77,7 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
         ProjectError: If anything in [mesh] or [groups] is wrong.
     """
     path = Path(path)
-    table = read_schema(path, MeshTables, "project file")
+    table = read_mesh_tables(path)
     with in_file(path):
         return _mesh(path.parent, table)
 

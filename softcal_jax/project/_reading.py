@@ -108,7 +108,7 @@ class NewtonTable(Table):
 
 
 class MeshTables(Table):
-    """The tables of a project file that make its mesh; others are not looked at."""
+    """The tables of a project file that make its mesh; the others are not read."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -202,6 +202,19 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     if problems or table is None:
         raise one_by_one(path, problems)
     return table
+
+
+def read_mesh_tables(path: Path) -> MeshTables:
+    """Read [mesh] and [groups] of a project file, whose other tables may be missing."""
+    known = [*ProjectTable.model_fields, "shared"]
+    problems = [
+        f"{key}: unknown key.{known_here(key, known, 'Known here')}"
+        for key in read_toml(path, "project file")
+        if key not in known
+    ]
+    if problems:
+        raise one_by_one(path, problems)
+    return read_schema(path, MeshTables, "project file")
 
 
 def read_schema(path: Path, schema: type[T], what: str) -> T:

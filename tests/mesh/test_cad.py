@@ -23,7 +23,7 @@ MM = 1e-3
 SIZE = 5 * MM
 INLET_SIDE = (0.0, 2 * MM, 2 * MM)
 CORNERS = 8
-"""Of the rim of the inlet: not twelve, since edges are at least a quarter of the size."""
+"""Of the rim of the inlet: not twelve, for edges are at least a quarter of the size."""
 HOLE = 0.5 * CORNERS * np.sin(2 * np.pi / CORNERS) * (INLET * MM) ** 2
 
 

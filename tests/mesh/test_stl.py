@@ -87,6 +87,7 @@ def test_a_hole_without_ftetwild(holed, monkeypatch):
         mesh_cad(holed, size=SIZE, length_unit="mm")
 
 
+@pytest.mark.slow
 def test_a_hole_is_filled_by_ftetwild_and_said(holed):
     pytest.importorskip("pytetwild")
     with pytest.warns(MeshWarning, match="3 edges .* So fTetWild filled it"):

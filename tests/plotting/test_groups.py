@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 from actuators.cavities import hollow_cube
-from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from softcal_jax.mesh import beam
 from softcal_jax.plotting import plot_groups
-from softcal_jax.plotting._colours import SERIES
-from softcal_jax.plotting._groups import _colours, _faces
+from softcal_jax.plotting._groups import _colours, _faces, _frame, _image, _panels
 from softcal_jax.plotting._view import choose_view
 
 
@@ -18,16 +16,31 @@ def view_of(mesh):
 
 
 def test_a_box_shows_three_sides_with_their_colours():
-    """Seen areas are those of the sides times the cosine of their angle."""
+    """Pixels of each side: its area times the cosine of its angle."""
     mesh, size = beam(0.1, 0.04, 0.02, (5, 2, 1)), np.array([0.1, 0.04, 0.02])
     view, names = view_of(mesh), list(mesh.surface_groups)
     found = _faces(mesh, names, view, np.ones(mesh.n_tets, bool))
     assert not found.cut.any()
+    frame = _frame(view)
+    image = _image(view, found, frame)
     for k, name in enumerate(names):
         axis, sign = "xyz".index(name[0]), 1.0 if name.endswith("max") else -1.0
         facing = max(sign * view.towards[axis], 0.0)
         expected = facing * size.prod() / size[axis]
-        np.testing.assert_allclose(found.area[found.group == k].sum(), expected)
+        seen = np.sum(image == k) * frame.scale**2
+        # A row of pixels along its edges is its neighbour's.
+        np.testing.assert_allclose(seen, expected, atol=0.02 * size[0] * size[1])
+
+
+def test_walls_of_a_cavity_are_hidden_until_it_is_cut():
+    mesh = hollow_cube()
+    names = list(mesh.surface_groups)
+    wall, seen = names.index("cavity"), []
+    for view, drawn in _panels(mesh).values():
+        image = _image(view, _faces(mesh, names, view, drawn), _frame(view))
+        seen.append(np.sum(image == wall))
+    assert seen[:2] == [0, 0]
+    assert min(seen[2:]) > 1000
 
 
 def test_a_cut_bares_the_wall_of_a_cavity():
@@ -66,6 +79,6 @@ def test_picture(tmp_path):
     mesh = beam(0.1, 0.04, 0.02, (5, 2, 1), order=2).with_node_group("tip", [0, 1, 2])
     plot_groups(mesh, tmp_path / "groups.png", title="a beam")
     pixels = imread(tmp_path / "groups.png")[..., :3]
-    for colour in SERIES[: len(mesh.surface_groups) + 1]:
-        near = np.abs(pixels - to_rgb(colour)).max(axis=2) < 0.01
+    for colour in _colours(len(mesh.surface_groups) + 1):
+        near = np.abs(pixels - colour).max(axis=2) < 0.01
         assert near.sum() > 200, colour
