@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -56,7 +57,7 @@ def write_mesh(
     for name, nodes in mesh.node_groups.items():
         if not np.array_equal(np.unique(nodes), _implied(mesh, name)):
             blocks.append(("vertex", nodes[:, None], _tag(names, name, 0)))
-    tags = [np.full(len(cells), tag, np.int32) for _, cells, tag in blocks]
+    tags: list[Any] = [np.full(len(cells), tag, np.int32) for _, cells, tag in blocks]
     meshio.Mesh(
         mesh.points / METRES[length_unit],
         [(kind, cells) for kind, cells, _ in blocks],

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
+Colour = tuple[float, float, float]
+
 _DPI = 100
 _SIZE, _TOP, _BOTTOM, _HEADING = 800, 90, 120, 40
 """Longer side of a panel, heights above and below all, and of a heading [pixels]."""
@@ -124,10 +126,10 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         own.set_axis_off()
         own.title.set_fontsize(16)
     annotations.draw_title(axes(0, size[1] - _TOP, size[0], _TOP), title, "", "")
-    dots = [name not in {**mesh.tet_groups, **mesh.surface_groups} for name in groups]
+    faced = {**mesh.tet_groups, **mesh.surface_groups}
     names = [
-        name if there else f"{name} (hidden)"
-        for name, there in zip(groups, dots | seen.any(axis=0), strict=True)
+        f"{name} (hidden)" if name in faced and not there else name
+        for name, there in zip(groups, seen.any(axis=0).tolist(), strict=True)
     ]
     _draw_legend(figure, names, colours, per_row, (_BOTTOM + 0.5 * legend) / size[1])
     annotations.draw_triad(axes(10, 5, _BOTTOM - 10, _BOTTOM - 10), front)
@@ -182,13 +184,14 @@ def _middle(seen: Bool[HostArray, "_ _"], frame: _Frame) -> Float[HostArray, "2"
     return frame.scale * (nearest + 0.5) - frame.half
 
 
-def _colours(n: int) -> list[tuple[float, ...]]:
+def _colours(n: int) -> list[Colour]:
     """Choose as many colours."""
     from matplotlib.colors import to_rgb
 
     wheel = lambda k: colorsys.hsv_to_rgb(_GOLDEN * k % 1.0, 0.65, 0.9 - 0.2 * (k % 2))
     full = [to_rgb(SERIES[k]) if k < len(SERIES) else wheel(k) for k in range(n)]
-    return [tuple(_PALE + (1.0 - _PALE) * np.array(colour)) for colour in full]
+    pale = lambda share: _PALE + (1.0 - _PALE) * share
+    return [(pale(r), pale(g), pale(b)) for r, g, b in full]
 
 
 def _faces(
@@ -216,14 +219,15 @@ def _faces(
 def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
     """Give each face a number, by its corners in any order."""
     corners = np.sort(faces[:, :3].astype(np.int64), axis=1).T
-    return np.ravel_multi_index(tuple(corners), (mesh.n_nodes,) * 3)
+    a, b, c = corners
+    return (a * mesh.n_nodes + b) * mesh.n_nodes + c
 
 
 def _draw_faces(
     axes: "matplotlib.axes.Axes",
     view: View,
     faces: _Faces,
-    colours: list[tuple[float, ...]],
+    colours: list[Colour],
 ) -> None:
     from matplotlib.collections import PolyCollection
 
@@ -234,7 +238,9 @@ def _draw_faces(
     light = _DARKEST + (1.0 - _DARKEST) * faces.light
     own = table[index] * light[:, None]
     edges = 0.8 * own
-    axes.add_collection(PolyCollection(flat, facecolors=own, edgecolors=edges, lw=0.4))
+    axes.add_collection(
+        PolyCollection(list(flat), facecolors=own, edgecolors=edges, lw=0.4)
+    )
 
 
 def _draw_nodes(
@@ -242,7 +248,7 @@ def _draw_nodes(
     view: View,
     mesh: TetMesh,
     drawn: Bool[HostArray, " n_tets"],
-    colours: dict[str, tuple[float, ...]],
+    colours: dict[str, Colour],
 ) -> None:
     """Draw the nodes of drawn tets in groups that are neither of faces nor of tets."""
     there = np.unique(mesh.tets[drawn])
@@ -259,7 +265,7 @@ def _draw_nodes(
 def _draw_legend(
     figure: "matplotlib.figure.Figure",
     names: list[str],
-    colours: list[tuple[float, ...]],
+    colours: list[Colour],
     columns: int,
     height: float,
 ) -> None:
