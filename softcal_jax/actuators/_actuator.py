@@ -122,7 +122,7 @@ class AbstractActuator(eqx.Module):
         return f"{self.kind.noun} {self.name!r}"
 
     @abstractmethod
-    def cliques(self, rest: RestState, owner: int) -> AbstractCliques:
+    def cliques(self, rest: RestState, owner: int) -> tuple[AbstractCliques, ...]:
         """Attach the actuator to the sets of nodes that it acts on.
 
         Args:

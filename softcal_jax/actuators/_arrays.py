@@ -1,6 +1,7 @@
 """Actuators as arrays: displacements delta_a, forces F_a and their derivatives."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 
 import equinox as eqx
 import jax
@@ -135,7 +136,7 @@ def actuator_arrays(
     rest = RestState(mesh, points, bodies)
     cliques = [actuator.cliques(rest, a) for a, actuator in enumerate(actuators)]
     alike: dict[tuple, list[AbstractCliques]] = {}
-    for some in cliques:
+    for some in chain(*cliques):
         sizes = [leaf.shape[1:] for leaf in jax.tree.leaves(some)]
         alike.setdefault((type(some), *sizes), []).append(some)
     # Joined on the host: on the device, each number of actuators is another program.
@@ -149,7 +150,10 @@ def actuator_arrays(
         motor_body=tuple(
             bodies[a.body] if isinstance(a, Motor) else -1 for a in actuators
         ),
-        has_friction=tuple(isinstance(c, AbstractFrictionalCliques) for c in cliques),
+        has_friction=tuple(
+            any(isinstance(c, AbstractFrictionalCliques) for c in own)
+            for own in cliques
+        ),
     )
 
 

@@ -127,14 +127,14 @@ class Cable(AbstractActuator):
 
     def cliques(
         self, rest: RestState, owner: int
-    ) -> "CableSegments | FrictionalCables":
+    ) -> "tuple[CableSegments | FrictionalCables]":
         """Return the segments that can change length; with friction the whole cable."""
         carriers = [self._carriers(i, rest) for i in range(len(self.guides))]
         if self.friction:
             # Tension is passed on from the pulled end, which is put last here.
             order = carriers[::-1] if self.pulled_from == "first" else carriers
             nodes, of, weights, fixed = _stacked([_along(order)], owner)
-            return FrictionalCables(
+            cable = FrictionalCables(
                 nodes=nodes,
                 owner=of,
                 weights=weights,
@@ -142,10 +142,11 @@ class Cable(AbstractActuator):
                 friction=jnp.full(1, self.friction, float),
                 sense=jnp.ones(1),
             )
+            return (cable,)
         m = 2 * max(4, rest.mesh.tets.shape[1])
         both = zip(pairwise(carriers), pairwise(self.guides), strict=True)
         segments = [_along(ends, m) for ends, on in both if not _fixed_length(*on)]
-        return CableSegments(*_stacked(segments, owner))
+        return (CableSegments(*_stacked(segments, owner)),)
 
     def _carriers(self, i: int, rest: RestState):
         """Return nodes and weights of a guide, and the fixed part of its position."""

@@ -44,11 +44,11 @@ class ForceActuator(AbstractActuator):
         check_vector(f"{self.label}: point", "m", self.point)
         check_direction(f"{self.label}: direction", self.direction)
 
-    def cliques(self, rest: RestState, owner: int) -> "WeightedNodes":
+    def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
         """Return the nodes that carry the point."""
         nodes, weights = rest.on_mesh(self.point, self.label)
         parts = _along(self.direction, weights[None])
-        return WeightedNodes(*owned(nodes[None], owner), jax.device_put(parts))
+        return (WeightedNodes(*owned(nodes[None], owner), jax.device_put(parts)),)
 
 
 class SurfaceForceActuator(AbstractActuator):
@@ -69,12 +69,12 @@ class SurfaceForceActuator(AbstractActuator):
     def __check_init__(self):
         check_direction(f"{self.label}: direction", self.direction)
 
-    def cliques(self, rest: RestState, owner: int) -> "WeightedFaces":
+    def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedFaces]":
         """Return the faces of the surface."""
         faces = rest.mesh.faces(self.surface)
         shares = face_shares(rest.mesh, faces)
         parts = _along(self.direction, shares / shares.sum())
-        return WeightedFaces(*owned(faces, owner), jax.device_put(parts))
+        return (WeightedFaces(*owned(faces, owner), jax.device_put(parts)),)
 
 
 def _along(direction, weights):
@@ -158,12 +158,12 @@ class Motor(AbstractActuator):
     body: str
     kind: ClassVar[Kind] = Kind("motor", "N m", "rad")
 
-    def cliques(self, rest: RestState, owner: int) -> "MotorFrames":
+    def cliques(self, rest: RestState, owner: int) -> "tuple[MotorFrames]":
         """Return the frame of the body."""
         nodes = rest.frame_nodes(self.body, self.label)
         origin, first, second, _ = rest.points[nodes]
         plane = jax.device_put(np.array([[first - origin, second - origin]]))
-        return MotorFrames(*owned(nodes[None], owner), plane)
+        return (MotorFrames(*owned(nodes[None], owner), plane),)
 
 
 class MotorFrames(AbstractPotentialCliques):

@@ -17,6 +17,7 @@ from softcal_jax.actuators._cliques import (
     on_finer_faces,
     owned,
 )
+from softcal_jax.actuators._lid import ChamberLids, lid, open_edges, rims
 from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
 from softcal_jax.mesh import Refinement, TetMesh, boundary_faces
 
@@ -28,35 +29,73 @@ class Chamber(AbstractActuator):
     lambda_a is the gauge pressure in the cavity [Pa]: positive inflates, negative is
     vacuum.
 
+    A wall that is open, like that of a real chamber at its inlet, can be sealed: each
+    opening then gets a lid, from the nodes of its rim to their mean. A lid carries no
+    material. The volume ends at it, and the pressure on it pulls at the rim, as it does
+    where a tube is glued in.
+
     Attributes:
         surface: Name of the surface group that is the whole wall of the cavity; the
             order of a face's nodes does not matter.
+        seal: Whether to close the openings of the wall.
     """
 
     surface: str
+    seal: bool = False
     kind: ClassVar[Kind] = Kind("chamber", "Pa", "m3")
 
-    def cliques(self, rest: RestState, owner: int) -> "ChamberFaces":
-        """Return the faces of the wall.
+    def cliques(
+        self, rest: RestState, owner: int
+    ) -> "tuple[ChamberFaces | ChamberLids, ...]":
+        """Return the faces of the wall, and the lids that close it.
 
         Raises:
-            ValueError: If the surface is unknown, open, not on the boundary, or
-                encloses the body instead of a cavity.
+            ValueError: If the surface is unknown, not on the boundary, or encloses the
+                body instead of a cavity; if it is open but not to be sealed, or closed
+                already.
         """
         faces = _outward_faces(rest.mesh, self.surface, self.label)
-        _check_closed(rest.mesh, faces, self.surface, self.label)
+        openings = self._openings(rest, faces)
         centre = np.mean(rest.points[np.unique(faces)], axis=0)
         centres = jax.device_put(np.tile(centre, (len(faces), 1)))
         wall = ChamberFaces(*owned(faces, owner), centres)
+        of = {"centre": centre, "quadratic": rest.mesh.order == 2, "owner": owner}
+        lids = [lid(rim, rest.points, **of) for rim in openings]
         points = jax.device_put(rest.points)
-        volume = float(jnp.sum(each_clique(ChamberFaces.contribution, wall, points)))
+        volume = sum(
+            float(jnp.sum(each_clique(type(c).contribution, c, points)))
+            for c in (wall, *lids)
+        )
         if not volume > 0.0:
             raise ValueError(
                 f"{self.label}: surface {self.surface!r} has the body on its inner "
                 f"side (enclosed volume {volume:.3g} m3), expected the wall of a "
                 "cavity. A pressure on the body from outside is a SurfacePressure."
             )
-        return wall
+        return wall, *lids
+
+    def _openings(
+        self, rest: RestState, faces: Int[HostArray, "n_faces n_fn"]
+    ) -> list[Int[HostArray, " m"]]:
+        """Return the rims of what is to be sealed, given faces with outward normals."""
+        edges = open_edges(faces)
+        if self.seal and not len(edges.ends):
+            raise ValueError(
+                f"{self.label}: surface {self.surface!r} is closed, so there is nothing"
+                " to seal. Leave seal out."
+            )
+        if self.seal:
+            return rims(edges, rest.points, self.label)
+        if len(edges.ends):
+            where = rest.points[edges.ends[0]].mean(axis=0)
+            raise ValueError(
+                f"{self.label}: surface {self.surface!r} is not closed, it has "
+                f"{len(edges.ends)} open edges, one at {where.tolist()} m. Expected the"
+                " whole wall of the cavity: add the faces that are missing, or seal the"
+                " opening if it is an inlet (seal = true). A pressure on an open "
+                "surface is a SurfacePressure."
+            )
+        return []
 
 
 class ChamberFaces(AbstractPotentialCliques):
@@ -102,10 +141,10 @@ class SurfacePressure(AbstractActuator):
     surface: str
     kind: ClassVar[Kind] = Kind("surface pressure", "Pa", None)
 
-    def cliques(self, rest: RestState, owner: int) -> "PressureFaces":
+    def cliques(self, rest: RestState, owner: int) -> "tuple[PressureFaces]":
         """Return the faces of the surface."""
         faces = _outward_faces(rest.mesh, self.surface, self.label)
-        return PressureFaces(*owned(faces, owner))
+        return (PressureFaces(*owned(faces, owner)),)
 
 
 class PressureFaces(AbstractCliques):
@@ -151,26 +190,6 @@ def _outward_faces(
             "needs faces with the body on one side only; `select_faces` gives such."
         )
     return boundary[np.unique(at)]
-
-
-def _check_closed(
-    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"], surface: str, owner: str
-):
-    """Raise ValueError unless a surface is closed, given its faces, oriented outward.
-
-    It is if its faces traverse every edge equally often in both directions.
-    """
-    ways = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    edges, inverse = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
-    sense = np.where(ways[:, 0] < ways[:, 1], 1.0, -1.0)
-    open_edges = edges[np.bincount(inverse.ravel(), sense) != 0.0]
-    if len(open_edges):
-        where = mesh.points[open_edges[0]].mean(axis=0)
-        raise ValueError(
-            f"{owner}: surface {surface!r} is not closed, it has {len(open_edges)} "
-            f"open edges, one at {where.tolist()} m. Expected the whole wall of the "
-            "cavity; a pressure on an open surface is a SurfacePressure."
-        )
 
 
 def _vector_areas(

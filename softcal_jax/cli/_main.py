@@ -15,6 +15,7 @@ from softcal_jax.cli._console import (
     escape_what_cannot_be_encoded,
 )
 from softcal_jax.cli._export import add_export
+from softcal_jax.cli._mesh import add_mesh
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Display,
@@ -36,6 +37,7 @@ examples:
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
   softcal identify my_robot/project.toml  would the data suffice? before measuring
+  softcal mesh finger.step -o finger.msh  from CAD to tets, with a picture
   softcal compare a.toml b.toml           which law or mesh predicts best?
   softcal export inp results -o job.inp   the calibrated model for CalculiX, Abaqus
   softcal sweep sweep.toml                many calibrations, side by side
@@ -157,6 +159,7 @@ ranked by what measuring them as well would add.""",
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
         command.add_argument("--force", action="store_true", help=again)
+    add_mesh(commands, raw)
     add_compare(commands, raw)
     add_export(commands, raw)
     add_sweep(commands, raw)

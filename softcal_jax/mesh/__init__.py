@@ -4,6 +4,7 @@ Everything here runs on the host in NumPy, once, before the physics. Lengths are
 metres.
 """
 
+from softcal_jax.mesh._cad import CAD_FORMATS, mesh_cad
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._conversion import merge, to_linear, to_quadratic
 from softcal_jax.mesh._generators import beam
@@ -11,13 +12,13 @@ from softcal_jax.mesh._location import MaterialPoints, locate
 from softcal_jax.mesh._meshio import MeshWarning
 from softcal_jax.mesh._reading import mesh_files, read_mesh, read_tet_data
 from softcal_jax.mesh._refinement import Refinement, finer, refine
-from softcal_jax.mesh._selection import (
-    Box,
-    Plane,
-    Sphere,
-    node_indices,
-    select_faces,
-    select_nodes,
+from softcal_jax.mesh._regions import Annulus, Box, Cylinder, Plane, Sphere
+from softcal_jax.mesh._selection import node_indices, select_faces, select_nodes
+from softcal_jax.mesh._surfaces import (
+    CAD_FACE,
+    select_cavity,
+    select_face,
+    select_reachable,
 )
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
@@ -29,9 +30,14 @@ from softcal_jax.mesh._topology import (
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
+from softcal_jax.mesh._writing import write_mesh
 
 __all__ = [
+    "CAD_FACE",
+    "CAD_FORMATS",
+    "Annulus",
     "Box",
+    "Cylinder",
     "MaterialPoints",
     "MeshWarning",
     "Plane",
@@ -46,17 +52,22 @@ __all__ = [
     "finer",
     "locate",
     "merge",
+    "mesh_cad",
     "mesh_files",
     "node_indices",
     "read_mesh",
     "read_tet_data",
     "refine",
+    "select_cavity",
+    "select_face",
     "select_faces",
     "select_nodes",
+    "select_reachable",
     "surface_shares",
     "tet_faces",
     "to_linear",
     "to_quadratic",
     "tripod",
     "volumes",
+    "write_mesh",
 ]

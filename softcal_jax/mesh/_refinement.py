@@ -118,9 +118,12 @@ class Refinement(NamedTuple):
         """Return the faces of the finer mesh, those of each one after the other."""
         if faces.shape[1] == 6:
             faces = faces[:, _FACES].reshape(-1, 3)
-        edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1)
-        mids = MidNodes(self.linear).of(edges)
+        mids = self.mids(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1))
         return np.hstack([faces, mids]).astype(faces.dtype)
+
+    def mids(self, edges: Int[HostArray, "*n 2"]) -> Int[HostArray, "*n"]:
+        """Return the mid nodes of edges of the finer mesh, by their ends."""
+        return MidNodes(self.linear).of(edges)
 
 
 def finer(mesh: TetMesh) -> Refinement:

@@ -4,140 +4,17 @@ A predicate is any callable that takes points (n, 3) [m] and gives n booleans, s
 regions combine by a lambda: `lambda x: box(x) & ~sphere(x)`.
 """
 
-import abc
 from collections.abc import Callable
 
-import equinox as eqx
 import numpy as np
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax._units import readable, readable_values
+from softcal_jax._typing import HostArray, Int
+from softcal_jax._units import readable
+from softcal_jax.mesh._regions import AbstractRegion, place
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
 Predicate = Callable[[HostArray], HostArray]
-
-_ROUNDING = 1e-9
-"""Default tolerance [m]: far below any cell, far above the rounding of coordinates."""
-
-
-def _as_vector(vector) -> HostArray:
-    return np.asarray(vector, dtype=float)
-
-
-class AbstractRegion(eqx.Module):
-    """A part of space with a distance to points."""
-
-    tolerance: eqx.AbstractVar[float]
-
-    def _check(self, names: tuple[str, ...], *, infinite: bool = False):
-        """Check that attributes are vectors of three numbers."""
-        for name in names:
-            value = getattr(self, name)
-            bad = np.isnan(value) if infinite else ~np.isfinite(value)
-            if value.shape != (3,) or bad.any():
-                what = "three numbers" if infinite else "three finite numbers"
-                raise ValueError(f"{name} must be {what}, got {value}.")
-
-    @abc.abstractmethod
-    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the region [m], zero inside."""
-
-    def __call__(self, points: Float[HostArray, "n 3"]) -> Bool[HostArray, " n"]:
-        """Say which points [m] lie in the region, within its tolerance."""
-        return self.distance(points) <= self.tolerance
-
-
-class Box(AbstractRegion):
-    """The points between two corners, sides included.
-
-    Attributes:
-        lower: Smallest coordinates [m].
-        upper: Largest coordinates [m].
-        tolerance: Distance at which a point still counts as inside [m].
-    """
-
-    lower: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    upper: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    tolerance: float = _ROUNDING
-
-    def __check_init__(self):
-        # Infinite sides are allowed: they select half-spaces and slabs.
-        self._check(("lower", "upper"), infinite=True)
-        if (self.lower > self.upper).any():
-            raise ValueError(
-                f"the box is crossed: lower {self.lower} exceeds upper {self.upper}."
-            )
-
-    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the box [m], zero inside."""
-        return np.linalg.norm(points - np.clip(points, self.lower, self.upper), axis=1)
-
-    def __str__(self) -> str:
-        """Describe it, for messages."""
-        return f"the box from {_place(self.lower)} to {_place(self.upper)}"
-
-
-class Plane(AbstractRegion):
-    """The points of a plane.
-
-    Attributes:
-        point: A point of the plane [m].
-        normal: Its normal, of any length.
-        tolerance: Distance at which a point still counts as on it [m].
-    """
-
-    point: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    normal: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    tolerance: float = _ROUNDING
-
-    def __check_init__(self):
-        self._check(("point", "normal"))
-        if not np.linalg.norm(self.normal) > 0:
-            raise ValueError("the normal of a plane must not be zero.")
-
-    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the plane [m]."""
-        normal = self.normal / np.linalg.norm(self.normal)
-        return np.abs((points - self.point) @ normal)
-
-    def __str__(self) -> str:
-        """Describe it, for messages."""
-        normal = ", ".join(f"{x:.4g}" for x in self.normal)
-        return f"the plane through {_place(self.point)} across ({normal})"
-
-
-class Sphere(AbstractRegion):
-    """The points of a ball.
-
-    Attributes:
-        centre: Its centre [m].
-        radius: Its radius [m].
-        tolerance: Distance at which a point still counts as inside [m].
-    """
-
-    centre: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    radius: float
-    tolerance: float = _ROUNDING
-
-    def __check_init__(self):
-        self._check(("centre",))
-        if not self.radius > 0:
-            raise ValueError(f"radius must be positive [m], got {self.radius}.")
-
-    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the ball [m], zero inside."""
-        gap = np.linalg.norm(points - self.centre, axis=1) - self.radius
-        return np.maximum(gap, 0.0)
-
-    def __str__(self) -> str:
-        """Describe it, for messages."""
-        radius = readable(self.radius, "m")
-        return f"the sphere of {radius} around {_place(self.centre)}"
-
-
-def _place(point: Float[HostArray, "3"]) -> str:
-    return readable_values(point.tolist(), "m")
 
 
 def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
@@ -145,7 +22,7 @@ def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
 
     Args:
         mesh: The mesh.
-        where: `Box`, `Plane`, `Sphere` or any callable from points [m] to booleans.
+        where: A region like `Box`, or any callable from points [m] to booleans.
 
     Raises:
         ValueError: If no node satisfies it, or it does not give one boolean per point.
@@ -161,7 +38,7 @@ def select_faces(mesh: TetMesh, where: Predicate) -> Int[HostArray, "n n_fn"]:
 
     Args:
         mesh: The mesh.
-        where: `Box`, `Plane`, `Sphere` or any callable from points [m] to booleans.
+        where: A region like `Box`, or any callable from points [m] to booleans.
 
     Raises:
         ValueError: If no face satisfies it, or it does not give one boolean per point.
@@ -224,7 +101,7 @@ def _mask(mesh: TetMesh, where: Predicate) -> HostArray:
 
 def _whereabouts(mesh: TetMesh, where: Predicate) -> str:
     lower, upper = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    text = f"The mesh spans {_place(lower)} to {_place(upper)}."
+    text = f"The mesh spans {place(lower)} to {place(upper)}."
     if isinstance(where, AbstractRegion):
         nearest = readable(float(where.distance(mesh.points).min()), "m")
         text += f" The nearest node is {nearest} away; check the length unit."

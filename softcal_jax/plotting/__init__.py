@@ -5,6 +5,7 @@ from softcal_jax.plotting._configuration import render_body, render_configuratio
 from softcal_jax.plotting._diagrams import plot_convergence, plot_trials
 from softcal_jax.plotting._directions import plot_directions
 from softcal_jax.plotting._fibres import plot_fibres
+from softcal_jax.plotting._groups import plot_groups
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 from softcal_jax.plotting._robot import SensorFrame
 from softcal_jax.plotting._traces import plot_traces
@@ -16,6 +17,7 @@ __all__ = [
     "plot_convergence",
     "plot_directions",
     "plot_fibres",
+    "plot_groups",
     "plot_traces",
     "plot_trials",
     "render_body",

@@ -1,7 +1,7 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
 from softcal_jax.project._compare import compare_projects
-from softcal_jax.project._load import load_project
+from softcal_jax.project._load import load_mesh, load_project
 from softcal_jax.project._plausibility import ProjectWarning
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion
 from softcal_jax.project._project import Project
@@ -18,6 +18,7 @@ __all__ = [
     "Table",
     "at",
     "compare_projects",
+    "load_mesh",
     "load_project",
     "one_by_one",
     "parse_in_si",

@@ -29,7 +29,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
-from softcal_jax.project._table import Direction, Maker, Position, Surface
+from softcal_jax.project._table import Direction, Flag, Maker, Position, Surface
 
 Positive = Annotated[
     Direction, Field(description='direction of a positive force: "-z", or [0, 0, -1]')
@@ -97,6 +97,7 @@ class ChamberTable(ActuatorTable):
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
     type: Literal["chamber"]
     surface: str = Field(description='the surface group of its whole wall: "cavity"')
+    seal: Flag = False
 
 
 class SurfacePressureTable(ActuatorTable):

@@ -25,7 +25,12 @@ from softcal_jax.project._photos import PhotosTable
 from softcal_jax.project._plausibility import ProjectWarning, implausible
 from softcal_jax.project._problems import WrongKeyError, in_file, under
 from softcal_jax.project._project import Project
-from softcal_jax.project._reading import ProjectTable, read_tables
+from softcal_jax.project._reading import (
+    MeshTables,
+    ProjectTable,
+    read_mesh_tables,
+    read_tables,
+)
 
 
 def load_project(
@@ -61,6 +66,19 @@ def load_project(
     if changes is None:  # else it was said of the file, and a sweep has many
         _warn(project)
     return project
+
+
+def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
+    """Make the mesh of a project file with its groups; the rest may be missing.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ProjectError: If anything in [mesh] or [groups] is wrong.
+    """
+    path = Path(path)
+    table = read_mesh_tables(path)
+    with in_file(path):
+        return _mesh(path.parent, table)
 
 
 def _warn(project: Project) -> None:
@@ -114,11 +132,7 @@ def _built(
 
 def _model(folder: Path, table: ProjectTable) -> Model:
     """Build the model: mesh, law, rigid bodies and actuators."""
-    with under("mesh"):
-        mesh = table.mesh.build(folder)
-    for name, group in table.groups.items():
-        with under(f"groups.{name}"):
-            mesh = group.add(mesh, name)
+    mesh = _mesh(folder, table)
     bodies, actuators = _parts(table, mesh)
     with under("material", table.material.typed):
         return build_model(
@@ -130,6 +144,16 @@ def _model(folder: Path, table: ProjectTable) -> Model:
             formulation=table.material.formulation,
             solver=table.newton.solver,
         )
+
+
+def _mesh(folder: Path, table: ProjectTable | MeshTables) -> TetMesh:
+    """Make the mesh and its groups, in the order of the file."""
+    with under("mesh"):
+        mesh = table.mesh.build(folder)
+    for name, group in table.groups.items():
+        with under(f"groups.{name}"):
+            mesh = group.add(mesh, name)
+    return mesh
 
 
 def _parts(

@@ -165,6 +165,8 @@ def type_of(kind: type[BaseModel]) -> str:
 
 def _choice(kind: type[BaseModel], kinds: tuple[type[BaseModel], ...]) -> str:
     """Describe how a file chooses one of several kinds of tables."""
+    if getattr(kind, "choice", ""):
+        return kind.choice  # pyright: ignore[reportAttributeAccessIssue]
     if "type" in kind.model_fields:
         return f'type = "{type_of(kind)}"'
     return " and ".join(own_keys(kinds)[kinds.index(kind)])

@@ -9,7 +9,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from softcal_jax._names import listed
 from softcal_jax.calibration import LEVEL, check_starts
@@ -107,6 +107,15 @@ class NewtonTable(Table):
         return name
 
 
+class MeshTables(Table):
+    """The tables of a project file that make its mesh; the others are not read."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    mesh: MeshTable = Field(description="a table [mesh]")
+    groups: dict[str, GroupTable] = Field(default_factory=dict)
+
+
 class ProjectTable(Table, Generic[M]):
     """A whole project file, with the schema of its law as parameter."""
 
@@ -193,6 +202,19 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     if problems or table is None:
         raise one_by_one(path, problems)
     return table
+
+
+def read_mesh_tables(path: Path) -> MeshTables:
+    """Read [mesh] and [groups] of a project file, whose other tables may be missing."""
+    known = [*ProjectTable.model_fields, "shared"]
+    problems = [
+        f"{key}: unknown key.{known_here(key, known, 'Known here')}"
+        for key in read_toml(path, "project file")
+        if key not in known
+    ]
+    if problems:
+        raise one_by_one(path, problems)
+    return read_schema(path, MeshTables, "project file")
 
 
 def read_schema(path: Path, schema: type[T], what: str) -> T:

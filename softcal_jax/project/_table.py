@@ -77,6 +77,9 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    choice: ClassVar[str] = ""
+    """How a file chooses this kind of table, for messages; empty if by its keys."""
+
     _typed: dict[str, str] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="wrap")
@@ -92,6 +95,11 @@ class Table(BaseModel):
     def typed(self) -> dict[str, str]:
         """Its texts, quantities with their units among them, as they were typed."""
         return self._typed
+
+    @classmethod
+    def claims(cls, value: dict[str, Any]) -> bool | None:
+        """Tell by its values whether a table is of this kind; None if by its keys."""
+        del value
 
     @classmethod
     def foreign(cls, key: str) -> str | None:
@@ -128,8 +136,9 @@ def _built(value: Any) -> Any:
 class ByKeys:
     """Mark a union of tables that are distinguished by their required keys.
 
-    The kind with most of its own keys present is chosen, and among equals one with all
-    of them; if several remain, the error lists the choices.
+    A kind that `claims` the table is chosen; else that with most of its own keys
+    present, and among equals one with all of them. If several remain, the error lists
+    the choices.
     """
 
     def __get_pydantic_core_schema__(
@@ -140,9 +149,13 @@ class ByKeys:
         own = dict(zip([k.__name__ for k in kinds], own_keys(kinds), strict=True))
 
         def fitting(value: dict[str, Any]) -> list[str]:
-            given = {name: sum(k in value for k in keys) for name, keys in own.items()}
+            claims = {kind.__name__: kind.claims(value) for kind in kinds}
+            if True in claims.values():
+                return [name for name in own if claims[name]]
+            left = [name for name in own if claims[name] is None]
+            given = {name: sum(k in value for k in own[name]) for name in left}
             rank = {name: (n, n == len(own[name])) for name, n in given.items()}
-            return [name for name in own if rank[name] == max(rank.values())]
+            return [name for name in left if rank[name] == max(rank.values())]
 
         def check(value: Any) -> Any:
             if not isinstance(value, dict):

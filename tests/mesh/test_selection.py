@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from softcal_jax.mesh import (
+    Annulus,
     Box,
+    Cylinder,
     Plane,
     Sphere,
     beam,
@@ -43,6 +45,35 @@ def test_sphere():
     assert len(nodes) == 4
 
 
+def test_cylinder_and_annulus():
+    """About the long axis of the beam; its cells have sides of 10 mm."""
+    axis = (0.0, 0.01, 0.01), (0.05, 0.01, 0.01)
+    assert len(select_nodes(MESH, Cylinder(*axis, 0.005))) == 6
+    assert len(select_nodes(MESH, Cylinder(*axis, 0.0101))) == 6 * 5
+    assert len(select_nodes(MESH, Cylinder(*axis, 0.005, tolerance=0.0051))) == 6 * 5
+    assert len(select_nodes(MESH, Annulus(*axis, 0.005, 0.0101))) == 6 * 4
+    ring = Annulus((-1e-6, 0.01, 0.01), (1e-6, 0.01, 0.01), 0.009, 0.015)
+    assert len(select_nodes(MESH, ring)) == 8
+
+
+@pytest.mark.parametrize(
+    ("point", "from_tube", "from_solid"),
+    [
+        ((1.5, 0.0, 1.5), 0.0, 0.0),
+        ((0.0, 0.5, 1.0), 0.5, 0.0),
+        ((0.0, 3.0, 1.0), 1.0, 1.0),
+        ((0.0, 0.0, -2.0), np.sqrt(5.0), 2.0),
+        ((6.0, 0.0, 6.0), 5.0, 5.0),
+    ],
+)
+def test_distance_from_round_regions(point, from_tube, from_solid):
+    """Between radii of 1 and 2, or within 2, along z from 0 to 3."""
+    tube = Annulus((0, 0, 0), (0, 0, 3), 1.0, 2.0)
+    solid = Cylinder((0, 0, 0), (0, 0, 3), 2.0)
+    for region, expected in ((tube, from_tube), (solid, from_solid)):
+        np.testing.assert_allclose(region.distance(np.array([point])), [expected])
+
+
 def test_regions_combine_as_predicates():
     box, ball = Box((0, 0, 0), (0.02, 0.02, 0.02)), Sphere((0, 0, 0), 0.0101)
     nodes = select_nodes(MESH, lambda x: box(x) & ~ball(x))
@@ -79,6 +110,9 @@ def test_empty_selection_says_how_far():
         (lambda: Plane((0, 0, 0), (0, 0, 0)), "normal of a plane must not be zero"),
         (lambda: Plane((0, np.nan, 0), (0, 0, 1)), "point must be three finite"),
         (lambda: Sphere((0, 0, 0), -1.0), r"radius must be positive \[m\], got -1.0"),
+        (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1.0), "start and end are both at"),
+        (lambda: Cylinder((0, 0, 0), (0, 0, 1), 0.0), r"radius must be positive"),
+        (lambda: Annulus((0, 0, 0), (0, 0, 1), 2.0, 1.0), "less than the outer one"),
         (lambda: select_nodes(MESH, lambda x: x[:, 0]), "got float64 of shape"),
         (lambda: select_nodes(MESH, lambda x: x > 0), r"of shape \(99, 3\)"),
     ],

@@ -177,7 +177,8 @@ CASES = {
     ),
     "group without a place": (
         ("plane = {", 'of = "faces"\n#'),
-        "groups.tip: expected exactly one of box, plane, sphere; got none.",
+        "groups.tip: expected exactly one of box, plane, sphere, cylinder, annulus, "
+        "face, reachable, inside; got none.",
     ),
     "load without a force": (
         (', force = "(20, 0, -50) mN"', ""),
@@ -319,7 +320,8 @@ CASES = {
     ),
     "mesh from nowhere": (
         (BEAM, ""),
-        "mesh: expected exactly one of file and length_unit, beam; got none.",
+        "mesh: expected exactly one of file and length_unit, file and size, beam; got "
+        "none.",
     ),
     "mesh without a unit": (
         (BEAM, 'file = "robot.msh"'),

@@ -1,0 +1,155 @@
+"""Lids of chambers: what closes an opening for volume and pressure, without material.
+
+The wall of a real chamber is open at its inlet, where a tube or a plug ends it. The lid
+is the cone from the rim of the opening to the mean of the rim. So the wall and its lids
+enclose a volume, and what the pressure does to a lid acts on the nodes of its rim.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._units import readable_values
+from softcal_jax.actuators._cliques import (
+    AbstractPotentialCliques,
+    ActuatorGeometry,
+    owned,
+)
+from softcal_jax.mesh import Refinement
+
+
+class OpenEdges(NamedTuple):
+    """Edges that faces do not traverse equally often in both directions.
+
+    Attributes:
+        ends: Corners, in the direction that prevails.
+        mids: The mid node of each; none on linear faces.
+        excess: How much more often that direction is traversed.
+    """
+
+    ends: Int[HostArray, "n_edges 2"]
+    mids: Int[HostArray, "n_edges n_mids"]
+    excess: Int[HostArray, " n_edges"]
+
+
+def open_edges(faces: Int[HostArray, "n_faces n_fn"]) -> OpenEdges:
+    """Find the open edges of a surface, given its faces with consistent normals."""
+    corners = faces[:, :3]
+    ways = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
+    mids = faces[:, 3:].reshape(len(ways), -1)
+    _, inverse = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
+    sense = np.where(ways[:, 0] < ways[:, 1], 1, -1)
+    total = np.zeros(inverse.max() + 1, int)
+    np.add.at(total, inverse.ravel(), sense)
+    excess = total[inverse.ravel()] * sense
+    open_ways = np.flatnonzero(excess > 0)
+    _, first = np.unique(inverse.ravel()[open_ways], return_index=True)
+    chosen = open_ways[first]
+    return OpenEdges(ways[chosen], mids[chosen], excess[chosen])
+
+
+def rims(
+    edges: OpenEdges, points: Float[HostArray, "n_all 3"], owner: str
+) -> list[Int[HostArray, " m"]]:
+    """Link open edges to closed rings of nodes: corners, with mid nodes between them.
+
+    `points` [m] and `owner` are for messages.
+
+    Raises:
+        ValueError: If openings meet, so that it is not clear where one ends.
+    """
+    starts, count = np.unique(edges.ends[:, 0], return_counts=True)
+    crowded = starts[count > 1].tolist() + edges.ends[edges.excess > 1, 0].tolist()
+    if crowded:
+        where = readable_values(points[crowded[0]].tolist(), "m")
+        raise ValueError(
+            f"{owner}: openings of the wall meet at {where}, so it is not clear where "
+            "each of them ends. Choose the faces of the wall so that they are apart."
+        )
+    following = {int(a): k for k, a in enumerate(edges.ends[:, 0])}
+    found = []
+    while following:
+        node, ring = next(iter(following)), []
+        while node in following:
+            k = following.pop(node)
+            ring += [node, *edges.mids[k].tolist()]
+            node = int(edges.ends[k, 1])
+        found.append(np.array(ring, edges.ends.dtype))
+    return found
+
+
+class ChamberLids(AbstractPotentialCliques):
+    """Lids of chambers, one ring of nodes each; each adds a cone's volume to delta_a.
+
+    With c the mean of the rim, n dA out of the chamber, and o any point, the lid adds
+    1/3 integral of (x - o) . n dA = 1/3 (c - o) . A, since (x - c) . n vanishes on a
+    cone with the apex c. Its vector area is that of its rim, A = 1/2 integral of
+    x cross dx.
+
+    Attributes:
+        weights: Shares of the nodes in the mean of the rim, by its length at rest [-].
+        centre: The point o, the same as that of the wall [m].
+        quadratic: Whether every second node is a mid node.
+    """
+
+    weights: Float[Array, "*cliques m"]
+    centre: Float[Array, "*cliques 3"]
+    quadratic: bool = eqx.field(static=True)
+
+    def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
+        """Compute the volume between one lid and the centre [m3]."""
+        arm = x - self.centre[None]
+        if self.quadratic:
+            # The integral of x cross dx along the parabola through a, m and b.
+            a, m = arm[0::2], arm[1::2]
+            b = jnp.roll(a, -1, axis=0)
+            turns = 4.0 * (jnp.cross(a, m) + jnp.cross(m, b)) - jnp.cross(a, b)
+            area = jnp.sum(turns, axis=0) / 6.0
+        else:
+            area = 0.5 * jnp.sum(jnp.cross(arm, jnp.roll(arm, -1, axis=0)), axis=0)
+        return jnp.dot(self.weights @ arm, area) / 3.0
+
+    def refined(self, refinement: Refinement) -> "ChamberLids":
+        """Return the rings on a finer mesh, which has nodes between these."""
+        rings = np.asarray(self.nodes)
+        mids = refinement.mids(np.stack([rings, np.roll(rings, -1, axis=1)], axis=-1))
+        finer = np.stack([rings, mids], axis=-1).reshape(len(rings), -1)
+        finer = finer.astype(rings.dtype)
+        weights = np.stack([_shares(refinement.mesh.points[r], True) for r in finer])
+        nodes, weights = jax.device_put((finer, weights))
+        return ChamberLids(nodes, self.owner, weights, self.centre, quadratic=True)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """Draw nothing: a lid has neither material nor faces of its own."""
+        del x
+        return ActuatorGeometry()
+
+
+def lid(
+    rim: Int[HostArray, " m"],
+    points: Float[HostArray, "n_all 3"],
+    *,
+    centre: Float[HostArray, "3"],
+    quadratic: bool,
+    owner: int,
+) -> ChamberLids:
+    """Close an opening, given by its ring of nodes, at their positions at rest [m]."""
+    weights = jax.device_put(_shares(points[rim], quadratic)[None])
+    of, o = owned(rim[None], owner), jax.device_put(centre[None])
+    return ChamberLids(*of, weights, o, quadratic=quadratic)
+
+
+def _shares(x: Float[HostArray, "m 3"], quadratic: bool) -> Float[HostArray, " m"]:
+    """Integrate the shape functions along a ring of straight edges; they sum to 1."""
+    corners = x[:: 1 + quadratic]
+    after = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    both = after + np.roll(after, 1)
+    if quadratic:
+        own = np.stack([both / 6.0, after / 1.5], axis=1).ravel()
+    else:
+        own = 0.5 * both
+    return own / after.sum()

@@ -1,0 +1,224 @@
+"""Parts of space by which nodes, faces and tets are chosen."""
+
+import abc
+
+import equinox as eqx
+import numpy as np
+
+from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._units import readable, readable_values
+
+_ROUNDING = 1e-9
+"""Default tolerance [m]: far below any cell, far above the rounding of coordinates."""
+
+
+def _as_vector(vector) -> HostArray:
+    return np.asarray(vector, dtype=float)
+
+
+class AbstractRegion(eqx.Module):
+    """A part of space with a distance to points."""
+
+    tolerance: eqx.AbstractVar[float]
+
+    def _check(self, names: tuple[str, ...], *, infinite: bool = False):
+        """Check that attributes are vectors of three numbers."""
+        for name in names:
+            value = getattr(self, name)
+            bad = np.isnan(value) if infinite else ~np.isfinite(value)
+            if value.shape != (3,) or bad.any():
+                what = "three numbers" if infinite else "three finite numbers"
+                raise ValueError(f"{name} must be {what}, got {value}.")
+
+    @abc.abstractmethod
+    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
+        """Compute the distance of points from the region [m], zero inside."""
+
+    def __call__(self, points: Float[HostArray, "n 3"]) -> Bool[HostArray, " n"]:
+        """Say which points [m] lie in the region, within its tolerance."""
+        return self.distance(points) <= self.tolerance
+
+
+class Box(AbstractRegion):
+    """The points between two corners, sides included.
+
+    Attributes:
+        lower: Smallest coordinates [m].
+        upper: Largest coordinates [m].
+        tolerance: Distance at which a point still counts as inside [m].
+    """
+
+    lower: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    upper: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    tolerance: float = _ROUNDING
+
+    def __check_init__(self):
+        # Infinite sides are allowed: they select half-spaces and slabs.
+        self._check(("lower", "upper"), infinite=True)
+        if (self.lower > self.upper).any():
+            raise ValueError(
+                f"the box is crossed: lower {self.lower} exceeds upper {self.upper}."
+            )
+
+    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
+        """Compute the distance of points from the box [m], zero inside."""
+        return np.linalg.norm(points - np.clip(points, self.lower, self.upper), axis=1)
+
+    def __str__(self) -> str:
+        """Describe it, for messages."""
+        return f"the box from {place(self.lower)} to {place(self.upper)}"
+
+
+class Plane(AbstractRegion):
+    """The points of a plane.
+
+    Attributes:
+        point: A point of the plane [m].
+        normal: Its normal, of any length.
+        tolerance: Distance at which a point still counts as on it [m].
+    """
+
+    point: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    normal: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    tolerance: float = _ROUNDING
+
+    def __check_init__(self):
+        self._check(("point", "normal"))
+        if not np.linalg.norm(self.normal) > 0:
+            raise ValueError("the normal of a plane must not be zero.")
+
+    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
+        """Compute the distance of points from the plane [m]."""
+        normal = self.normal / np.linalg.norm(self.normal)
+        return np.abs((points - self.point) @ normal)
+
+    def __str__(self) -> str:
+        """Describe it, for messages."""
+        normal = ", ".join(f"{x:.4g}" for x in self.normal)
+        return f"the plane through {place(self.point)} across ({normal})"
+
+
+class Sphere(AbstractRegion):
+    """The points of a ball.
+
+    Attributes:
+        centre: Its centre [m].
+        radius: Its radius [m].
+        tolerance: Distance at which a point still counts as inside [m].
+    """
+
+    centre: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    radius: float
+    tolerance: float = _ROUNDING
+
+    def __check_init__(self):
+        self._check(("centre",))
+        if not self.radius > 0:
+            raise ValueError(f"radius must be positive [m], got {self.radius}.")
+
+    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
+        """Compute the distance of points from the ball [m], zero inside."""
+        gap = np.linalg.norm(points - self.centre, axis=1) - self.radius
+        return np.maximum(gap, 0.0)
+
+    def __str__(self) -> str:
+        """Describe it, for messages."""
+        radius = readable(self.radius, "m")
+        return f"the sphere of {radius} around {place(self.centre)}"
+
+
+class Annulus(AbstractRegion):
+    """The points between two cylinders about one axis: a tube, or a short one: a ring.
+
+    Attributes:
+        start: Middle of one end [m].
+        end: Middle of the other end [m].
+        inner: Radius of the hole [m].
+        outer: Outer radius [m].
+        tolerance: Distance at which a point still counts as inside [m].
+    """
+
+    start: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    end: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    inner: float
+    outer: float
+    tolerance: float = _ROUNDING
+
+    def __check_init__(self):
+        _check_axis(self)
+        if not 0.0 <= self.inner < self.outer:
+            raise ValueError(
+                "the inner radius must be zero or more, and less than the outer one, "
+                f"got {self.inner} and {self.outer} m."
+            )
+
+    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
+        """Compute the distance of points from the tube [m], zero inside."""
+        return _from_tube(points, self.start, self.end, self.inner, self.outer)
+
+    def __str__(self) -> str:
+        """Describe it, for messages."""
+        radii = " to ".join(readable(r, "m") for r in (self.inner, self.outer))
+        ends = f"from {place(self.start)} to {place(self.end)}"
+        return f"the annulus of radius {radii} {ends}"
+
+
+class Cylinder(AbstractRegion):
+    """The points within a radius of a straight axis, both ends included.
+
+    Attributes:
+        start: Middle of one end [m].
+        end: Middle of the other end [m].
+        radius: Its radius [m].
+        tolerance: Distance at which a point still counts as inside [m].
+    """
+
+    start: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    end: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    radius: float
+    tolerance: float = _ROUNDING
+
+    def __check_init__(self):
+        _check_axis(self)
+        if not self.radius > 0:
+            raise ValueError(f"radius must be positive [m], got {self.radius}.")
+
+    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
+        """Compute the distance of points from the cylinder [m], zero inside."""
+        return _from_tube(points, self.start, self.end, 0.0, self.radius)
+
+    def __str__(self) -> str:
+        """Describe it, for messages."""
+        ends = f"from {place(self.start)} to {place(self.end)}"
+        return f"the cylinder of radius {readable(self.radius, 'm')} {ends}"
+
+
+def _check_axis(region: "Annulus | Cylinder") -> None:
+    region._check(("start", "end"))
+    if not np.linalg.norm(region.end - region.start) > 0:
+        raise ValueError(
+            f"start and end are both at {place(region.start)}; expected the middles of "
+            "two ends, which give the direction of the axis."
+        )
+
+
+def _from_tube(
+    points: Float[HostArray, "n 3"],
+    start: Float[HostArray, "3"],
+    end: Float[HostArray, "3"],
+    inner: float,
+    outer: float,
+) -> Float[HostArray, " n"]:
+    """Compute the distance of points from a tube between two radii [m]."""
+    length = np.linalg.norm(end - start)
+    axis = (end - start) / length
+    along = (points - start) @ axis
+    radius = np.linalg.norm(points - start - along[:, None] * axis, axis=1)
+    beyond = np.maximum(np.maximum(-along, along - length), 0.0)
+    aside = np.maximum(np.maximum(inner - radius, radius - outer), 0.0)
+    return np.hypot(beyond, aside)
+
+
+def place(point: Float[HostArray, "3"]) -> str:
+    """Write a position in a readable unit, for messages."""
+    return readable_values(point.tolist(), "m")

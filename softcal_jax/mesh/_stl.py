@@ -1,0 +1,69 @@
+"""Triangles of an STL file."""
+
+import contextlib
+import io
+from pathlib import Path
+from typing import NamedTuple
+
+import meshio
+import numpy as np
+
+from softcal_jax._text import escaped
+from softcal_jax._typing import Float, HostArray, Int
+
+
+class Triangles(NamedTuple):
+    """A surface of triangles, in the length unit of its file.
+
+    Attributes:
+        points: Positions of the corners, each once.
+        triangles: Corners of the triangles.
+    """
+
+    points: Float[HostArray, "n_points 3"]
+    triangles: Int[HostArray, "n_triangles 3"]
+
+    @property
+    def volume(self) -> float:
+        """Volume that the triangles enclose, where their normals point outwards."""
+        a, b, c = np.moveaxis(self.points[self.triangles] - self.points[0], 1, 0)
+        return float(np.sum(a * np.cross(b, c)) / 6.0)
+
+    @property
+    def n_open_edges(self) -> int:
+        """Number of edges that do not belong to exactly two triangles."""
+        ends = np.stack([self.triangles, np.roll(self.triangles, -1, axis=1)], axis=-1)
+        ends = np.sort(ends.reshape(-1, 2), axis=1)
+        _, counts = np.unique(ends, axis=0, return_counts=True)
+        return int(np.sum(counts != 2))
+
+
+def read_stl(path: Path) -> Triangles:
+    """Read an STL file, binary or text; corners at the same place become one.
+
+    Raises:
+        ValueError: If it cannot be read, or holds no triangles.
+    """
+    printed = io.StringIO()
+    try:
+        with (
+            contextlib.redirect_stdout(printed),
+            contextlib.redirect_stderr(printed),
+            np.errstate(over="ignore"),  # it takes text for a number of triangles
+        ):
+            raw = meshio.read(path, file_format="stl")
+    # Its parser raises exceptions of any type, and exits on some errors.
+    except (Exception, SystemExit) as error:
+        said = " ".join(f"{printed.getvalue()} {error}".split())
+        raise ValueError(
+            "it cannot be read as STL; it may be truncated or another kind of file. The"
+            f" parser said: {escaped(said)}"
+        ) from error
+    triangles = raw.cells_dict.get("triangle", np.zeros((0, 3), int))
+    points = np.asarray(raw.points, float)
+    if not len(triangles) or not np.isfinite(points).all():
+        raise ValueError(
+            f"it holds {len(triangles)} triangles, expected a closed surface of "
+            "triangles with finite coordinates."
+        )
+    return Triangles(points, np.asarray(triangles, int))

@@ -1,0 +1,251 @@
+"""Selection of surfaces from a point: what it reaches, one face, or a cavity's wall."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._units import readable
+from softcal_jax.mesh._inverse_map import nearest_on_triangles
+from softcal_jax.mesh._regions import place
+from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
+from softcal_jax.mesh._topology import boundary_faces
+
+SHARP = np.deg2rad(40.0)
+"""Turn of the normal at an edge that ends a face [rad]; a round wall turns by less."""
+
+CAD_FACE = re.compile(r"face \d+")
+"""Names of the surface groups that are the faces of a CAD model."""
+
+_ROUNDING = 1e-6
+"""Distance at which a point lies on several faces, over the size of the mesh [-]."""
+
+_ENCLOSED = 0.5
+"""Share of all directions in which the wall of a cavity is seen, at least [-]."""
+
+
+def select_reachable(
+    mesh: TetMesh,
+    point: ArrayData,
+    *,
+    angle: float | None = None,
+    stop_at: Sequence[str] = (),
+) -> Int[HostArray, "n n_fn"]:
+    """Select the boundary faces that a walk over the surface reaches from a point.
+
+    Args:
+        mesh: The mesh.
+        point: Where the walk begins, on the surface [m].
+        angle: The walk does not cross edges at which the surface turns by more [rad];
+            None crosses all.
+        stop_at: Surface groups that the walk does not enter.
+
+    Raises:
+        ValueError: If the point is not on the surface, on several surfaces, or on one
+            that is not entered; a group is unknown, or the angle out of range.
+    """
+    if angle is not None and not 0.0 < angle <= np.pi:
+        raise ValueError(
+            f"angle must lie between 0 and 180 degrees, got {np.rad2deg(angle):g}."
+        )
+    surface = _Surface(mesh)
+    barred = surface.of_groups(stop_at)
+    labels = surface.parts(angle, barred)
+    start = surface.at(np.asarray(point, float))
+    if barred[start].any():
+        names = ", ".join(map(repr, stop_at))
+        raise ValueError(
+            f"the point {place(np.asarray(point, float))} lies on a surface that is not"
+            f" to be entered ({names}); give a point beside it."
+        )
+    return surface.faces[labels == surface.only(labels, start, point)]
+
+
+def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
+    """Select the face of the body that a point lies on.
+
+    On a mesh from a CAD model it is the face of the model ("face 7"); on any other one
+    what is reached across edges at which the surface turns by less than 40 degrees.
+
+    Args:
+        mesh: The mesh.
+        point: A point of the face [m], not on its border.
+
+    Raises:
+        ValueError: If the point is not on the surface, or on the border of faces.
+    """
+    surface = _Surface(mesh)
+    labels = surface.parts(SHARP, np.zeros(len(surface.faces), bool))
+    for k, name in enumerate(filter(CAD_FACE.fullmatch, mesh.surface_groups)):
+        rows = surface.rows(mesh.faces(name))
+        labels[rows[rows >= 0]] = -1 - k
+    start = surface.at(np.asarray(point, float))
+    return surface.faces[labels == surface.only(labels, start, point)]
+
+
+def select_cavity(
+    mesh: TetMesh, point: ArrayData, *, stop_at: Sequence[str] = ()
+) -> Int[HostArray, "n n_fn"]:
+    """Select the wall of a cavity, as a chamber needs it.
+
+    Args:
+        mesh: The mesh.
+        point: A point in the empty inside of the cavity [m].
+        stop_at: Surface groups in which the openings of the cavity lie. The wall ends
+            where one of them begins.
+
+    Raises:
+        ValueError: If the point lies in the body, or no cavity surrounds it: it is open
+            and `stop_at` does not name where, or the point is outside. A group may be
+            unknown too.
+    """
+    p = np.asarray(point, float)
+    surface = _Surface(mesh)
+    if surface.seen_from(p).sum() > _ROUNDING:
+        raise ValueError(
+            f"the point {place(p)} lies in the body or on its surface; expected one in "
+            "the empty inside of the cavity."
+        )
+    barred = surface.of_groups(stop_at)
+    labels = surface.parts(None, barred)
+    start = np.argmin(np.where(barred, np.inf, surface.distances(p)))
+    chosen = labels == labels[start]
+    share = -surface.seen_from(p)[chosen].sum()
+    if share < _ENCLOSED:
+        known = ", ".join(map(repr, mesh.surface_groups)) or "none yet"
+        raise ValueError(
+            f"no cavity surrounds the point {place(p)}: what is reached from there "
+            f"closes {max(0, round(100 * share))} % of the view. If the cavity is open,"
+            " name the surface that its opening lies in (stop_at), where the wall ends."
+            f" Surface groups: {known}."
+        )
+    return surface.faces[chosen]
+
+
+def surface_parts(mesh: TetMesh) -> list[Int[HostArray, "_ n_fn"]]:
+    """Divide the surface at edges at which it turns by more than 40 degrees."""
+    surface = _Surface(mesh)
+    labels = surface.parts(SHARP, np.zeros(len(surface.faces), bool))
+    return [surface.faces[labels == part] for part in range(labels.max() + 1)]
+
+
+def matching_faces(
+    mesh: TetMesh, surfaces: Sequence[Int[HostArray, "_ 3"]]
+) -> list[Int[HostArray, "_ n_fn"]]:
+    """Find the boundary faces with the corners of triangles, surface by surface."""
+    surface = _Surface(mesh)
+    rows = surface.rows(np.concatenate(surfaces))
+    ends = np.cumsum([len(triangles) for triangles in surfaces])[:-1]
+    return [surface.faces[own[own >= 0]] for own in np.split(rows, ends)]
+
+
+class _Surface:
+    """The boundary of a mesh: its faces, which of them meet, and how they turn."""
+
+    def __init__(self, mesh: TetMesh):
+        self.mesh, self.faces = mesh, boundary_faces(mesh)
+        self.corners = mesh.points[self.faces[:, :3]]
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        normals = np.cross(b - a, c - a)
+        self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def rows(self, faces: Int[HostArray, "n n_fn"]) -> Int[HostArray, " _"]:
+        """Find the indices of faces on the boundary; -1 for those that are not."""
+        n = len(self.faces)
+        both = np.concatenate([self.faces[:, :3], faces[:, :3]])
+        corners = np.sort(both, axis=1)
+        inverse = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
+        index = np.full(inverse.max() + 1, -1)
+        index[inverse[:n]] = np.arange(n)
+        return index[inverse[n:]]
+
+    def of_groups(self, names: Iterable[str]) -> Bool[HostArray, " n_faces"]:
+        """Mark the faces of surface groups."""
+        marked = np.zeros(len(self.faces), bool)
+        for name in names:
+            rows = self.rows(self.mesh.faces(name))
+            marked[rows[rows >= 0]] = True
+        return marked
+
+    def parts(
+        self, angle: float | None, barred: Bool[HostArray, " n_faces"]
+    ) -> Int[HostArray, " n_faces"]:
+        """Number the parts of the surface; faces that are barred are none's."""
+        corners = self.faces[:, :3]
+        edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
+        _, inverse, counts = np.unique(
+            np.sort(edges.reshape(-1, 2), axis=1),
+            axis=0,
+            return_inverse=True,
+            return_counts=True,
+        )
+        inverse = inverse.ravel()
+        order = np.argsort(inverse, kind="stable")
+        # Where more faces meet, two parts of the surface touch along the edge.
+        left, right = order[counts[inverse[order]] == 2].reshape(-1, 2).T // 3
+        joined = ~barred[left] & ~barred[right]
+        if angle is not None:
+            turn = np.sum(self.normals[left] * self.normals[right], axis=1)
+            joined &= turn >= np.cos(angle)
+        n = len(self.faces)
+        pairs = (np.ones(joined.sum()), (left[joined], right[joined]))
+        labels = connected_components(coo_array(pairs, (n, n)), directed=False)[1]
+        return labels.astype(int)
+
+    def distances(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
+        """Compute the distance of each face from a point [m]."""
+        b = nearest_on_triangles(self.corners, point)
+        feet = np.einsum("fc,fci->fi", b, self.corners)
+        return np.linalg.norm(feet - point, axis=1)
+
+    def at(self, point: Float[HostArray, "3"]) -> Int[HostArray, " _"]:
+        """Find the faces that a point lies on; several if it is on an edge of them.
+
+        Raises:
+            ValueError: If it is farther away than half an edge of the nearest one.
+        """
+        away = self.distances(point)
+        nearest = np.argmin(away)
+        edges = self.corners[nearest] - np.roll(self.corners[nearest], 1, axis=0)
+        # Flat faces are off a round surface, but by less than that.
+        allowed = 0.5 * np.linalg.norm(edges, axis=1).max()
+        if away[nearest] > allowed:
+            lower, upper = self.mesh.points.min(axis=0), self.mesh.points.max(axis=0)
+            raise ValueError(
+                f"the point {place(point)} is {readable(float(away[nearest]), 'm')} "
+                f"away from the surface of the body, which spans {place(lower)} to "
+                f"{place(upper)}; expected a point on it. Check its length unit."
+            )
+        return np.flatnonzero(away <= away[nearest] + _ROUNDING * self.mesh.size)
+
+    def only(
+        self, labels: Int[HostArray, " n_faces"], start: Int[HostArray, " _"], point
+    ) -> int:
+        """Return the one part that the faces at a point belong to.
+
+        Raises:
+            ValueError: If there are several.
+        """
+        found = np.unique(labels[start])
+        if len(found) > 1:
+            raise ValueError(
+                f"the point {place(np.asarray(point, float))} lies where {len(found)} "
+                "surfaces meet; move it off their border, onto the one that is meant."
+            )
+        return int(found[0])
+
+    def seen_from(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
+        """Compute the share of all directions in which each face is seen [-].
+
+        Negative where its outer side is seen; they sum to 1 from within the body, and
+        to 0 elsewhere. Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983).
+        """
+        a, b, c = np.moveaxis(self.corners - point, 1, 0)
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        dot = lambda u, v: np.sum(u * v, axis=1)
+        triple = dot(a, np.cross(b, c))
+        rest = la * lb * lc + dot(a, b) * lc + dot(a, c) * lb + dot(b, c) * la
+        return np.arctan2(triple, rest) / (2.0 * np.pi)

@@ -1,0 +1,279 @@
+"""Draw a mesh with its named groups: from the front, from behind, and cut."""
+
+import colorsys
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces, boundary_tets
+from softcal_jax.plotting import _annotations as annotations
+from softcal_jax.plotting._colours import SERIES
+from softcal_jax.plotting._view import View, choose_view
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+Colour = tuple[float, float, float]
+
+_DPI = 100
+_SIZE, _TOP, _BOTTOM, _HEADING = 800, 90, 120, 40
+"""Longer side of a panel, heights above and below all, and of a heading [pixels]."""
+
+_COLUMNS = 2
+_ENTRY = (270, 34)
+"""Width and height of an entry of the legend [pixels]."""
+
+_MARGIN = 1.15
+"""Room for the body and its names, over its own width and height."""
+
+_DARKEST, _PALE = 0.72, 0.25
+"""Brightness of a face seen from the side, and share of white in all colours."""
+
+_PLAIN, _SECTION = (0.92, 0.92, 0.92), (0.8, 0.8, 0.75)
+"""Colours of faces in no group, and of what is cut."""
+
+_GOLDEN = 0.618
+"""Step around the colour wheel that keeps any number of colours apart [turns]."""
+
+_LEAST = 30
+"""Pixels of a group that are seen, at least, where its name stands."""
+
+
+class _Faces(NamedTuple):
+    """Faces that look towards the viewer, the farthest first.
+
+    Attributes:
+        corners: Their corners [m].
+        light: Share of their area that is seen [-].
+        group: Index of the group whose colour each has, -1 for none.
+        cut: Whether they lie within the body, where it is cut.
+    """
+
+    corners: Float[HostArray, "n_faces 3 3"]
+    light: Float[HostArray, " n_faces"]
+    group: Int[HostArray, " n_faces"]
+    cut: Bool[HostArray, " n_faces"]
+
+
+class _Frame(NamedTuple):
+    """Size of a panel [pixels], and of what a pixel shows [m]."""
+
+    width: int
+    height: int
+    scale: float
+
+    @property
+    def half(self) -> Float[HostArray, "2"]:
+        """Half the width and height of what is shown [m]."""
+        return 0.5 * self.scale * np.array([self.width, self.height])
+
+
+def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
+    """Draw the body at rest with every group named and coloured, in four panels.
+
+    From the front, from behind, and both halves of it cut along, where the walls of
+    cavities show. A face in several groups has the colour of the last of them, and what
+    is not seen for that is called hidden. Groups of nodes alone are dots.
+
+    Args:
+        mesh: The mesh [m].
+        path: PNG file.
+        title: Title of the picture.
+    """
+    from matplotlib.figure import Figure
+
+    every = {**mesh.tet_groups, **mesh.surface_groups, **mesh.node_groups}
+    # Those that a user has named get the colours that are farthest apart.
+    groups = sorted(every, key=lambda name: CAD_FACE.fullmatch(name) is not None)
+    colours = _colours(len(groups))
+    panels = _panels(mesh)
+    front = panels["from the front"][0]
+    frame = _frame(front)
+    shown = [_faces(mesh, groups, *what) for what in panels.values()]
+    images = [
+        _image(view, faces, frame)
+        for (view, _), faces in zip(panels.values(), shown, strict=True)
+    ]
+    n = len(groups)
+    seen = np.array([np.bincount(i[i >= 0], minlength=n)[:n] for i in images])
+    rows = len(panels) // _COLUMNS
+    per_row = max(1, _COLUMNS * frame.width // _ENTRY[0])
+    legend = _ENTRY[1] * -(-len(groups) // per_row)
+    size = np.array([_COLUMNS * frame.width, rows * (frame.height + _HEADING)])
+    size[1] += _TOP + legend + _BOTTOM
+    figure = Figure(figsize=tuple(size / _DPI), dpi=_DPI, facecolor="white")
+
+    def axes(left, bottom, wide, high) -> "matplotlib.axes.Axes":
+        """Add axes at a place in pixels, from the lower left corner."""
+        x, y = size
+        return figure.add_axes((left / x, bottom / y, wide / x, high / y))
+
+    for k, (heading, (view, drawn)) in enumerate(panels.items()):
+        row, column = divmod(k, _COLUMNS)
+        bottom = size[1] - _TOP - (row + 1) * (frame.height + _HEADING)
+        own = axes(column * frame.width, bottom, frame.width, frame.height)
+        _draw_faces(own, view, shown[k], colours)
+        _draw_nodes(own, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
+        for group in np.flatnonzero((seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)):
+            place = _middle(images[k] == group, frame)
+            style = {"ha": "center", "va": "center"}
+            annotations.draw_name(own, groups[group], place, (0, 0), **style)
+        w, h = frame.half
+        own.set(xlim=(-w, w), ylim=(-h, h), title=heading)
+        own.set_axis_off()
+        own.title.set_fontsize(16)
+    annotations.draw_title(axes(0, size[1] - _TOP, size[0], _TOP), title, "", "")
+    faced = {**mesh.tet_groups, **mesh.surface_groups}
+    names = [
+        f"{name} (hidden)" if name in faced and not there else name
+        for name, there in zip(groups, seen.any(axis=0).tolist(), strict=True)
+    ]
+    _draw_legend(figure, names, colours, per_row, (_BOTTOM + 0.5 * legend) / size[1])
+    annotations.draw_triad(axes(10, 5, _BOTTOM - 10, _BOTTOM - 10), front)
+    annotations.draw_length_scale(axes(size[0] - 270, 20, 250, 70), 250 * frame.scale)
+    figure.savefig(path, dpi=_DPI, format="png")
+
+
+def _panels(mesh: TetMesh) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]:
+    """Choose the views, and the tets that each shows, by their headings."""
+    front = choose_view(mesh.points, np.zeros_like(mesh.points), np.zeros((0, 3)))
+    behind = front._replace(right=-front.right, towards=-front.towards)
+    middle = mesh.points.mean(axis=0)
+    axes = np.linalg.svd(mesh.points - middle, full_matrices=False)[2]
+    across = axes[np.argmax(np.abs(axes @ front.towards))]
+    beyond = (mesh.centroids - middle) @ across * (across @ front.towards) < 0.0
+    whole = np.ones(mesh.n_tets, bool)
+    return {
+        "from the front": (front, whole),
+        "from behind": (behind, whole),
+        "cut, from the front": (front, beyond),
+        "cut, from behind": (behind, ~beyond),
+    }
+
+
+def _frame(view: View) -> _Frame:
+    """Choose the size of the panels; the other views are as large."""
+    extent = _MARGIN * np.array([view.width, view.height])
+    width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).astype(int)
+    return _Frame(
+        int(width), int(height), float(max(extent[0] / width, extent[1] / height))
+    )
+
+
+def _image(view: View, faces: _Faces, frame: _Frame) -> Int[HostArray, "_ _"]:
+    """Draw the group of what is seen at each pixel, -1 for none."""
+    from PIL import Image, ImageDraw
+
+    flat = view.project(faces.corners.reshape(-1, 3)).reshape(-1, 3, 2)
+    pixels = (flat + frame.half) / frame.scale
+    image = Image.new("I", (frame.width, frame.height), -1)
+    draw = ImageDraw.Draw(image)
+    for corners, group in zip(pixels, faces.group.tolist(), strict=True):
+        draw.polygon([tuple(corner) for corner in corners.tolist()], fill=group)
+    return np.asarray(image)
+
+
+def _middle(seen: Bool[HostArray, "_ _"], frame: _Frame) -> Float[HostArray, "2"]:
+    """Find a place amidst the pixels of a group, and on one of them [m]."""
+    places = np.argwhere(seen)[:, ::-1]
+    mean = places.mean(axis=0)
+    nearest = places[np.argmin(np.linalg.norm(places - mean, axis=1))]
+    return frame.scale * (nearest + 0.5) - frame.half
+
+
+def _colours(n: int) -> list[Colour]:
+    """Choose as many colours."""
+    from matplotlib.colors import to_rgb
+
+    wheel = lambda k: colorsys.hsv_to_rgb(_GOLDEN * k % 1.0, 0.65, 0.9 - 0.2 * (k % 2))
+    full = [to_rgb(SERIES[k]) if k < len(SERIES) else wheel(k) for k in range(n)]
+    pale = lambda share: _PALE + (1.0 - _PALE) * share
+    return [(pale(r), pale(g), pale(b)) for r, g, b in full]
+
+
+def _faces(
+    mesh: TetMesh, groups: list[str], view: View, drawn: Bool[HostArray, " n_tets"]
+) -> _Faces:
+    """Find what is seen of some of the tets."""
+    part = TetMesh(mesh.points, mesh.tets[drawn])
+    faces = boundary_faces(part)[:, :3]
+    tets = np.flatnonzero(drawn)[boundary_tets(part)]
+    corners = mesh.points[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    light = normals @ view.towards / np.linalg.norm(normals, axis=1)
+    seen = np.flatnonzero(light > 0.0)
+    order = seen[np.argsort(corners[seen].mean(axis=1) @ view.towards)]
+    keys = _keys(mesh, faces[order])
+    group = np.full(len(order), -1)
+    for name, own in mesh.tet_groups.items():
+        group[np.isin(tets[order], own)] = groups.index(name)
+    for name, own in mesh.surface_groups.items():
+        group[np.isin(keys, _keys(mesh, own))] = groups.index(name)
+    cut = ~np.isin(keys, _keys(mesh, boundary_faces(mesh)))
+    return _Faces(corners[order], light[order], group, cut)
+
+
+def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
+    """Give each face a number, by its corners in any order."""
+    corners = np.sort(faces[:, :3].astype(np.int64), axis=1).T
+    a, b, c = corners
+    return (a * mesh.n_nodes + b) * mesh.n_nodes + c
+
+
+def _draw_faces(
+    axes: "matplotlib.axes.Axes",
+    view: View,
+    faces: _Faces,
+    colours: list[Colour],
+) -> None:
+    from matplotlib.collections import PolyCollection
+
+    flat = view.project(faces.corners.reshape(-1, 3)).reshape(-1, 3, 2)
+    # The last two stand for the group -1, and for what is cut.
+    table = np.array([*colours, _SECTION, _PLAIN])
+    index = np.where(faces.cut & (faces.group < 0), len(colours), faces.group)
+    light = _DARKEST + (1.0 - _DARKEST) * faces.light
+    own = table[index] * light[:, None]
+    edges = 0.8 * own
+    axes.add_collection(
+        PolyCollection(list(flat), facecolors=own, edgecolors=edges, lw=0.4)
+    )
+
+
+def _draw_nodes(
+    axes: "matplotlib.axes.Axes",
+    view: View,
+    mesh: TetMesh,
+    drawn: Bool[HostArray, " n_tets"],
+    colours: dict[str, Colour],
+) -> None:
+    """Draw the nodes of drawn tets in groups that are neither of faces nor of tets."""
+    there = np.unique(mesh.tets[drawn])
+    for name, nodes in mesh.node_groups.items():
+        own = np.intersect1d(nodes, there)
+        if name in mesh.surface_groups or name in mesh.tet_groups or not own.size:
+            continue
+        places = view.project(mesh.points[own])
+        axes.plot(*places.T, "o", ms=5, color=colours[name], mec="black", mew=0.5)
+        highest = places[np.argmax(places[:, 1])]
+        annotations.draw_name(axes, name, highest, (0, 14), ha="center")
+
+
+def _draw_legend(
+    figure: "matplotlib.figure.Figure",
+    names: list[str],
+    colours: list[Colour],
+    columns: int,
+    height: float,
+) -> None:
+    from matplotlib.patches import Patch
+
+    handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
+    if handles:
+        place = {"loc": "center", "bbox_to_anchor": (0.5, height)}
+        figure.legend(
+            handles=handles, ncols=columns, fontsize=15, frameon=False, **place
+        )
