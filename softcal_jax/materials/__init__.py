@@ -20,6 +20,7 @@ from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._mooney_rivlin import MooneyRivlin
 from softcal_jax.materials._neo_hookean import NeoHookean
 from softcal_jax.materials._ogden import Ogden
+from softcal_jax.materials._sofa import SofaCorotational, SofaRotation
 from softcal_jax.materials._transverse import (
     ReducedTransverseIsotropic,
     TransverseIsotropic,
@@ -64,6 +65,8 @@ __all__ = [
     "Ogden",
     "PointValues",
     "ReducedTransverseIsotropic",
+    "SofaCorotational",
+    "SofaRotation",
     "StVenantKirchhoff",
     "TransverseHyperelastic",
     "TransverseIsotropic",
