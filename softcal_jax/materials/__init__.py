@@ -24,6 +24,7 @@ from softcal_jax.materials._sofa import SofaCorotational, SofaRotation
 from softcal_jax.materials._transverse import (
     ReducedTransverseIsotropic,
     TransverseIsotropic,
+    plane_stiffness,
 )
 from softcal_jax.materials._transverse_hyperelastic import TransverseHyperelastic
 from softcal_jax.materials._yeoh import Yeoh
@@ -77,4 +78,5 @@ __all__ = [
     "is_point_values",
     "lame",
     "law_at_points",
+    "plane_stiffness",
 ]
