@@ -53,12 +53,14 @@ from softcal_jax.mesh import beam, read_mesh, select_nodes
 
 if TYPE_CHECKING:
     from softcal_jax.project import load_project
-    from softcal_jax.report import write_results
+    from softcal_jax.report import export_inp, load_result, write_results
 
 __version__ = version("softcal-jax")
 
 _ON_DEMAND = {
+    "export_inp": "softcal_jax.report",
     "load_project": "softcal_jax.project",
+    "load_result": "softcal_jax.report",
     "write_results": "softcal_jax.report",
 }
 """Names that are imported on first use, since their packages take long to load."""
@@ -92,8 +94,10 @@ __all__ = [
     "build_model",
     "calibrate",
     "compare_laws",
+    "export_inp",
     "identify",
     "load_project",
+    "load_result",
     "profile_intervals",
     "rank_configurations",
     "read_markers",

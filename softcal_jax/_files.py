@@ -1,5 +1,6 @@
-"""Checks of a file before it is opened."""
+"""Checks of a file before it is opened, and of whether it is still the same."""
 
+import hashlib
 from itertools import islice
 from pathlib import Path
 
@@ -32,6 +33,12 @@ def check_file(path: Path, what: str) -> None:
             f"{what} {path} is a pipe or a device; expected a file on a disk."
         )
     MEGABYTES.check(f"{what} {path}", path.stat().st_size / 1e6)
+
+
+def sha256_of(path: Path) -> str:
+    """Compute the SHA-256 of a file, as `sha256sum` writes it."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def similar_file(path: Path) -> str:

@@ -61,6 +61,7 @@ from softcal_jax.calibration._search import (
     multi_start,
     random_starts,
 )
+from softcal_jax.calibration._source import ProjectSource, SourceFile
 from softcal_jax.calibration._state import (
     CalibrationSettings,
     CalibrationState,
@@ -97,12 +98,14 @@ __all__ = [
     "Optimum",
     "ParameterEstimate",
     "ParameterInterval",
+    "ProjectSource",
     "QPStep",
     "RecordingEstimate",
     "ResidualChecks",
     "Run",
     "SearchProgress",
     "SimulationResult",
+    "SourceFile",
     "Uncertainty",
     "as_sequence",
     "at_rest",

@@ -14,6 +14,7 @@ from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
+from softcal_jax.calibration._source import ProjectSource
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model, NewtonSettings
@@ -262,6 +263,7 @@ class CalibrationResult(eqx.Module):
         noise: Covariance of the stacked errors that weighed them.
         noise_settled: Whether an estimated noise stood still beside the fit.
         checks: What the residuals say about the model.
+        source: The project file that it was made from; None for one made in Python.
     """
 
     converged: bool
@@ -284,6 +286,7 @@ class CalibrationResult(eqx.Module):
     checks: ResidualChecks | None = None
     precision: float = PRECISION
     interrupted: bool = False
+    source: ProjectSource | None = None
 
     @property
     def intervals(self) -> tuple[ParameterInterval, ...]:

@@ -14,6 +14,7 @@ from softcal_jax.cli._console import (
     PlainParser,
     escape_what_cannot_be_encoded,
 )
+from softcal_jax.cli._export import add_export
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Display,
@@ -35,6 +36,7 @@ examples:
   softcal simulate my_robot/project.toml -o forward
   softcal identify my_robot/project.toml  would the data suffice? before measuring
   softcal compare a.toml b.toml           which law or mesh predicts best?
+  softcal export inp results -o job.inp   the calibrated model for CalculiX, Abaqus
   softcal sweep sweep.toml                many calibrations, side by side
   softcal sweep show sweep.sqlite         what they found
 
@@ -154,5 +156,6 @@ ranked by what measuring them as well would add.""",
         again = "replace earlier results in that folder"
         command.add_argument("--force", action="store_true", help=again)
     add_compare(commands, raw)
+    add_export(commands, raw)
     add_sweep(commands, raw)
     return parser

@@ -125,7 +125,7 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
     from softcal_jax.configurations import TrackerWarning
     from softcal_jax.mesh import MeshWarning
     from softcal_jax.project import ProjectWarning
-    from softcal_jax.report import PictureWarning
+    from softcal_jax.report import PictureWarning, ResultWarning
 
     own = (
         CalibrationWarning,
@@ -133,6 +133,7 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
         MeshWarning,
         ProjectWarning,
         PictureWarning,
+        ResultWarning,
         TrackerWarning,
     )
     with warnings.catch_warnings():
@@ -167,17 +168,25 @@ def check_folder(args: argparse.Namespace) -> None:
         check_results_folder(args.output, force=args.force)
 
 
-def load(path: Path, show: Display) -> "Project":
-    """Load a project, and describe its model."""
+def start_computing(show: Display) -> None:
+    """Choose the precision, and the folder of compiled programs.
+
+    Only a program may do this; a library must leave them to its user.
+    """
     import jax
 
     from softcal_jax._compilation_cache import use_compilation_cache
-    from softcal_jax.project import load_project
 
-    # Only a program may set these two; a library must leave them to its user.
     jax.config.update("jax_enable_x64", True)
     use_compilation_cache()
     show.lap("import")
+
+
+def load(path: Path, show: Display) -> "Project":
+    """Load a project, and describe its model."""
+    from softcal_jax.project import load_project
+
+    start_computing(show)
     show.now(f"reading {path.name}")
     with bad_input():
         project = load_project(path)

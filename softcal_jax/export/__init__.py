@@ -18,17 +18,22 @@ from softcal_jax.export._folder import (
     file_stems,
     results_folder,
 )
+from softcal_jax.export._inp import write_inp
 from softcal_jax.export._json import (
+    RESULT_FORMAT,
     identifiability_dict,
     outlook_dict,
     result_dict,
     simulation_dict,
 )
 from softcal_jax.export._plain import write_json
+from softcal_jax.export._pvd import write_pvd
+from softcal_jax.export._source import source_dict
 from softcal_jax.export._vtu import write_vtu
 from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
+    "RESULT_FORMAT",
     "Readable",
     "budget_dict",
     "check_results_folder",
@@ -42,9 +47,12 @@ __all__ = [
     "result_dict",
     "results_folder",
     "simulation_dict",
+    "source_dict",
     "write_effectors_csv",
+    "write_inp",
     "write_json",
     "write_markers_csv",
+    "write_pvd",
     "write_robot_csv",
     "write_robot_vtu",
     "write_vtu",

@@ -5,6 +5,7 @@ that is missing or not finite.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,11 @@ from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.export._budget import budget_dict
 from softcal_jax.export._plain import pick, plain, versions
+from softcal_jax.export._source import source_dict
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
+
+RESULT_FORMAT = "softcal_jax.result/2"
+"""Format of `result.json`."""
 
 
 def result_dict(
@@ -29,10 +34,12 @@ def result_dict(
     name: str = "calibration",
     assessment: Assessment | None = None,
     timing_s: Mapping[str, float] | None = None,
+    directory: str | Path = ".",
 ) -> dict[str, Any]:
     """Convert a calibration to the content of `result.json`.
 
-    Keys: `format`, `name`, `converged`; `parameters` (`name`, `value`, `unit`,
+    Keys: `format`, `name`, `converged`; `source`, the files that it was made from (see
+    `source_dict`); `parameters` (`name`, `value`, `unit`,
     `standard_error` by all causes, `lower`, `upper`, `start`, `at_bound`, `interval`,
     null if none was asked for); `intervals`, the same as a list (`name`, `level`,
     `lower`, `upper`, `lower_end`, `upper_end`, `unit`, `kind`, `why`);
@@ -66,15 +73,17 @@ def result_dict(
         name: Its name.
         assessment: Its assessment, if known already.
         timing_s: Wall time of further parts, added to `result.timing_s` [s].
+        directory: Folder that the file is for.
     """
     found = assessment or assess(result)
     runs = ("names", "starts", "values", "cost", "steps", "converged", "optima")
     runs += ("second_best",)
     return plain(
         {
-            "format": "softcal_jax.result/2",
+            "format": RESULT_FORMAT,
             "name": name,
             "converged": result.converged,
+            "source": source_dict(result.source, directory),
             "parameters": result.parameters,
             "intervals": result.intervals,
             "configurations": [_fit(fit) for fit in result.configurations],

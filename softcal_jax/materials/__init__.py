@@ -11,6 +11,7 @@ from softcal_jax.materials._elasticity import (
     AbstractElasticity,
     Isotropic,
     StVenantKirchhoff,
+    Tabulated,
     lame,
 )
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
@@ -69,6 +70,7 @@ __all__ = [
     "SofaCorotational",
     "SofaRotation",
     "StVenantKirchhoff",
+    "Tabulated",
     "TransverseHyperelastic",
     "TransverseIsotropic",
     "Yeoh",

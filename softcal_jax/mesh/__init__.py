@@ -9,7 +9,7 @@ from softcal_jax.mesh._conversion import merge, to_linear, to_quadratic
 from softcal_jax.mesh._generators import beam
 from softcal_jax.mesh._location import MaterialPoints, locate
 from softcal_jax.mesh._meshio import MeshWarning
-from softcal_jax.mesh._reading import read_mesh, read_tet_data
+from softcal_jax.mesh._reading import mesh_files, read_mesh, read_tet_data
 from softcal_jax.mesh._refinement import Refinement, finer, refine
 from softcal_jax.mesh._selection import (
     Box,
@@ -25,6 +25,7 @@ from softcal_jax.mesh._topology import (
     boundary_tets,
     face_shares,
     surface_shares,
+    tet_faces,
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
@@ -45,6 +46,7 @@ __all__ = [
     "finer",
     "locate",
     "merge",
+    "mesh_files",
     "node_indices",
     "read_mesh",
     "read_tet_data",
@@ -52,6 +54,7 @@ __all__ = [
     "select_faces",
     "select_nodes",
     "surface_shares",
+    "tet_faces",
     "to_linear",
     "to_quadratic",
     "tripod",

@@ -16,7 +16,7 @@ def check_inp(path: Path) -> None:
 
     It keeps the last of several *NODE sections, and opens whatever an *INCLUDE names.
     """
-    included = [*_included(path, path.resolve().parent, {path.resolve()})]
+    included = included_files(path)
     size = sum(file.stat().st_size for file in (path, *included)) / 1e6
     MEGABYTES.check(f"mesh file {path} with what it includes", size)
     if (sections := len(_headers(path, "NODE"))) > 1:
@@ -24,6 +24,15 @@ def check_inp(path: Path) -> None:
             f"mesh file {path} has {sections} *NODE sections, of which the reader "
             "keeps the last; merge them into one (export a flat file, without parts)."
         )
+
+
+def included_files(path: Path) -> list[Path]:
+    """List the files that an Abaqus file includes, and those that they include.
+
+    Raises:
+        ValueError: If one lies elsewhere, is not there, or is included twice.
+    """
+    return [*_included(path, path.resolve().parent, {path.resolve()})]
 
 
 def _included(path: Path, folder: Path, seen: set[Path]) -> Iterator[Path]:

@@ -13,6 +13,7 @@ from softcal_jax._names import METRES, unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._conversion import to_linear, to_quadratic
+from softcal_jax.mesh._inp import included_files
 from softcal_jax.mesh._meshio import MeshWarning, RawGroups, raw_groups, read_raw
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import tet_faces, volumes
@@ -82,6 +83,13 @@ def read_mesh(
     if order == 1 and mesh.order == 2:
         return to_linear(mesh)
     return mesh
+
+
+def mesh_files(path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """List what `read_mesh` reads: a file, and those that an Abaqus file includes."""
+    path = Path(path)
+    included = included_files(path) if path.suffix.lower() == ".inp" else []
+    return (path, *included)
 
 
 def read_tet_data(

@@ -10,7 +10,7 @@ from typing import Any
 from softcal_jax._process import check_process
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
-from softcal_jax.calibration import CalibrationSettings
+from softcal_jax.calibration import CalibrationSettings, ProjectSource
 from softcal_jax.configurations import (
     Configuration,
     Registration,
@@ -58,7 +58,7 @@ def load_project(
     path = Path(path)
     table = read_tables(path, changes)
     with in_file(path):
-        project = _built(path, table)
+        project = _built(path, table, changes)
     if changes is None:  # else it was said of the file, and a sweep has many
         _warn(project)
     return project
@@ -72,7 +72,9 @@ def _warn(project: Project) -> None:
         warnings.warn(f"{project.path}: {line}", ProjectWarning, stacklevel=3)
 
 
-def _built(path: Path, table: ProjectTable) -> Project:
+def _built(
+    path: Path, table: ProjectTable, changes: Mapping[str, Any] | None
+) -> Project:
     """Build the project, reporting errors under the key they belong to."""
     model, space = _model(path.parent, table), build_space(table)
     if space is not None:
@@ -105,7 +107,7 @@ def _built(path: Path, table: ProjectTable) -> Project:
         uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
-        files=_files(path, table),
+        source=ProjectSource.of(path, _files(path, table), changes),
         registrations={c.name: fitted for c, fitted in posed if fitted is not None},
     )
 
@@ -179,9 +181,12 @@ def _configurations(
     return found
 
 
-def _files(path: Path, table: ProjectTable) -> tuple[Path, ...]:
-    """List the file and those that it names."""
+def _files(path: Path, table: ProjectTable) -> list[Path]:
+    """List the files that a project file names."""
     measured = [c.measured for c in table.configurations if c.measured is not None]
     readings = [own for m in measured for own in (m, *m.effectors.values())]
-    files = dict.fromkeys(getattr(own, "file", None) for own in (table.mesh, *readings))
-    return (path, *(path.parent / name for name in files if name is not None))
+    files = dict.fromkeys(getattr(own, "file", None) for own in readings)
+    return [
+        *table.mesh.files(path.parent),
+        *(path.parent / name for name in files if name is not None),
+    ]

@@ -13,6 +13,7 @@ from softcal_jax.mesh import (
     Sphere,
     TetMesh,
     beam,
+    mesh_files,
     read_mesh,
     read_tet_data,
     select_faces,
@@ -59,6 +60,10 @@ class MeshFileTable(_MeshTable):
             unused=self.unused_nodes,
         )
 
+    def files(self, folder: Path) -> tuple[Path, ...]:
+        """List the file, and those that it includes."""
+        return mesh_files(folder / self.file)
+
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
         """Read an array of the file with values for each tet."""
         return read_tet_data(folder / self.file, name)
@@ -85,6 +90,11 @@ class BeamMeshTable(_MeshTable):
         del folder
         options = self.beam.model_dump(exclude={"size"})
         return beam(*self.beam.size, order=self.order, **options)
+
+    def files(self, folder: Path) -> tuple[Path, ...]:
+        """List none."""
+        del folder
+        return ()
 
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
         """Raise, since there is no file."""

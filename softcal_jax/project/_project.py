@@ -14,6 +14,7 @@ from softcal_jax.calibration import (
     CalibrationSettings,
     EquilibriumProgress,
     HistoryEntry,
+    ProjectSource,
     SearchProgress,
     calibrate,
 )
@@ -40,7 +41,8 @@ class Project(eqx.Module):
     Attributes:
         name: Name of the project.
         path: The project file.
-        files: That file and those that it names (mesh, measurements).
+        source: That file and those that it names (mesh, measurements), as they were
+            when they were read.
         model: The model, with the start values of the parameters.
         space: The parameters; None for a file without parameters.
         calibration: Configurations that are fitted.
@@ -59,7 +61,7 @@ class Project(eqx.Module):
 
     name: str
     path: Path
-    files: tuple[Path, ...]
+    source: ProjectSource
     model: Model
     space: ParameterSpace | None
     calibration: tuple[Configuration, ...]
@@ -74,6 +76,11 @@ class Project(eqx.Module):
     settings: CalibrationSettings
     newton: NewtonSettings
     registrations: dict[str, Registration]
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The project file and those that it names (mesh, measurements); absolute."""
+        return tuple(file.path for file in (self.source.project, *self.source.files))
 
     @property
     def configurations(self) -> tuple[Configuration, ...]:
@@ -160,12 +167,13 @@ class Project(eqx.Module):
             progress=progress,
             search_progress=search_progress,
             equilibrium_progress=equilibrium_progress,
-            profiling=lambda result: profiling(self._with_registrations(result)),
+            profiling=lambda result: profiling(self._with_origin(result)),
         )
-        return self._with_registrations(result)
+        return self._with_origin(result)
 
-    def _with_registrations(self, result: CalibrationResult) -> CalibrationResult:
-        """Add a note on how well the camera frames were registered."""
+    def _with_origin(self, result: CalibrationResult) -> CalibrationResult:
+        """Add the files, and a note on how well camera frames were registered."""
+        result = dataclasses.replace(result, source=self.source)
         if not self.registrations:
             return result
         fitted = self.registrations.items()

@@ -1,5 +1,12 @@
-"""The results folder and the tables for the terminal."""
+"""Results written, loaded and exported, and the tables for the terminal."""
 
+from softcal_jax.report._export import export_inp
+from softcal_jax.report._load import (
+    LoadedResult,
+    ResultError,
+    ResultWarning,
+    load_result,
+)
 from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (
     PictureWarning,
@@ -10,7 +17,12 @@ from softcal_jax.report._write import (
 )
 
 __all__ = [
+    "LoadedResult",
     "PictureWarning",
+    "ResultError",
+    "ResultWarning",
+    "export_inp",
+    "load_result",
     "simulation_table",
     "summary_table",
     "write_comparison",

@@ -1,0 +1,187 @@
+"""Laws as Abaqus and CalculiX know them: a keyword and its constants."""
+
+from functools import singledispatch
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.equilibrium import Model
+from softcal_jax.materials import (
+    AbstractElasticity,
+    AbstractLaw,
+    ClassicalCorotational,
+    Corotational,
+    FibreReinforced,
+    Gent,
+    Isotropic,
+    MooneyRivlin,
+    NeoHookean,
+    Ogden,
+    StVenantKirchhoff,
+    Tabulated,
+    TransverseHyperelastic,
+    Yeoh,
+    is_point_values,
+)
+
+NO_TERM = 1e20
+"""D_i of a term that is not there [1/Pa]: for 0, CalculiX takes a number of its own."""
+
+SMALLEST_D = 1e-10
+"""|D_1| below which CalculiX takes a number of its own."""
+
+
+class InpLaw(NamedTuple):
+    """A law in the terms of an input file.
+
+    Attributes:
+        keyword: The line that opens it, like "*HYPERELASTIC, YEOH".
+        constants: Its data, one row per tet, in SI.
+        note: What it has of the law of the model; empty if it is the same.
+        oriented: Whether its constants are those of axes, here those of the mesh.
+    """
+
+    keyword: str
+    constants: Float[HostArray, "n_tets n_constants"]
+    note: str = ""
+    oriented: bool = False
+
+
+def inp_law(model: Model) -> InpLaw:
+    """Convert the law of a model.
+
+    Raises:
+        ValueError: If neither program has such a law, or it varies within a tet; the
+            text gives the reason.
+    """
+    leaves = jax.tree.leaves(model.law, is_leaf=is_point_values)
+    if any(map(is_point_values, leaves)):
+        raise ValueError(
+            "the law has other values at each quadrature point of a tet, and an input "
+            'file one material for a whole element: take sampling = "centroids".'
+        )
+    keyword, constants, *more = _converted(model.law)
+    columns = [np.broadcast_to(np.asarray(c, float), model.n_tets) for c in constants]
+    return InpLaw(keyword, np.stack(columns, axis=1), *more)
+
+
+@singledispatch
+def _converted(law: AbstractLaw) -> tuple:
+    """Return keyword, columns of constants, note, and whether they have axes."""
+    raise ValueError(
+        f"{type(law).__name__} has no counterpart in Abaqus or CalculiX: it would need "
+        "a user subroutine (UMAT) there."
+    )
+
+
+@_converted.register
+def _(law: Gent) -> tuple:
+    raise ValueError(
+        "Gent has no counterpart in Abaqus or CalculiX, which have no law that locks "
+        "in this way; calibrate Yeoh, which stiffens too, and export that."
+    )
+
+
+@_converted.register(FibreReinforced)
+@_converted.register(TransverseHyperelastic)
+def _(law: AbstractLaw) -> tuple:
+    raise ValueError(
+        f"{type(law).__name__} has no counterpart in Abaqus or CalculiX: their laws "
+        "with fibres (Holzapfel) are exponential, and CalculiX has them as user "
+        "materials alone. For small strains calibrate Corotational of "
+        "TransverseIsotropic, and export that."
+    )
+
+
+_GREEN = (
+    "*ELASTIC with NLGEOM is linear in the Green strain in CalculiX (St. Venant-"
+    "Kirchhoff), and in the logarithmic strain in Abaqus. "
+)
+
+
+@_converted.register(Corotational)
+@_converted.register(ClassicalCorotational)
+@_converted.register(StVenantKirchhoff)
+def _(law: Corotational | ClassicalCorotational | StVenantKirchhoff) -> tuple:
+    note = _GREEN
+    if isinstance(law, StVenantKirchhoff):
+        note += "The former is the law of the model."
+    else:
+        note += (
+            f"{type(law).__name__} is linear in the stretch. Rotations may be large, "
+            "but stresses differ by up to about 1.5 times the strain: by 15 % where "
+            "the strain is 10 %."
+        )
+    if isinstance(law.elasticity, Isotropic):
+        return "*ELASTIC", (law.elasticity.E, law.elasticity.nu), note, False
+    return "*ELASTIC, TYPE=ANISO", _anisotropic(law.elasticity), note, True
+
+
+def _anisotropic(elasticity: AbstractElasticity) -> list[HostArray]:
+    """Return the 21 constants in the order of *ELASTIC, TYPE=ANISO.
+
+    That is the upper triangle by columns, in the order 11, 22, 33, 12, 13, 23.
+    """
+    order = [0, 1, 2, 5, 4, 3]  # of Voigt's, in which the entries are
+    by_rows = [(a, b) for a in range(6) for b in range(a, 6)]
+    entries = dict(zip(by_rows, Tabulated.of(elasticity).entries, strict=True))
+    pairs = (sorted((order[i], order[j])) for j in range(6) for i in range(j + 1))
+    return [np.asarray(entries[a, b]) for a, b in pairs]
+
+
+@_converted.register
+def _(law: NeoHookean) -> tuple:
+    mu = law.E / (2.0 * (1.0 + law.nu))
+    bulk = law.E / (3.0 * (1.0 - 2.0 * law.nu))
+    note = (
+        "*HYPERELASTIC, NEO HOOKE splits off the change of volume, "
+        "U = C10 (J^(-2/3) I1 - 3) + (J - 1)^2 / D1, where NeoHookean has "
+        "mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2. They agree to second order in "
+        "the strain, and nearly so at any strain where the volume hardly changes."
+    )
+    return "*HYPERELASTIC, NEO HOOKE", (0.5 * mu, _D(bulk)), note
+
+
+_VOLUME = (
+    "The change of volume costs (J - 1)^2 / D1, D1 = 2 / K, in place of "
+    "K/4 (J^2 - 1 - 2 ln J): the same to second order."
+)
+
+
+@_converted.register
+def _(law: MooneyRivlin) -> tuple:
+    constants = law.c10, law.c01, _D(law.bulk_modulus())
+    return "*HYPERELASTIC, MOONEY-RIVLIN", constants, _VOLUME
+
+
+@_converted.register
+def _(law: Yeoh) -> tuple:
+    volume = _D(law.bulk_modulus()), NO_TERM, NO_TERM
+    return "*HYPERELASTIC, YEOH", (law.c10, law.c20, law.c30, *volume), _VOLUME
+
+
+@_converted.register
+def _(law: Ogden) -> tuple:
+    """W has 2 mu / alpha^2 there, and mu / alpha here."""
+    terms = law.terms()
+    distortion = [c for mu, alpha in terms for c in (0.5 * mu * alpha, alpha)]
+    volume = _D(law.bulk_modulus()), *[NO_TERM] * (len(terms) - 1)
+    return f"*HYPERELASTIC, OGDEN, N={len(terms)}", (*distortion, *volume), _VOLUME
+
+
+def _D(bulk) -> HostArray:
+    """Compute D_1 = 2 / K [1/Pa].
+
+    Raises:
+        ValueError: If CalculiX would take another number.
+    """
+    D = 2.0 / np.asarray(bulk)
+    if np.any(D < SMALLEST_D):
+        raise ValueError(
+            f"D1 = 2 / K would be {D.min():.3g} 1/Pa, and below {SMALLEST_D:g} "
+            "CalculiX takes a number of its own: lower Poisson's ratio; 0.499 is "
+            "enough for an incompressible rubber."
+        )
+    return D

@@ -1,0 +1,293 @@
+"""Load a calibration that was written to a results folder."""
+
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from softcal_jax._files import check_file, sha256_of, similar_file
+from softcal_jax._machine import installed_version
+from softcal_jax._names import listed, unknown_name
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    configuration_arrays,
+)
+from softcal_jax.equilibrium import Model
+from softcal_jax.export import RESULT_FORMAT
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.project import Project, load_project
+
+RESULT = "result.json"
+"""Name of the file in a results folder."""
+
+AGAIN = "calibrate again (softcal calibrate), or put back the file as it was"
+"""What to do when a file has changed."""
+
+
+class ResultError(ValueError):
+    """A result cannot be loaded; the text says which file is in the way, and why."""
+
+
+class ResultWarning(UserWarning):
+    """A result was loaded whose values should not be used as they are."""
+
+
+class _Head(BaseModel):
+    """The first keys of every results file."""
+
+    format: str
+    source: Any = None
+
+
+class _File(BaseModel):
+    file: str
+    sha256: str
+
+
+class _Source(BaseModel):
+    project: _File
+    files: list[_File]
+    changes: dict[str, Any]
+
+
+class _Parameter(BaseModel):
+    name: str
+    value: float
+
+
+class _Budget(BaseModel):
+    covariance: list[list[float | None]]
+
+
+class _Result(BaseModel):
+    """What is read of `result.json`."""
+
+    converged: bool
+    parameters: list[_Parameter]
+    source: _Source | None
+    budget: _Budget
+    solver: dict[str, str | int | None]
+    versions: dict[str, str]
+
+
+class LoadedResult(eqx.Module):
+    """A calibration that was loaded from a results folder.
+
+    Attributes:
+        path: The file `result.json`.
+        project: The project that was calibrated, as `load_project` gives it: its model
+            has the start values.
+        model: The model with the calibrated values.
+        space: The parameters, with start and bounds.
+        values: The calibrated values by name, in SI units.
+        z: The same, scaled [-].
+        covariance: Covariance of z by all causes, see `ErrorBudget`; nan for what has
+            no standard error [-].
+        converged: Whether the calibration converged; if not, do not use the values.
+    """
+
+    path: Path
+    project: Project
+    model: Model
+    space: ParameterSpace
+    values: dict[str, float]
+    z: Float[Array, " n_p"]
+    covariance: Float[HostArray, "n_p n_p"]
+    converged: bool
+
+    def posed(
+        self, name: str | None = None
+    ) -> tuple[Configuration, ConfigurationArrays]:
+        """Return a configuration of the project, and its arrays with values set.
+
+        Supports, loads and actuation in the arrays are those of the fit, with factors
+        and offsets that were calibrated.
+
+        Args:
+            name: Its name; may be left out where there is one configuration.
+
+        Raises:
+            ValueError: If there is no such configuration, or no name and several.
+        """
+        posed = {c.name: c for c in self.project.configurations}
+        if name is None and len(posed) > 1:
+            raise ValueError(
+                f"the project {self.project.name!r} has the configurations "
+                f"{listed([repr(own) for own in posed])}; name one of them."
+            )
+        name = next(iter(posed)) if name is None else name
+        if name not in posed:
+            raise unknown_name("configuration", name, posed)
+        mesh, mechanism = self.model.mesh, self.model.mechanism
+        batch = configuration_arrays(mesh, [posed[name]], mechanism)
+        # On the host: on the device, each shape would compile a program.
+        lane = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[0], batch))
+        return posed[name], self.space.apply(self.model, lane, self.z)[1]
+
+
+def load_result(
+    path: str | os.PathLike[str], *, project: str | os.PathLike[str] | None = None
+) -> LoadedResult:
+    """Load a calibration of a project file, and set its values in the model.
+
+    `result.json` names the project file and the files of mesh and measurements with
+    their SHA-256. The model is built of them again, so they must be what they were.
+
+    Args:
+        path: `result.json`, or the results folder.
+        project: Where the project file is, if it was moved; the files that it names are
+            looked for beside it, as before.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ResultError: If it is no result of a calibration of a project file, or one of
+            the files has changed or is missing; the text names each of them.
+        ProjectError: If the project file cannot be loaded any more.
+        ValueError: If float64 is off in JAX.
+
+    Warns:
+        ResultWarning: If the calibration did not converge.
+    """
+    path = Path(path)
+    path = path / RESULT if path.is_dir() else path
+    data, source = _read(path)
+    at = path.parent.resolve() / source.project.file if project is None else project
+    _check_unchanged(path, Path(at), source)
+    # Given, so that what `load_project` warns of is not said again.
+    loaded = load_project(at, changes=source.changes)
+    space = _checked_space(path, loaded, data)
+    values = {own.name: own.value for own in data.parameters}
+    z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
+    if not data.converged:
+        warnings.warn(
+            f"{path}: the calibration did not converge: do not use its values. Run it "
+            "again with more steps, or see its notes.",
+            ResultWarning,
+            stacklevel=2,
+        )
+    return LoadedResult(
+        path=path,
+        project=loaded,
+        model=space.model_at(loaded.model, z),
+        space=space,
+        values=values,
+        z=z,
+        covariance=np.array(data.budget.covariance, float),
+        converged=data.converged,
+    )
+
+
+def _read(path: Path) -> tuple[_Result, _Source]:
+    """Read and check the file."""
+    check_file(path, "result file")
+    try:
+        text = path.read_text(encoding="utf-8")
+        head = _Head.model_validate_json(text)
+        _check_format(path, head.format)
+        if "source" not in head.model_fields_set:
+            raise ResultError(
+                f"{path}: it names no project file, as results of earlier versions "
+                "do: calibrate again."
+            )
+        data = _Result.model_validate_json(text)
+    except (ValidationError, UnicodeDecodeError) as error:
+        raise ResultError(
+            f"{path}: expected {RESULT} as softcal calibrate writes it; was it edited, "
+            f"or cut short? {_first(error)}"
+        ) from error
+    if data.source is None:
+        raise ResultError(
+            f"{path}: this calibration was made in Python, without a project file, so "
+            "the file does not say of which mesh, law and measurements. Build model "
+            "and space in Python as they were, and set the values by "
+            "space.model_at(model, space.to_scaled(values)); or describe them in a "
+            "project file, and calibrate that."
+        )
+    return data, data.source
+
+
+def _first(error: ValidationError | UnicodeDecodeError) -> str:
+    """Describe the first thing that is wrong in a file."""
+    if isinstance(error, UnicodeDecodeError):
+        return f"It is no text: {error}."
+    first = error.errors()[0]
+    where = ".".join(map(str, first["loc"]))
+    return f"{where}: {first['msg']}." if where else f"{first['msg']}."
+
+
+def _check_format(path: Path, found: str) -> None:
+    if found == RESULT_FORMAT:
+        return
+    kind = found.partition("/")[0].removeprefix("softcal_jax.")
+    if f"softcal_jax.{kind}" == RESULT_FORMAT.partition("/")[0]:
+        raise ResultError(
+            f"{path}: its format is {found!r}, and this version reads "
+            f"{RESULT_FORMAT!r}: calibrate again, or load it with the version that "
+            "wrote it."
+        )
+    raise ResultError(
+        f"{path}: its format is {found!r}, so it holds no calibration; expected "
+        f"{RESULT} of softcal calibrate."
+    )
+
+
+def _check_unchanged(path: Path, project: Path, source: _Source) -> None:
+    """Raise unless project, mesh and measurements are what they were."""
+    named = [(project.parent / own.file, own.sha256) for own in source.files]
+    problems = []
+    for file, digest in ((project, source.project.sha256), *named):
+        if not file.is_file():
+            problems.append(f"{file} is missing.{similar_file(file)}")
+        elif (now := sha256_of(file)) != digest:
+            problems.append(
+                f"{file} has changed: its SHA-256 was {digest} and is {now}."
+            )
+    if not problems:
+        return
+    moved = ""
+    if not project.is_file():
+        moved = (
+            "; if the project was moved, say where it is: load_result(..., project=)"
+        )
+    several = "".join(f"\n- {problem}" for problem in problems)
+    raise ResultError(
+        f"{path}: the files that it was calibrated from are not what they were, so its "
+        f"values may belong to another model.{several}\nTo go on, {AGAIN}{moved}."
+    )
+
+
+def _checked_space(path: Path, project: Project, data: _Result) -> ParameterSpace:
+    """Return the parameters, if they and the model are those of the result."""
+    names = [own.name for own in data.parameters]
+    space, mesh = project.space, project.model.mesh
+    model = {
+        "law": type(project.model.law).__name__,
+        "element_order": mesh.order,
+        "n_nodes": mesh.n_nodes,
+        "n_tets": mesh.n_tets,
+    }
+    problems = [
+        f"{key} was {data.solver.get(key)} and is {now}"
+        for key, now in model.items()
+        if data.solver.get(key) != now
+    ]
+    if space is None or space.names != names:
+        now = listed([] if space is None else space.names) or "none"
+        problems.append(f"the parameters were {listed(names)} and are {now}")
+    if problems or space is None:
+        before, now = data.versions.get("softcal_jax"), installed_version("softcal-jax")
+        raise ResultError(
+            f"{path}: the project file {project.path} is the same, but what it makes "
+            f"is not: {'; '.join(problems)}. Was the project changed in Python before "
+            f"it was calibrated? Was it another version (softcal-jax {before}, now "
+            f"{now})? Calibrate again."
+        )
+    return space
