@@ -109,13 +109,14 @@ def _tangent(pieces: Sequence[Piece], x, step):
     return coo_matrix((v, (i, j)), (x.size, x.size)).tocsr()
 
 
-def equilibrium(X, pieces: Sequence[Piece], load, free, *, load_steps=4):
+def equilibrium(X, pieces: Sequence[Piece], load, free, *, start=None, load_steps=4):
     """Positions at which the forces of the pieces balance the load on free coordinates.
 
-    Newton's method to a residual of 1e-11 of the load, which rises in steps.
+    Newton's method to a residual of 1e-11 of what loads and supports cause, from X or
+    from a start that moves the supports; the load rises in steps.
     """
-    x, scale = X.copy(), np.ptp(X, axis=0).max()
-    size = np.linalg.norm(load[free])
+    x, scale = (X if start is None else start).copy(), np.ptp(X, axis=0).max()
+    size = np.linalg.norm((load - assembled(pieces, x))[free])
     for part in np.linspace(0, 1, load_steps + 1)[1:]:
         for _ in range(30):
             residual = (part * load - assembled(pieces, x))[free]

@@ -34,6 +34,7 @@ LAYERS = [
     {"plotting"},
     {"project"},
     {"report", "sweeps"},
+    {"sofa"},
     {"cli"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}

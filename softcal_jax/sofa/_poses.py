@@ -8,7 +8,6 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import CableSegments, ChamberFaces, PressureFaces
-from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -65,7 +64,7 @@ def poses(
     space: ParameterSpace,
     z: Any,
     configurations: Sequence[Configuration],
-    found: Sequence[ConfigurationResult],
+    displacements: Sequence[Float[HostArray, "n_nodes 3"]],
     scale: Scale,
 ) -> dict[str, dict[str, Any]]:
     """Write configurations with the fitted parameters, by their names.
@@ -75,7 +74,7 @@ def poses(
         space: Its parameters, which may also belong to loads and supports.
         z: Their scaled values [-].
         configurations: The configurations.
-        found: What the model predicts for each.
+        displacements: Displacements of the nodes that the model predicts in each [m].
         scale: Units of the scene.
 
     Raises:
@@ -83,7 +82,9 @@ def poses(
     """
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     written = {}
-    for i, (configuration, own) in enumerate(zip(configurations, found, strict=True)):
+    for i, (configuration, u) in enumerate(
+        zip(configurations, displacements, strict=True)
+    ):
         lane = jax.tree.map(lambda leaf, i=i: leaf[i], lanes.arrays)
         _, lane = space.apply(model, lane, z)
         written[configuration.name] = {
@@ -91,7 +92,9 @@ def poses(
             **_supports(configuration, lane, scale),
             "forces": _forces(lane, scale),
             **_actuators(model, lane, scale),
-            "effectors": _effectors(model, lane, lanes.effectors[i], own, scale),
+            "effectors": _effectors(
+                lane, lanes.effectors[i], model.mesh.points + np.asarray(u), scale
+            ),
             "stop at residual": _stop(model, lane, scale),
         }
     return written
@@ -217,16 +220,14 @@ def _path(
 
 
 def _effectors(
-    model: Model,
     lane: ConfigurationArrays,
     records: Sequence[EffectorRecord],
-    found: ConfigurationResult,
+    x: Float[HostArray, "n_nodes 3"],
     scale: Scale,
 ) -> list[dict[str, Any]]:
     """Write markers and other points: their nodes, weights, and what is predicted."""
     arrays = lane.effectors
     nodes, weights = np.asarray(arrays.nodes), np.asarray(arrays.weights)
-    x = model.mesh.points + np.asarray(found.displacement)
     written = []
     for record in records:
         if record.quantity != "point":
