@@ -4,10 +4,8 @@ import argparse
 from typing import TYPE_CHECKING
 
 from softcal_jax.cli._shared import (
-    NOT_CONVERGED,
     OK,
     Display,
-    Stop,
     add_path,
     bad_input,
     check_folder,
@@ -59,7 +57,7 @@ def _export(args: argparse.Namespace, show: Display) -> int:
     """Load a result, calibrate its model for SOFA, and write the scene."""
     check_folder(args)
     from softcal_jax.report import load_result
-    from softcal_jax.sofa import NotConvergedError, export_sofa
+    from softcal_jax.sofa import export_sofa
 
     start_computing(show)
     show.now(f"reading {args.results}")
@@ -71,20 +69,17 @@ def _export(args: argparse.Namespace, show: Display) -> int:
     def step(entry: "HistoryEntry") -> None:
         show.line(str(entry))
 
-    try:
-        with bad_input(), no_equilibrium("Nothing was written."):
-            found = export_sofa(
-                result,
-                args.output,
-                release=args.release,
-                units=args.units,
-                law=args.law,
-                rotation=args.rotation,
-                force=args.force,
-                progress=step,
-            )
-    except NotConvergedError as error:
-        raise Stop(NOT_CONVERGED, str(error)) from error
+    with bad_input(), no_equilibrium("Nothing was written."):
+        found = export_sofa(
+            result,
+            args.output,
+            release=args.release,
+            units=args.units,
+            law=args.law,
+            rotation=args.rotation,
+            force=args.force,
+            progress=step,
+        )
     show.lap("solve")
     show.line()
     show.line(str(found))

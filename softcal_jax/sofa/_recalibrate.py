@@ -99,7 +99,7 @@ def recalibrate(
     if not found.converged:
         raise NotConvergedError(
             f"the calibration of the model of SOFA did not converge after "
-            f"{len(found.history) - 1} steps, so nothing was written: "
+            f"{len(found.history) - 1} steps: "
             f"{' '.join(found.notes) or 'raise max_steps under [settings].'}"
         )
     return found

@@ -1,17 +1,15 @@
-"""Bodies of SOFA's tets: against the same forces in NumPy, and a tip from SOFA's code."""
-
-from typing import NamedTuple
+"""Bodies of SOFA's tets, against the same forces in NumPy and a known tip."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import sofa_tets
-from bodies import TIGHT, force_jacobian, lane, solve, stiffness
+from bodies import TIGHT, force_jacobian, solve, stiffness
 
 from softcal_jax.configurations import Configuration, configuration_arrays
 from softcal_jax.equilibrium import build_model, model_for_law
 from softcal_jax.materials import Corotational, Isotropic, SofaCorotational
-from softcal_jax.mesh import TetMesh, beam
+from softcal_jax.mesh import beam
 
 E, NU, DENSITY, GRAVITY = 3e5, 0.4, 1070.0, (0.0, 0.0, -9.81)
 SMALL = beam(0.1, 0.02, 0.02, (6, 2, 2))
