@@ -15,7 +15,11 @@ from softcal_jax.export import check_results_folder
 from softcal_jax.materials import SofaRotation
 from softcal_jax.report import LoadedResult, load_result
 from softcal_jax.sofa._component import SofaLaw, SofaRelease, component_of
-from softcal_jax.sofa._poses import check_robot, poses, vertex_masses
+from softcal_jax.sofa._configurations import (
+    check_robot,
+    scene_configurations,
+    vertex_masses,
+)
 from softcal_jax.sofa._recalibrate import (
     Prediction,
     linear_project,
@@ -100,8 +104,8 @@ def export_sofa(
 
     The folder holds `scene.py` for SofaPython3, `robot.vtk` (the linear mesh),
     `robot.json` (all numbers, in the units of the scene), and `README.md` with the
-    command that runs it. All configurations are poses of the scene, which follows their
-    markers and compares them with what the model predicts.
+    command that runs it. The scene holds all configurations, follows their markers and
+    compares these with what the model predicts.
 
     Args:
         result: The results folder, its `result.json`, or what `load_result` returned.
@@ -150,7 +154,7 @@ def export_sofa(
         length=scale.length,
         elasticity=component_of(found.model.law, model.n_tets, release, scale),
         vertex_mass=vertex_masses(found.model),
-        poses=poses(
+        configurations=scene_configurations(
             found.model,
             found.space,
             found.z,
@@ -219,8 +223,8 @@ def _notes(found: CalibrationResult, scene: Scene) -> tuple[str, ...]:
 def table(found: Sequence[Prediction]) -> list[str]:
     """Tabulate what the models predict, as lines of Markdown."""
     lines = [
-        "| pose | role | moved [mm] | calibrated model, off [mm] | SOFA with the same "
-        "values | SOFA with its own values |",
+        "| configuration | role | moved [mm] | calibrated model, off [mm] "
+        "| SOFA with the same values | SOFA with its own values |",
         "|---|---|---|---|---|---|",
     ]
     mm = lambda value: f"{1e3 * value:.3g}" if math.isfinite(value) else "-"

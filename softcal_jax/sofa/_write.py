@@ -35,7 +35,7 @@ class Scene(NamedTuple):
         length: Factor from metres to the length unit.
         elasticity: The component of the law.
         vertex_mass: Mass of each node [kg].
-        poses: Configurations by name, see `poses`.
+        configurations: Configurations by name, see `scene_configurations`.
     """
 
     name: str
@@ -45,12 +45,14 @@ class Scene(NamedTuple):
     length: float
     elasticity: Component
     vertex_mass: Float[HostArray, " n_nodes"]
-    poses: dict[str, dict[str, Any]]
+    configurations: dict[str, dict[str, Any]]
 
     @property
     def plugins(self) -> list[str]:
         """Plugins that are not part of SOFA itself."""
-        driven = any(own["cables"] or own["chambers"] for own in self.poses.values())
+        driven = any(
+            own["cables"] or own["chambers"] for own in self.configurations.values()
+        )
         own = self.elasticity.plugin
         return ["SoftRobots"] * driven + [own] * (own in _NEEDED)
 
@@ -77,8 +79,8 @@ def write_scene(
             hold results of softcal_jax.
     """
     points = scene.length * scene.mesh.points
-    stems = file_stems(list(scene.poses))
-    named = zip(scene.poses.items(), stems, strict=True)
+    stems = file_stems(list(scene.configurations))
+    named = zip(scene.configurations.items(), stems, strict=True)
     files = ["robot.vtk", "scene.py", "README.md"]
     with results_folder(directory, force=force) as folder:
         # SOFA reads VTK before version 5, as text.
@@ -95,7 +97,9 @@ def write_scene(
             "elasticity": scene.elasticity._asdict(),
             "positions": points.tolist(),
             "vertex mass": scene.vertex_mass.tolist(),
-            "poses": {name: {"file": stem, **own} for (name, own), stem in named},
+            "configurations": {
+                name: {"file": stem, **own} for (name, own), stem in named
+            },
             "files": files,
         }
         write_json(folder / "robot.json", data)
@@ -103,12 +107,14 @@ def write_scene(
 
 def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str]:
     """Say what is needed, how to run the scene, and what to expect of it."""
-    driven = [n for n, own in scene.poses.items() if own["cables"] or own["chambers"]]
-    first, *_ = scene.poses
+    driven = [
+        n for n, own in scene.configurations.items() if own["cables"] or own["chambers"]
+    ]
+    first, *_ = scene.configurations
     units = ", ".join(f"{what} {unit}" for what, unit in scene.units.items())
     needed = [f"- {_NEEDED[plugin]}." for plugin in scene.plugins]
     loaded = "".join(f" -l {plugin}" for plugin in ["SofaPython3", *scene.plugins])
-    steps = 100 if first in driven else 1
+    steps = 100 if first in scene.driven else 1
     return [
         f"# {scene.name} in SOFA",
         "",
@@ -121,13 +127,13 @@ def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str
         f"    runSofa{loaded} -g batch -n {steps} scene.py",
         "",
         "or, to see it, without `-g batch -n ...` and then Animate. Each step writes "
-        "where the effectors are to `effectors_POSE.csv`, with the distance from what "
-        "softcal_jax predicts for the same mesh and law: it should fall to the "
-        "tolerance of the solver.",
+        "where the effectors are to `effectors_CONFIGURATION.csv`, with the distance "
+        "from what softcal_jax predicts for the same mesh and law: it should fall to "
+        "the tolerance of the solver.",
         "",
-        f"Poses: {', '.join(scene.poses)}. The first is run, another one with the "
-        "environment variable SOFTCAL_POSE set to its name.",
-        *_on_driven(driven),
+        f"Configurations: {', '.join(scene.configurations)}. The first is run, another "
+        "one with the environment variable SOFTCAL_CONFIGURATION set to its name.",
+        *_on_driven(scene.driven),
         "",
         f"Units: {units}, mass kg, time s. The law is that of "
         f"`{scene.elasticity.component}`.",

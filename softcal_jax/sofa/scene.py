@@ -1,7 +1,7 @@
 """SOFA scene of a calibrated robot; README.md says how to run it.
 
-robot.json holds the numbers, in the units that it names. Another pose than the first
-one: set the environment variable SOFTCAL_POSE to its name.
+robot.json holds the numbers, in the units that it names. Another configuration than the
+first one: set the environment variable SOFTCAL_CONFIGURATION to its name.
 """
 
 import csv
@@ -14,7 +14,8 @@ import Sofa
 
 FOLDER = Path(__file__).resolve().parent
 ROBOT = json.loads((FOLDER / "robot.json").read_text(encoding="utf-8"))
-POSE = os.environ.get("SOFTCAL_POSE", next(iter(ROBOT["poses"])))
+NAME = os.environ.get("SOFTCAL_CONFIGURATION", next(iter(ROBOT["configurations"])))
+CONFIGURATION = ROBOT["configurations"][NAME]
 
 TIME_STEP = 1.0
 """Long, so that a body with actuators comes to rest within a few steps [s]."""
@@ -43,13 +44,14 @@ PLUGINS_OF_ACTUATORS = [
 
 
 class EffectorMonitor(Sofa.Core.Controller):
-    """Write where the effectors are after each step to effectors_POSE.csv."""
+    """Write where the effectors are after each step to effectors_NAME.csv."""
 
-    def __init__(self, state, pose):
-        """Follow the effectors of a pose by the positions of a mechanical object."""
+    def __init__(self, state):
+        """Follow the effectors by the positions of a mechanical object."""
         super().__init__(name="monitor")
-        self.state, self.effectors, self.step = state, pose["effectors"], 0
-        self.path = FOLDER / f"effectors_{pose['file']}.csv"
+        self.state, self.step = state, 0
+        self.effectors = CONFIGURATION["effectors"]
+        self.path = FOLDER / f"effectors_{CONFIGURATION['file']}.csv"
         columns = ["step", "effector", "x", "y", "z", "distance from predicted"]
         self._write("w", [columns])
 
@@ -64,9 +66,8 @@ class EffectorMonitor(Sofa.Core.Controller):
         for effector, x in zip(self.effectors, self.positions(), strict=True):
             apart = float(np.linalg.norm(x - effector["predicted"]))
             rows.append([self.step, effector["name"], *x.tolist(), apart])
-            print(
-                f"{effector['name']}: {x} {ROBOT['units']['length']}, {apart:.3g} off"
-            )
+            unit = ROBOT["units"]["length"]
+            print(f"{effector['name']}: {x} {unit}, predicted {apart:.3g} {unit} away")
         self._write("a", rows)
 
     def _write(self, mode, rows):
@@ -75,12 +76,11 @@ class EffectorMonitor(Sofa.Core.Controller):
 
 
 def createScene(root):
-    """Build the scene of one pose."""
-    pose = ROBOT["poses"][POSE]
-    driven = bool(pose["cables"] or pose["chambers"])
+    """Build the scene of one configuration."""
+    driven = bool(CONFIGURATION["cables"] or CONFIGURATION["chambers"])
     for plugin in PLUGINS + PLUGINS_OF_ACTUATORS * driven:
         root.addObject("RequiredPlugin", name=plugin)
-    root.gravity.value = pose["gravity"]
+    root.gravity.value = CONFIGURATION["gravity"]
     root.dt.value = TIME_STEP
     flags = "showBehaviorModels showForceFields"
     root.addObject("VisualStyle", displayFlags=flags)
@@ -92,26 +92,26 @@ def createScene(root):
         root.addObject("DefaultAnimationLoop")
 
     body = root.addChild("body")
-    _add_solvers(body, pose, driven)
+    _add_solvers(body, driven)
     state = _add_body(body)
-    _add_supports(body, state, pose)
-    if pose["forces"]["indices"]:
-        body.addObject("ConstantForceField", name="loads", **pose["forces"])
-    for k, chamber in enumerate(pose["chambers"]):
+    _add_supports(body)
+    if CONFIGURATION["forces"]["indices"]:
+        body.addObject("ConstantForceField", name="loads", **CONFIGURATION["forces"])
+    for k, chamber in enumerate(CONFIGURATION["chambers"]):
         body.addObject(
             "SurfacePressureConstraint",
             name=f"chamber{k}",
             triangles=chamber["triangles"],
             **_imposed(chamber),
         )
-    for k, cable in enumerate(pose["cables"]):
+    for k, cable in enumerate(CONFIGURATION["cables"]):
         _add_cable(body.addChild(f"cable{k}"), cable)
-    root.addObject(EffectorMonitor(state, pose))
+    root.addObject(EffectorMonitor(state))
     return root
 
 
-def _add_solvers(body, pose, driven):
-    """Add Newton's method for a static pose; with actuators, implicit steps in time."""
+def _add_solvers(body, driven):
+    """Add Newton's method for a static one; with actuators, implicit steps in time."""
     if driven:
         body.addObject("EulerImplicitSolver", name="ode")
     else:
@@ -124,7 +124,7 @@ def _add_solvers(body, pose, driven):
             warnWhenLineSearchFails=False,
             relativeSuccessiveStoppingThreshold=0.0,
             relativeInitialStoppingThreshold=1e-9,
-            absoluteResidualStoppingThreshold=pose["stop at residual"],
+            absoluteResidualStoppingThreshold=CONFIGURATION["stop at residual"],
         )
         body.addObject("StaticSolver", name="ode", newtonSolver="@newton")
     if ROBOT["elasticity"]["component"] == "TetrahedronAnisotropicForceField":
@@ -163,15 +163,15 @@ def _add_body(body):
 
 def _positions():
     """Return positions to start from: at rest, but where a support moves a node."""
-    x, moved = np.array(ROBOT["positions"]), ROBOT["poses"][POSE]["moved"]
+    x, moved = np.array(ROBOT["positions"]), CONFIGURATION["moved"]
     if moved["indices"]:
         x[moved["indices"]] += np.array(moved["displacements"])
     return x.tolist()
 
 
-def _add_supports(body, state, pose):
+def _add_supports(body):
     """Add what holds the body: clamps, sliding supports and elastic ones."""
-    for k, own in enumerate(pose["held"]):
+    for k, own in enumerate(CONFIGURATION["held"]):
         if all(own["directions"]):
             body.addObject(
                 "FixedProjectiveConstraint", name=f"clamp{k}", indices=own["indices"]
@@ -183,7 +183,7 @@ def _add_supports(body, state, pose):
                 indices=own["indices"],
                 fixedDirections=own["directions"],
             )
-    for k, own in enumerate(pose["springs"]):
+    for k, own in enumerate(CONFIGURATION["springs"]):
         body.addObject(
             "RestShapeSpringsForceField",
             name=f"springs{k}",

@@ -10,7 +10,7 @@ from softcal_jax.equilibrium import NewtonSettings, build_model, solve_from_rest
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.mesh import beam
 from softcal_jax.sofa._component import component_of
-from softcal_jax.sofa._poses import poses, vertex_masses
+from softcal_jax.sofa._configurations import scene_configurations, vertex_masses
 from softcal_jax.sofa._units import scale_of
 from softcal_jax.sofa._write import Scene, write_scene
 
@@ -42,7 +42,7 @@ class Posed(eqx.Module):
             length=scale.length,
             elasticity=component_of(model.law, model.n_tets, release, scale),
             vertex_mass=vertex_masses(model),
-            poses=poses(
+            configurations=scene_configurations(
                 model,
                 DENSITIES,
                 DENSITIES.start(),

@@ -125,7 +125,7 @@ def read_vtk(path):
     return {"position": points.tolist(), "tetrahedra": cells[:, 1:].tolist()}
 
 
-def run(folder, release, monkeypatch, pose=None):
+def run(folder, release, monkeypatch, name=None):
     """Build the scene in a folder; returns its root and its monitor."""
     core = types.ModuleType("Sofa.Core")
     core.Controller = Controller
@@ -133,10 +133,10 @@ def run(folder, release, monkeypatch, pose=None):
     sofa.Core = core
     monkeypatch.setitem(sys.modules, "Sofa", sofa)
     monkeypatch.setitem(sys.modules, "Sofa.Core", core)
-    if pose is None:
-        monkeypatch.delenv("SOFTCAL_POSE", raising=False)
+    if name is None:
+        monkeypatch.delenv("SOFTCAL_CONFIGURATION", raising=False)
     else:
-        monkeypatch.setenv("SOFTCAL_POSE", pose)
+        monkeypatch.setenv("SOFTCAL_CONFIGURATION", name)
     spec = importlib.util.spec_from_file_location("scene", Path(folder) / "scene.py")
     scene = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(scene)

@@ -13,7 +13,7 @@ from softcal_jax.materials import (
     TransverseIsotropic,
 )
 from softcal_jax.mesh import beam
-from softcal_jax.sofa import PluginElasticity
+from softcal_jax.sofa import PluginElasticity, export_sofa
 from softcal_jax.sofa._component import component_of, law_for_sofa
 from softcal_jax.sofa._units import scale_of
 
@@ -107,3 +107,16 @@ def test_only_the_law_of_sofa_is_written():
     )
     assert isinstance(own, SofaCorotational)
     assert not own.conservative
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"release": "v24.12"}, "unknown release 'v24.12'"),
+        ({"units": "mm"}, "unknown unit system 'mm'"),
+        ({"law": "polar"}, "unknown law 'polar'"),
+    ],
+)
+def test_unknown_options(tmp_path, option, message):
+    with pytest.raises(ValueError, match=message):
+        export_sofa(tmp_path / "results", tmp_path / "scene", **option)

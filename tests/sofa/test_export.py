@@ -62,9 +62,9 @@ def test_the_command_calibrates_again_for_the_linear_mesh(
             assert own < 3.0 * calibrated + 0.05
             break
     else:
-        raise AssertionError("README.md has no line on the held-out pose")
-    for pose, told in data["poses"].items():
-        root, monitor = run(scene, "v26.06", monkeypatch, pose=pose)
+        raise AssertionError("README.md has no line on the held-out configuration")
+    for name, told in data["configurations"].items():
+        root, monitor = run(scene, "v26.06", monkeypatch, name=name)
         x, _ = solve(root)
         monitor.state.position.value = x.tolist()
         predicted = np.array([own["predicted"] for own in told["effectors"]])
@@ -96,16 +96,3 @@ def test_nothing_is_written_without_convergence(results, tmp_path):
     with pytest.raises(NotConvergedError, match="did not converge after 1 steps"):
         export_sofa(loaded, tmp_path / "scene", law="corotational")
     assert not (tmp_path / "scene").exists()
-
-
-@pytest.mark.parametrize(
-    ("option", "message"),
-    [
-        ({"release": "v24.12"}, "unknown release 'v24.12'"),
-        ({"units": "mm"}, "unknown unit system 'mm'"),
-        ({"law": "polar"}, "unknown law 'polar'"),
-    ],
-)
-def test_unknown_options(results, tmp_path, option, message):
-    with pytest.raises(ValueError, match=message):
-        export_sofa(results / "linear", tmp_path / "scene", **option)

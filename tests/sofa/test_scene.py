@@ -15,7 +15,7 @@ from softcal_jax.configurations import PointForce, SurfaceForce
 from softcal_jax.materials import SofaCorotational, StVenantKirchhoff
 from softcal_jax.mesh import beam
 from softcal_jax.sofa import PluginElasticity
-from softcal_jax.sofa._poses import check_robot
+from softcal_jax.sofa._configurations import check_robot
 
 E = 2e5 * (1.0 + MESH.centroids[:, 0] / 0.1)
 FACTORS = {"mm-kg-s": 1e3, "SI": 1.0}
@@ -25,7 +25,7 @@ def edge_law(nu=0.3):
     return SofaCorotational.of_mesh(MESH, sc.Isotropic(E, nu), "edge")
 
 
-POSES = (
+CONFIGURATIONS = (
     sc.Configuration(
         "bent",
         "x_min",
@@ -51,14 +51,14 @@ POSES = (
 
 
 @pytest.fixture(scope="module")
-def beam_with_two_poses():
-    return posed(edge_law(), POSES)
+def bent_beam():
+    return posed(edge_law(), CONFIGURATIONS)
 
 
 def assert_same_equilibrium(own, folder, release, units, monkeypatch):
     """The stand-in meets the package's effectors and nodes to 1e-6 of the motion."""
     for c, u in zip(own.configurations, own.displacement, strict=True):
-        root, monitor = run(folder, release, monkeypatch, pose=c.name)
+        root, monitor = run(folder, release, monkeypatch, name=c.name)
         x, X = solve(root)
         factor = FACTORS[units]
         np.testing.assert_allclose(X, factor * own.model.mesh.points, rtol=1e-15)
@@ -82,23 +82,23 @@ def assert_same_equilibrium(own, folder, release, units, monkeypatch):
     [("v25.12", "mm-kg-s"), ("v26.06", "mm-kg-s"), ("v26.06", "SI")],
 )
 def test_what_sofa_is_given_is_the_model(
-    beam_with_two_poses, release, units, tmp_path, monkeypatch
+    bent_beam, release, units, tmp_path, monkeypatch
 ):
     """Moduli per tet, loads, clamps, sliding, moved and elastic supports, gravity."""
-    own = beam_with_two_poses
+    own = bent_beam
     own.write(tmp_path / "scene", release=release, units=units)
     assert_same_equilibrium(own, tmp_path / "scene", release, units, monkeypatch)
     readme = (tmp_path / "scene" / "README.md").read_text()
     assert "runSofa -l SofaPython3 -g batch -n 1 scene.py" in readme
     assert "SoftRobots" not in readme
     data = json.loads((tmp_path / "scene" / "robot.json").read_text())
-    first, second = data["poses"]["bent"]["effectors"]
+    first, second = data["configurations"]["bent"]["effectors"]
     assert first["measured"] == [FACTORS[units] * v for v in (0.1, 0.01, 0.0)]
     assert second["measured"][1] is None
 
 
-def test_the_stand_in_is_strict(beam_with_two_poses, tmp_path, monkeypatch):
-    beam_with_two_poses.write(tmp_path / "scene")
+def test_the_stand_in_is_strict(bent_beam, tmp_path, monkeypatch):
+    bent_beam.write(tmp_path / "scene")
     script = tmp_path / "scene" / "scene.py"
     text = script.read_text()
     wrong = {
@@ -143,7 +143,7 @@ LAWS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_other_laws(name, tmp_path, monkeypatch):
-    own = posed(LAWS[name](), POSES[:1])
+    own = posed(LAWS[name](), CONFIGURATIONS[:1])
     own.write(tmp_path / "scene")
     assert_same_equilibrium(own, tmp_path / "scene", "v26.06", "mm-kg-s", monkeypatch)
 

@@ -59,7 +59,7 @@ def check_robot(model: Model) -> None:
         )
 
 
-def poses(
+def scene_configurations(
     model: Model,
     space: ParameterSpace,
     z: Any,
