@@ -107,9 +107,6 @@ def write_scene(
 
 def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str]:
     """Say what is needed, how to run the scene, and what to expect of it."""
-    driven = [
-        n for n, own in scene.configurations.items() if own["cables"] or own["chambers"]
-    ]
     first, *_ = scene.configurations
     units = ", ".join(f"{what} {unit}" for what, unit in scene.units.items())
     needed = [f"- {_NEEDED[plugin]}." for plugin in scene.plugins]
