@@ -7,7 +7,12 @@ import jax
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.actuators import CableSegments, ChamberFaces, PressureFaces
+from softcal_jax.actuators import (
+    CableSegments,
+    Chamber,
+    ChamberFaces,
+    PressureFaces,
+)
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -89,7 +94,7 @@ def scene_configurations(
         _, lane = space.apply(model, lane, z)
         written[configuration.name] = {
             "gravity": (scale.length * np.asarray(lane.acceleration)).tolist(),
-            **_supports(configuration, lane, scale),
+            **_supports(model, configuration, lane, scale),
             "forces": _forces(lane, scale),
             **_actuators(model, lane, scale),
             "effectors": _effectors(
@@ -108,8 +113,14 @@ def vertex_masses(model: Model) -> Float[HostArray, " n_nodes"]:
     return np.bincount(nodes, mass.ravel(), model.mesh.n_nodes)
 
 
+def _chambers(model: Model) -> list[int]:
+    """Return the indices of chambers among the actuators."""
+    kinds = model.mechanism.actuators.kinds
+    return [k for k, kind in enumerate(kinds) if kind is Chamber.kind]
+
+
 def _supports(
-    configuration: Configuration, lane: ConfigurationArrays, scale: Scale
+    model: Model, configuration: Configuration, lane: ConfigurationArrays, scale: Scale
 ) -> dict[str, Any]:
     fixed, imposed = np.asarray(lane.fixed), np.asarray(lane.imposed)
     rest = np.asarray(lane.springs.rest)
@@ -120,6 +131,13 @@ def _supports(
             "its displacement out."
         )
     moved = np.flatnonzero(np.any(fixed & (imposed != 0.0), axis=1))
+    by_volume = np.asarray(lane.actuation.by_displacement)
+    if moved.size and any(by_volume[_chambers(model)]):
+        raise ValueError(
+            f"configuration {configuration.name!r}: a chamber with an imposed volume "
+            "is not written beside a support that is moved, since SOFA counts its "
+            "growth from there. Impose its pressure."
+        )
     ways = [tuple(row) for row in np.unique(fixed, axis=0).tolist() if any(row)]
     coefficients = np.asarray(lane.springs.coefficients())
     return {

@@ -200,7 +200,7 @@ def _add_cable(node, cable):
     fixed = {"hasPullPoint": False} if pulled is None else {"pullPoint": pulled}
     indices = list(range(len(cable["points"])))
     node.addObject("CableConstraint", indices=indices, **fixed, **_imposed(cable))
-    node.addObject("BarycentricMapping")
+    node.addObject("BarycentricMapping", useRestPosition=True)
 
 
 def _imposed(actuator):

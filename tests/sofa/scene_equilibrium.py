@@ -156,7 +156,8 @@ def solve(root, load_steps=4):
         (points,), (cable,) = (
             child.find(name) for name in ("MechanicalObject", "CableConstraint")
         )
-        assert child.find("BarycentricMapping")
+        (mapping,) = child.find("BarycentricMapping")
+        assert mapping.data["useRestPosition"]
         pieces.append(_cable(X, tets, points.data["position"], cable.data, dt))
     (mass,) = root.find("DiagonalMass")
     load = np.array(mass.data["vertexMass"])[:, None] * np.array(root.gravity.value)
