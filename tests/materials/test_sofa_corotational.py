@@ -99,7 +99,7 @@ def test_where_it_is_the_classical_law(kind):
         np.testing.assert_allclose(
             tangent(alike, F), tangent(classical, F), rtol=0, atol=1e-13
         )
-        assert jnp.max(jnp.abs(stress(other, F) - stress(classical, F))) > 1e-2
+        assert jnp.max(jnp.abs(stress(other, F) - stress(classical, F))) > 1e-3
 
 
 def test_the_order_of_the_nodes_matters_by_edges_alone():
