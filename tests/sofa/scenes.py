@@ -47,7 +47,7 @@ class Posed(eqx.Module):
                 DENSITIES,
                 DENSITIES.start(),
                 self.configurations,
-                self.displacement,
+                list(self.displacement),
                 scale,
             ),
         )

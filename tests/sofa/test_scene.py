@@ -35,7 +35,7 @@ CONFIGURATIONS = (
             PointForce((0.07, 0.01, 0.02), (0.01, 0.0, -0.01)),
         ],
         TIP,
-        measured=[(0.1, 0.01, 0.0), (0.05, np.nan, 0.01)],
+        measured=[(0.1, 0.01, 0.0), (0.05, 0.0, 0.01)],
     ),
     sc.Configuration(
         "sprung & moved",
@@ -94,7 +94,9 @@ def test_what_sofa_is_given_is_the_model(
     data = json.loads((tmp_path / "scene" / "robot.json").read_text())
     first, second = data["configurations"]["bent"]["effectors"]
     assert first["measured"] == [FACTORS[units] * v for v in (0.1, 0.01, 0.0)]
-    assert second["measured"][1] is None
+    assert second["measured"][1] == 0.0
+    other = data["configurations"]["sprung & moved"]["effectors"]
+    assert [effector["measured"] for effector in other] == [None, None]
 
 
 def test_the_stand_in_is_strict(bent_beam, tmp_path, monkeypatch):
