@@ -48,13 +48,16 @@ class Scene(NamedTuple):
     configurations: dict[str, dict[str, Any]]
 
     @property
+    def driven(self) -> list[str]:
+        """Names of the configurations with cables or chambers."""
+        found = self.configurations.items()
+        return [name for name, own in found if own["cables"] or own["chambers"]]
+
+    @property
     def plugins(self) -> list[str]:
         """Plugins that are not part of SOFA itself."""
-        driven = any(
-            own["cables"] or own["chambers"] for own in self.configurations.values()
-        )
         own = self.elasticity.plugin
-        return ["SoftRobots"] * driven + [own] * (own in _NEEDED)
+        return ["SoftRobots"] * bool(self.driven) + [own] * (own in _NEEDED)
 
 
 def write_scene(

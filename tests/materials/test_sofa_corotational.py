@@ -122,5 +122,7 @@ def test_quadratic_tets_and_unknown_rotations_are_refused():
     with pytest.raises(ValueError, match=r"the mesh is quadratic; take .*to_linear"):
         SofaCorotational.of_mesh(to_quadratic(mesh), Isotropic(E, NU), "edge")
     unchecked = inspect.unwrap(_rest_matrices)  # without the type checker of the tests
-    with pytest.raises(ValueError, match=r"unknown rotation 'polar'\. Known: 'edge', "):
+    with pytest.raises(
+        ValueError, match=r"unknown rotation 'polar'\..* Known: 'edge', "
+    ):
         unchecked(mesh, "polar")
