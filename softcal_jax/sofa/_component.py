@@ -161,7 +161,7 @@ def component_of(
             return Component("CorotationalFEMForceField", ELASTIC, chosen | data)
         method = {"edge": "polar", "large": "large"}[law.rotation]
         return Component("TetrahedronFEMForceField", ELASTIC, {"method": method} | data)
-    constants = law if isinstance(law, NeoHookean) else getattr(law, "elasticity", law)
+    constants: Any = getattr(law, "elasticity", law)
     lam, mu = lame(constants.E, constants.nu)
     data = {
         "materialName": type(law).__name__,

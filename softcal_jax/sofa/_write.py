@@ -5,9 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import meshio
-
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.export import file_stems, results_folder, write_json
 from softcal_jax.mesh import TetMesh
 from softcal_jax.sofa._component import Component
@@ -86,9 +84,7 @@ def write_scene(
     named = zip(scene.configurations.items(), stems, strict=True)
     files = ["robot.vtk", "scene.py", "README.md"]
     with results_folder(directory, force=force) as folder:
-        # SOFA reads VTK before version 5, as text.
-        tets = meshio.Mesh(points, [("tetra", scene.mesh.tets)])
-        tets.write(folder / files[0], file_format="vtk42", binary=False)
+        _write_vtk(folder / files[0], points, scene.mesh.tets)
         shutil.copyfile(Path(__file__).with_name("scene.py"), folder / files[1])
         lines = _readme(scene, text, notes)
         (folder / files[2]).write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -108,6 +104,29 @@ def write_scene(
         write_json(folder / "robot.json", data)
 
 
+def _write_vtk(
+    path: Path, points: Float[HostArray, "n 3"], tets: Int[HostArray, "n_tets 4"]
+) -> None:
+    """Write linear tets as SOFA reads them: VTK before version 5, as text.
+
+    In full precision, which the writer of VTK itself does not keep.
+    """
+    rows = lambda table: [" ".join(map(repr, row)) for row in table.tolist()]
+    lines = [
+        "# vtk DataFile Version 4.2",
+        "written by softcal_jax",
+        "ASCII",
+        "DATASET UNSTRUCTURED_GRID",
+        f"POINTS {len(points)} double",
+        *rows(points),
+        f"CELLS {len(tets)} {5 * len(tets)}",
+        *(f"4 {row}" for row in rows(tets)),
+        f"CELL_TYPES {len(tets)}",
+        *["10"] * len(tets),
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
 def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str]:
     """Say what is needed, how to run the scene, and what to expect of it."""
     first, *_ = scene.configurations
@@ -124,7 +143,9 @@ def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str
         "- SofaPython3, with NumPy in its Python.",
         *needed,
         "",
-        f"    runSofa{loaded} -g batch -n {steps} scene.py",
+        "```sh",
+        f"runSofa{loaded} -g batch -n {steps} scene.py",
+        "```",
         "",
         "or, to see it, without `-g batch -n ...` and then Animate. Each step writes "
         "where the effectors are to `effectors_CONFIGURATION.csv`, with the distance "
@@ -140,9 +161,9 @@ def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str
         "",
         "## Calibrated for this mesh",
         "",
-        "SOFA runs linear tets, which are too stiff, with a rotation of its own. The "
-        "values were therefore calibrated again with both, and belong to this mesh "
-        "alone:",
+        "SOFA runs linear tets, which are too stiff, and corotational ones with a "
+        "rotation of its own. The values were therefore calibrated again with the mesh "
+        "and the law of this scene, and belong to them alone:",
         "",
         *text,
         *([""] if notes else []),
