@@ -54,11 +54,13 @@ from softcal_jax.mesh import beam, read_mesh, select_nodes
 if TYPE_CHECKING:
     from softcal_jax.project import load_project
     from softcal_jax.report import export_inp, load_result, write_results
+    from softcal_jax.sofa import export_sofa
 
 __version__ = version("softcal-jax")
 
 _ON_DEMAND = {
     "export_inp": "softcal_jax.report",
+    "export_sofa": "softcal_jax.sofa",
     "load_project": "softcal_jax.project",
     "load_result": "softcal_jax.report",
     "write_results": "softcal_jax.report",
@@ -95,6 +97,7 @@ __all__ = [
     "calibrate",
     "compare_laws",
     "export_inp",
+    "export_sofa",
     "identify",
     "load_project",
     "load_result",

@@ -35,6 +35,7 @@ LAYERS = [
     {"plotting"},
     {"project"},
     {"report", "sweeps"},
+    {"sofa"},
     {"cli"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}

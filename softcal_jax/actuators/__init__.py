@@ -17,21 +17,29 @@ from softcal_jax.actuators._arrays import (
     curvature_entries,
     displacement_rows,
 )
-from softcal_jax.actuators._cable import Cable, Guide
+from softcal_jax.actuators._cable import Cable, CableSegments, Guide
 from softcal_jax.actuators._cliques import ActuatorGeometry
 from softcal_jax.actuators._forces import ForceActuator, Motor, SurfaceForceActuator
-from softcal_jax.actuators._pressure import Chamber, SurfacePressure
+from softcal_jax.actuators._pressure import (
+    Chamber,
+    ChamberFaces,
+    PressureFaces,
+    SurfacePressure,
+)
 
 __all__ = [
     "AbstractActuator",
     "ActuatorArrays",
     "ActuatorGeometry",
     "Cable",
+    "CableSegments",
     "Chamber",
+    "ChamberFaces",
     "ForceActuator",
     "Guide",
     "Kind",
     "Motor",
+    "PressureFaces",
     "SurfaceForceActuator",
     "SurfacePressure",
     "actuator_arrays",

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from softcal_jax.cli._export_sofa import add_sofa
 from softcal_jax.cli._shared import (
     BAD_INPUT,
     OK,
@@ -21,11 +22,13 @@ if TYPE_CHECKING:
 _EXAMPLES = """\
 examples:
   softcal export inp results -o job.inp --configuration droop
+  softcal export sofa results -o scene
 
 RESULTS is the folder of softcal calibrate; project file, mesh and measurements must be
 where and what they were.
 
-exit codes: 0 written (what differs is said), 2 bad input
+exit codes: 0 written (what differs is said), 1 the calibration for SOFA did not
+converge, so that nothing was written, 2 bad input
 """
 
 Write = Callable[["LoadedResult", argparse.Namespace], Sequence[str]]
@@ -58,6 +61,7 @@ def add_export(commands: "argparse._SubParsersAction", raw: Callable) -> None:
         output=("FILE.inp", "the file"),
     )
     _add_configuration(inp)
+    add_sofa(formats)
 
 
 def _add_format(

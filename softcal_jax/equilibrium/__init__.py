@@ -27,7 +27,12 @@ from softcal_jax.equilibrium._linearisation import (
     residual,
     solved_forces,
 )
-from softcal_jax.equilibrium._model import Model, build_model, refined_model
+from softcal_jax.equilibrium._model import (
+    Model,
+    build_model,
+    model_for_law,
+    refined_model,
+)
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath
 from softcal_jax.equilibrium._posed import external_force
@@ -104,6 +109,7 @@ __all__ = [
     "lane_by_lane",
     "linearise",
     "marker_positions",
+    "model_for_law",
     "no_equilibrium",
     "program_key",
     "refined_model",

@@ -268,6 +268,27 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
     return fine, refinement
 
 
+def model_for_law(model: Model, law: AbstractLaw) -> Model:
+    """Prepare the same robot for another law, with or without a potential.
+
+    Where only constants change, or the law has a potential as before,
+    `Model.with_law` does the same at no cost. A law without a potential takes the
+    displacement formulation.
+
+    Raises:
+        ValueError: If a per-tet array has the wrong length.
+    """
+    _check_fields(law, model.n_tets)
+    return _prepared(
+        model.mesh,
+        law,
+        density=model.density,
+        mechanism=model.mechanism,
+        formulation=model.formulation if law.conservative else "displacement",
+        solver=partial(same_solver, model.solver),
+    )
+
+
 def _prepared(
     mesh: TetMesh,
     law: AbstractLaw,

@@ -21,9 +21,11 @@ from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._mooney_rivlin import MooneyRivlin
 from softcal_jax.materials._neo_hookean import NeoHookean
 from softcal_jax.materials._ogden import Ogden
+from softcal_jax.materials._sofa import SofaCorotational, SofaRotation
 from softcal_jax.materials._transverse import (
     ReducedTransverseIsotropic,
     TransverseIsotropic,
+    plane_stiffness,
 )
 from softcal_jax.materials._transverse_hyperelastic import TransverseHyperelastic
 from softcal_jax.materials._yeoh import Yeoh
@@ -65,6 +67,8 @@ __all__ = [
     "Ogden",
     "PointValues",
     "ReducedTransverseIsotropic",
+    "SofaCorotational",
+    "SofaRotation",
     "StVenantKirchhoff",
     "Tabulated",
     "TransverseHyperelastic",
@@ -76,4 +80,5 @@ __all__ = [
     "is_point_values",
     "lame",
     "law_at_points",
+    "plane_stiffness",
 ]

@@ -77,9 +77,9 @@ class Corotational(_AbstractStretchLaw):
 
     psi = 1/2 (S - I) : C : (S - I). With sigma = C : (S - I), the exact gradient is
     P = R (sigma - hat(c)), c = M^-1 axial(sigma S), M = tr(S) I - S; hat(c) vanishes
-    for an isotropic C, where this is the 'polar' corotational tet of SOFA. The paper's
-    element (Vanneste, Goury, Duriez, RA-L 2022, Sec. IV.A) in its energy-consistent
-    form. Stress and tangent are closed forms.
+    for an isotropic C. The paper's element (Vanneste, Goury, Duriez, RA-L 2022,
+    Sec. IV.A) in its energy-consistent form. Stress and tangent are closed forms. The
+    tets of SOFA have another rotation, see `SofaCorotational`.
 
     Attributes:
         elasticity: The tensor C, in the axes of the rest shape.
@@ -154,7 +154,7 @@ class ClassicalCorotational(_AbstractStretchLaw):
     an anisotropic C the force has no potential, the moments do not balance (P F^T is
     not symmetric) and the tangent has no major symmetry; a solver that relies on any of
     these cannot be used, and `energy_density` is not the potential of P. Take it to
-    compare with SOFA, otherwise `Corotational`.
+    compare with such codes, otherwise `Corotational`; for SOFA take `SofaCorotational`.
 
     Attributes:
         elasticity: The tensor C, in the axes of the rest shape.

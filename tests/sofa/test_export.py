@@ -1,0 +1,98 @@
+"""The command: a calibration again for SOFA, its scene, and what both models say."""
+
+import dataclasses
+import json
+import warnings
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scene_equilibrium import solve
+from small_project import write_small_project
+from sofa_standin import run
+
+from softcal_jax.calibration import CalibrationSettings
+from softcal_jax.cli import main
+from softcal_jax.project import load_project
+from softcal_jax.report import _write, load_result, write_results
+from softcal_jax.sofa import NotConvergedError, export_sofa
+
+pytestmark = pytest.mark.slow
+
+QUICK = (
+    '[markers]\nstd = "0.1 mm"\n',
+    '[settings]\nintervals = 0\n\n[markers]\nstd = "0.1 mm"\n',
+)
+QUADRATIC = ('element = "linear"\n', "")
+COROTATIONAL = ('law = "neo-hookean"', 'law = "corotational"')
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Results of the small project with quadratic tets, and with linear ones."""
+    folder = tmp_path_factory.mktemp("sofa")
+    changes = {"quadratic": (QUICK, QUADRATIC, COROTATIONAL), "linear": (QUICK,)}
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        warnings.simplefilter("ignore", _write.PictureWarning)
+        patch.setattr(_write, "rendering_problem", lambda: "no pictures")
+        for name, own in changes.items():
+            path = write_small_project(folder / f"{name}_project", *own)
+            write_results(load_project(path).calibrate(), folder / name)
+    return folder
+
+
+def test_the_command_calibrates_again_for_the_linear_mesh(
+    results, tmp_path, monkeypatch, capsys
+):
+    scene = tmp_path / "scene"
+    assert main(["export", "sofa", str(results / "quadratic"), "-o", str(scene)]) == 0
+    said = capsys.readouterr().out
+    assert "E: " in said
+    assert "SOFA with its own values" in said
+    data = json.loads((scene / "robot.json").read_text())
+    calibrated = load_result(results / "quadratic").values["E"]
+    (E,) = data["elasticity"]["data"]["youngModulus"]
+    # Linear tets lock, so the modulus that makes up for it is lower; in kPa.
+    assert 0.3 < 1e3 * E / calibrated < 0.9
+    readme = (scene / "README.md").read_text()
+    for line in readme.split("\n"):
+        if line.startswith("| pulled"):
+            calibrated, copied, own = map(float, line.split("|")[4:7])
+            assert own < 0.5 * copied
+            assert own < 3.0 * calibrated + 0.05
+            break
+    else:
+        raise AssertionError("README.md has no line on the held-out configuration")
+    for name, told in data["configurations"].items():
+        root, monitor = run(scene, "v26.06", monkeypatch, name=name)
+        x, _ = solve(root)
+        monitor.state.position.value = x.tolist()
+        predicted = np.array([own["predicted"] for own in told["effectors"]])
+        np.testing.assert_allclose(monitor.positions(), predicted, rtol=0, atol=1e-6)
+
+
+def test_a_rubber_keeps_its_law_or_takes_corotational_tets(results, tmp_path):
+    same = export_sofa(results / "linear", tmp_path / "same", release="v25.12")
+    assert same.component == "TetrahedronHyperelasticityFEMForceField"
+    (own,) = same.parameters
+    # The same mesh and law, so the same value.
+    np.testing.assert_allclose(own.for_sofa, own.calibrated, rtol=1e-4)
+    other = export_sofa(
+        results / "linear", tmp_path / "other", law="corotational", units="SI"
+    )
+    assert other.component == "TetrahedronFEMForceField"
+    text = (tmp_path / "other" / "README.md").read_text()
+    assert str(other.parameters[0]) in text
+    with pytest.raises(FileExistsError, match="is not empty"):
+        export_sofa(results / "linear", tmp_path / "other")
+
+
+def test_nothing_is_written_without_convergence(results, tmp_path):
+    loaded = load_result(results / "linear")
+    hurried = dataclasses.replace(
+        loaded.project, settings=CalibrationSettings(max_steps=1)
+    )
+    loaded = dataclasses.replace(loaded, project=hurried, z=loaded.z + jnp.log(0.5))
+    with pytest.raises(NotConvergedError, match="did not converge after 1 steps"):
+        export_sofa(loaded, tmp_path / "scene", law="corotational")
+    assert not (tmp_path / "scene").exists()

@@ -1,0 +1,205 @@
+"""Scenes run by a strict stand-in of SOFA, and their equilibria without the package."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from actuators.cavities import hollow
+from scene_equilibrium import solve
+from scenes import MESH, TIP, posed
+from sofa_standin import Node, components, run
+
+import softcal_jax as sc
+from softcal_jax.configurations import PointForce, SurfaceForce
+from softcal_jax.materials import SofaCorotational, StVenantKirchhoff
+from softcal_jax.mesh import beam
+from softcal_jax.sofa import PluginElasticity
+from softcal_jax.sofa._configurations import check_robot
+
+E = 2e5 * (1.0 + MESH.centroids[:, 0] / 0.1)
+FACTORS = {"mm-kg-s": 1e3, "SI": 1.0}
+
+
+def edge_law(nu=0.3):
+    return SofaCorotational.of_mesh(MESH, sc.Isotropic(E, nu), "edge")
+
+
+CONFIGURATIONS = (
+    sc.Configuration(
+        "bent",
+        "x_min",
+        (0.5, 1.0, -9.7),
+        [
+            SurfaceForce("x_max", (0.0, 0.02, 0.0)),
+            PointForce((0.07, 0.01, 0.02), (0.01, 0.0, -0.01)),
+        ],
+        TIP,
+        measured=[(0.1, 0.01, 0.0), (0.05, 0.0, 0.01)],
+    ),
+    sc.Configuration(
+        "sprung & moved",
+        [
+            sc.Support("x_min", "xy"),
+            sc.Support("x_max", "x", (-0.002, 0.0, 0.0)),
+            sc.Support("z_min", "yz", stiffness=4e5),
+        ],
+        (0.0, 0.0, -9.8),
+        markers=TIP,
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def bent_beam():
+    return posed(edge_law(), CONFIGURATIONS)
+
+
+def assert_same_equilibrium(own, folder, release, units, monkeypatch):
+    """The stand-in meets the package's effectors and nodes to 1e-6 of the motion."""
+    for c, u in zip(own.configurations, own.displacement, strict=True):
+        root, monitor = run(folder, release, monkeypatch, name=c.name)
+        x, X = solve(root)
+        factor = FACTORS[units]
+        np.testing.assert_allclose(X, factor * own.model.mesh.points, rtol=1e-15)
+        motion = np.abs(u).max()
+        assert motion > 1e-4
+        np.testing.assert_allclose((x - X) / factor, u, rtol=0, atol=1e-6 * motion)
+        monitor.state.position.value = x.tolist()
+        monitor.onAnimateEndEvent({})
+        with monitor.path.open(newline="") as file:
+            header, *rows = csv.reader(file)
+        assert header[-1] == "distance from predicted"
+        assert [row[1] for row in rows] == list(TIP.names)
+        off = [float(row[-1]) for row in rows]
+        assert max(off) < 1e-6 * factor * motion
+        held = TIP.positions[0] * factor
+        assert np.linalg.norm(np.array(rows[0][2:5], float) - held) > 0.1 * motion
+
+
+@pytest.mark.parametrize(
+    ("release", "units"),
+    [("v25.12", "mm-kg-s"), ("v26.06", "mm-kg-s"), ("v26.06", "SI")],
+)
+def test_what_sofa_is_given_is_the_model(
+    bent_beam, release, units, tmp_path, monkeypatch
+):
+    """Moduli per tet, loads, clamps, sliding, moved and elastic supports, gravity."""
+    own = bent_beam
+    own.write(tmp_path / "scene", release=release, units=units)
+    assert_same_equilibrium(own, tmp_path / "scene", release, units, monkeypatch)
+    readme = (tmp_path / "scene" / "README.md").read_text()
+    assert "runSofa -l SofaPython3 -g batch -n 1 scene.py" in readme
+    assert "SoftRobots" not in readme
+    data = json.loads((tmp_path / "scene" / "robot.json").read_text())
+    first, second = data["configurations"]["bent"]["effectors"]
+    assert first["measured"] == [FACTORS[units] * v for v in (0.1, 0.01, 0.0)]
+    assert second["measured"][1] == 0.0
+    other = data["configurations"]["sprung & moved"]["effectors"]
+    assert [effector["measured"] for effector in other] == [None, None]
+
+
+def test_the_stand_in_is_strict(bent_beam, tmp_path, monkeypatch):
+    bent_beam.write(tmp_path / "scene")
+    script = tmp_path / "scene" / "scene.py"
+    text = script.read_text()
+    wrong = {
+        ("maxNbIterationsNewton=", "newton_iterations="): "has no data newton_iter",
+        ('"DiagonalMass"', '"DiagonalMas"'): "has no component DiagonalMas",
+        ('    "Sofa.Component.Mass",\n', ""): "needs the plugin Sofa.Component.Mass",
+        ('"@loader.position"', '"@load.position"'): "the link @load.position leads",
+    }
+    for (old, new), message in wrong.items():
+        assert old in text
+        script.write_text(text.replace(old, new))
+        with pytest.raises(ValueError, match=message):
+            run(tmp_path / "scene", "v26.06", monkeypatch)
+
+
+def test_the_stand_in_knows_both_releases():
+    new = set(components("v26.06")) - set(components("v25.12"))
+    assert new == {"CorotationalFEMForceField"}
+    with pytest.raises(ValueError, match="no component GenericConstraintSolver"):
+        Node("root", "v26.06").addObject("GenericConstraintSolver")
+
+
+LAWS = {
+    "procrustes": lambda: SofaCorotational.of_mesh(
+        MESH, sc.Isotropic(E, 0.3), "procrustes"
+    ),
+    "large": lambda: SofaCorotational.of_mesh(MESH, sc.Isotropic(E, 0.3), "large"),
+    "neo-hookean": lambda: sc.NeoHookean(2e5, 0.4),
+    "st-venant-kirchhoff": lambda: StVenantKirchhoff(sc.Isotropic(2e5, 0.3)),
+    "plugin": lambda: SofaCorotational.of_mesh(
+        MESH,
+        PluginElasticity(
+            sc.ReducedTransverseIsotropic(
+                2 * E, E, 0.3, sc.Fibre(0.5 + 5.0 * MESH.centroids[:, 0])
+            )
+        ),
+        "large",
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LAWS)
+def test_other_laws(name, tmp_path, monkeypatch):
+    own = posed(LAWS[name](), CONFIGURATIONS[:1])
+    own.write(tmp_path / "scene")
+    assert_same_equilibrium(own, tmp_path / "scene", "v26.06", "mm-kg-s", monkeypatch)
+
+
+@pytest.mark.slow
+def test_cables_and_chambers(tmp_path, monkeypatch):
+    """Tension through guides, from the ground at either end, and a pressure."""
+    full = beam(0.1, 0.02, 0.02, (5, 4, 4))
+    away = np.abs(full.centroids - (0.05, 0.01, 0.01))
+    mesh = hollow(full, np.all(away < (0.03, 0.005, 0.005), axis=1))
+    mesh = mesh.with_node_group("x_min", np.flatnonzero(mesh.points[:, 0] == 0.0))
+    path = [(0.02, 0.01, 0.02), (0.06, 0.01, 0.02), (0.1, 0.01, 0.02)]
+    ground = sc.Guide((-0.01, 0.01, 0.02), "ground")
+    actuators = [
+        sc.Cable("from the ground", [ground, *path]),
+        sc.Cable("to the ground", [*path[::-1], ground]),
+        sc.Cable("on the body", path),
+        sc.Chamber("cavity", "cavity"),
+    ]
+    imposed = lambda values: {
+        own.name: sc.ImposedForce(value)
+        for own, value in zip(actuators, values, strict=True)
+    }
+    common = {"supports": "x_min", "gravity": (0.0, 0.0, -9.8), "markers": TIP}
+    asked = {
+        "pulled": (0.3, 0.0, 0.0, 0.0),
+        "pulled at the other end": (0.0, 0.3, 0.0, 0.0),
+        "all": (0.1, 0.0, 0.2, 2e3),
+    }
+    configurations = [
+        sc.Configuration(name, actuation=imposed(values), **common)
+        for name, values in asked.items()
+    ]
+    law = SofaCorotational.of_mesh(mesh, sc.Isotropic(2e5, 0.3), "edge")
+    own = posed(law, configurations, mesh=mesh, actuators=actuators)
+    np.testing.assert_allclose(own.displacement[0], own.displacement[1], atol=1e-12)
+    own.write(tmp_path / "scene")
+    readme = (tmp_path / "scene" / "README.md").read_text()
+    assert "-l SoftRobots -g batch -n 100" in readme
+    assert_same_equilibrium(own, tmp_path / "scene", "v26.06", "mm-kg-s", monkeypatch)
+
+
+def test_robots_that_a_scene_cannot_hold():
+    bodies = [sc.RigidBody("plate", "x_max")]
+    model = sc.build_model(MESH, edge_law(), density=1.0, bodies=bodies)
+    with pytest.raises(ValueError, match=r"rigid bodies \(plate\), which are not wri"):
+        check_robot(model)
+    rope = sc.Cable(
+        "rope",
+        [(0.02, 0.01, 0.02), (0.06, 0.01, 0.02), (0.1, 0.01, 0.02)],
+        friction=0.2,
+        pulled_from="first",
+    )
+    model = sc.build_model(MESH, edge_law(), density=1.0, actuators=[rope])
+    message = "cable with friction 'rope' has no counterpart"
+    with pytest.raises(ValueError, match=message):
+        check_robot(model)
