@@ -53,11 +53,17 @@ from softcal_jax.mesh import beam, read_mesh, select_nodes
 
 if TYPE_CHECKING:
     from softcal_jax.project import load_project
-    from softcal_jax.report import export_inp, load_result, write_results
+    from softcal_jax.report import (
+        export_icesl,
+        export_inp,
+        load_result,
+        write_results,
+    )
 
 __version__ = version("softcal-jax")
 
 _ON_DEMAND = {
+    "export_icesl": "softcal_jax.report",
     "export_inp": "softcal_jax.report",
     "load_project": "softcal_jax.project",
     "load_result": "softcal_jax.report",
@@ -94,6 +100,7 @@ __all__ = [
     "build_model",
     "calibrate",
     "compare_laws",
+    "export_icesl",
     "export_inp",
     "identify",
     "load_project",

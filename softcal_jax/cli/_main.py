@@ -37,6 +37,7 @@ examples:
   softcal identify my_robot/project.toml  would the data suffice? before measuring
   softcal compare a.toml b.toml           which law or mesh predicts best?
   softcal export inp results -o job.inp   the calibrated model for CalculiX, Abaqus
+  softcal export icesl results -o print   its moduli as graded foam, to be printed
   softcal sweep sweep.toml                many calibrations, side by side
   softcal sweep show sweep.sqlite         what they found
 

@@ -21,6 +21,7 @@ from softcal_jax.configurations._configuration import (
     measured_at_rest,
     shared_names,
 )
+from softcal_jax.configurations._csv_table import CsvTable, read_table
 from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
 from softcal_jax.configurations._effector_arrays import EffectorRecord
 from softcal_jax.configurations._effectors import (
@@ -74,6 +75,7 @@ __all__ = [
     "Configuration",
     "ConfigurationArrays",
     "ConfigurationLanes",
+    "CsvTable",
     "EdgeForce",
     "EffectorArrays",
     "EffectorRecord",
@@ -108,6 +110,7 @@ __all__ = [
     "read_markers",
     "read_polhemus",
     "read_poses",
+    "read_table",
     "register",
     "shared_names",
 ]

@@ -16,6 +16,7 @@ INDEX_FILES = (
     "simulation.json",
     "identifiability.json",
     "comparison.json",
+    "icesl.json",
 )
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 

@@ -19,6 +19,7 @@ from softcal_jax.mesh._selection import (
     select_faces,
     select_nodes,
 )
+from softcal_jax.mesh._tessellation import Tessellation, tessellate
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     boundary_faces,
@@ -29,14 +30,17 @@ from softcal_jax.mesh._topology import (
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
+from softcal_jax.mesh._voxels import Grid, tets_of_voxels
 
 __all__ = [
     "Box",
+    "Grid",
     "MaterialPoints",
     "MeshWarning",
     "Plane",
     "Refinement",
     "Sphere",
+    "Tessellation",
     "TetMesh",
     "beam",
     "boundary_faces",
@@ -54,7 +58,9 @@ __all__ = [
     "select_faces",
     "select_nodes",
     "surface_shares",
+    "tessellate",
     "tet_faces",
+    "tets_of_voxels",
     "to_linear",
     "to_quadratic",
     "tripod",
