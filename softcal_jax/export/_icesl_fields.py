@@ -175,9 +175,11 @@ def _law_at(
     )
 
     def there(leaf: Any) -> Any:
+        # On the host, where each number of places compiles no program.
         if is_point_values(leaf):
-            return PointValues(jnp.mean(leaf.values[tets], axis=1, keepdims=True))
-        return leaf[tets] if jnp.ndim(leaf) else leaf
+            values = np.asarray(leaf.values)[tets].mean(axis=1, keepdims=True)
+            return PointValues(jnp.asarray(values))
+        return jnp.asarray(np.asarray(leaf)[tets]) if jnp.ndim(leaf) else leaf
 
     law = jax.tree.map(there, model.law, is_leaf=is_point_values)
     here = eqx.tree_at(
@@ -187,8 +189,8 @@ def _law_at(
         here = space.model_at(here, z)
 
     def by_place(leaf: Any) -> Any:
-        values = leaf.values[:, 0] if is_point_values(leaf) else leaf
-        return values[:n] if jnp.ndim(values) else values
+        values = np.asarray(leaf.values[:, 0] if is_point_values(leaf) else leaf)
+        return jnp.asarray(values[:n] if values.ndim else values)
 
     return jax.tree.map(by_place, here.law, is_leaf=is_point_values)
 

@@ -147,11 +147,14 @@ class FoamTable(eqx.Module):
             E_soft: The smaller modulus [Pa].
             E_stiff: The larger modulus [Pa].
         """
-        asked = np.log(np.stack([E_soft, E_stiff], axis=1))
+        # Each pair once: fields have few values per tet. Complex numbers sort as pairs.
+        pairs, index = np.unique(E_soft + 1j * E_stiff, return_inverse=True)
+        asked = np.log(np.stack([pairs.real, pairs.imag], axis=1))
         anisotropy, found = self._patch().nearest(asked)
         error = np.abs(found[:, 1:] - asked).max(axis=1)
         density, soft, stiff = np.exp(found).T
-        return FoundFoam(density, anisotropy, soft, stiff, error)
+        each = (density, anisotropy, soft, stiff, error)
+        return FoundFoam(*(values[index] for values in each))
 
     def _patch(self) -> FoamPatch:
         moduli = np.stack([self.E_soft, self.E_stiff], axis=1)

@@ -52,6 +52,7 @@ def tets_of_voxels(mesh: TetMesh, grid: Grid) -> Int[HostArray, "n n n"]:
     """Find the tet that holds the centre of each voxel; -1 where there is none."""
     X = mesh.points[mesh.tets]
     lower, upper = bounds(X)
+    coordinates = _affine(X) if mesh.order == 1 else _curved(X)
     slack = _INSIDE * mesh.size
     nearest = lambda x: (x - grid.lower) / grid.size - 0.5
     first = np.maximum(np.ceil(nearest(lower - slack)), 0).astype(int)
@@ -72,8 +73,24 @@ def tets_of_voxels(mesh: TetMesh, grid: Grid) -> Int[HostArray, "n n n"]:
         rest, k = np.divmod(within, counts[tets, 2])
         i, j = np.divmod(rest, counts[tets, 1])
         voxels = first[tets] + np.stack([i, j, k], axis=1)
-        b = barycentric_in_tets(X[tets], grid.centres(voxels))
+        b = coordinates(tets, grid.centres(voxels))
         inside = np.nan_to_num(b.min(axis=1), nan=-np.inf) >= -_INSIDE
         owner[tuple(voxels[inside].T)] = tets[inside]
         begin = stop
     return owner
+
+
+def _affine(X: Float[HostArray, "n_tets 4 3"]):
+    """Return barycentric coordinates in linear tets as a function of tet and point."""
+    inverse = np.linalg.inv(np.swapaxes(X[:, 1:] - X[:, :1], 1, 2))
+
+    def coordinates(tets, points):
+        xi = np.einsum("nij,nj->ni", inverse[tets], points - X[tets, 0])
+        return np.concatenate([1.0 - xi.sum(axis=1, keepdims=True), xi], axis=1)
+
+    return coordinates
+
+
+def _curved(X: Float[HostArray, "n_tets n_en 3"]):
+    """Return the same for tets that may have curved sides."""
+    return lambda tets, points: barycentric_in_tets(X[tets], points)
