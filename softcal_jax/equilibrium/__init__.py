@@ -2,6 +2,7 @@
 
 from softcal_jax._results import RESULTS
 from softcal_jax.equilibrium._assembly import (
+    TetStates,
     add_weighted,
     energy_and_force,
     field_forces,
@@ -9,6 +10,7 @@ from softcal_jax.equilibrium._assembly import (
     internal_force,
     strain_energy,
     tangent_values,
+    tet_states,
 )
 from softcal_jax.equilibrium._continuation import continue_equilibrium
 from softcal_jax.equilibrium._effectors import (
@@ -81,6 +83,7 @@ __all__ = [
     "Readings",
     "RobotState",
     "Sensitivity",
+    "TetStates",
     "Workers",
     "actuator_forces",
     "add_weighted",
@@ -112,5 +115,6 @@ __all__ = [
     "solved_forces",
     "strain_energy",
     "tangent_values",
+    "tet_states",
     "usable_cores",
 ]

@@ -2,16 +2,18 @@
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
     deformation_gradients,
+    element_cauchy,
     element_energy_and_force,
     element_stiffness,
     mean_dilatation,
@@ -60,6 +62,42 @@ def strain_energy(
 
 def _part(u, dN, w, law, active, part, formulation):
     return active * element_energy_and_force(u, dN, w, law, formulation)[part]
+
+
+class TetStates(NamedTuple):
+    """Energy, stress and deformation of the tets, at rest or deformed.
+
+    Attributes:
+        energy: Strain energy of each tet [J].
+        cauchy: Mean Cauchy stress of each tet [Pa].
+        F: Deformation gradients at its quadrature points [-].
+    """
+
+    energy: Float[HostArray, " n_tets"]
+    cauchy: Float[HostArray, "n_tets 3 3"]
+    F: Float[HostArray, "n_tets n_qp 3 3"]
+
+
+def tet_states(model: Model, u: Float[Array, "n_points 3"]) -> TetStates:
+    """Compute energy, stress and deformation of each tet; zero energy if rigid."""
+
+    def in_order(values: Float[Array, "n_blocks ... block"]) -> HostArray:
+        by_tet = np.moveaxis(np.asarray(values), -1, 1)
+        return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
+
+    return TetStates(*map(in_order, _states(model, u)))
+
+
+@eqx.filter_jit
+def _states(model: Model, u: Float[Array, "n_points 3"]):
+    return _map_blocks(model, u, _state, formulation=model.formulation)
+
+
+def _state(u, dN, w, law, active, formulation):
+    F = deformation_gradients(u, dN)
+    energy, _ = element_energy_and_force(u, dN, w, law, formulation)
+    cauchy = element_cauchy(F, u, dN, w, law, formulation)
+    return active * energy, active * cauchy, F
 
 
 def internal_force(

@@ -76,6 +76,36 @@ def element_energy_and_force(
 ) -> tuple[Float[Array, ""], Float[Array, "n_en 3"]]:
     """Compute the strain energy [J] of a tet and its gradient with respect to u [N]."""
     F = deformation_gradients(u, dN)
+    psi, P = _energies_and_stresses(F, u, dN, w, law, formulation)
+    return jnp.sum(w * psi), _push(P, dN)
+
+
+def element_cauchy(
+    F: Float[Array, "n_qp 3 3"],
+    u: Float[Array, "n_en 3"],
+    dN: Float[Array, "n_qp n_en 3"],
+    w: Float[Array, " n_qp"],
+    law: AbstractLaw,
+    formulation: Formulation,
+) -> Float[Array, "3 3"]:
+    """Compute the mean Cauchy stress of a tet over its volume [Pa].
+
+    sigma = P F^T / J, so its integral over the deformed tet is that of P F^T at rest.
+    """
+    _, P = _energies_and_stresses(F, u, dN, w, law, formulation)
+    volume = jnp.sum(w * jax.vmap(determinant)(F))
+    return jnp.sum(jax.vmap(matmul)(P, jnp.swapaxes(F, 1, 2)), axis=0) / volume
+
+
+def _energies_and_stresses(
+    F: Float[Array, "n_qp 3 3"],
+    u: Float[Array, "n_en 3"],
+    dN: Float[Array, "n_qp n_en 3"],
+    w: Float[Array, " n_qp"],
+    law: AbstractLaw,
+    formulation: Formulation,
+) -> tuple[Float[Array, " n_qp"], Float[Array, "n_qp 3 3"]]:
+    """Compute energy densities, and first Piola-Kirchhoff stresses times weights."""
     if is_mixed(formulation, F.shape[0]):
         matrix, rest = law.parts()
         theta = mean_dilatation(u, dN, w)
@@ -92,7 +122,7 @@ def element_energy_and_force(
     else:
         psi, P = _at_points(law, "energy_and_stress", F)
         P = _each(w) * P
-    return jnp.sum(w * psi), _push(P, dN)
+    return psi, P
 
 
 def element_stiffness(

@@ -29,6 +29,7 @@ from softcal_jax.export._json import (
     simulation_dict,
 )
 from softcal_jax.export._plain import write_json
+from softcal_jax.export._pvd import write_pvd
 from softcal_jax.export._source import source_dict
 from softcal_jax.export._vtu import write_vtu
 from softcal_jax.export._vtu_robot import write_robot_vtu
@@ -57,6 +58,7 @@ __all__ = [
     "write_inp",
     "write_json",
     "write_markers_csv",
+    "write_pvd",
     "write_robot_csv",
     "write_robot_vtu",
     "write_vtu",

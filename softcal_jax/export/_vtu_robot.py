@@ -2,13 +2,12 @@
 
 from pathlib import Path
 
-import meshio
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.equilibrium import Model, RobotState
-from softcal_jax.export._vtu import vtu_path
+from softcal_jax.export._vtu import save_vtu, vtu_path
 
 
 def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
@@ -29,6 +28,9 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     Raises:
         ValueError: If the name does not end in .vtu.
     """
+    import pyvista
+    from pyvista import CellType
+
     path = vtu_path(path)
     mechanism, first = model.mechanism, model.mesh.n_nodes
     rest = np.asarray(mechanism.points)
@@ -52,33 +54,26 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
 
     # Kind and points of the cells, and the index of the actuator of each, -1 for none.
     vertex_owner = np.concatenate([np.full(n_b, -1), after.point_owner])
-    kind = "triangle" if n_fn == 3 else "triangle6"
+    kind = CellType.TRIANGLE if n_fn == 3 else CellType.QUADRATIC_TRIANGLE
     faces = n_v + 2 * n_l + faces.reshape(-1, n_fn)
     blocks = (
-        ("vertex", np.arange(n_v)[:, None], vertex_owner),
-        ("line", n_v + np.arange(2 * n_l).reshape(-1, 2), after.segment_owner),
+        (CellType.VERTEX, np.arange(n_v)[:, None], vertex_owner),
+        (CellType.LINE, n_v + np.arange(2 * n_l).reshape(-1, 2), after.segment_owner),
         (kind, faces, after.face_owner),
     )
     there = [block for block in blocks if len(block[1])]
+    owner = 1 + np.concatenate([own for *_, own in there])
     # Entry 0 is for cells that no actuator owns.
     forces = np.array([0.0, *(a.force for a in state.actuators)])
     moves = np.array([0.0, *(a.displacement or 0.0 for a in state.actuators)])
-    bodies = np.concatenate([1.0 + np.arange(n_b), np.zeros(n)])
-    meshio.Mesh(
-        at_rest,
-        [(kind, nodes) for kind, nodes, _ in there],
-        point_data={
-            "displacement": points(moved, after) - at_rest,
-            # Zero at all points but the vertices.
-            **{k: np.pad(v, ((0, n - len(v)), (0, 0))) for k, v in vectors.items()},
-        },
-        cell_data={
-            "actuator": [owner + 1.0 for *_, owner in there],
-            "rigid_body": [
-                bodies[: len(owner)] if kind == "vertex" else np.zeros(len(owner))
-                for kind, _, owner in there
-            ],
-            "lambda_a": [forces[owner + 1] for *_, owner in there],
-            "delta_a": [moves[owner + 1] for *_, owner in there],
-        },
-    ).write(path)
+    grid = pyvista.UnstructuredGrid({kind: cells for kind, cells, _ in there}, at_rest)
+    grid.point_data["displacement"] = points(moved, after) - at_rest
+    for name, values in vectors.items():  # zero at all points but the vertices
+        grid.point_data[name] = np.pad(values, ((0, n - len(values)), (0, 0)))
+    grid.cell_data["actuator"] = owner.astype(float)
+    body = np.zeros(len(owner))
+    body[:n_b] = 1.0 + np.arange(n_b)
+    grid.cell_data["rigid_body"] = body
+    grid.cell_data["lambda_a"] = forces[owner]
+    grid.cell_data["delta_a"] = moves[owner]
+    save_vtu(path, grid)

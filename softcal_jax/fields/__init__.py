@@ -2,6 +2,7 @@
 
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
 from softcal_jax.fields._errors import AbstractError, FieldError, SetupError
+from softcal_jax.fields._field_errors import field_standard_errors
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.fields._parameters import (
     AbstractEntry,
@@ -58,6 +59,7 @@ __all__ = [
     "check_scopes",
     "clamp_stiffness",
     "exactly_known",
+    "field_standard_errors",
     "find_field",
     "friction",
     "gravity_tilt",

@@ -96,10 +96,13 @@ class FibreReinforced(AbstractLaw):
             raise ValueError(f"families must be 1 or 2, got {self.families!r}.")
         check_constants(self)
 
+    def fibres(self) -> tuple[Fibre, ...]:
+        """Return the fibres of the families."""
+        return (self.fibre, self.fibre.mirrored())[: self.families]
+
     def directions(self) -> list[Float[Array, "3"]]:
         """Compute the unit vectors along the families [-]."""
-        both = (self.fibre, self.fibre.mirrored())
-        return [fibre.direction() for fibre in both[: self.families]]
+        return [fibre.direction() for fibre in self.fibres()]
 
     def _fibres(self, F: Float[Array, "3 3"]) -> list[_Fibre]:
         """Compute the state of each family."""

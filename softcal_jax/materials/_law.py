@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.materials._fibre import Fibre
 
 
 class AbstractLaw(eqx.Module):
@@ -74,6 +75,11 @@ class AbstractLaw(eqx.Module):
         Fields may be those of a whole body: one value, one per tet, or `PointValues`.
         """
         return self
+
+    def fibres(self) -> tuple[Fibre, ...]:
+        """Return its fibres, one for each family; empty for an isotropic law."""
+        leaves = jax.tree.leaves(self, is_leaf=lambda leaf: isinstance(leaf, Fibre))
+        return tuple(leaf for leaf in leaves if isinstance(leaf, Fibre))
 
     def parts(self) -> tuple["AbstractLaw", "AbstractLaw | None"]:
         """Split into what resists a change of volume, and the rest, if there is any.

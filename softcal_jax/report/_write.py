@@ -16,10 +16,12 @@ from softcal_jax.export import (
     write_effectors_csv,
     write_json,
     write_markers_csv,
+    write_pvd,
     write_robot_csv,
     write_robot_vtu,
     write_vtu,
 )
+from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import (
@@ -28,6 +30,9 @@ from softcal_jax.plotting import (
     render_configuration,
     rendering_problem,
 )
+
+COLLECTION = "configurations.pvd"
+"""All configurations at once, for ParaView."""
 
 
 class PictureWarning(UserWarning):
@@ -47,8 +52,9 @@ def write_results(
 
     The folder holds `result.json` (see `result_dict`; its `files` lists the others),
     `markers.csv`, `convergence.png`, `budget.png` and, for each configuration, a .vtu
-    for ParaView and a .png; for a robot with other effectors, rigid bodies or actuators
-    also `effectors.csv` and `robot.csv`. A calibration that did not converge is written
+    for ParaView and a .png; `configurations.pvd` opens all .vtu at once. For a robot
+    with other effectors, rigid bodies or actuators there are `effectors.csv` and
+    `robot.csv`, too. A calibration that did not converge is written
     too, marked as such. A configuration without an equilibrium has neither .vtu nor
     .png.
 
@@ -84,8 +90,9 @@ def write_simulation(
 
     The folder holds `simulation.json` (see `simulation_dict`) and, for each
     configuration with an equilibrium, a .vtu and a .png; the others are listed with
-    the reason. For a robot with rigid bodies or actuators also `robot.csv`. Arguments
-    and errors are those of `write_results`; returns the folder.
+    the reason. `configurations.pvd`, `markers.csv`, `effectors.csv` and `robot.csv` are
+    as of `write_results`, without measured values. Arguments and errors are those of
+    `write_results`; returns the folder.
     """
     data = simulation_dict(result, name=name, timing_s=timing_s)
     return _write(result, data, Path(directory), "simulation.json", force=force)
@@ -178,12 +185,12 @@ def _write_tables(folder: Path, result: Result, name: str) -> list[str]:
         plot_convergence(result, folder / "convergence.png", name=name)
         plot_budget(result, folder / "budget.png", name=name)
         files += ["convergence.png", "budget.png"]
-        if any(fit.points for fit in shown):
-            write_markers_csv(folder / "markers.csv", shown)
-            files.append("markers.csv")
-        if any(fit.others for fit in shown):
-            write_effectors_csv(folder / "effectors.csv", shown)
-            files.append("effectors.csv")
+    if any(fit.points for fit in shown):
+        write_markers_csv(folder / "markers.csv", shown)
+        files.append("markers.csv")
+    if any(fit.others for fit in shown):
+        write_effectors_csv(folder / "effectors.csv", shown)
+        files.append("effectors.csv")
     if any(own.robot is not None for own in shown):
         write_robot_csv(folder / "robot.csv", shown)
         files.append("robot.csv")
@@ -198,18 +205,26 @@ def _write_bodies(
     The pictures of a calibration that did not converge say so.
     """
     model, shown = result.model, result.configurations
-    trusted = isinstance(result, SimulationResult) or result.converged
+    trusted, errors = True, None
+    if isinstance(result, CalibrationResult):
+        trusted, own = result.converged, (result.space, result.z)
+        errors = field_standard_errors(model, *own, result.budget.covariance)
     stems = file_stems([own.name for own in shown])
     for own, entry, stem in zip(shown, data["configurations"], stems, strict=True):
         files = entry["files"] = []
         if not own.converged:
             continue
         files.append(f"{stem}.vtu")
-        write_vtu(folder / files[-1], model, own.displacement)
+        write_vtu(folder / files[-1], model, own.displacement, standard_errors=errors)
         if own.robot is not None:
             files.append(f"{stem}_robot.vtu")
             write_robot_vtu(folder / files[-1], model, own.robot)
         if pictures:
             files.append(f"{stem}.png")
             render_configuration(model, own, folder / files[-1], converged=trusted)
-    return [file for entry in data["configurations"] for file in entry["files"]]
+    of_each = [entry["files"] for entry in data["configurations"] if entry["files"]]
+    if not of_each:
+        return []
+    bodies = [[file for file in own if file.endswith(".vtu")] for own in of_each]
+    write_pvd(folder / COLLECTION, bodies)
+    return [COLLECTION, *(file for own in of_each for file in own)]
