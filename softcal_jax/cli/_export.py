@@ -44,7 +44,6 @@ def _inp(result: "LoadedResult", args: argparse.Namespace) -> Sequence[str]:
 
 def _icesl(result: "LoadedResult | Project", args: argparse.Namespace) -> Sequence[str]:
     from softcal_jax.materials import published_foam
-    from softcal_jax.project import parse_in_si
     from softcal_jax.report import export_icesl
 
     if args.table is not None and args.solid_modulus is not None:
@@ -54,7 +53,8 @@ def _icesl(result: "LoadedResult | Project", args: argparse.Namespace) -> Sequen
         )
     table = args.table
     if args.solid_modulus is not None:
-        table = published_foam(parse_in_si(args.solid_modulus, "Pa"))
+        modulus = _quantity("--solid-modulus", args.solid_modulus, "Pa")
+        table = published_foam(modulus)
     written = export_icesl(
         result,
         args.output,
@@ -63,11 +63,21 @@ def _icesl(result: "LoadedResult | Project", args: argparse.Namespace) -> Sequen
         plane=args.plane,
         region=args.region,
         angle_marks=args.angle_marks,
-        angle_offset=parse_in_si(args.angle_offset, "rad"),
+        angle_offset=_quantity("--angle-offset", args.angle_offset, "rad"),
         clockwise=args.clockwise,
         force=args.force,
     )
     return written.notes
+
+
+def _quantity(option: str, text: str, unit: str) -> float:
+    """Parse the value of an option into the SI unit; the error names the option."""
+    from softcal_jax.project import parse_in_si
+
+    try:
+        return parse_in_si(text, unit)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from error
 
 
 def add_export(commands: "argparse._SubParsersAction", raw: Callable) -> None:

@@ -13,7 +13,7 @@ from problems import FOAM_OF_THE_ROBOT
 from benchmarks._icesl import RANGES, Slicer
 from softcal_jax import export_icesl
 from softcal_jax.equilibrium import build_model
-from softcal_jax.export import read_foam_table, write_foam_table
+from softcal_jax.export import read_foam_table, write_foam_table, write_icesl
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import (
     Corotational,
@@ -25,7 +25,6 @@ from softcal_jax.materials import (
     published_foam,
 )
 from softcal_jax.mesh import TetMesh, beam, merge
-from softcal_jax.report import LoadedResult
 
 SIZE = np.array([0.06, 0.03, 0.01])
 STEP = 1.0 / 255.0
@@ -65,19 +64,16 @@ def two_points(region=None):
     )
 
 
-def loaded(model, space):
-    """What `load_result` gives of a calibration that stayed at its start."""
-    project = type("Named", (), {"name": "a beam"})()
+def write_start(directory, model, space):
+    """Write a model with the start values of its parameters."""
     z = space.start()
-    return LoadedResult(
-        path=None,
-        project=project,
-        model=space.model_at(model, z),
+    return write_icesl(
+        directory,
+        space.model_at(model, z),
+        published_foam(),
         space=space,
-        values={},
         z=z,
-        covariance=np.zeros((0, 0)),
-        converged=True,
+        title="a beam",
     )
 
 
@@ -100,7 +96,7 @@ def axis_apart(angle, other):
 def graded(tmp_path_factory):
     """A field of two control points as Polyfoam, and what the slicer makes of it."""
     folder = tmp_path_factory.mktemp("graded") / "print"
-    written = export_icesl(loaded(foam_model(), two_points()), folder)
+    written = write_start(folder, foam_model(), two_points())
     return written, Slicer(folder / "robot.lua")
 
 
@@ -326,16 +322,10 @@ def test_a_region_of_another_plane(tmp_path):
 def test_a_parameter_of_one_region(tmp_path):
     """Control points act in their region; elsewhere the value of the model stays."""
     mesh = beam(*SIZE, (6, 3, 1))
-    halves = {"root half": mesh.centroids[:, 0] < 0.03}
-    mesh = TetMesh(
-        mesh.points,
-        mesh.tets,
-        tet_groups={name: np.flatnonzero(half) for name, half in halves.items()},
-    )
+    mesh = mesh.with_tet_group("root half", np.flatnonzero(mesh.centroids[:, 0] < 0.03))
     space = two_points("root half")
-    written = export_icesl(
-        loaded(foam_model(1e6, 3e5, 0.3, mesh=mesh), space), tmp_path / "print"
-    )
+    model = foam_model(1e6, 3e5, 0.3, mesh=mesh)
+    written = write_start(tmp_path / "print", model, space)
     angle = 360.0 * told(written)["infill_angle"]
     assert axis_apart(angle[33:], np.rad2deg(0.3)).max() < 0.8
     places = np.stack(np.meshgrid(*(CENTRES,) * 3, indexing="ij"), axis=-1) * SIZE
