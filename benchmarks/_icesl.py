@@ -93,7 +93,7 @@ local function set_setting_value(name, value, low, high, ...)
          'a texture needs two corners')
   local steps = {}
   for index = 0, host.n ^ 3 - 1 do
-    steps[#steps + 1] = string.char(assert(value.steps[index], 'a voxel was not set'))
+    steps[#steps + 1] = string.char((assert(value.steps[index], 'a voxel was not set')))
   end
   host.texture(name, table.concat(steps),
                low.x, low.y, low.z, high.x, high.y, high.z)

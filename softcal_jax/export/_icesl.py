@@ -1,13 +1,12 @@
 """A field of moduli as a part with graded foam, for the slicer IceSL."""
 
-import csv
+from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._text import as_cell
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.equilibrium import Model
@@ -261,23 +260,23 @@ def _given(samples: Samples, chosen: Chosen) -> Float[HostArray, "n 2"]:
 
 def _write_unreachable(path: Path, samples: Samples, chosen: Chosen) -> None:
     """List the voxels that do not get what was asked for, with where they are."""
-    header = ["x_mm", "y_mm", "z_mm", "i", "j", "k", "E_t_kPa", "E_l_kPa"]
-    header += ["nearest_E_t_kPa", "nearest_E_l_kPa", "why"]
-    given = 1e-3 * _given(samples, chosen)
-    flags = ((chosen.beyond, BEYOND), (chosen.tilted, TILTED), (chosen.across, ACROSS))
+    header = "x_mm,y_mm,z_mm,i,j,k,E_t_kPa,E_l_kPa,nearest_E_t_kPa,nearest_E_l_kPa,why"
+    shape = "%.4f,%.4f,%.4f,%d,%d,%d,%.6g,%.6g,%.6g,%.6g,%s\n"
+    flags = np.stack([chosen.beyond, chosen.tilted, chosen.across], axis=1)
+    words = (BEYOND, TILTED, ACROSS)
+    listed = np.flatnonzero(chosen.unreachable)
+    columns = (
+        *(1e3 * samples.places[listed].T),
+        *samples.voxels[listed].T,
+        *(1e-3 * np.stack([samples.E_t, samples.E_l])[:, listed]),
+        *(1e-3 * _given(samples, chosen)[listed].T),
+    )
+    why = ["; ".join(compress(words, row)) for row in flags[listed].tolist()]
+    rows = zip(*(column.tolist() for column in columns), why, strict=True)
+    # A part may have a quarter of a million voxels.
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for n in np.flatnonzero(chosen.unreachable):
-            numbers = (
-                *(f"{1e3 * x:.4f}" for x in samples.places[n]),
-                *(str(index) for index in samples.voxels[n]),
-                f"{1e-3 * samples.E_t[n]:.6g}",
-                f"{1e-3 * samples.E_l[n]:.6g}",
-                *(f"{value:.6g}" for value in given[n]),
-            )
-            why = "; ".join(words for where, words in flags if where[n])
-            writer.writerow([as_cell(cell) for cell in (*numbers, why)])
+        file.write(f"{header}\n")
+        file.writelines(shape % row for row in rows)
 
 
 def _about(

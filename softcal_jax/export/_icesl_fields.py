@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import AbstractLaw, PointValues, is_point_values
-from softcal_jax.mesh import Grid, TetMesh, tets_of_voxels
+from softcal_jax.mesh import Grid, TetMesh, fill
 
 N_VOXELS = 64
 """Voxels along each axis of a texture; IceSL takes no other number."""
@@ -94,10 +94,9 @@ class Samples(NamedTuple):
 
     Attributes:
         grid: All voxels, on the bed.
-        voxels: Indices of those that the part fills.
-        inside: Whether the centre lies in the part. If not, a tet that holds no centre
-            has its centroid in the voxel, as in a thin wall.
-        places: Where the material was taken, in the frame of the model [m].
+        voxels: Indices of those that the part fills, wholly or in part.
+        places: Where the material was taken, in the frame of the model: at the centre
+            of the voxel, or elsewhere in it if that lies outside of the part [m].
         E_t: Modulus across the fibre [Pa].
         E_l: Modulus along it [Pa].
         fibre: Unit vectors along it, on the bed [-]; None for an isotropic law.
@@ -105,7 +104,6 @@ class Samples(NamedTuple):
 
     grid: Grid
     voxels: Int[HostArray, "n 3"]
-    inside: Bool[HostArray, " n"]
     places: Float[HostArray, "n 3"]
     E_t: Float[HostArray, " n"]
     E_l: Float[HostArray, " n"]
@@ -132,23 +130,13 @@ def sample(
         ValueError: If the law has no such moduli.
     """
     grid = Grid.around(part.mesh.points, N_VOXELS)
-    owner = tets_of_voxels(part.mesh, grid)
-    centroids = part.mesh.centroids
-    inside = owner >= 0
-    alone = np.setdiff1d(np.arange(part.mesh.n_tets), owner)
-    at = tuple(grid.voxels_at(centroids[alone]).T)
-    outside = ~inside[at]
-    owner[tuple(axis[outside] for axis in at)] = alone[outside]
-    voxels = np.argwhere(owner >= 0)
-    own = owner[tuple(voxels.T)]
-    within = inside[tuple(voxels.T)]
-    places = np.where(within[:, None], grid.centres(voxels), centroids[own])
-    places = part.in_model(places)
-    law = _law_at(model, places, part.tets[own], space, z)
+    filled = fill(part.mesh, grid)
+    places = part.in_model(filled.places)
+    law = _law_at(model, places, part.tets[filled.tets], space, z)
     E_t, E_l, fibre = _axis_moduli(law, len(places))
     if fibre is not None:
         fibre = fibre @ part.rotation.T
-    return Samples(grid, voxels, within, places, E_t, E_l, fibre)
+    return Samples(grid, filled.voxels, places, E_t, E_l, fibre)
 
 
 def _law_at(

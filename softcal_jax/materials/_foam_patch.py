@@ -113,31 +113,68 @@ def _refined(
     patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
 ) -> Float[HostArray, "n 2"]:
     """Move points (t, s) until their moduli are nearest, by Gauss-Newton in the box."""
-    upper = np.array([1.0, patch.last])
-    miss = lambda x: patch.at(*x.T)[:, 1:] - asked
-    squared = lambda r: (r**2).sum(axis=1)
-    r = miss(x)
+    x = x.copy()
+    active = np.arange(len(x))
     for _ in range(_SEARCH_STEPS):
-        # Differences towards the inside, so that they never leave the patch.
-        h = np.where(x < 0.5 * upper, 1e-6, -1e-6)
-        columns = [(miss(x + h * e) - r) / h[:, [k]] for k, e in enumerate(np.eye(2))]
-        J = np.stack(columns, axis=2)
-        slope = np.einsum("nij,ni->nj", J, r)
-        # What is held at a bound by the slope takes no part in the step.
-        held = ((x <= 0.0) & (slope > 0.0)) | ((x >= upper) & (slope < 0.0))
-        J = np.where(held[:, None], 0.0, J)
-        A = np.einsum("nij,nik->njk", J, J)
-        # Damped by rounding alone: a column may be zero.
-        A += (1e-14 * np.trace(A, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(2)
-        step = -np.linalg.solve(A, np.einsum("nij,ni->nj", J, r)[..., None])[..., 0]
-        moved = np.zeros(len(x), bool)
-        for length in (1.0, 0.5, 0.1, 0.01):
-            trial = np.clip(x + length * step, 0.0, upper)
-            new = miss(trial)
-            better = ~moved & (squared(new) < squared(r))
-            x = np.where(better[:, None], trial, x)
-            r = np.where(better[:, None], new, r)
-            moved |= better
-        if not moved.any():
+        step = _step(patch, asked[active], x[active])
+        moved = _moved(patch, asked[active], x[active], step)
+        gone = np.abs(moved - x[active]).max(axis=1)
+        x[active] = moved
+        # From so small a step a quadratic iteration ends in rounding.
+        active = active[gone > 1e-9]
+        if not active.size:
+            break
+    return x
+
+
+def _squared(
+    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
+) -> Float[HostArray, " n"]:
+    return ((patch.at(*x.T)[:, 1:] - asked) ** 2).sum(axis=1)
+
+
+def _step(
+    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
+) -> Float[HostArray, "n 2"]:
+    """Return the Gauss-Newton step of each point."""
+    upper = np.array([1.0, patch.last])
+    here = patch.at(*x.T)[:, 1:]
+    r = here - asked
+    # Differences towards the inside, so that they never leave the patch.
+    h = np.where(x < 0.5 * upper, 1e-6, -1e-6)
+    a, b = (
+        (patch.at(*(x + h * axis).T)[:, 1:] - here) / h[:, [k]]
+        for k, axis in enumerate(np.eye(2))
+    )
+    slope = np.stack([(a * r).sum(axis=1), (b * r).sum(axis=1)], axis=1)
+    # What is held at a bound by the slope takes no part in the step.
+    free = ((x > 0.0) | (slope < 0.0)) & ((x < upper) | (slope > 0.0))
+    a, b, slope = a * free[:, :1], b * free[:, 1:], slope * free
+    aa, ab, bb = (a * a).sum(axis=1), (a * b).sum(axis=1), (b * b).sum(axis=1)
+    # Damped by rounding alone: a column may be zero.
+    damping = 1e-14 * (aa + bb) + 1e-150
+    aa, bb = aa + damping, bb + damping
+    det = aa * bb - ab * ab
+    first = ab * slope[:, 1] - bb * slope[:, 0]
+    second = ab * slope[:, 0] - aa * slope[:, 1]
+    return np.stack([first, second], axis=1) / det[:, None]
+
+
+def _moved(
+    patch: FoamPatch,
+    asked: Float[HostArray, "n 2"],
+    x: Float[HostArray, "n 2"],
+    step: Float[HostArray, "n 2"],
+) -> Float[HostArray, "n 2"]:
+    """Take the longest part of each step that brings the moduli nearer, if any does."""
+    x = x.copy()
+    before = _squared(patch, asked, x)
+    left = np.arange(len(x))
+    for length in (1.0, 0.5, 0.1, 0.01):
+        trial = np.clip(x[left] + length * step[left], 0.0, [1.0, patch.last])
+        better = _squared(patch, asked[left], trial) < before[left]
+        x[left[better]] = trial[better]
+        left = left[~better]
+        if not left.size:
             break
     return x

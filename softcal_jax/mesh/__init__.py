@@ -30,10 +30,11 @@ from softcal_jax.mesh._topology import (
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
-from softcal_jax.mesh._voxels import Grid, tets_of_voxels
+from softcal_jax.mesh._voxels import Filling, Grid, fill
 
 __all__ = [
     "Box",
+    "Filling",
     "Grid",
     "MaterialPoints",
     "MeshWarning",
@@ -47,6 +48,7 @@ __all__ = [
     "boundary_tets",
     "check_mesh",
     "face_shares",
+    "fill",
     "finer",
     "locate",
     "merge",
@@ -60,7 +62,6 @@ __all__ = [
     "surface_shares",
     "tessellate",
     "tet_faces",
-    "tets_of_voxels",
     "to_linear",
     "to_quadratic",
     "tripod",

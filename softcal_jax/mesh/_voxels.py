@@ -1,10 +1,12 @@
-"""Which tet is at the centre of each voxel of a box."""
+"""Which voxels of a box a mesh fills, and by which tets."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax.elements import shape_functions
 from softcal_jax.mesh._inverse_map import barycentric_in_tets, bounds
 from softcal_jax.mesh._tet_mesh import TetMesh
 
@@ -12,7 +14,7 @@ _INSIDE = 1e-9
 """How far a centre on a shared face may be outside both tets by rounding [-]."""
 
 _AT_ONCE = 200_000
-"""Pairs of tet and voxel that are looked at together, in some 50 MB."""
+"""Pairs of tet and voxel, or point, that are looked at together, in some 50 MB."""
 
 
 class Grid(NamedTuple):
@@ -48,9 +50,70 @@ class Grid(NamedTuple):
         return np.clip(found, 0, self.n - 1)
 
 
-def tets_of_voxels(mesh: TetMesh, grid: Grid) -> Int[HostArray, "n n n"]:
-    """Find the tet that holds the centre of each voxel; -1 where there is none."""
+class Filling(NamedTuple):
+    """The voxels that a mesh fills, wholly or in part.
+
+    Attributes:
+        voxels: Their indices.
+        tets: A tet in each.
+        places: A point of it: the centre of the voxel, if that lies in the mesh [m].
+        inside: Whether it does.
+    """
+
+    voxels: Int[HostArray, "m 3"]
+    tets: Int[HostArray, " m"]
+    places: Float[HostArray, "m 3"]
+    inside: Bool[HostArray, " m"]
+
+
+def fill(mesh: TetMesh, grid: Grid) -> Filling:
+    """Find the voxels that a mesh fills.
+
+    Those whose centre lies in a tet, and those in which points of a tet lie, at a
+    distance below that of the voxels: a wall may be thinner.
+    """
     X = mesh.points[mesh.tets]
+    owner = _at_centres(mesh, X, grid)
+    inside = owner >= 0
+    places = np.zeros((*owner.shape, 3))
+    places[inside] = grid.centres(np.argwhere(inside))
+    for tets, points in _points_in_tets(X, grid):
+        voxels = tuple(grid.voxels_at(points).T)
+        free = owner[voxels] < 0
+        voxels = tuple(axis[free] for axis in voxels)
+        # Of several points in a voxel the last is kept, of both.
+        places[voxels] = points[free]
+        owner[voxels] = tets[free]
+    found = owner >= 0
+    return Filling(np.argwhere(found), owner[found], places[found], inside[found])
+
+
+def _points_in_tets(
+    X: Float[HostArray, "n_tets n_en 3"], grid: Grid
+) -> Iterator[tuple[Int[HostArray, " m"], Float[HostArray, "m 3"]]]:
+    """Yield tets and points in them, so many that they miss hardly any voxel."""
+    lower, upper = bounds(X)
+    parts = np.ceil(((upper - lower) / grid.size).max(axis=1)).astype(int)
+    for n in np.unique(parts):
+        b = _lattice(int(n))
+        N = shape_functions(b, X.shape[1])
+        own = np.flatnonzero(parts == n)
+        for some in np.array_split(own, -(-len(own) * len(b) // _AT_ONCE)):
+            points = np.einsum("pa,tai->tpi", N, X[some])
+            yield np.repeat(some, len(b)), points.reshape(-1, 3)
+
+
+def _lattice(n: int) -> Float[HostArray, "m 4"]:
+    """Return barycentric coordinates of points in a tet, 1 / (n + 1) apart."""
+    i, j, k = np.indices((n + 1,) * 3).reshape(3, -1)
+    i, j, k = (axis[i + j + k <= n] for axis in (i, j, k))
+    return (np.stack([n - i - j - k, i, j, k], axis=1) + 0.25) / (n + 1)
+
+
+def _at_centres(
+    mesh: TetMesh, X: Float[HostArray, "n_tets n_en 3"], grid: Grid
+) -> Int[HostArray, "n n n"]:
+    """Find the tet that holds the centre of each voxel; -1 where there is none."""
     lower, upper = bounds(X)
     coordinates = _affine(X) if mesh.order == 1 else _curved(X)
     slack = _INSIDE * mesh.size

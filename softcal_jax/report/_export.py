@@ -125,16 +125,16 @@ def _foam(
     infill: Infill, table: FoamTable | str | os.PathLike[str] | None
 ) -> FoamTable:
     """Return a table of the infill."""
-    if table is None:
-        if infill != "Phasor":
-            return published_foam()
+    if table is None and infill == "Phasor":
         raise ValueError(
             "no moduli of Phasor are published: give a table of your own, from test "
             "prints, with the columns density, iso, E_soft_kPa and E_stiff_kPa "
             "(table=, --table)."
         )
-    if not isinstance(table, FoamTable):
-        return read_foam_table(table, infill)
+    if table is None:
+        table = published_foam()
+    elif not isinstance(table, FoamTable):
+        table = read_foam_table(table, infill)
     if table.infill != infill:
         raise ValueError(
             f"the table is of {table.infill}, and the infill is {infill!r}: give both "

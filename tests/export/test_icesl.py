@@ -12,6 +12,7 @@ from problems import FOAM_OF_THE_ROBOT
 
 from benchmarks._icesl import RANGES, Slicer
 from softcal_jax import export_icesl
+from softcal_jax.bodies import RigidBody
 from softcal_jax.equilibrium import build_model
 from softcal_jax.export import read_foam_table, write_foam_table, write_icesl
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
@@ -35,10 +36,12 @@ ROOT, TIP = (1200.0, 300.0, 70.0), (700.0, 150.0, -75.0)
 PLACES = np.array([(0.0, 0.015, 0.005), (0.06, 0.0, 0.005)])
 
 
-def foam_model(E_t=1e6, E_l=3e5, theta=0.0, *, plane="xy", mesh=None, **fibre):
+def foam_model(
+    E_t=1e6, E_l=3e5, theta=0.0, *, plane="xy", mesh=None, bodies=(), **fibre
+):
     law = ReducedTransverseIsotropic(E_t, E_l, 0.3, Fibre(theta, plane=plane, **fibre))
     mesh = beam(*SIZE, (6, 3, 1)) if mesh is None else mesh
-    return build_model(mesh, Corotational(law), density=400.0)
+    return build_model(mesh, Corotational(law), density=400.0, bodies=bodies)
 
 
 def two_points(region=None):
@@ -269,7 +272,7 @@ def test_what_the_foam_does_not_reach_is_listed(tmp_path):
     np.testing.assert_allclose(float(row["nearest_E_t_kPa"]), given[1], rtol=0.03)
     (note, *_) = written.notes
     assert note.startswith("50 % of the part has moduli that the foam does not reach")
-    assert "(E_t, E_l) = (1000, 40) kPa is farthest off and becomes" in note
+    assert "(E_t, E_l) = (1, 0.04) MPa is farthest off and becomes" in note
     script = (written.directory / "robot.lua").read_text()
     assert "-- 50 % of the part" in script
 
@@ -297,6 +300,8 @@ def test_a_region_of_another_plane(tmp_path):
     """The upper of two sheets in xz is laid on the bed: y points down."""
     sheet = lambda y: beam(0.06, 0.01, 0.03, (6, 1, 3), origin=(0.0, y, 0.0))
     mesh = merge({"lower": sheet(-0.06), "upper": sheet(0.05)})
+    ends = np.flatnonzero(mesh.points[:, 0] == 0.0)
+    mesh = mesh.with_node_group("rod", ends)
     # In the lower sheet nothing could be printed.
     model = foam_model(
         np.where(np.arange(mesh.n_tets) < mesh.n_tets // 2, 1e9, 1e6),
@@ -304,6 +309,7 @@ def test_a_region_of_another_plane(tmp_path):
         np.arctan2(mesh.centroids[:, 2], mesh.centroids[:, 0]),
         plane="xz",
         mesh=mesh,
+        bodies=[RigidBody("rod", "rod")],
     )
     written = export_icesl(model, tmp_path / "print", region="upper")
     assert written.n_beyond == 0
@@ -338,23 +344,30 @@ def test_outside_of_the_part_the_nearest_voxel_repeats(tmp_path):
     mesh = beam(*SIZE, (6, 3, 2))
     x, _, z = mesh.centroids.T
     whole = np.flatnonzero((x < 0.03) | (z < 0.005))
-    part = TetMesh(mesh.points, mesh.tets[whole])
+    used, tets = np.unique(mesh.tets[whole], return_inverse=True)
+    part = TetMesh(mesh.points[used], tets.reshape(-1, 4))
     E_t = 8e5 + 1e7 * part.centroids[:, 2]
     written = export_icesl(foam_model(E_t, 2e5, mesh=part), tmp_path / "print")
     assert written.n_voxels == 64**3 * 3 // 4
     density = told(written)["infill_percentage"]
     np.testing.assert_array_equal(density[40:, :, 32:], density[40:, :, [31] * 32])
-    # A wall of 0.1 mm beside the box of 10 mm, whose voxels are 0.16 mm.
-    thin = merge(
-        {
-            "block": beam(*SIZE, (6, 3, 1)),
-            "wall": beam(0.0001, 0.03, 0.01, (1, 3, 1), origin=(0.0602, 0, 0)),
-        }
+
+
+def test_a_wall_thinner_than_the_voxels(tmp_path):
+    """No voxel has its centre in the wall, and those that hold it have its moduli."""
+    block = beam(0.06, 0.03, 0.01, (6, 3, 1))
+    wall = beam(0.0002, 0.03, 0.01, (1, 3, 1), origin=(0.063, 0.0, 0.0))
+    mesh = merge({"block": block, "wall": wall})
+    x = mesh.points[:, 0]
+    mesh = mesh.with_node_group("glue", np.flatnonzero((x == 0.06) | (x == 0.063)))
+    E_t = np.where(mesh.centroids[:, 0] > 0.06, 1.5e6, 8e5)
+    model = foam_model(E_t, 2e5, mesh=mesh, bodies=[RigidBody("glue", "glue")])
+    density = told(export_icesl(model, tmp_path / "print"))["infill_percentage"]
+    thick, thin = (
+        published_foam().find(np.array([2e5, 2e5]), np.array([8e5, 1.5e6])).density
     )
-    E_t = np.where(thin.centroids[:, 0] > 0.06, 1.5e6, 8e5)
-    written = export_icesl(foam_model(E_t, 2e5, mesh=thin), tmp_path / "thin")
-    density = told(written)["infill_percentage"]
-    assert (density[-1] > density[0]).any()
+    np.testing.assert_allclose(density[:61], thick, atol=0.5 * STEP + 1e-6)
+    np.testing.assert_allclose(density[63], thin, atol=0.5 * STEP + 1e-6)
 
 
 def phasor():

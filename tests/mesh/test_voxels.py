@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from softcal_jax.mesh import Grid, TetMesh, beam, locate, tets_of_voxels
+from softcal_jax.mesh import Grid, TetMesh, beam, fill, locate
 
 N = 12
 
@@ -18,8 +18,10 @@ def bent(order):
 def test_voxels_lie_where_points_are_located(order):
     mesh = bent(order)
     grid = Grid.around(mesh.points, N)
-    owner = tets_of_voxels(mesh, grid)
-    voxels = np.argwhere(np.ones((N,) * 3, bool))
+    filled = fill(mesh, grid)
+    owner = np.full((N,) * 3, -1)
+    owner[tuple(filled.voxels[filled.inside].T)] = filled.tets[filled.inside]
+    voxels = np.random.default_rng(5).integers(0, N, (150, 3))
     found = locate(mesh, grid.centres(voxels), max_distance=1.0)
     inside = found.distance == 0.0
     assert 0.2 < inside.mean() < 0.8
@@ -42,7 +44,24 @@ def test_many_tets_at_once(monkeypatch):
     """Cut into many parts or one, every pair of tet and voxel is looked at."""
     mesh = beam(0.06, 0.02, 0.02, (3, 2, 2))
     grid = Grid.around(mesh.points, N)
-    whole = tets_of_voxels(mesh, grid)
-    assert (whole >= 0).all()
+    assert fill(mesh, grid).inside.sum() == N**3
     monkeypatch.setattr("softcal_jax.mesh._voxels._AT_ONCE", 50)
-    np.testing.assert_array_equal(tets_of_voxels(mesh, grid) >= 0, True)
+    assert fill(mesh, grid).inside.sum() == N**3
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_voxels_that_are_filled_in_part(order):
+    """A plate thinner than a voxel, across all of them but in few of their centres."""
+    plate = beam(0.06, 0.06, 0.001, (1, 1, 1), order=order)
+    tilt = 0.4 * plate.points[:, [0]] * np.array([0.0, 0.0, 1.0])
+    plate = TetMesh(plate.points + tilt, plate.tets)
+    grid = Grid.around(plate.points, N)
+    filled = fill(plate, grid)
+    assert 0 < filled.inside.mean() < 0.7
+    columns = np.unique(filled.voxels[:, :2], axis=0)
+    assert len(columns) == N * N
+    found = locate(plate, filled.places[::7], max_distance=1e-9)
+    assert found.barycentric.min() > -1e-9
+    np.testing.assert_array_equal(grid.voxels_at(filled.places), filled.voxels)
+    middle = grid.centres(filled.voxels)[filled.inside]
+    np.testing.assert_array_equal(filled.places[filled.inside], middle)
