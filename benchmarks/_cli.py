@@ -17,7 +17,7 @@ from benchmarks._record import load_average, record, write_json
 _RESULTS = Path("benchmark-results")
 """Folder of everything that a run writes, where nothing else is asked for."""
 
-_PEERS = ("felupe", "pypardiso")
+_PEERS = ("felupe", "lupa", "pypardiso")
 _WORSE, _WRONG_CALL = 1, 2
 
 
@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace, package: ModuleType) -> int:
         if error.name not in _PEERS:
             raise
         raise WrongCall(
-            f"{name} compares with {error.name}, which is not installed: "
+            f"{name} needs {error.name}, which is not installed: "
             "pip install softcal-jax[benchmarks]"
         ) from error
     return 0

@@ -53,12 +53,18 @@ from softcal_jax.mesh import beam, read_mesh, select_nodes
 
 if TYPE_CHECKING:
     from softcal_jax.project import load_project
-    from softcal_jax.report import export_inp, load_result, write_results
+    from softcal_jax.report import (
+        export_icesl,
+        export_inp,
+        load_result,
+        write_results,
+    )
     from softcal_jax.sofa import export_sofa
 
 __version__ = version("softcal-jax")
 
 _ON_DEMAND = {
+    "export_icesl": "softcal_jax.report",
     "export_inp": "softcal_jax.report",
     "export_sofa": "softcal_jax.sofa",
     "load_project": "softcal_jax.project",
@@ -96,6 +102,7 @@ __all__ = [
     "build_model",
     "calibrate",
     "compare_laws",
+    "export_icesl",
     "export_inp",
     "export_sofa",
     "identify",

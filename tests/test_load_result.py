@@ -259,3 +259,43 @@ def test_export_of_what_has_changed(folder, capsys):
     assert main([*argv, "--configuration", "weight"]) == 2
     assert "markers.csv has changed" in capsys.readouterr().err
     assert not job.exists()
+
+
+def test_a_loaded_modulus_as_foam(folder, calibrated, capsys, monkeypatch):
+    """Isotropic: the density whose published modulus is the calibrated one."""
+    monkeypatch.chdir(folder)
+    assert main(["export", "icesl", "out", "-o", "print"]) == 0
+    said = capsys.readouterr().out
+    assert "Wrote print." in said
+    about = json.loads((folder / "print" / "icesl.json").read_text())
+    settings = {own["name"]: own["constant"] for own in about["settings"]}
+    E = calibrated[1].value("E") / 12e6
+    # Between the first two published samples E is a power of the density.
+    power = np.log(0.0436 / 0.0247) / np.log(0.1534 / 0.0901)
+    density = 0.0901 * (E / 0.0247) ** (1.0 / power)
+    np.testing.assert_allclose(settings["infill_percentage"], 100 * density, rtol=0.02)
+    np.testing.assert_allclose(settings["kgon_x_shrink"], 1.0, rtol=1e-6)
+    assert main(["export", "icesl", "out", "-o", "print"]) == 2
+    assert "print exists already" in capsys.readouterr().err
+
+
+def test_a_project_file_as_foam(folder, capsys, monkeypatch):
+    """Its start values are a design: 200 kPa is softer than any foam of the table."""
+    monkeypatch.chdir(folder)
+    options = ["--solid-modulus", "24 MPa", "--angle-offset", "90 deg", "--clockwise"]
+    options += ["--plane", "xz", "--angle-marks", "stiff"]
+    where = ["robot/project.toml", "-o", "print"]
+    assert main(["export", "icesl", *where, *options]) == 0
+    said = capsys.readouterr().out
+    assert "100 % of the part has moduli that the foam does not reach" in said
+    about = json.loads((folder / "print" / "icesl.json").read_text())
+    assert about["angle"] == {"marks": "stiff", "offset_deg": 90.0, "clockwise": True}
+    assert about["bed"]["size_mm"] == pytest.approx([60.0, 20.0, 20.0])
+    assert about["bed"]["rotation"][2] == [0.0, -1.0, 0.0]
+    assert main(["export", "icesl", *where, "--force", "--infill", "phasor"]) == 2
+    assert "no moduli of Phasor are published" in capsys.readouterr().err
+    both = ["--table", "foam.csv", "--solid-modulus", "1 MPa", "--force"]
+    assert main(["export", "icesl", *where, *both]) == 2
+    assert "Give one of the two" in capsys.readouterr().err
+    assert main(["export", "icesl", *where, "--force", "--angle-offset", "90"]) == 2
+    assert "--angle-offset: 90 has no unit" in capsys.readouterr().err

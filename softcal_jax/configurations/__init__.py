@@ -21,6 +21,7 @@ from softcal_jax.configurations._configuration import (
     measured_at_rest,
     shared_names,
 )
+from softcal_jax.configurations._csv_table import CsvTable, read_table
 from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
 from softcal_jax.configurations._effector_arrays import EffectorRecord
 from softcal_jax.configurations._effectors import (
@@ -78,6 +79,7 @@ __all__ = [
     "Configuration",
     "ConfigurationArrays",
     "ConfigurationLanes",
+    "CsvTable",
     "EdgeForce",
     "EffectorArrays",
     "EffectorRecord",
@@ -116,6 +118,7 @@ __all__ = [
     "read_polhemus",
     "read_poses",
     "read_recording",
+    "read_table",
     "read_wide_table",
     "register",
     "shared_names",

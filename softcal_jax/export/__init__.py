@@ -13,11 +13,13 @@ from softcal_jax.export._csv import (
     write_markers_csv,
     write_robot_csv,
 )
+from softcal_jax.export._foam_file import read_foam_table, write_foam_table
 from softcal_jax.export._folder import (
     check_results_folder,
     file_stems,
     results_folder,
 )
+from softcal_jax.export._icesl import IceslResult, write_icesl
 from softcal_jax.export._inp import write_inp
 from softcal_jax.export._json import (
     RESULT_FORMAT,
@@ -34,6 +36,7 @@ from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
     "RESULT_FORMAT",
+    "IceslResult",
     "Readable",
     "budget_dict",
     "check_results_folder",
@@ -41,6 +44,7 @@ __all__ = [
     "file_stems",
     "identifiability_dict",
     "outlook_dict",
+    "read_foam_table",
     "readable_estimate",
     "readable_unit",
     "readable_values",
@@ -49,6 +53,8 @@ __all__ = [
     "simulation_dict",
     "source_dict",
     "write_effectors_csv",
+    "write_foam_table",
+    "write_icesl",
     "write_inp",
     "write_json",
     "write_markers_csv",

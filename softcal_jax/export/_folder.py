@@ -17,6 +17,7 @@ INDEX_FILES = (
     "identifiability.json",
     "comparison.json",
     "robot.json",
+    "icesl.json",
 )
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 

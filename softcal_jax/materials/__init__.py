@@ -16,11 +16,13 @@ from softcal_jax.materials._elasticity import (
 )
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
 from softcal_jax.materials._fibre_reinforced import FibreReinforced
+from softcal_jax.materials._foam import FoamTable, FoundFoam, Infill
 from softcal_jax.materials._gent import Gent
 from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._mooney_rivlin import MooneyRivlin
 from softcal_jax.materials._neo_hookean import NeoHookean
 from softcal_jax.materials._ogden import Ogden
+from softcal_jax.materials._published_foam import TPU, published_foam
 from softcal_jax.materials._sofa import SofaCorotational, SofaRotation
 from softcal_jax.materials._transverse import (
     ReducedTransverseIsotropic,
@@ -54,13 +56,17 @@ LAWS: dict[str, type[AbstractLaw]] = {
 __all__ = [
     "ELASTICITIES",
     "LAWS",
+    "TPU",
     "AbstractElasticity",
     "AbstractLaw",
     "ClassicalCorotational",
     "Corotational",
     "Fibre",
     "FibreReinforced",
+    "FoamTable",
+    "FoundFoam",
     "Gent",
+    "Infill",
     "Isotropic",
     "MooneyRivlin",
     "NeoHookean",
@@ -81,4 +87,5 @@ __all__ = [
     "lame",
     "law_at_points",
     "plane_stiffness",
+    "published_foam",
 ]

@@ -20,6 +20,7 @@ from softcal_jax.mesh._surfaces import (
     select_face,
     select_reachable,
 )
+from softcal_jax.mesh._tessellation import Tessellation, tessellate
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     boundary_faces,
@@ -30,6 +31,7 @@ from softcal_jax.mesh._topology import (
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
+from softcal_jax.mesh._voxels import Filling, Grid, fill
 from softcal_jax.mesh._writing import write_mesh
 
 __all__ = [
@@ -38,17 +40,21 @@ __all__ = [
     "Annulus",
     "Box",
     "Cylinder",
+    "Filling",
+    "Grid",
     "MaterialPoints",
     "MeshWarning",
     "Plane",
     "Refinement",
     "Sphere",
+    "Tessellation",
     "TetMesh",
     "beam",
     "boundary_faces",
     "boundary_tets",
     "check_mesh",
     "face_shares",
+    "fill",
     "finer",
     "locate",
     "merge",
@@ -64,6 +70,7 @@ __all__ = [
     "select_nodes",
     "select_reachable",
     "surface_shares",
+    "tessellate",
     "tet_faces",
     "to_linear",
     "to_quadratic",

@@ -1,6 +1,6 @@
 """Results written, loaded and exported, and the tables for the terminal."""
 
-from softcal_jax.report._export import export_inp
+from softcal_jax.report._export import export_icesl, export_inp
 from softcal_jax.report._load import (
     LoadedResult,
     ResultError,
@@ -21,6 +21,7 @@ __all__ = [
     "PictureWarning",
     "ResultError",
     "ResultWarning",
+    "export_icesl",
     "export_inp",
     "load_result",
     "simulation_table",

@@ -129,7 +129,7 @@ def test_missing_peer(package, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "felupe", None)
     assert call(package, "run", "broken") == 2
     assert capsys.readouterr().err == (
-        "broken compares with felupe, which is not installed: "
+        "broken needs felupe, which is not installed: "
         "pip install softcal-jax[benchmarks]\n"
     )
 

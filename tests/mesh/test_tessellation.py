@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from softcal_jax.mesh import TetMesh, beam, volumes
-from softcal_jax.plotting._scene import tessellate
+from softcal_jax.mesh import TetMesh, beam, tessellate, volumes
 
 
 def enclosed_volume(points, triangles):

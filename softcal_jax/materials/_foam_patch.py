@@ -1,0 +1,180 @@
+"""Moduli between the samples of a foam table, and the search for given ones."""
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial import cKDTree
+
+from softcal_jax._typing import Float, HostArray
+
+_T_STEPS, _S_STEPS = 96, 64
+"""Samples along the density, and between two levels, from which searches begin."""
+
+_SEARCH_STEPS = 20
+
+
+class FoamPatch:
+    """The table as a map from a unit interval per level to ln density and moduli.
+
+    A point has the coordinates t, from the smallest density of a level (0) to its
+    largest (1), and s, the number of the level, with what is between two as a fraction.
+    """
+
+    def __init__(
+        self,
+        density: Float[HostArray, " n"],
+        anisotropy: Float[HostArray, " n"],
+        moduli: Float[HostArray, "n 2"],
+        *,
+        is_log: bool,
+    ):
+        """Fit a curve to each level.
+
+        Args:
+            density: Relative density of the samples [-].
+            anisotropy: Their shrink or isotropy [-].
+            moduli: Their E_soft and E_stiff [Pa].
+            is_log: Whether levels are mixed by the logarithm of their anisotropy.
+        """
+        self.is_log = is_log
+        values = np.unique(anisotropy)
+        self.levels = np.log(values) if is_log else values
+        self.ends, self.curves = [], []
+        for value in values:
+            own = np.flatnonzero(anisotropy == value)
+            own = own[np.argsort(density[own])]
+            x = np.log(density[own])
+            self.ends.append((x[0], x[-1]))
+            self.curves.append(PchipInterpolator(x, np.log(moduli[own])))
+
+    @property
+    def last(self) -> float:
+        """The largest s."""
+        return len(self.levels) - 1.0
+
+    def position(self, anisotropy: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+        """Return s of a shrink or isotropy."""
+        values = np.log(anisotropy) if self.is_log else anisotropy
+        return np.interp(values, self.levels, np.arange(len(self.levels)))
+
+    def anisotropy(self, s: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+        """Return the shrink or isotropy at s."""
+        values = np.interp(s, np.arange(len(self.levels)), self.levels)
+        return np.exp(values) if self.is_log else values
+
+    def at(
+        self, t: Float[HostArray, " n"], s: Float[HostArray, " n"]
+    ) -> Float[HostArray, "n 3"]:
+        """Return ln density, ln E_soft and ln E_stiff."""
+        mixed, s = np.zeros((len(t), 3)), np.clip(s, 0.0, self.last)
+        for level, ((low, high), curve) in enumerate(
+            zip(self.ends, self.curves, strict=True)
+        ):
+            weight = np.maximum(1.0 - np.abs(s - level), 0.0)
+            near = np.flatnonzero(weight)
+            x = low + t[near] * (high - low)
+            mixed[near] += weight[near, None] * np.column_stack([x, curve(x)])
+        return mixed
+
+    def moduli(
+        self,
+        density: Float[HostArray, " n"],
+        anisotropy: Float[HostArray, " n"],
+    ) -> Float[HostArray, "n 2"]:
+        """Interpolate E_soft and E_stiff [Pa]; see `FoamTable.moduli`."""
+        s = self.position(anisotropy)
+        low, high = (self.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
+        t = (np.log(density) - low) / (high - low)
+        return np.exp(self.at(t, s)[:, 1:])
+
+    def nearest(
+        self, asked: Float[HostArray, "n 2"]
+    ) -> tuple[Float[HostArray, " n"], Float[HostArray, "n 3"]]:
+        """Find the foams nearest to ln E_soft and ln E_stiff.
+
+        The nearest of many samples starts a Gauss-Newton search in the patch, so that
+        every value has an answer.
+
+        Returns:
+            Their anisotropy, then ln density, ln E_soft and ln E_stiff.
+        """
+        grid = self.samples()
+        tree = cKDTree(self.at(*grid.T)[:, 1:])
+        x = _refined(self, asked, grid[tree.query(asked)[1]])
+        return self.anisotropy(x[:, 1]), self.at(*x.T)
+
+    def samples(self) -> Float[HostArray, "m 2"]:
+        """Return pairs (t, s) that cover the patch."""
+        t = np.linspace(0.0, 1.0, _T_STEPS + 1)
+        s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
+        return np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _refined(
+    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
+) -> Float[HostArray, "n 2"]:
+    """Move points (t, s) until their moduli are nearest, by Gauss-Newton in the box."""
+    x = x.copy()
+    active = np.arange(len(x))
+    for _ in range(_SEARCH_STEPS):
+        step = _step(patch, asked[active], x[active])
+        moved = _moved(patch, asked[active], x[active], step)
+        gone = np.abs(moved - x[active]).max(axis=1)
+        x[active] = moved
+        # From so small a step a quadratic iteration ends in rounding.
+        active = active[gone > 1e-9]
+        if not active.size:
+            break
+    return x
+
+
+def _squared(
+    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
+) -> Float[HostArray, " n"]:
+    return ((patch.at(*x.T)[:, 1:] - asked) ** 2).sum(axis=1)
+
+
+def _step(
+    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
+) -> Float[HostArray, "n 2"]:
+    """Return the Gauss-Newton step of each point."""
+    upper = np.array([1.0, patch.last])
+    here = patch.at(*x.T)[:, 1:]
+    r = here - asked
+    # Differences towards the inside, so that they never leave the patch.
+    h = np.where(x < 0.5 * upper, 1e-6, -1e-6)
+    a, b = (
+        (patch.at(*(x + h * axis).T)[:, 1:] - here) / h[:, [k]]
+        for k, axis in enumerate(np.eye(2))
+    )
+    slope = np.stack([(a * r).sum(axis=1), (b * r).sum(axis=1)], axis=1)
+    # What is held at a bound by the slope takes no part in the step.
+    free = ((x > 0.0) | (slope < 0.0)) & ((x < upper) | (slope > 0.0))
+    a, b, slope = a * free[:, :1], b * free[:, 1:], slope * free
+    aa, ab, bb = (a * a).sum(axis=1), (a * b).sum(axis=1), (b * b).sum(axis=1)
+    # Damped by rounding alone: a column may be zero.
+    damping = 1e-14 * (aa + bb) + 1e-150
+    aa, bb = aa + damping, bb + damping
+    det = aa * bb - ab * ab
+    first = ab * slope[:, 1] - bb * slope[:, 0]
+    second = ab * slope[:, 0] - aa * slope[:, 1]
+    return np.stack([first, second], axis=1) / det[:, None]
+
+
+def _moved(
+    patch: FoamPatch,
+    asked: Float[HostArray, "n 2"],
+    x: Float[HostArray, "n 2"],
+    step: Float[HostArray, "n 2"],
+) -> Float[HostArray, "n 2"]:
+    """Take the longest part of each step that brings the moduli nearer, if any does."""
+    x = x.copy()
+    before = _squared(patch, asked, x)
+    left = np.arange(len(x))
+    for length in (1.0, 0.5, 0.1, 0.01):
+        trial = np.clip(x[left] + length * step[left], 0.0, [1.0, patch.last])
+        better = _squared(patch, asked[left], trial) < before[left]
+        x[left[better]] = trial[better]
+        left = left[~better]
+        if not left.size:
+            break
+    return x
