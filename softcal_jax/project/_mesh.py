@@ -100,6 +100,10 @@ class CadMeshTable(_MeshTable):
             order=self.order,
         )
 
+    def files(self, folder: Path) -> tuple[Path, ...]:
+        """List the CAD model."""
+        return (folder / self.file,)
+
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
         """Raise, since a CAD model has no values for tets."""
         del folder
