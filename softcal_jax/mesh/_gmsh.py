@@ -95,7 +95,7 @@ def _load() -> Any:
     except OSError as error:
         raise ImportError(
             f"gmsh is installed, but cannot be loaded ({error}). On Debian or Ubuntu: "
-            "sudo apt install libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1"
+            "sudo apt install libgl1 libglu1-mesa libxcursor1 libxft2 libxinerama1"
         ) from error
     return gmsh
 

@@ -18,9 +18,9 @@ def fill_wild(triangles: Triangles, size: float) -> Filled:
         ImportError: If pytetwild is not installed.
         ValueError: If it makes no tets.
     """
-    from pytetwild import tetrahedralize  # pyright: ignore[reportMissingImports]
+    import pytetwild  # pyright: ignore[reportMissingImports]
 
-    points, tets = tetrahedralize(
+    points, tets = pytetwild.tetrahedralize(  # pyright: ignore[reportPrivateImportUsage]
         triangles.points,
         triangles.triangles,
         edge_length_abs=size,

@@ -128,8 +128,8 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     annotations.draw_title(axes(0, size[1] - _TOP, size[0], _TOP), title, "", "")
     faced = {**mesh.tet_groups, **mesh.surface_groups}
     names = [
-        f"{name} (hidden)" if name in faced and not there else name
-        for name, there in zip(groups, seen.any(axis=0).tolist(), strict=True)
+        f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
+        for k, name in enumerate(groups)
     ]
     _draw_legend(figure, names, colours, per_row, (_BOTTOM + 0.5 * legend) / size[1])
     annotations.draw_triad(axes(10, 5, _BOTTOM - 10, _BOTTOM - 10), front)
