@@ -151,17 +151,14 @@ def adjust(
         ValueError: If the corners are too few for an estimate of their noise.
     """
     now = _Round(seen, camera, len(poses), camera.values, (*poses, *targets))
-    for _ in range(_ROUNDS):
-        start = np.zeros(_N_CAMERA + 6 * len(now.placements))
-        found = least_squares(now.residuals, start, method="lm", xtol=1e-12)
-        H, freedom = _inverse_normal(found.jac, seen.pixels.size)
-        errors = now.noise * found.fun[: seen.pixels.size]
-        noise = max(float(np.sqrt(errors @ errors / freedom)), _LEAST_NOISE)
-        now = now.after(found.x)._replace(noise=noise)
+    found = now.fitted()
+    for _ in range(_ROUNDS - 1):
+        found = found.after.fitted()
+    now, freedom = found.after, found.freedom
     # The variance of Student's distribution, for a noise that is itself estimated.
-    H = H * freedom / (freedom - 2.0)
+    H = np.asarray(freedom / (freedom - 2.0) * found.inverse)
     n, first = len(poses), _N_CAMERA + 6 * len(poses)
-    squares = np.square(errors.reshape(-1, 2)).sum(axis=1)
+    squares = np.square(found.errors.reshape(-1, 2)).sum(axis=1)
     count = np.bincount(seen.photo, minlength=n)
     std = np.sqrt(np.diag(camera.covariance))
     return Adjustment(
@@ -169,7 +166,7 @@ def adjust(
         poses=now.placements[:n],
         targets=now.placements[n:],
         covariance=H[first:, first:],
-        noise=noise,
+        noise=now.noise,
         rms=np.sqrt(np.bincount(seen.photo, squares, n) / count),
     )
 
@@ -188,6 +185,17 @@ class _Round(NamedTuple):
     placements: tuple[Placement, ...]
     noise: float = _FIRST_NOISE
 
+    def fitted(self) -> "_Fit":
+        """Take the steps that fit best, and find the noise anew."""
+        n_pixels = self.seen.pixels.size
+        start = np.zeros(_N_CAMERA + 6 * len(self.placements))
+        found = least_squares(self.residuals, start, method="lm", xtol=1e-12)
+        inverse, freedom = _inverse_normal(found.jac, n_pixels)
+        errors = self.noise * found.fun[:n_pixels]
+        noise = max(float(np.sqrt(errors @ errors / freedom)), _LEAST_NOISE)
+        after = self.after(found.x)._replace(noise=noise)
+        return _Fit(after, inverse, freedom, errors)
+
     def after(self, x: Float[HostArray, " n"]) -> "_Round":
         """Return the round that begins after steps."""
         std = np.sqrt(np.diag(self.known.covariance))
@@ -205,6 +213,22 @@ class _Round(NamedTuple):
         root = np.linalg.cholesky(self.known.covariance)
         camera = np.linalg.solve(root, new.values - self.known.values)
         return np.concatenate([off.ravel(), camera])
+
+
+class _Fit(NamedTuple):
+    """End of a round.
+
+    Attributes:
+        after: The next round, which begins where this one ended.
+        inverse: (J^T J)^-1 of the steps.
+        freedom: How many errors of corners are free.
+        errors: The errors of the corners [px].
+    """
+
+    after: _Round
+    inverse: Float[HostArray, "n n"]
+    freedom: float
+    errors: Float[HostArray, " m"]
 
 
 def _inverse_normal(

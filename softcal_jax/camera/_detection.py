@@ -31,7 +31,7 @@ _CACHED = 500
 """Photographs of which the tags are remembered: poses share those of the board."""
 
 SMALLEST = 30.0
-"""Least side of a tag [px]: below, a cell is less than four pixels."""
+"""Least height of a tag over its edges [px]: below, a cell has less than four."""
 
 
 class Photo(NamedTuple):
@@ -96,6 +96,16 @@ def _read(path: Path, changed: int, size: int) -> Photo:
     return Photo(path, (image.shape[1], image.shape[0]), corners)
 
 
+def height(corners: Float[HostArray, "4 2"]) -> float:
+    """Return the least height of a tag over its edges [px]."""
+    along = np.roll(corners, -1, axis=0) - corners
+    out = np.column_stack([along[:, 1], -along[:, 0]])
+    out /= np.linalg.norm(along, axis=1)[:, None]
+    over = np.einsum("kx,klx->kl", out, corners[:, None] - corners[None])
+    opposite = [[(k + 2) % 4, (k + 3) % 4] for k in range(4)]
+    return float(np.take_along_axis(over, np.array(opposite), axis=1).min())
+
+
 def _linear(image: UInt8[HostArray, "h w"]) -> Float[HostArray, "h w"]:
     """Undo the encoding of sRGB (IEC 61966-2-1), after which blur moves no edge [-]."""
     levels = np.arange(256) / 255.0
@@ -113,7 +123,7 @@ def _refined(
     light = _linear(image[low[1] : high[1], low[0] : high[0]])
     corners = corners - low
     for _ in range(2):
-        edges = [_Edge.of(light, corners[k], corners[(k + 1) % 4]) for k in range(4)]
+        edges = [_Edge.of(light, np.roll(corners, -k, axis=0)) for k in range(4)]
         corners = np.array([edges[k - 1].meets(edges[k]) for k in range(4)])
     return corners + low
 
@@ -139,18 +149,19 @@ class _Edge(NamedTuple):
     def of(
         cls,
         light: Float[HostArray, "h w"],
-        start: Float[HostArray, "2"],
-        end: Float[HostArray, "2"],
+        corners: Float[HostArray, "4 2"],
     ) -> "_Edge":
-        """Measure an edge near two corners.
+        """Measure the edge between the first two corners of a tag.
 
         Along each normal, an edge that was blurred symmetrically is at the place from
         which a sharp one would let through as much light.
         """
-        along = end - start
+        start, along = corners[0], corners[1] - corners[0]
         length = float(np.linalg.norm(along))
         out = np.array([along[1], -along[0]]) / length
-        reach = np.clip(_REACH * length / CELLS, _LEAST_REACH, _MOST_REACH)
+        # Cells are lower where the tag is seen from the side.
+        low = float(np.min((start - corners[2:]) @ out)) / CELLS
+        reach = np.clip(_REACH * low, _LEAST_REACH, _MOST_REACH)
         s = np.linspace(_AWAY, 1.0 - _AWAY, max(8, int(length)))
         t = np.linspace(-reach, reach, 4 * int(np.ceil(reach)) + 1)
         points = start + s[:, None, None] * along + t[None, :, None] * out

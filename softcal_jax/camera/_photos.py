@@ -18,7 +18,7 @@ from softcal_jax.camera._adjustment import (
     Placement,
     adjust,
 )
-from softcal_jax.camera._detection import SMALLEST, Photo, read_photo
+from softcal_jax.camera._detection import SMALLEST, Photo, height, read_photo
 from softcal_jax.camera._sheet import (
     BOARD_IDS,
     board_corners,
@@ -201,12 +201,11 @@ def _check_shown(photo: Photo, numbers: Sequence[int]) -> None:
                 f"{seen}. Leave it out, or take it anew: sharp, with the white rim of "
                 "the tag."
             )
-        sides = np.roll(photo.corners[number], -1, axis=0) - photo.corners[number]
-        least = float(np.linalg.norm(sides, axis=1).min())
-        if least < SMALLEST:
+        low = height(photo.corners[number])
+        if low < SMALLEST:
             raise ValueError(
-                f"tag {number} is only {least:.0f} px wide on {photo.path}; expected "
-                f"{SMALLEST:.0f} or more: go nearer, or print it larger."
+                f"tag {number} is only {low:.0f} px high on {photo.path}; expected "
+                f"{SMALLEST:.0f} or more: go nearer, less aslant, or print it larger."
             )
 
 

@@ -191,7 +191,16 @@ class MeasuredTable(Table):
         of_c3d = str(self.file).lower().endswith(C3D)
         return of_c3d or isinstance(self.select, WindowTable)
 
-    def _read_rows(self, path: Path, which: Selection) -> MarkerTable:
+    def _read(
+        self,
+        path: Path,
+        which: WindowTable | Selection,
+        recording: Recording | None,
+    ) -> MarkerTable:
+        """Read a window of a recording, or rows if there is none."""
+        if isinstance(which, WindowTable):
+            assert recording is not None  # or `_check_kind` has raised
+            return which.of(recording)
         dialect = {"delimiter": self.delimiter, "decimal": self.decimal}
         select = {**self.recording, **which}
         try:
@@ -236,9 +245,7 @@ class MeasuredTable(Table):
             fixed = () if self.registration is None else self.registration.markers
             recording = self._read_recording(path, (*names, *fixed))
         windows = {
-            key: self._read_rows(path, which)
-            if recording is None
-            else which.of(recording)
+            key: self._read(path, which, recording)
             for key, which in self._which().items()
         }
         loaded = self._positions(windows["select"], names)
