@@ -1,5 +1,6 @@
 """The command line: exit codes, what is printed, and what is left on the disk."""
 
+import csv
 import json
 import signal
 import subprocess
@@ -8,6 +9,7 @@ from importlib.metadata import version
 
 import numpy as np
 import pytest
+import pyvista
 from anisotropic_project import write_measured_project
 from small_project import write_small_project
 
@@ -170,6 +172,15 @@ def test_simulate(tmp_path, out, capsys):
     assert [lane["name"] for lane in lanes] == ["weight", "pulled"]
     # Twice the softness of the recordings, which went down by 0.56 mm.
     assert 0.7 < -(lanes[0]["markers"][0]["simulated_mm"][2] - 10.0) < 1.0
+    with (out / "markers.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["configuration"], row["marker"]) for row in rows] == [
+        *(("weight", "tip"), ("weight", "side")),
+        *(("pulled", "tip"), ("pulled", "side")),
+    ]
+    shown = [float(rows[0][f"simulated_{axis}_mm"]) for axis in "xyz"]
+    np.testing.assert_allclose(shown, lanes[0]["markers"][0]["simulated_mm"], atol=1e-6)
+    assert rows[0]["measured_z_mm"] == rows[0]["distance_mm"] == ""
 
 
 CRUSHED = (
@@ -311,6 +322,11 @@ def test_calibrate_fields_of_an_anisotropic_beam(tmp_path, out, capsys):
     assert data["identifiability"]["verdict"] == "not identifiable"
     names = [p["name"] for p in data["parameters"]]
     assert [p["name"] for p in data["identifiability"]["parameters"]] == names
+    (first, *_) = data["configurations"]
+    tets = pyvista.read(out / first["files"][0]).cell_data
+    fields = {"E_t", "E_l", "theta"}
+    assert fields | {f"{own}_standard_error" for own in fields} <= set(tets)
+    np.testing.assert_allclose(np.linalg.norm(tets["fibre_direction"], axis=1), 1.0)
 
 
 @pytest.mark.parametrize("command", ["calibrate", "simulate", "identify"])

@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+import pyvista
 from export.handmade import (
     axis_space,
     make_fit,
@@ -64,6 +65,7 @@ def test_a_calibration_as_a_folder(tmp_path):
     assert names(written) == sorted(["result.json", *data["files"]])
     assert names(written) == [
         "budget.png",
+        "configurations.pvd",
         "convergence.png",
         "droop.png",
         "droop.vtu",
@@ -86,6 +88,7 @@ def test_without_opengl_the_rest_is_written_and_it_is_said(tmp_path, no_opengl):
         write_results(make_result(), tmp_path / "out")
     assert names(tmp_path / "out") == [
         "budget.png",
+        "configurations.pvd",
         "convergence.png",
         "droop.vtu",
         "held_out.vtu",
@@ -115,6 +118,7 @@ class TestWholeOrNotAtAll:
         )
         assert names(tmp_path / "out") == [
             "budget.png",
+            "configurations.pvd",
             "convergence.png",
             "markers.csv",
             "other.vtu",
@@ -150,7 +154,12 @@ class TestWholeOrNotAtAll:
         with pytest.raises(FileExistsError, match="--force"):
             write_simulation(result, tmp_path / "out")
         write_simulation(result, tmp_path / "out", force=True)
-        assert names(tmp_path / "out") == ["lane_0.vtu", "simulation.json"]
+        assert names(tmp_path / "out") == [
+            "configurations.pvd",
+            "lane_0.vtu",
+            "markers.csv",
+            "simulation.json",
+        ]
 
         def fail(*args, **kwargs):
             raise OSError("disk full")
@@ -166,15 +175,20 @@ def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
     result = make_simulation_result(small_model(), (True, False, True))
     write_simulation(result, tmp_path / "out", name="poses")
     assert names(tmp_path / "out") == [
+        "configurations.pvd",
         "lane_0.png",
         "lane_0.vtu",
         "lane_2.png",
         "lane_2.vtu",
+        "markers.csv",
         "simulation.json",
     ]
     data = json.loads((tmp_path / "out" / "simulation.json").read_text())
     assert (data["name"], data["converged"]) == ("poses", False)
-    assert data["files"] == ["lane_0.vtu", "lane_0.png", "lane_2.vtu", "lane_2.png"]
+    pictures = ["lane_0.vtu", "lane_0.png", "lane_2.vtu", "lane_2.png"]
+    assert data["files"] == ["markers.csv", "configurations.pvd", *pictures]
+    reader = pyvista.PVDReader(tmp_path / "out" / "configurations.pvd")
+    assert [own.path for own in reader.datasets] == ["lane_0.vtu", "lane_2.vtu"]
     failed = data["configurations"][1]
     assert failed["files"] == []
     assert "inverted" in failed["outcome"]

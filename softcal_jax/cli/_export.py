@@ -98,6 +98,11 @@ def _export(args: argparse.Namespace, show: Display, write: Write) -> int:
             f"error: {output} exists already. Choose another name, or replace it with "
             "--force.",
         )
+    if not output.parent.is_dir():
+        raise Stop(
+            BAD_INPUT,
+            f"error: there is no folder {output.parent}. Make it, or choose another.",
+        )
     from softcal_jax.report import load_result
 
     start_computing(show)

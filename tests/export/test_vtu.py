@@ -1,3 +1,5 @@
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import meshio
 import numpy as np
@@ -5,8 +7,17 @@ import pytest
 import pyvista
 from export.handmade import sag, small_model, two_elasticities
 
-from softcal_jax.export import write_vtu
-from softcal_jax.mesh import volumes
+from softcal_jax.equilibrium import build_model, strain_energy
+from softcal_jax.export import write_pvd, write_vtu
+from softcal_jax.materials import (
+    Corotational,
+    Fibre,
+    FibreReinforced,
+    NeoHookean,
+    PointValues,
+    ReducedTransverseIsotropic,
+)
+from softcal_jax.mesh import beam, volumes
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -57,11 +68,167 @@ def test_energy_density_of_a_uniform_stretch(model, tmp_path):
     np.testing.assert_allclose(density, psi, rtol=1e-10)
 
 
+def cells_of(path):
+    """Arrays of the tets, as VTK reads them."""
+    return pyvista.read(path).cell_data
+
+
+ANGLE = 0.7
+TURN = np.array(
+    [[np.cos(ANGLE), -np.sin(ANGLE), 0], [np.sin(ANGLE), np.cos(ANGLE), 0], [0, 0, 1.0]]
+)
+ORDER = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+"""XX, YY, ZZ, XY, YZ, XZ of VTK."""
+
+
+def test_stress_and_stretches_in_simple_shear(model, tmp_path):
+    """sigma = mu (b - I) for J = 1 (Bonet and Wood, Eq. 6.29), b = F F^T.
+
+    The stretches of a shear g are a, 1 and 1 / a with a - 1 / a = g.
+    """
+    g = 0.4
+    F = np.array([[1.0, g, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    write_vtu(tmp_path / "a.vtu", model, model.mesh.points @ (F - np.eye(3)).T)
+    found = cells_of(tmp_path / "a.vtu")
+    mu = np.asarray(model.law.E) / (2 * 1.4)
+    expected = np.array([g * g, 0.0, 0.0, g, 0.0, 0.0])
+    np.testing.assert_allclose(
+        found["cauchy_stress"], mu[:, None] * expected, rtol=1e-10, atol=1e-6
+    )
+    a = 0.5 * g + np.sqrt(1.0 + 0.25 * g * g)
+    np.testing.assert_allclose(
+        found["principal_stretches"], np.tile([a, 1.0, 1.0 / a], (model.n_tets, 1))
+    )
+
+
+def test_stress_of_a_turned_stretch_with_change_of_volume(model, tmp_path):
+    """sigma = (mu (b - I) + lambda ln J I) / J, in the axes of the deformed body."""
+    stretch = np.diag([1.3, 0.9, 1.05])
+    F = TURN @ stretch
+    write_vtu(tmp_path / "a.vtu", model, model.mesh.points @ (F - np.eye(3)).T)
+    grid = pyvista.read(tmp_path / "a.vtu")
+    E, nu = np.asarray(model.law.E), 0.4
+    mu, lam = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+    J = np.linalg.det(F)
+    b = F @ F.T
+    sigma = np.einsum("e,ij->eij", mu / J, b - np.eye(3))
+    sigma += np.einsum("e,ij->eij", lam * np.log(J) / J, np.eye(3))
+    expected = np.stack([sigma[:, i, j] for i, j in ORDER], axis=1)
+    np.testing.assert_allclose(
+        grid.cell_data["cauchy_stress"], expected, rtol=1e-9, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        grid.cell_data["principal_stretches"],
+        np.tile([1.3, 1.05, 0.9], (model.n_tets, 1)),
+    )
+    array = grid.GetCellData().GetArray("cauchy_stress")
+    names = [array.GetComponentName(k) for k in range(6)]
+    assert names == ["XX", "YY", "ZZ", "XY", "YZ", "XZ"]
+
+
+def test_mean_stress_of_bent_tets_is_that_of_their_nodal_forces(tmp_path):
+    """Sum over nodes of x f^T = integral of sigma over the body, without loads inside.
+
+    The forces are the gradient of the energy, by autodiff; in the mixed formulation
+    the stress has a part that the law alone has not.
+    """
+    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
+    model = build_model(
+        mesh, NeoHookean(2e5, 0.4), density=1e3, formulation="mean-dilatation"
+    )
+    u = sag(mesh)
+    write_vtu(tmp_path / "a.vtu", model, u)
+    grid = pyvista.read(tmp_path / "a.vtu").warp_by_vector("displacement")
+    energy = lambda u: jnp.sum(strain_energy(model, u))
+    force = np.asarray(jax.jit(jax.grad(energy))(jnp.asarray(u)))
+    virial = (mesh.points + u).T @ force
+    # VTK integrates the deformed quadratic tets coarsely; sum over their sub-tets.
+    J = np.asarray([np.linalg.det(F) for F in bent_gradients(mesh, u)])
+    deformed = J * volumes(mesh)
+    total = np.einsum("e,ek->k", deformed, grid.cell_data["cauchy_stress"])
+    expected = [virial[i, j] for i, j in ORDER]
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(total, expected, rtol=0, atol=1e-9 * size)
+
+
+def bent_gradients(mesh, u):
+    """A matrix per tet whose determinant is its volume over that at rest."""
+    from softcal_jax.elements import shape_gradients, tet_rule
+
+    # Degree 4 is exact for the cubic determinant.
+    rule = tet_rule(4)
+    dN = shape_gradients(rule.barycentric, 10)
+    x, X = (mesh.points + u)[mesh.tets], mesh.points[mesh.tets]
+    now, rest = (np.linalg.det(np.einsum("eai,qaj->eqij", y, dN)) for y in (x, X))
+    ratio = (now @ rule.weights) / (rest @ rule.weights)
+    return ratio[:, None, None] ** (1.0 / 3.0) * np.eye(3)
+
+
+def test_fibre_directions_of_each_tet(tmp_path):
+    """u = cos(theta) x + sin(theta) z; a second family at -theta."""
+    mesh = beam(0.1, 0.02, 0.02, (5, 1, 1))
+    theta = np.linspace(-1.0, 1.0, mesh.n_tets)
+    law = Corotational(ReducedTransverseIsotropic(5e5, 2e5, 0.3, Fibre(theta)))
+    along = lambda t: np.stack([np.cos(t), 0.0 * t, np.sin(t)], axis=1)
+    model = build_model(mesh, law, density=1e3)
+    write_vtu(tmp_path / "a.vtu", model, sag(mesh))
+    found = cells_of(tmp_path / "a.vtu")
+    np.testing.assert_allclose(found["fibre_direction"], along(theta), atol=1e-12)
+    np.testing.assert_array_equal(found["theta"], theta)
+
+    wound = FibreReinforced(NeoHookean(2e5, 0.4), 1e6, Fibre(theta), families=2)
+    write_vtu(tmp_path / "b.vtu", build_model(mesh, wound, density=1e3), sag(mesh))
+    found = cells_of(tmp_path / "b.vtu")
+    np.testing.assert_allclose(found["fibre_direction_2"], along(-theta), atol=1e-12)
+
+
+def test_fibre_of_angles_at_quadrature_points(tmp_path):
+    """89 and 91 degrees are two axes about 90; their mean angles may be 0."""
+    mesh = beam(0.1, 0.02, 0.02, (1, 1, 1), order=2)
+    angles = np.deg2rad([89.0, -89.0, 89.5, -89.5])
+    theta = PointValues(jnp.tile(jnp.asarray(angles), (mesh.n_tets, 1)))
+    law = Corotational(ReducedTransverseIsotropic(5e5, 2e5, 0.3, Fibre(0.0)))
+    model = build_model(mesh, law, density=1e3)
+    model = eqx.tree_at(lambda m: m.law.elasticity.fibre.theta, model, theta)
+    write_vtu(tmp_path / "a.vtu", model, sag(mesh))
+    found = cells_of(tmp_path / "a.vtu")["fibre_direction"]
+    np.testing.assert_allclose(np.abs(found @ [0, 0, 1]), 1.0, rtol=1e-9)
+
+
+def test_standard_errors_stand_beside_their_fields(tmp_path):
+    model = small_model()
+    errors = {"E": np.linspace(1e3, 2e3, model.n_tets), "density": np.full(30, np.nan)}
+    write_vtu(tmp_path / "a.vtu", model, sag(model.mesh), standard_errors=errors)
+    found = cells_of(tmp_path / "a.vtu")
+    np.testing.assert_array_equal(found["E_standard_error"], errors["E"])
+    assert np.isnan(found["density_standard_error"]).all()
+    assert "nu_standard_error" not in found
+
+
+def test_collection_of_configurations(tmp_path):
+    """VTK's reader finds a time for each configuration, with all of its files."""
+    model = small_model()
+    for k, name in enumerate(("a & b", "c", "c_robot")):
+        write_vtu(tmp_path / f"{name}.vtu", model, (k + 1) * sag(model.mesh))
+    write_pvd(tmp_path / "all.pvd", [["a & b.vtu"], ["c.vtu", "c_robot.vtu"]])
+    reader = pyvista.PVDReader(tmp_path / "all.pvd")
+    found = [(own.time, own.part) for own in reader.datasets]
+    assert found == [(0.0, 0), (1.0, 0), (1.0, 1)]
+    reader.set_active_time_value(1.0)
+    blocks = reader.read()
+    assert len(blocks) == 2
+    np.testing.assert_array_equal(blocks[1]["displacement"], 3 * sag(model.mesh))
+    with pytest.raises(ValueError, match=r"must end in \.pvd, got 'all\.vtu'"):
+        write_pvd(tmp_path / "all.vtu", [])
+
+
 def test_fields_of_one_name_keep_their_path(tmp_path):
     model = two_elasticities()
     write_vtu(tmp_path / "a.vtu", model, sag(model.mesh))
     read = meshio.read(tmp_path / "a.vtu").cell_data
     assert set(read) == {
+        "cauchy_stress",
+        "principal_stretches",
         "strain_energy_density",
         "density",
         "first.E",
