@@ -81,7 +81,7 @@ def law_for_sofa(
     if any(is_point_values(leaf) for leaf in _constants(law)):
         raise ValueError(
             "the law has constants that differ within a tet, and SOFA knows one per "
-            "tet; give one value per tet."
+            'tet; take sampling = "centroids" for the parameters, the default.'
         )
     elasticity = getattr(law, "elasticity", None)
     if isinstance(law, Corotational | ClassicalCorotational):

@@ -14,6 +14,7 @@ from softcal_jax.materials import SofaRotation
 from softcal_jax.project import Project, load_project
 from softcal_jax.report import LoadedResult
 from softcal_jax.sofa._component import SofaLaw, law_for_sofa
+from softcal_jax.sofa._plugin_elasticity import PluginElasticity
 
 
 class NotConvergedError(RuntimeError):
@@ -57,6 +58,13 @@ def model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Mod
     """
     model = project.model
     own = law_for_sofa(model.law, model.mesh, choice=law, rotation=rotation)
+    assert project.space is not None  # it has been calibrated
+    of_plugin = isinstance(getattr(own, "elasticity", None), PluginElasticity)
+    if of_plugin and "mu_l" in project.space.field_names:
+        raise ValueError(
+            "mu_l is a parameter, but the plugin Anisotropy takes the shear modulus "
+            "along the fibre from E_t; calibrate without it, and export that."
+        )
     return model_for_law(model, own)
 
 

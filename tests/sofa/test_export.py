@@ -2,11 +2,11 @@
 
 import dataclasses
 import json
-import warnings
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from anisotropic_project import write_measured_project
 from scene_equilibrium import solve
 from small_project import write_small_project
 from sofa_standin import run
@@ -28,15 +28,20 @@ COROTATIONAL = ('law = "neo-hookean"', 'law = "corotational"')
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
+def no_pictures():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_write, "rendering_problem", lambda: "no pictures")
+        yield
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory, no_pictures):
     """Results of the small project with quadratic tets, and with linear ones."""
     folder = tmp_path_factory.mktemp("sofa")
     changes = {"quadratic": (QUICK, QUADRATIC, COROTATIONAL), "linear": (QUICK,)}
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
-        warnings.simplefilter("ignore", _write.PictureWarning)
-        patch.setattr(_write, "rendering_problem", lambda: "no pictures")
-        for name, own in changes.items():
-            path = write_small_project(folder / f"{name}_project", *own)
+    for name, own in changes.items():
+        path = write_small_project(folder / f"{name}_project", *own)
+        with pytest.warns(_write.PictureWarning):
             write_results(load_project(path).calibrate(), folder / name)
     return folder
 
@@ -96,3 +101,27 @@ def test_nothing_is_written_without_convergence(results, tmp_path):
     with pytest.raises(NotConvergedError, match="did not converge after 1 steps"):
         export_sofa(loaded, tmp_path / "scene", law="corotational")
     assert not (tmp_path / "scene").exists()
+
+
+def test_a_beam_with_a_fibre_takes_what_the_plugin_computes(
+    tmp_path, no_pictures, monkeypatch
+):
+    """Its E_t at two control points; E_l and the angle are known here."""
+    path = write_measured_project(tmp_path / "robot")
+    text = path.read_text()
+    first, last = text.index('[[parameters]]\nfield = "E_l"'), text.index("[markers]\n")
+    path.write_text(text[:first] + "[settings]\nintervals = 0\n\n" + text[last:])
+    with pytest.warns(_write.PictureWarning):
+        write_results(load_project(path).calibrate(), tmp_path / "results")
+    found = export_sofa(tmp_path / "results", tmp_path / "scene")
+    assert found.component == "TetrahedronAnisotropicForceField"
+    assert "the values make up for both" in found.notes[0]
+    readme = (tmp_path / "scene" / "README.md").read_text()
+    assert "must be built from source" in readme
+    assert "-l Anisotropy" in readme
+    root, monitor = run(tmp_path / "scene", "v26.06", monkeypatch)
+    x, X = solve(root)
+    monitor.state.position.value = x.tolist()
+    predicted = [own["predicted"] for own in monitor.effectors]
+    off = np.abs(np.array(monitor.positions()) - predicted).max()
+    assert off < 1e-6 * np.abs(x - X).max()
