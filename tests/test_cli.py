@@ -9,6 +9,7 @@ from importlib.metadata import version
 
 import numpy as np
 import pytest
+import pyvista
 from anisotropic_project import write_measured_project
 from small_project import write_small_project
 
@@ -321,6 +322,11 @@ def test_calibrate_fields_of_an_anisotropic_beam(tmp_path, out, capsys):
     assert data["identifiability"]["verdict"] == "not identifiable"
     names = [p["name"] for p in data["parameters"]]
     assert [p["name"] for p in data["identifiability"]["parameters"]] == names
+    (first, *_) = data["configurations"]
+    tets = pyvista.read(out / first["files"][0]).cell_data
+    fields = {"E_t", "E_l", "theta"}
+    assert fields | {f"{own}_standard_error" for own in fields} <= set(tets)
+    np.testing.assert_allclose(np.linalg.norm(tets["fibre_direction"], axis=1), 1.0)
 
 
 @pytest.mark.parametrize("command", ["calibrate", "simulate", "identify"])

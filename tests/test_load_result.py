@@ -93,7 +93,7 @@ def test_both_folders_may_move_together(folder, tmp_path):
 
 def test_a_project_that_moved_alone(folder, tmp_path):
     shutil.move(folder / "robot", tmp_path / "elsewhere")
-    with pytest.raises(ResultError, match=r"project\.toml is missing.*\n.*project="):
+    with pytest.raises(ResultError, match=r"(?s)project\.toml is missing.*project="):
         load_result(folder / "out")
     moved = tmp_path / "elsewhere" / "project.toml"
     assert load_result(folder / "out", project=moved).project.path == moved
@@ -132,7 +132,7 @@ def test_changes_of_the_file_are_made_again(folder, calibrated):
     assert float(loaded.model.law.nu) == 0.35
 
 
-def test_one_that_did_not_converge_says_so(folder, calibrated):
+def test_one_that_did_not_converge_says_so(folder, calibrated, capsys):
     result = dataclasses.replace(
         calibrated[1], source=load_result(folder / "out").project.source
     )
@@ -141,6 +141,10 @@ def test_one_that_did_not_converge_says_so(folder, calibrated):
     with pytest.warns(ResultWarning, match="early.*did not converge: do not use"):
         loaded = load_result(folder / "early")
     assert not loaded.converged
+    argv = ["export", "inp", str(folder / "early"), "-o", str(folder / "job.inp")]
+    assert main([*argv, "--configuration", "weight"]) == 0
+    text = capsys.readouterr().out
+    assert f"warning: {folder / 'early' / 'result.json'}: the calibration did" in text
 
 
 def test_made_in_python(tmp_path, monkeypatch):
@@ -202,7 +206,8 @@ def test_a_configuration_with_calibrated_loads(folder):
     # As if the load had been calibrated as well, to 1.2 times what is stated.
     more = ParameterSpace((*loaded.space.entries, load_factor(prior_std=0.1)))
     z = more.to_scaled(jnp.array([loaded.values["E"], 1.2]))
-    heavier = dataclasses.replace(loaded, space=more, z=z).posed("pulled")[1]
+    two = {"space": more, "z": z, "covariance": np.eye(2)}
+    heavier = dataclasses.replace(loaded, **two).posed("pulled")[1]
     total = np.asarray(heavier.dead_loads).sum(axis=0)
     np.testing.assert_allclose(total, [0.024, 0.0, -0.06], atol=1e-15)
 
@@ -214,7 +219,39 @@ def test_included_files_of_a_mesh_belong_to_it(tmp_path):
     assert [path.name for path in found] == ["body.inp", "nodes.inp"]
 
 
-def test_the_command_warns_in_a_line(folder, calibrated, capsys):
+def test_export_of_an_input_file(folder, capsys):
+    """The calibrated modulus is in it; nothing is replaced unasked."""
+    job = folder / "job.inp"
+    argv = ["export", "inp", str(folder / "out"), "-o", str(job)]
+    assert main(argv) == 2
+    assert "configurations 'weight' and 'pulled'; name" in capsys.readouterr().err
+    assert main([*argv, "--configuration", "pulled"]) == 0
+    text, errors = capsys.readouterr()
+    assert errors == ""
+    assert "Note: *HYPERELASTIC, NEO HOOKE splits off the change of volume" in text
+    assert f"Wrote {job}." in text
+    lines = job.read_text().splitlines()
+    assert lines[1] == "small: pulled"
+    C10 = float(lines[lines.index("*HYPERELASTIC, NEO HOOKE") + 1].split(",")[0])
+    E = sc.load_result(folder / "out").values["E"]
+    np.testing.assert_allclose(C10, E / 2.6 / 2)
+
+    assert main([*argv, "--configuration", "weight"]) == 2
+    assert "job.inp exists already" in capsys.readouterr().err
+    assert main([*argv, "--configuration", "weight", "--force"]) == 0
+    assert job.read_text().splitlines()[1] == "small: weight"
+    argv[-1] = str(folder / "none" / "job.inp")
+    assert main([*argv, "--configuration", "weight"]) == 2
+    assert "there is no folder" in capsys.readouterr().err
+
+
+def test_export_without_a_format(capsys):
+    with pytest.raises(SystemExit):
+        main(["export"])
+    assert "FORMAT" in capsys.readouterr().err
+
+
+def test_export_of_what_has_changed(folder, capsys):
     """A changed file is bad input; the text is that of the library."""
     (folder / "robot" / "markers.csv").write_text("")
     job = folder / "job.inp"

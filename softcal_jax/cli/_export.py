@@ -180,6 +180,11 @@ def _export(
             f"error: {output} exists already. Choose another name, or replace it with "
             "--force.",
         )
+    if not output.parent.is_dir():
+        raise Stop(
+            BAD_INPUT,
+            f"error: there is no folder {output.parent}. Make it, or choose another.",
+        )
     from softcal_jax.project import load_project
     from softcal_jax.report import load_result
 

@@ -13,8 +13,8 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
     deformation_gradients,
-    element_cauchy,
     element_energy_and_force,
+    element_state,
     element_stiffness,
     mean_dilatation,
     mixed_newton,
@@ -94,9 +94,7 @@ def _states(model: Model, u: Float[Array, "n_points 3"]):
 
 
 def _state(u, dN, w, law, active, formulation):
-    F = deformation_gradients(u, dN)
-    energy, _ = element_energy_and_force(u, dN, w, law, formulation)
-    cauchy = element_cauchy(F, u, dN, w, law, formulation)
+    energy, cauchy, F = element_state(u, dN, w, law, formulation)
     return active * energy, active * cauchy, F
 
 

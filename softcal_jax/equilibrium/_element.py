@@ -80,21 +80,21 @@ def element_energy_and_force(
     return jnp.sum(w * psi), _push(P, dN)
 
 
-def element_cauchy(
-    F: Float[Array, "n_qp 3 3"],
+def element_state(
     u: Float[Array, "n_en 3"],
     dN: Float[Array, "n_qp n_en 3"],
     w: Float[Array, " n_qp"],
     law: AbstractLaw,
     formulation: Formulation,
-) -> Float[Array, "3 3"]:
-    """Compute the mean Cauchy stress of a tet over its volume [Pa].
+) -> tuple[Float[Array, ""], Float[Array, "3 3"], Float[Array, "n_qp 3 3"]]:
+    """Compute strain energy [J], mean Cauchy stress [Pa] and F of a tet.
 
     sigma = P F^T / J, so its integral over the deformed tet is that of P F^T at rest.
     """
-    _, P = _energies_and_stresses(F, u, dN, w, law, formulation)
-    volume = jnp.sum(w * jax.vmap(determinant)(F))
-    return jnp.sum(jax.vmap(matmul)(P, jnp.swapaxes(F, 1, 2)), axis=0) / volume
+    F = deformation_gradients(u, dN)
+    psi, P = _energies_and_stresses(F, u, dN, w, law, formulation)
+    force = jnp.sum(jax.vmap(matmul)(P, jnp.swapaxes(F, 1, 2)), axis=0)
+    return jnp.sum(w * psi), force / jnp.sum(w * jax.vmap(determinant)(F)), F
 
 
 def _energies_and_stresses(

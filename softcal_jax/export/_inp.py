@@ -9,7 +9,7 @@ import numpy as np
 
 from softcal_jax._names import listed
 from softcal_jax._places import partial_of
-from softcal_jax._typing import HostArray, Int
+from softcal_jax._typing import Bool, HostArray, Int
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
@@ -153,7 +153,7 @@ def _materials(model: Model) -> tuple[list[str], list[str]]:
         lines += [f"*ELSET, ELSET=E{k + 1}", *_members(tets)]
         lines += [f"*MATERIAL, NAME=M{k + 1}", law.keyword]
         lines += _rows(map(_number, constants))
-        lines += ["*DENSITY", _number(rho)] * (rho > 0.0)
+        lines += ["*DENSITY", _number(rho)] if rho > 0.0 else []
         lines.append(f"*SOLID SECTION, ELSET=E{k + 1}, MATERIAL=M{k + 1}{axes}")
     return notes, lines
 
@@ -188,7 +188,7 @@ def _supports(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
         return
     yield "*BOUNDARY"
     for node, axis in np.argwhere(fixed):
-        value = _number(imposed[node, axis])
+        value = _number(float(imposed[node, axis]))
         yield f"{node + 1}, {axis + 1}, {axis + 1}, {value}"
 
 
@@ -198,7 +198,7 @@ def _loads(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     if force.any():
         yield "*CLOAD"
         for node, axis in np.argwhere(force):
-            yield f"{node + 1}, {axis + 1}, {_number(force[node, axis])}"
+            yield f"{node + 1}, {axis + 1}, {_number(float(force[node, axis]))}"
     g = np.asarray(c.acceleration)
     size = float(np.linalg.norm(g))
     if size > 0.0 and np.any(np.asarray(model.density) > 0.0):
@@ -244,10 +244,42 @@ def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     if not acting.any():
         return
     walls = actuator_geometry(actuators, np.asarray(model.mechanism.points))
+    for a, (name, kind) in enumerate(
+        zip(actuators.names, actuators.kinds, strict=True)
+    ):
+        if acting[a] and kind.displacement_unit == "m3":
+            own = walls.faces[walls.face_owner == a]
+            _check_rims(f"{kind.noun} {name!r}", own, np.asarray(c.fixed))
     corners = np.sort(tet_faces(model.mesh.tets)[:, :3], axis=1)
     place = {tuple(face): i for i, face in enumerate(corners.tolist())}
     yield "*DLOAD"
     for face, owner in zip(np.sort(walls.faces[:, :3]), walls.face_owner, strict=True):
         if acting[owner]:
             tet, side = divmod(place[tuple(face.tolist())], 4)
-            yield f"{tet + 1}, P{side + 1}, {_number(forces[owner])}"
+            yield f"{tet + 1}, P{side + 1}, {_number(float(forces[owner]))}"
+
+
+def _check_rims(
+    owner: str,
+    faces: Int[HostArray, "n_faces n_fn"],
+    fixed: Bool[HostArray, "n_points 3"],
+) -> None:
+    """Raise unless the wall of a chamber is closed, or held where it is open.
+
+    The pressure on what closes an opening is no load of the file; it acts on the rim,
+    and goes into the supports if that is held.
+    """
+    sides = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]
+    n_ln = 2 if faces.shape[1] == 3 else 3
+    edges = np.concatenate([faces[:, side[:n_ln]] for side in sides])
+    _, inverse, counts = np.unique(
+        np.sort(edges[:, :2], axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    rim = np.unique(edges[counts[inverse.ravel()] == 1])
+    free = rim[~fixed[rim].all(axis=1)]
+    if free.size:
+        raise ValueError(
+            f"{owner}: its wall is open, and the pressure on what closes it acts on "
+            f"the rim, of which {free.size} nodes are not held. Hold the rim, or close "
+            "the cavity in the mesh."
+        )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.equilibrium import Model
 from softcal_jax.materials import (
     AbstractElasticity,
@@ -171,13 +171,13 @@ def _(law: Ogden) -> tuple:
     return f"*HYPERELASTIC, OGDEN, N={len(terms)}", (*distortion, *volume), _VOLUME
 
 
-def _D(bulk) -> HostArray:
+def _D(bulk: Float[Array, "..."]) -> HostArray:
     """Compute D_1 = 2 / K [1/Pa].
 
     Raises:
         ValueError: If CalculiX would take another number.
     """
-    D = 2.0 / np.asarray(bulk)
+    D = np.asarray(2.0 / bulk)
     if np.any(D < SMALLEST_D):
         raise ValueError(
             f"D1 = 2 / K would be {D.min():.3g} 1/Pa, and below {SMALLEST_D:g} "

@@ -43,7 +43,7 @@ def field_standard_errors(
     root[known] = directions * np.sqrt(np.maximum(size, 0.0))
     tangents = np.concatenate([root, np.eye(len(known))[:, ~known]], axis=1)
     counts = np.concatenate([np.ones(root.shape[1]), np.zeros(int((~known).sum()))])
-    found = _propagated(model, space, z, tangents.T, counts)
+    found = _propagated(model, space, z, jnp.asarray(tangents.T), jnp.asarray(counts))
     return {
         name: np.where(np.asarray(lost) > 0.0, np.nan, np.sqrt(np.asarray(variance)))
         for name, (variance, lost) in zip(space.field_names, found, strict=True)

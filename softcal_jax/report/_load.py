@@ -159,7 +159,9 @@ def load_result(
     path = Path(path)
     path = path / RESULT if path.is_dir() else path
     data, source = _read(path)
-    at = path.parent.resolve() / source.project.file if project is None else project
+    at = project
+    if at is None:
+        at = os.path.normpath(path.parent.resolve() / source.project.file)
     _check_unchanged(path, Path(at), source)
     # Given, so that what `load_project` warns of is not said again.
     loaded = load_project(at, changes=source.changes)
@@ -241,7 +243,9 @@ def _check_format(path: Path, found: str) -> None:
 
 def _check_unchanged(path: Path, project: Path, source: _Source) -> None:
     """Raise unless project, mesh and measurements are what they were."""
-    named = [(project.parent / own.file, own.sha256) for own in source.files]
+    named = []
+    if project.is_file():  # else there is no place to look for the others
+        named = [(project.parent / own.file, own.sha256) for own in source.files]
     problems = []
     for file, digest in ((project, source.project.sha256), *named):
         if not file.is_file():

@@ -25,6 +25,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import build_model, solve_from_rest
 from softcal_jax.export import write_inp
+from softcal_jax.export._inp import _check_rims
 from softcal_jax.materials import (
     Corotational,
     Fibre,
@@ -409,6 +410,22 @@ def test_pressure_acts_on_the_wall(order, tmp_path):
     assert not only(blocks, "DENSITY")
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_an_open_wall_must_be_held_at_its_rim(order):
+    """One face fewer leaves a rim of three corners, and their mid nodes."""
+    model, _ = inflated(order)
+    wall = model.mesh.surface_groups["cavity"]
+    fixed = np.zeros((model.n_points, 3), bool)
+    _check_rims("chamber 'c'", wall, fixed)
+    fixed[wall[0]] = True
+    _check_rims("chamber 'c'", wall[1:], fixed)
+    fixed[wall[0, -1], 1] = False
+    with pytest.raises(
+        ValueError, match=r"chamber 'c': its wall is open.* 1 nodes are"
+    ):
+        _check_rims("chamber 'c'", wall[1:], fixed)
+
+
 def solved_by_calculix(folder, n_nodes):
     """Run CalculiX, and read the displacements at the end of the step."""
     done = subprocess.run(
@@ -434,7 +451,10 @@ def difference(folder, model, lane):
     assert bool(solution.converged[0])
     ours = np.asarray(solution.displacement[0])[: model.mesh.n_nodes]
     motion = np.linalg.norm(ours, axis=1).max()
-    return np.linalg.norm(theirs - ours, axis=1).max() / motion, motion
+    apart = np.linalg.norm(theirs - ours, axis=1).max() / motion
+    # With -s, for the README.
+    print(f"{100 * apart:.5f} % of {1e3 * motion:.1f} mm", end=" ")
+    return apart, motion
 
 
 needs_calculix = pytest.mark.skipif(
@@ -442,25 +462,20 @@ needs_calculix = pytest.mark.skipif(
 )
 
 
-def bent_bar(law, order=2, cells=(8, 2, 2), **supports):
-    """A bar whose tip goes down by about a third of its length."""
-    model = bar(law, order=order, cells=cells)
+def bent_bar(law, order=2, supports="x_min", **options):
+    """A bar whose tip goes down by a quarter of its length."""
+    model = bar(law, order=order, cells=(8, 2, 2), **options)
     loads = EdgeForce(tip_edge(model.mesh), (0.0, 0.0, -0.04))
-    held = supports.get("supports", "x_min")
-    return model, lane_of(model, Configuration("bent", held, loads=loads))
+    return model, lane_of(model, Configuration("bent", supports, loads=loads))
 
 
+ACROSS = TransverseIsotropic(3e5, 1.5e5, 0.3, 0.25, 8e4, Fibre(0.4, 0.2))
 FIELD = np.linspace(1.5e5, 3e5, 8 * 2 * 2 * 6)
 
 SAME = {
     "st venant-kirchhoff": (StVenantKirchhoff(Isotropic(2e5, 0.3)), 1e-3),
     "of each tet": (StVenantKirchhoff(Isotropic(FIELD, 0.3)), 1e-3),
-    "anisotropic": (
-        StVenantKirchhoff(
-            TransverseIsotropic(3e5, 1.5e5, 0.3, 0.25, 8e4, Fibre(0.4, 0.2))
-        ),
-        1e-3,
-    ),
+    "anisotropic": (StVenantKirchhoff(ACROSS), 1e-3),
     "mooney-rivlin": (MooneyRivlin(2e4, 1.4e4, 0.45), 1e-3),
     "yeoh": (Yeoh(3.4e4, -3e3, 1e3, 0.45), 1e-3),
     "ogden": (Ogden(4e4, 2.5, -4e3, -2.0, nu=0.45), 1e-3),
@@ -468,11 +483,20 @@ SAME = {
 """Laws that CalculiX has, up to the change of volume at second order."""
 
 
+SIMILAR = {
+    "neo-hookean, nu 0.3": (NeoHookean(2e5, 0.3), 5e-3),
+    "neo-hookean, nu 0.45": (NeoHookean(2e5, 0.45), 2e-3),
+    "corotational": (Corotational(Isotropic(2e5, 0.3)), 1e-2),
+    "corotational, anisotropic": (Corotational(ACROSS), 1e-2),
+}
+"""Laws that agree for small strain; what differs is said in the notes."""
+
+
 @pytest.mark.slow
 @needs_calculix
-@pytest.mark.parametrize("name", SAME)
+@pytest.mark.parametrize("name", [*SAME, *SIMILAR])
 def test_calculix_bends_a_bar_as_we_do(name, tmp_path):
-    law, allowed = SAME[name]
+    law, allowed = (SAME | SIMILAR)[name]
     found, motion = difference(tmp_path, *bent_bar(law))
     assert motion > 0.2 * SIZE[0]
     assert found < allowed
@@ -481,24 +505,39 @@ def test_calculix_bends_a_bar_as_we_do(name, tmp_path):
 @pytest.mark.slow
 @needs_calculix
 @pytest.mark.parametrize(
-    "law",
-    [NeoHookean(2e5, 0.3), NeoHookean(2e5, 0.45), Corotational(Isotropic(2e5, 0.3))],
+    ("order", "formulation"), [(1, "displacement"), (2, "displacement")]
 )
-def test_calculix_bends_a_bar_of_a_similar_law(law, tmp_path):
-    """Laws that agree for small strain; what differs is said in the notes."""
-    found, motion = difference(tmp_path, *bent_bar(law))
-    assert motion > 0.2 * SIZE[0]
-    assert found < 1e-2
+def test_calculix_with_nearly_incompressible_tets(order, formulation, tmp_path):
+    """Without the mean change of volume, both lock alike."""
+    law = Yeoh(3.4e4, -3e3, 1e3, 0.499)
+    found, _ = difference(tmp_path, *bent_bar(law, order, formulation=formulation))
+    assert found < 1e-3
 
 
 @pytest.mark.slow
 @needs_calculix
-@pytest.mark.parametrize("order", [1, 2])
-def test_calculix_inflates_a_cube_as_we_do(order, tmp_path):
-    law = Yeoh(3.4e4, -3e3, 1e3, 0.45)
-    found, motion = difference(tmp_path, *inflated(order, law, 1.5e4))
-    assert motion > 0.01
-    assert found < 1e-3
+def test_calculix_locks_where_we_do_not(tmp_path):
+    """The reason that the note gives: C3D10 has no mean change of volume."""
+    found, _ = difference(tmp_path, *bent_bar(Yeoh(3.4e4, -3e3, 1e3, 0.499)))
+    assert 0.02 < found < 0.3
+
+
+@pytest.mark.slow
+@needs_calculix
+@pytest.mark.parametrize(
+    ("order", "pressure", "allowed"),
+    [(1, 1.5e4, 1e-4), (2, 1.5e4, 5e-3), (2, 1.5e3, 5e-4)],
+)
+def test_calculix_inflates_a_cube_as_we_do(order, pressure, allowed, tmp_path):
+    """Pressures follow the wall in both programs.
+
+    On curved faces the product of area vector and shape functions is of degree 4, for
+    which CalculiX has too few points: the difference falls with the curvature.
+    """
+    law = StVenantKirchhoff(Isotropic(2e5, 0.3))
+    found, motion = difference(tmp_path, *inflated(order, law, pressure))
+    assert motion > 1e-3
+    assert found < allowed
 
 
 @pytest.mark.slow
@@ -506,5 +545,7 @@ def test_calculix_inflates_a_cube_as_we_do(order, tmp_path):
 def test_calculix_on_elastic_supports(tmp_path):
     law = StVenantKirchhoff(Isotropic(2e5, 0.3))
     soft = Support("x_min", stiffness=2e8)
-    found, _ = difference(tmp_path, *bent_bar(law, supports=soft))
-    assert found < 1e-3
+    rigid = difference(tmp_path, *bent_bar(law))
+    found = difference(tmp_path, *bent_bar(law, supports=soft))
+    assert found[0] < 1e-3
+    assert found[1] > 1.02 * rigid[1]

@@ -36,6 +36,7 @@ def test_result_is_strict_json_with_all_its_keys(data):
         "format",
         "name",
         "converged",
+        "source",
         "parameters",
         "intervals",
         "configurations",
