@@ -15,8 +15,8 @@ from softcal_jax import export_icesl
 from softcal_jax.bodies import RigidBody
 from softcal_jax.equilibrium import build_model
 from softcal_jax.export import (
-    _icesl,
     _icesl_fields,
+    _icesl_report,
     _icesl_script,
     _icesl_settings,
     read_foam_table,
@@ -49,7 +49,7 @@ COARSE = 16
 @pytest.fixture
 def coarse(monkeypatch):
     """Fewer voxels than the slicer takes, where they are not what is tested."""
-    for module in (_icesl, _icesl_fields, _icesl_script, _icesl_settings):
+    for module in (_icesl_fields, _icesl_report, _icesl_script, _icesl_settings):
         monkeypatch.setattr(module, "N_VOXELS", COARSE)
 
 
