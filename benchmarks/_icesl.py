@@ -93,7 +93,8 @@ local function set_setting_value(name, value, low, high, ...)
          'a texture needs two corners')
   local steps = {}
   for index = 0, host.n ^ 3 - 1 do
-    steps[#steps + 1] = string.char((assert(value.steps[index], 'a voxel was not set')))
+    local step = assert(value.steps[index], 'a voxel was not set')
+    steps[#steps + 1] = string.format('%02x', step)
   end
   host.texture(name, table.concat(steps),
                low.x, low.y, low.z, high.x, high.y, high.z)
@@ -145,7 +146,7 @@ class Slicer:
         self.settings: dict[str, Any] = {}
         self.textures: dict[str, Texture] = {}
         self.part: Path | None = None
-        lua = lupa.lua51.LuaRuntime(encoding="latin-1", unpack_returned_tuples=True)
+        lua = lupa.lua51.LuaRuntime(unpack_returned_tuples=True)
         host = {
             "n": N,
             "rounds": stores == "rounded",
@@ -195,6 +196,6 @@ class Slicer:
             raise ValueError(f"{name} takes no texture")
         if name in self.settings or name in self.textures:
             raise ValueError(f"{name} is set twice")
-        values = np.frombuffer(steps.encode("latin-1"), np.uint8).reshape(N, N, N)
+        values = np.frombuffer(bytes.fromhex(steps), np.uint8).reshape(N, N, N)
         low, high = np.reshape(corners, (2, 3))
         self.textures[name] = Texture(values.transpose(2, 1, 0) / STEPS, low, high)

@@ -19,7 +19,8 @@ from softcal_jax.export._folder import (
     file_stems,
     results_folder,
 )
-from softcal_jax.export._icesl import IceslResult, write_icesl
+from softcal_jax.export._icesl import write_icesl
+from softcal_jax.export._icesl_report import IceslResult
 from softcal_jax.export._inp import write_inp
 from softcal_jax.export._json import (
     RESULT_FORMAT,

@@ -189,7 +189,7 @@ def _axis_moduli(
     Float[HostArray, " n"], Float[HostArray, " n"], Float[HostArray, "n 3"] | None
 ]:
     """Return E_t and E_l [Pa] and the fibre of a law with one value per place."""
-    own = getattr(law, "elasticity", law)
+    own: Any = getattr(law, "elasticity", law)
     each = lambda value: np.broadcast_to(np.asarray(value, float), (n,))
     if all(hasattr(own, name) for name in ("E_t", "E_l", "fibre")):
         fibre = np.asarray(own.fibre.direction(), float)

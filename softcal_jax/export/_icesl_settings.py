@@ -184,11 +184,13 @@ class _Textures:
         self.voxels = samples.voxels
         free = np.ones((N_VOXELS,) * 3, bool)
         free[tuple(self.voxels.T)] = False
-        self.nearest = distance_transform_edt(
-            free,
-            sampling=samples.grid.size,
-            return_distances=False,
-            return_indices=True,
+        self.nearest = np.asarray(
+            distance_transform_edt(
+                free,
+                sampling=samples.grid.size,
+                return_distances=False,
+                return_indices=True,
+            )
         )
 
     def __call__(

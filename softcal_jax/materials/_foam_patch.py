@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from softcal_jax._typing import Float, HostArray
 
@@ -98,7 +98,7 @@ class FoamPatch:
             Their anisotropy, then ln density, ln E_soft and ln E_stiff.
         """
         grid = self.samples()
-        tree = cKDTree(self.at(*grid.T)[:, 1:])
+        tree = KDTree(self.at(*grid.T)[:, 1:])
         x = _refined(self, asked, grid[tree.query(asked)[1]])
         return self.anisotropy(x[:, 1]), self.at(*x.T)
 

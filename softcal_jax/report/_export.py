@@ -96,18 +96,17 @@ def export_icesl(
     """
     if isinstance(result, str | os.PathLike):
         result = load_result(result)
-    model, space, z, title = result, None, None, "robot"
+    space, z, title = None, None, "robot"
     if isinstance(result, LoadedResult):
-        model, space, z = result.model, result.space, result.z
-        title = result.project.name
+        space, z, title = result.space, result.z, result.project.name
     elif isinstance(result, CalibrationResult):
-        model, space, z = result.model, result.space, result.z
+        space, z = result.space, result.z
     elif isinstance(result, Project):
-        model, space, title = result.model, result.space, result.name
+        space, title = result.space, result.name
         z = None if space is None else space.start()
     return write_icesl(
         Path(directory),
-        model,
+        result if isinstance(result, Model) else result.model,
         _foam(infill, table),
         space=space,
         z=z,
