@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from actuators.cavities import hollow
 from scene_equilibrium import solve
-from scenes import MESH, TIP, posed
+from scenes import DENSITIES, MESH, TIP, posed
 from sofa_standin import Node, components, run
 
 import softcal_jax as sc
@@ -15,7 +15,8 @@ from softcal_jax.configurations import PointForce, SurfaceForce
 from softcal_jax.materials import SofaCorotational, StVenantKirchhoff
 from softcal_jax.mesh import beam
 from softcal_jax.sofa import PluginElasticity
-from softcal_jax.sofa._configurations import check_robot
+from softcal_jax.sofa._configurations import check_robot, scene_configurations
+from softcal_jax.sofa._units import scale_of
 
 E = 2e5 * (1.0 + MESH.centroids[:, 0] / 0.1)
 FACTORS = {"mm-kg-s": 1e3, "SI": 1.0}
@@ -150,18 +151,21 @@ def test_other_laws(name, tmp_path, monkeypatch):
     assert_same_equilibrium(own, tmp_path / "scene", "v26.06", "mm-kg-s", monkeypatch)
 
 
-@pytest.mark.slow
-def test_cables_and_chambers(tmp_path, monkeypatch):
-    """Tension through guides, from the ground at either end, and a pressure."""
+def hollow_beam():
     full = beam(0.1, 0.02, 0.02, (5, 4, 4))
     away = np.abs(full.centroids - (0.05, 0.01, 0.01))
     mesh = hollow(full, np.all(away < (0.03, 0.005, 0.005), axis=1))
-    mesh = mesh.with_node_group("x_min", np.flatnonzero(mesh.points[:, 0] == 0.0))
+    return mesh.with_node_group("x_min", np.flatnonzero(mesh.points[:, 0] == 0.0))
+
+
+@pytest.mark.slow
+def test_cables_and_chambers(tmp_path, monkeypatch):
+    """Tension through guides, from the ground at either end, and a pressure."""
+    mesh = hollow_beam()
     path = [(0.02, 0.01, 0.02), (0.06, 0.01, 0.02), (0.1, 0.01, 0.02)]
-    ground = sc.Guide((-0.01, 0.01, 0.02), "ground")
     actuators = [
-        sc.Cable("from the ground", [ground, *path]),
-        sc.Cable("to the ground", [*path[::-1], ground]),
+        sc.Cable("from the ground", [GROUND, *path]),
+        sc.Cable("to the ground", [*path[::-1], GROUND]),
         sc.Cable("on the body", path),
         sc.Chamber("cavity", "cavity"),
     ]
@@ -186,6 +190,76 @@ def test_cables_and_chambers(tmp_path, monkeypatch):
     readme = (tmp_path / "scene" / "README.md").read_text()
     assert "-l SoftRobots -g batch -n 100" in readme
     assert_same_equilibrium(own, tmp_path / "scene", "v26.06", "mm-kg-s", monkeypatch)
+
+
+GROUND = sc.Guide((-0.01, 0.01, 0.02), "ground")
+FAR = sc.Guide((0.2, 0.01, 0.02), "ground")
+
+
+def written(configuration, *actuators):
+    """A configuration of a hollow beam as it is written in mm, not solved."""
+    mesh = hollow_beam()
+    law = SofaCorotational.of_mesh(mesh, sc.Isotropic(2e5, 0.3), "edge")
+    model = sc.build_model(mesh, law, density=1.0, actuators=actuators)
+    found = scene_configurations(
+        model,
+        DENSITIES,
+        DENSITIES.start(),
+        [configuration],
+        [np.zeros(mesh.points.shape)],
+        scale_of("mm-kg-s"),
+    )
+    return found[configuration.name]
+
+
+def test_imposed_lengths_and_volumes():
+    cable = sc.Cable("rope", [GROUND, (0.1, 0.01, 0.02)])
+    imposed = {
+        "rope": sc.ImposedDisplacement(0.002),
+        "cavity": sc.ImposedDisplacement(1e-7),
+    }
+    asked = sc.Configuration("wound", "x_min", actuation=imposed)
+    found = written(asked, cable, sc.Chamber("cavity", "cavity"))
+    (rope,), (cavity,) = found["cables"], found["chambers"]
+    assert (rope["value"], rope["value type"]) == (2.0, "displacement")
+    assert rope["pull point"] == [-10.0, 10.0, 20.0]
+    np.testing.assert_allclose(rope["points"], [[100.0, 10.0, 20.0]])
+    np.testing.assert_allclose(cavity["value"], 100.0)  # mm3
+    assert cavity["value type"] == "volumeGrowth"
+
+
+REFUSED = {
+    "two ends on the ground": (
+        {"supports": "x_min", "actuation": {"rope": sc.ImposedForce(1.0)}},
+        "'rope' has more than one guide on the ground",
+    ),
+    "volume beside a moved support": (
+        {
+            "supports": [sc.Support("x_min", displacement=(0.001, 0.0, 0.0))],
+            "actuation": {"cavity": sc.ImposedDisplacement(1e-7)},
+        },
+        "a chamber with an imposed volume is not written beside",
+    ),
+    "elastic support that moves": (
+        {
+            "supports": [
+                "x_min",
+                sc.Support("x_side", "x", (0.001, 0.0, 0.0), stiffness=1e5),
+            ]
+        },
+        "an elastic support that is moved is not written",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_configurations_that_a_scene_cannot_hold(name):
+    asked, message = REFUSED[name]
+    rope = sc.Cable("rope", [GROUND, (0.06, 0.01, 0.02), FAR])
+    with pytest.raises(ValueError, match=message):
+        written(
+            sc.Configuration("asked", **asked), rope, sc.Chamber("cavity", "cavity")
+        )
 
 
 def test_robots_that_a_scene_cannot_hold():
