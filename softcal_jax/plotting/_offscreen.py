@@ -57,9 +57,10 @@ def _backend() -> str | None:
     """Choose VTK's render window; None where its own choice is right."""
     if not sys.platform.startswith("linux") or os.environ.get(_CHOICE):
         return None  # macOS and Windows need no choice, or the user has chosen
-    # A program that already shows windows by GLX must stay with it: EGL would fail.
+    # A program that already shows windows by GLX must stay with it: EGL would fail. It
+    # needs a display for that; without one, gmsh has loaded the library and no more.
     maps = Path("/proc/self/maps").read_text(errors="replace")
-    if "/libGLX" in maps and "/libEGL" not in maps:
+    if os.environ.get("DISPLAY") and "/libGLX" in maps and "/libEGL" not in maps:
         return None
     # Avoid X11 otherwise: it warns without a DISPLAY and fails with a stale one.
     return _headless_backend()

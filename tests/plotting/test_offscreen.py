@@ -18,7 +18,8 @@ def machine(monkeypatch):
     """A machine with the given libraries, and EGL that works or does not."""
 
     def make(*libraries, egl=True):
-        monkeypatch.delenv(CHOICE, raising=False)
+        for variable in (CHOICE, "DISPLAY"):
+            monkeypatch.delenv(variable, raising=False)
         _offscreen._headless_backend.cache_clear()
         monkeypatch.setattr(_offscreen, "_can_load", lambda name: name in libraries)
         monkeypatch.setattr(_offscreen, "_egl_works", lambda: egl)
@@ -56,6 +57,18 @@ def test_vtk_is_told_what_to_take_only_while_it_draws(machine, libraries, egl, w
     with offscreen():
         assert os.environ[CHOICE] == window
     assert CHOICE not in os.environ
+
+
+def test_gmsh_is_no_program_with_windows(machine):
+    """It loads the library of GLX, and without a display that is all."""
+    try:
+        import gmsh
+    except (ImportError, OSError) as error:
+        pytest.skip(f"needs gmsh: {error}")
+    assert gmsh.GMSH_API_VERSION
+    machine("libEGL.so.1")
+    with offscreen():
+        assert os.environ[CHOICE] == "vtkEGLRenderWindow"
 
 
 def test_the_users_choice_stands(machine, monkeypatch):
