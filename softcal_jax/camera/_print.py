@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from softcal_jax._typing import Bool, HostArray
 from softcal_jax.camera._sheet import (
     BOARD_GAP,
     BOARD_IDS,
@@ -166,21 +167,31 @@ def _page(
 def _draw_tag(
     axes: "matplotlib.axes.Axes", number: int, middle: Sequence[float], size: float
 ) -> None:
-    """Draw a tag as rectangles of black cells, without seams along its rows."""
+    """Draw a tag: white cells on a black square.
+
+    Both their rows and their columns are drawn, so that no seams show between them.
+    """
     from matplotlib.patches import Rectangle
 
-    cell = size / CELLS
+    cell, white = size / CELLS, tag_cells(number)
     left, top = middle[0] - 0.5 * size, middle[1] + 0.5 * size
-    for row, cells in enumerate(tag_cells(number)):
-        for first, stop in _runs(~cells):
-            corner = left + first * cell, top - (row + 1) * cell
-            style = {"facecolor": "black", "edgecolor": "none", "snap": False}
-            axes.add_patch(Rectangle(corner, (stop - first) * cell, cell, **style))
+
+    def draw(row: int, column: int, rows: int, columns: int, colour: str) -> None:
+        corner = left + column * cell, top - (row + rows) * cell
+        style = {"facecolor": colour, "edgecolor": "none", "snap": False}
+        axes.add_patch(Rectangle(corner, columns * cell, rows * cell, **style))
+
+    draw(0, 0, CELLS, CELLS, "black")
+    for k in range(CELLS):
+        for first, stop in _runs(white[k]):
+            draw(k, first, 1, stop - first, "white")
+        for first, stop in _runs(white[:, k]):
+            draw(first, k, stop - first, 1, "white")
 
 
-def _runs(black: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Yield where runs of black cells begin, and where they end."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], black.astype(int), [0]])))
+def _runs(cells: Bool[HostArray, " n"]) -> Iterator[tuple[int, int]]:
+    """Yield where runs of cells that are set begin, and where they end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], cells.astype(int), [0]])))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 

@@ -31,11 +31,11 @@ def find_plateau(
 
     A marker has moved in a frame in which it is farther from where it was first seen
     than half of its largest distance from there; where no marker moves by more than
-    its noise, all frames count. Of the stretches of `length` in such frames, the one in
-    which the markers drift least, from its first half to its second, is the core.
-    The plateau is all frames around it, without a break, in which no marker is farther
-    from its mean over the core than 2 % of the largest motion and four standard
-    deviations of the noise.
+    its noise, all frames count. Of the stretches of `length` in such frames, the one
+    over which the marker that scatters most does so least is the core. The plateau is
+    all frames around it, without a break, in which no marker, averaged over five
+    frames, is farther from its mean over the core than 2 % of the largest
+    motion and four standard deviations of the noise.
 
     Args:
         times: Time of each frame in which to look [s].
@@ -64,19 +64,25 @@ def find_plateau(
     held = total >= HELD * np.maximum(seen.sum(axis=1), 1) if moving.any() else None
     held = np.ones(len(times), bool) if held is None else held & seen.any(axis=1)
     first, stop = _stretches(times, held, length)
-    middle = (first + stop) // 2
     mean = _means(positions)
-    drifts = np.linalg.norm(mean(middle, stop) - mean(first, middle), axis=2)
-    drift = np.where(np.isfinite(drifts), drifts, -np.inf).max(axis=1, initial=-np.inf)
-    drift = np.where(drift >= 0.0, drift, np.inf)  # of a stretch that sees no marker
-    if not np.any(np.isfinite(drift)):
+    # About where they were seen first, so that no digits are lost.
+    near = np.nan_to_num(_first_seen(positions))
+    square = _means(np.square(positions - near))(first, stop)
+    scatter = np.sum(square - np.square(mean(first, stop) - near), axis=2)
+    scatter = np.where(np.isfinite(scatter), scatter, -np.inf)
+    spread = scatter.max(axis=1, initial=-np.inf)
+    spread = np.where(spread > -np.inf, spread, np.inf)  # of one that sees no marker
+    if not np.any(np.isfinite(spread)):
         raise ValueError(
             f"the markers are held for less than {length:g} s away from where they "
             "begin: there is no plateau of that length."
         )
-    k = int(np.argmin(drift))
+    k = int(np.argmin(spread))
     best = int(first[k]), int(stop[k])
-    off = np.linalg.norm(positions - mean(first[k], stop[k]), axis=2)
+    # Over some frames, so that a single one that is off ends nothing.
+    around = np.clip(np.arange(len(times)) - FEWEST // 2, 0, len(times) - FEWEST)
+    smooth = mean(around, around + FEWEST)
+    off = np.linalg.norm(smooth - mean(first[k], stop[k]), axis=2)
     still = held & ~np.any(off > allowed, axis=1)
     breaks = np.flatnonzero(~still)
     start = int(breaks[breaks < best[0]].max(initial=-1)) + 1

@@ -168,6 +168,16 @@ def test_a_plateau_goes_on_while_something_that_moves_is_seen():
     assert stop > 4.7
 
 
+def test_a_single_frame_that_is_off_does_not_end_a_plateau():
+    recording = noisy()
+    positions = recording.positions.copy()
+    positions[500, 1] += 1e-3
+    off = Recording(NAMES, recording.times, positions, "run")
+    start, stop = off.plateau(0.5).window
+    assert start < 4.5
+    assert stop > 5.9
+
+
 def test_no_plateau():
     """A marker that never stands still, and one that is held for too short a time."""
     t = np.arange(400) / RATE
