@@ -88,10 +88,13 @@ def test_a_hole_without_ftetwild(holed, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_hole_is_filled_by_ftetwild_and_said(holed):
+def test_a_hole_is_filled_by_ftetwild_and_said(holed, tmp_path, monkeypatch):
+    """And nothing is left in the folder of the program."""
     pytest.importorskip("pytetwild")
+    monkeypatch.chdir(tmp_path)
     with pytest.warns(MeshWarning, match="3 edges .* So fTetWild filled it"):
         mesh = mesh_cad(holed, size=SIZE, length_unit="mm")
+    assert not list(tmp_path.iterdir())
     expected = box(*FINGER) - box(*CAVITY)
     assert volumes(mesh).sum() == pytest.approx(expected, rel=0.01)
     wall = select_cavity(mesh, MIDDLE)
