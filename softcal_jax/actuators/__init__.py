@@ -20,6 +20,7 @@ from softcal_jax.actuators._arrays import (
 from softcal_jax.actuators._cable import Cable, CableSegments, Guide
 from softcal_jax.actuators._cliques import ActuatorGeometry
 from softcal_jax.actuators._forces import ForceActuator, Motor, SurfaceForceActuator
+from softcal_jax.actuators._lid import ChamberLids, free_rim_nodes
 from softcal_jax.actuators._pressure import (
     Chamber,
     ChamberFaces,
@@ -35,6 +36,7 @@ __all__ = [
     "CableSegments",
     "Chamber",
     "ChamberFaces",
+    "ChamberLids",
     "ForceActuator",
     "Guide",
     "Kind",
@@ -50,4 +52,5 @@ __all__ = [
     "clique_nodes",
     "curvature_entries",
     "displacement_rows",
+    "free_rim_nodes",
 ]

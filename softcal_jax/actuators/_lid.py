@@ -5,6 +5,7 @@ is the cone from the rim of the opening to the mean of the rim. So the wall and 
 enclose a volume, and what the pressure does to a lid acts on the nodes of its rim.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_values
 from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
@@ -127,6 +128,25 @@ class ChamberLids(AbstractPotentialCliques):
         """Draw nothing: a lid has neither material nor faces of its own."""
         del x
         return ActuatorGeometry()
+
+
+def free_rim_nodes(
+    groups: Iterable[object], owner: int, fixed: Bool[HostArray, "n_points 3"]
+) -> int:
+    """Count the nodes on the rims of an actuator's lids that are not held.
+
+    The pressure on a lid acts on its rim. Where that is held it goes into the supports,
+    and a program without lids needs the pressure on the wall alone.
+
+    Args:
+        groups: Cliques of all actuators.
+        owner: Index of the actuator.
+        fixed: Which coordinates of the nodes are held.
+    """
+    lids = [group for group in groups if isinstance(group, ChamberLids)]
+    rims = [np.asarray(own.nodes)[np.asarray(own.owner) == owner] for own in lids]
+    free = [node for rim in rims for node in rim.ravel() if not fixed[node].all()]
+    return len(set(free))
 
 
 def lid(

@@ -9,8 +9,8 @@ import numpy as np
 
 from softcal_jax._names import listed
 from softcal_jax._places import partial_of
-from softcal_jax._typing import Bool, HostArray, Int
-from softcal_jax.actuators import actuator_geometry
+from softcal_jax._typing import HostArray, Int
+from softcal_jax.actuators import actuator_geometry, free_rim_nodes
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.export._inp_laws import inp_law
@@ -247,9 +247,13 @@ def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     for a, (name, kind) in enumerate(
         zip(actuators.names, actuators.kinds, strict=True)
     ):
-        if acting[a] and kind.displacement_unit == "m3":
-            own = walls.faces[walls.face_owner == a]
-            _check_rims(f"{kind.noun} {name!r}", own, np.asarray(c.fixed))
+        free = free_rim_nodes(actuators.groups, a, np.asarray(c.fixed))
+        if acting[a] and free:
+            raise ValueError(
+                f"{kind.noun} {name!r}: the pressure on what seals it acts on the rim "
+                f"of its opening, of which {free} nodes are not held, and a file has "
+                "no lid. Hold the rim, or close the cavity in the mesh."
+            )
     corners = np.sort(tet_faces(model.mesh.tets)[:, :3], axis=1)
     place = {tuple(face): i for i, face in enumerate(corners.tolist())}
     yield "*DLOAD"
@@ -257,29 +261,3 @@ def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
         if acting[owner]:
             tet, side = divmod(place[tuple(face.tolist())], 4)
             yield f"{tet + 1}, P{side + 1}, {_number(float(forces[owner]))}"
-
-
-def _check_rims(
-    owner: str,
-    faces: Int[HostArray, "n_faces n_fn"],
-    fixed: Bool[HostArray, "n_points 3"],
-) -> None:
-    """Raise unless the wall of a chamber is closed, or held where it is open.
-
-    The pressure on what closes an opening is no load of the file; it acts on the rim,
-    and goes into the supports if that is held.
-    """
-    sides = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]
-    n_ln = 2 if faces.shape[1] == 3 else 3
-    edges = np.concatenate([faces[:, side[:n_ln]] for side in sides])
-    _, inverse, counts = np.unique(
-        np.sort(edges[:, :2], axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    rim = np.unique(edges[counts[inverse.ravel()] == 1])
-    free = rim[~fixed[rim].all(axis=1)]
-    if free.size:
-        raise ValueError(
-            f"{owner}: its wall is open, and the pressure on what closes it acts on "
-            f"the rim, of which {free.size} nodes are not held. Hold the rim, or close "
-            "the cavity in the mesh."
-        )

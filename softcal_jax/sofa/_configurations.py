@@ -11,7 +11,9 @@ from softcal_jax.actuators import (
     CableSegments,
     Chamber,
     ChamberFaces,
+    ChamberLids,
     PressureFaces,
+    free_rim_nodes,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -49,7 +51,7 @@ def check_robot(model: Model) -> None:
             "project, or clamp their nodes instead."
         )
     actuators = model.mechanism.actuators
-    known = (CableSegments, ChamberFaces, PressureFaces)
+    known = (CableSegments, ChamberFaces, ChamberLids, PressureFaces)
     for group in actuators.groups:
         if isinstance(group, known):
             continue
@@ -180,7 +182,10 @@ def _forces(lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
 def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
     """Write cables, chambers and pressures that are imposed in a configuration."""
     found: dict[str, Any] = {"cables": [], "chambers": []}
-    for group in model.mechanism.actuators.groups:
+    groups = model.mechanism.actuators.groups
+    for group in groups:
+        if isinstance(group, ChamberLids):
+            continue  # without material, like the opening that SOFA sees
         owners = np.asarray(group.owner)
         for owner in np.unique(owners).tolist():
             by_displacement = bool(np.asarray(lane.actuation.by_displacement)[owner])
@@ -189,6 +194,13 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
             if value == 0.0 and not by_displacement:
                 continue  # slack, or without pressure
             name = model.mechanism.actuators.names[owner]
+            free = free_rim_nodes(groups, owner, np.asarray(lane.fixed))
+            if free:
+                raise ValueError(
+                    f"the chamber {name!r}: the pressure on what seals it acts on the "
+                    f"rim of its opening, of which {free} nodes are not held, and SOFA "
+                    "has no lid. Hold the rim, or close the cavity in the mesh."
+                )
             mine = np.flatnonzero(owners == owner)
             own = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
             cable = isinstance(own, CableSegments)

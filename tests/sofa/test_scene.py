@@ -196,9 +196,9 @@ GROUND = sc.Guide((-0.01, 0.01, 0.02), "ground")
 FAR = sc.Guide((0.2, 0.01, 0.02), "ground")
 
 
-def written(configuration, *actuators):
+def written(configuration, *actuators, mesh=None):
     """A configuration of a hollow beam as it is written in mm, not solved."""
-    mesh = hollow_beam()
+    mesh = hollow_beam() if mesh is None else mesh
     law = SofaCorotational.of_mesh(mesh, sc.Isotropic(2e5, 0.3), "edge")
     model = sc.build_model(mesh, law, density=1.0, actuators=actuators)
     found = scene_configurations(
@@ -226,6 +226,21 @@ def test_imposed_lengths_and_volumes():
     np.testing.assert_allclose(rope["points"], [[100.0, 10.0, 20.0]])
     np.testing.assert_allclose(cavity["value"], 100.0)  # mm3
     assert cavity["value type"] == "volumeGrowth"
+
+
+def test_a_sealed_chamber_is_its_wall_where_its_rim_is_held():
+    mesh = hollow_beam()
+    rim, *wall = mesh.surface_groups["cavity"]
+    opened = mesh.with_surface_group("wall", np.array(wall))
+    opened = opened.with_node_group("rim", rim)
+    sealed = sc.Chamber("cavity", "wall", seal=True)
+    blown = {"cavity": sc.ImposedForce(1e3)}
+    held = sc.Configuration("held", ["x_min", "rim"], actuation=blown)
+    (cavity,) = written(held, sealed, mesh=opened)["chambers"]
+    assert len(cavity["triangles"]) == len(wall)
+    loose = sc.Configuration("loose", "x_min", actuation=blown)
+    with pytest.raises(ValueError, match=r"'cavity': .* opening, of which 3 nodes"):
+        written(loose, sealed, mesh=opened)
 
 
 REFUSED = {
