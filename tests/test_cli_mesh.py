@@ -33,7 +33,7 @@ def test_the_groups_of_a_project(block, capsys):
     # Written again only where asked.
     again = ["mesh", str(block / "project.toml"), "-o", str(out)]
     assert main(again) == 2
-    assert "exist already" in capsys.readouterr().err
+    assert "exist already. Choose another name, or" in capsys.readouterr().err
     assert main([*again, "--force"]) == 0
 
 
@@ -56,7 +56,7 @@ def test_a_cad_model(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "face 13" in text
     assert main([*command, "--force", "--size", "5"]) == 2
-    assert "5 has no unit" in capsys.readouterr().err
+    assert "--size: 5 has no unit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

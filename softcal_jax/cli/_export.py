@@ -14,6 +14,8 @@ from softcal_jax.cli._shared import (
     Stop,
     add_path,
     bad_input,
+    check_new,
+    quantity,
     start_computing,
 )
 
@@ -56,7 +58,7 @@ def _icesl(result: "LoadedResult | Project", args: argparse.Namespace) -> Sequen
         )
     table = args.table
     if args.solid_modulus is not None:
-        modulus = _quantity("--solid-modulus", args.solid_modulus, "Pa")
+        modulus = quantity("--solid-modulus", args.solid_modulus, "Pa")
         table = published_foam(modulus)
     written = export_icesl(
         result,
@@ -66,21 +68,11 @@ def _icesl(result: "LoadedResult | Project", args: argparse.Namespace) -> Sequen
         plane=args.plane,
         region=args.region,
         angle_marks=args.angle_marks,
-        angle_offset=_quantity("--angle-offset", args.angle_offset, "rad"),
+        angle_offset=quantity("--angle-offset", args.angle_offset, "rad"),
         clockwise=args.clockwise,
         force=args.force,
     )
     return written.notes
-
-
-def _quantity(option: str, text: str, unit: str) -> float:
-    """Parse the value of an option into the SI unit; the error names the option."""
-    from softcal_jax.project import parse_in_si
-
-    try:
-        return parse_in_si(text, unit)
-    except ValueError as error:
-        raise ValueError(f"{option}: {error}") from error
 
 
 def add_export(commands: "argparse._SubParsersAction", raw: Callable) -> None:
@@ -178,12 +170,7 @@ def _export(
 ) -> int:
     """Load a result, and write it in a format."""
     output: Path = args.output
-    if output.exists() and not args.force:
-        raise Stop(
-            BAD_INPUT,
-            f"error: {output} exists already. Choose another name, or replace it with "
-            "--force.",
-        )
+    check_new(output, force=args.force)
     if not output.parent.is_dir():
         raise Stop(
             BAD_INPUT,

@@ -12,6 +12,8 @@ from softcal_jax.cli._shared import (
     Stop,
     add_path,
     bad_input,
+    check_new,
+    quantity,
 )
 
 if TYPE_CHECKING:
@@ -54,13 +56,7 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
             " ends in .msh, like finger.msh.",
         )
     picture = args.output.with_suffix(".png")
-    there = [str(path) for path in (args.output, picture) if path.exists()]
-    if there and not args.force:
-        raise Stop(
-            BAD_INPUT,
-            f"error: {' and '.join(there)} exist already. Give another name, or replace"
-            " them with --force.",
-        )
+    check_new(args.output, picture, force=args.force)
     show.lap("import")
     show.now(f"meshing {args.model.name}")
     with bad_input():
@@ -86,7 +82,7 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
 def _made(args: argparse.Namespace) -> "TetMesh":
     """Make or read the mesh."""
     from softcal_jax.mesh import CAD_FORMATS, mesh_cad, read_mesh
-    from softcal_jax.project import load_mesh, parse_in_si
+    from softcal_jax.project import load_mesh
 
     suffix = args.model.suffix.lower()
     if suffix != ".toml" and suffix not in CAD_FORMATS and args.length_unit is None:
@@ -100,7 +96,7 @@ def _made(args: argparse.Namespace) -> "TetMesh":
             "none. Leave it out."
         )
     if suffix in CAD_FORMATS:
-        size = None if args.size is None else parse_in_si(args.size, "m")
+        size = None if args.size is None else quantity("--size", args.size, "m")
         return mesh_cad(args.model, size=size, length_unit=args.length_unit, order=1)
     if suffix != ".toml":
         return read_mesh(args.model, length_unit=args.length_unit)

@@ -168,6 +168,28 @@ def check_folder(args: argparse.Namespace) -> None:
         check_results_folder(args.output, force=args.force)
 
 
+def check_new(*paths: Path, force: bool) -> None:
+    """End the command if there are such files already, unless they may be replaced."""
+    there = [str(path) for path in paths if path.exists()]
+    if there and not force:
+        verb, them = ("exists", "it") if len(there) == 1 else ("exist", "them")
+        raise Stop(
+            BAD_INPUT,
+            f"error: {' and '.join(there)} {verb} already. Choose another name, or "
+            f"replace {them} with --force.",
+        )
+
+
+def quantity(option: str, text: str, unit: str) -> float:
+    """Parse the value of an option into the SI unit; the error names the option."""
+    from softcal_jax.project import parse_in_si
+
+    try:
+        return parse_in_si(text, unit)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from error
+
+
 def start_computing(show: Display) -> None:
     """Choose the precision, and the folder of compiled programs.
 

@@ -3,7 +3,16 @@
 import argparse
 from collections.abc import Callable
 
-from softcal_jax.cli._shared import BAD_INPUT, OK, Display, Stop, add_path, bad_input
+from softcal_jax.cli._shared import (
+    BAD_INPUT,
+    OK,
+    Display,
+    Stop,
+    add_path,
+    bad_input,
+    check_new,
+    quantity,
+)
 
 _ABOUT = """\
 Draws tags, and a board on the last page, to scale. Glue one tag on a rigid part of the
@@ -28,19 +37,10 @@ exit codes: 0 written, 2 bad input
 def tags(args: argparse.Namespace, show: Display) -> int:
     """Write a PDF with tags and a board."""
     from softcal_jax.camera import write_tags
-    from softcal_jax.project import parse_in_si
 
-    if args.output.exists() and not args.force:
-        raise Stop(
-            BAD_INPUT,
-            f"error: {args.output} is there already. Choose another name, or replace "
-            "it with --force.",
-        )
+    check_new(args.output, force=args.force)
     with bad_input():
-        try:
-            size = parse_in_si(args.size, "m")
-        except ValueError as error:
-            raise ValueError(f"--size: {error}") from error
+        size = quantity("--size", args.size, "m")
         options = {"count": args.count, "first": args.first, "paper": args.paper}
         try:
             n = write_tags(args.output, size=size, **options)

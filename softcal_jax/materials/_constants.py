@@ -19,6 +19,14 @@ def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
     return jnp.asarray(value, float)
 
 
+def as_components(matrices: Any) -> tuple[Float[Array, "..."], ...]:
+    """Convert 3x3 matrices, one or one per tet, to nine fields row by row."""
+    if isinstance(matrices, tuple):
+        return matrices
+    rows = np.asarray(matrices, float)
+    return tuple(jnp.asarray(rows[..., i, j]) for i in range(3) for j in range(3))
+
+
 class PointValues(eqx.Module):
     """One value per tet and quadrature point, in place of a constant of a law.
 

@@ -9,7 +9,12 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.materials._constants import as_field, check_constants, constant
+from softcal_jax.materials._constants import (
+    as_components,
+    as_field,
+    check_constants,
+    constant,
+)
 
 Plane = Literal["xy", "xz", "yz"]
 Vector = HostArray | Sequence
@@ -19,12 +24,8 @@ _ON_AXIS = 1e-9
 """Distance from an axis, relative to that of the farthest point, that is none [-]."""
 
 
-def _as_components(frame: Any) -> tuple[Float[Array, "..."], ...] | None:
-    """Convert frames, whose rows are the local axes, to nine fields row by row."""
-    if frame is None or isinstance(frame, tuple):
-        return frame
-    rows = np.asarray(frame, float)
-    return tuple(jnp.asarray(rows[..., i, j]) for i in range(3) for j in range(3))
+def _if_any(frame: Any) -> tuple[Float[Array, "..."], ...] | None:
+    return None if frame is None else as_components(frame)
 
 
 class Fibre(eqx.Module):
@@ -58,7 +59,7 @@ class Fibre(eqx.Module):
     )
     plane: Plane = eqx.field(static=True, default="xz", metadata={"key": "print_plane"})
     frame: tuple[Float[Array, "..."], ...] | None = eqx.field(
-        converter=_as_components, default=None, metadata={"key": "directions"}
+        converter=_if_any, default=None, metadata={"key": "directions"}
     )
 
     def __check_init__(self):

@@ -1,6 +1,6 @@
 """The corotational law with the rotations of SOFA's linear tets."""
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ from softcal_jax.elements import (
     sum_of,
     symmetric,
 )
+from softcal_jax.materials._constants import as_components
 from softcal_jax.materials._elasticity import AbstractElasticity, AbstractLinearLaw
 from softcal_jax.materials._products import outer, turned
 from softcal_jax.mesh import TetMesh
@@ -26,14 +27,6 @@ SofaRotation = Literal["edge", "procrustes", "large"]
 """How SOFA takes the rotation of a tet, see `SofaCorotational`."""
 
 _ROTATIONS: tuple[SofaRotation, ...] = ("edge", "procrustes", "large")
-
-
-def _as_components(rest: Any) -> tuple[Float[Array, "..."], ...]:
-    """Convert matrices to nine fields row by row."""
-    if isinstance(rest, tuple):
-        return rest
-    rows = np.asarray(rest, float)
-    return tuple(jnp.asarray(rows[..., i, j]) for i in range(3) for j in range(3))
 
 
 class SofaCorotational(AbstractLinearLaw):
@@ -67,7 +60,7 @@ class SofaCorotational(AbstractLinearLaw):
 
     conservative: ClassVar[bool] = False
 
-    rest: tuple[Float[Array, "..."], ...] = eqx.field(converter=_as_components)
+    rest: tuple[Float[Array, "..."], ...] = eqx.field(converter=as_components)
     rotation: SofaRotation = eqx.field(static=True)
 
     @classmethod

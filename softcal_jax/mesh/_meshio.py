@@ -35,6 +35,10 @@ class MeshWarning(UserWarning):
     """A mesh file was read, but not all of its content was used."""
 
 
+class ParserError(Exception):
+    """A parser does not read a file; the text is what it says."""
+
+
 def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
     """Read a file with meshio, and add what it prints to the notes."""
     check_file(path, "mesh file")
@@ -47,40 +51,55 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
     if suffix == ".inp":
         check_inp(path)
 
+    try:
+        raw, said = parse(path, FORMATS[suffix])
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"reading {path} needs the package {error.name!r}: "
+            f"pip install {error.name}."
+        ) from error
+    except ParserError as error:
+        raise ValueError(
+            f"mesh file {path} cannot be read as {FORMATS[suffix]}; it may be "
+            f"truncated or not be a mesh. The parser said: {error}"
+        ) from error
+    if said:
+        notes.append(f"meshio says: {said}")
+    if suffix == ".inp":
+        mend_inp_sets(path, raw)
+    return raw
+
+
+def parse(path: Path, kind: str) -> tuple[meshio.Mesh, str]:
+    """Read a file in one of meshio's formats; return also what it complains of.
+
+    Raises:
+        LimitError: If it is too large unpacked.
+        ModuleNotFoundError: If the format needs a package that is not installed.
+        ParserError: If it cannot be read.
+    """
     out, err = io.StringIO(), io.StringIO()
     try:
         with (
             contextlib.redirect_stdout(out),
             contextlib.redirect_stderr(err),
             warnings.catch_warnings(),
+            np.errstate(over="ignore"),  # its STL parser takes text for a number
             bounded_unpacking(path),
         ):
             # NumPy's warnings about old calls in the parsers do not concern the file.
             warnings.simplefilter("ignore", DeprecationWarning)
             # Without the format, meshio tries Ansys on a broken .msh and hangs.
-            raw = meshio.read(path, file_format=FORMATS[suffix])
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f"reading {path} needs the package {error.name!r}: "
-            f"pip install {error.name}."
-        ) from error
-    except LimitError:
+            raw = meshio.read(path, file_format=kind)
+    except (ModuleNotFoundError, LimitError):
         raise
     # Its parsers raise exceptions of any type, and exit on some errors.
     except (Exception, SystemExit) as error:
         said = " ".join(f"{out.getvalue()} {err.getvalue()}".split())
         if not isinstance(error, SystemExit):
             said = f"{said} {type(error).__name__}: {error}".strip()
-        said = escaped(said)
-        raise ValueError(
-            f"mesh file {path} cannot be read as {FORMATS[suffix]}; it may be "
-            f"truncated or not be a mesh. The parser said: {said}"
-        ) from error
-    if said := " ".join(err.getvalue().split()):
-        notes.append(f"meshio says: {said}")
-    if suffix == ".inp":
-        mend_inp_sets(path, raw)
-    return raw
+        raise ParserError(escaped(said)) from error
+    return raw, " ".join(err.getvalue().split())
 
 
 _KINDS = ("point", "line", "surface", "volume")

@@ -1,15 +1,12 @@
 """Triangles of an STL file."""
 
-import contextlib
-import io
 from pathlib import Path
 from typing import NamedTuple
 
-import meshio
 import numpy as np
 
-from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.mesh._meshio import ParserError, parse
 
 
 class Triangles(NamedTuple):
@@ -44,20 +41,12 @@ def read_stl(path: Path) -> Triangles:
     Raises:
         ValueError: If it cannot be read, or holds no triangles.
     """
-    printed = io.StringIO()
     try:
-        with (
-            contextlib.redirect_stdout(printed),
-            contextlib.redirect_stderr(printed),
-            np.errstate(over="ignore"),  # it takes text for a number of triangles
-        ):
-            raw = meshio.read(path, file_format="stl")
-    # Its parser raises exceptions of any type, and exits on some errors.
-    except (Exception, SystemExit) as error:
-        said = " ".join(f"{printed.getvalue()} {error}".split())
+        raw, _ = parse(path, "stl")
+    except ParserError as error:
         raise ValueError(
             "it cannot be read as STL; it may be truncated or another kind of file. The"
-            f" parser said: {escaped(said)}"
+            f" parser said: {error}"
         ) from error
     triangles = raw.cells_dict.get("triangle", np.zeros((0, 3), int))
     points = np.asarray(raw.points, float)

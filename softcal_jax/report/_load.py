@@ -67,11 +67,17 @@ class _Budget(BaseModel):
     covariance: list[list[float | None]]
 
 
+class _Fit(BaseModel):
+    name: str
+    rms_after_mm: float | None
+
+
 class _Result(BaseModel):
     """What is read of `result.json`."""
 
     converged: bool
     parameters: list[_Parameter]
+    configurations: list[_Fit]
     source: _Source | None
     budget: _Budget
     solver: dict[str, str | int | None]
@@ -91,6 +97,8 @@ class LoadedResult(eqx.Module):
         z: The same, scaled [-].
         covariance: Covariance of z by all causes, see `ErrorBudget`; nan for what has
             no standard error [-].
+        errors: Root mean square of the distances of markers and other points from
+            where they were measured, by configuration; nan without any [m].
         converged: Whether the calibration converged; if not, do not use the values.
     """
 
@@ -101,6 +109,7 @@ class LoadedResult(eqx.Module):
     values: dict[str, float]
     z: Float[Array, " n_p"]
     covariance: Float[HostArray, "n_p n_p"]
+    errors: dict[str, float]
     converged: bool
 
     def posed(
@@ -183,6 +192,10 @@ def load_result(
         values=values,
         z=z,
         covariance=np.array(data.budget.covariance, float),
+        errors={
+            own.name: np.nan if own.rms_after_mm is None else 1e-3 * own.rms_after_mm
+            for own in data.configurations
+        },
         converged=data.converged,
     )
 

@@ -41,10 +41,7 @@ _OTHER_VOLUME = (
 _REASONS = {
     "MooneyRivlin": _OTHER_VOLUME,
     "Ogden": _OTHER_VOLUME,
-    "Yeoh": "SOFA has no such law",
-    "Gent": "SOFA has no such law",
     "FibreReinforced": "SOFA has no fibres in a hyperelastic matrix of this kind",
-    "TransverseHyperelastic": "SOFA has no such law",
 }
 
 

@@ -1,11 +1,9 @@
 """A calibration repeated with the mesh and the law that SOFA will run."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 
 import equinox as eqx
-import numpy as np
 
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
 from softcal_jax.equilibrium import Model, model_for_law
@@ -117,19 +115,12 @@ def predictions(
     result: LoadedResult, found: CalibrationResult
 ) -> tuple[Prediction, ...]:
     """Compare what the calibrated model and that of SOFA predict."""
-    data = json.loads(result.path.read_text(encoding="utf-8"))
-    before = {own["name"]: own["rms_after_mm"] for own in data["configurations"]}
-
-    def calibrated(name: str) -> float:
-        rms = before.get(name)
-        return np.nan if rms is None else 1e-3 * rms
-
     return tuple(
         Prediction(
             name=own.name,
             role=own.role,
             motion=own.motion,
-            calibrated=calibrated(own.name),
+            calibrated=result.errors[own.name],
             copied=own.rms_before,
             own=own.rms_after,
         )

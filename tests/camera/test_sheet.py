@@ -96,6 +96,6 @@ def test_the_command(tmp_path, capsys):
     assert main(["tags", "-o", str(path), "--size", "35 mm", "--count", "4"]) == 0
     assert "Wrote tags 0 to 3 of 35 mm and the board" in capsys.readouterr().out
     assert main(["tags", "-o", str(path)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert main(["tags", "-o", str(path), "--force", "--size", "35"]) == 2
     assert "--size: 35 has no unit" in capsys.readouterr().err
