@@ -1,5 +1,6 @@
 """Meshes of STEP models, against the dimensions of what was modelled."""
 
+import ctypes
 import signal
 
 import numpy as np
@@ -185,6 +186,20 @@ def test_too_many_tets(step):
     message = "edges of 0.005 are too short: .* tets, more than the limit"
     with pytest.raises(LimitError, match=message):
         mesh_cad(step, size=5e-6)
+
+
+def test_sigterm_stays_with_python(step):
+    """In C, where gmsh had set it to its default: a calibration was killed."""
+    libc = ctypes.CDLL(None)
+    libc.signal.restype = ctypes.c_void_p
+    libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        mesh_cad(step, size=2 * SIZE)
+        # The handler that C had; the default is None.
+        assert libc.signal(signal.SIGTERM, None) is not None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_other_extensions(tmp_path):
