@@ -186,6 +186,8 @@ def test_no_plateau():
     moving = Recording(NAMES, t, positions, "run")
     with pytest.raises(ValueError, match=r"no plateau of 0.3 s: even in the stillest"):
         moving.plateau(0.3)
+    with pytest.raises(ValueError, match=r"by more than 2 % of the largest motion and"):
+        moving.plateau(0.3)
     with pytest.raises(ValueError, match="held for less than 5 s away from"):
         noisy().plateau(5.0)
     with pytest.raises(ValueError, match=r"a plateau has a positive length \[s\]"):
