@@ -1,6 +1,7 @@
 """Names that a user types: units of length, and messages for misspelt names."""
 
 import difflib
+import re
 import zlib
 from collections.abc import Iterable, Sequence
 
@@ -20,7 +21,9 @@ def suggestion(name: str, known: Iterable[str], *, quote: str = "'") -> str:
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     """Build the error for an unknown name, with the closest known one suggested."""
-    names = sorted(known)
+    # Numbers by their size: face 2 before face 10.
+    digits = lambda found: f"{len(found[0]):6}{found[0]}"
+    names = sorted(known, key=lambda own: re.sub("[0-9]+", digits, own))
     listed = ", ".join(map(repr, names)) or "none"
     hint = suggestion(name, names)
     return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")

@@ -28,8 +28,12 @@ def write_recording(
     labels: Sequence[str] = NAMES,
     residuals: np.ndarray | None = None,
     events: Sequence[tuple[str, float]] = (),
+    first_frame: int = 0,
 ) -> Path:
-    """Writes positions (frames, markers, axes), by a library that is not ours."""
+    """Writes positions (frames, markers, axes), by a library that is not ours.
+
+    They may be a part of a trial, of which `first_frame` were cut off.
+    """
     import ezc3d
 
     c3d = ezc3d.c3d()
@@ -39,6 +43,7 @@ def write_recording(
     points = np.ones((4, positions.shape[1], len(positions)))
     points[:3] = positions.transpose(2, 1, 0)
     c3d["data"]["points"] = points
+    c3d["header"]["points"]["first_frame"] = first_frame
     if residuals is not None:
         c3d["data"]["meta_points"] = {
             "residuals": residuals.T[None],
@@ -136,6 +141,7 @@ def write_qualisys(
     titles: bool = True,
     decimal: str = ".",
     events: Sequence[tuple[str, float]] = (),
+    start: float = 0.0,
 ) -> Path:
     """Writes positions as QTM does: zeros for what was not seen, a tab at the end."""
     names = ["Frame", "Time"] * timed
@@ -156,7 +162,7 @@ def write_qualisys(
         *([[*names, ""]] * titles),
     ]
     for i, seen in enumerate(np.nan_to_num(positions)):
-        row = [str(i + 1), f"{i / RATE:.5f}"] if timed else []
+        row = [str(i + 1), f"{start + i / RATE:.5f}"] if timed else []
         rows.append([*row, *_cells(seen, 6)])
     text = "\n".join(map("\t".join, rows)) + "\n"
     path.write_text(text if decimal == "." else text.replace(".", decimal))

@@ -29,7 +29,7 @@ def left_behind(folder):
 
 def test_version():
     done = subprocess.run(
-        [sys.executable, "-c", "from softcal_jax.cli import main; main(['--version'])"],
+        [sys.executable, "-m", "softcal_jax", "--version"],
         capture_output=True,
         text=True,
         check=True,
@@ -126,7 +126,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
     """So does SIGTERM, by which a scheduler ends a job; the checkpoint stands."""
     path = write_small_project(tmp_path)
     checkpoint = tmp_path / "fit.npz"
-    lines = _commands._step_lines
+    lines = _commands.step_lines
 
     def interrupted(project, show):
         told = lines(project, show)
@@ -138,7 +138,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
 
         return progress
 
-    monkeypatch.setattr(_commands, "_step_lines", interrupted)
+    monkeypatch.setattr(_commands, "step_lines", interrupted)
     command = ["calibrate", str(path), "-o", str(out), "--checkpoint", str(checkpoint)]
     assert main(command) == 130
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

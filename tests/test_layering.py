@@ -37,6 +37,7 @@ LAYERS = [
     {"report", "sweeps"},
     {"sofa"},
     {"cli"},
+    {"__main__"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 SHARED = LAYERS[0]

@@ -95,7 +95,8 @@ def find_photos(
     for pattern in patterns:
         names = sorted(glob.glob(pattern, root_dir=folder))
         if not names:
-            raise FileNotFoundError(f"no photograph in {folder} fits {pattern!r}.")
+            where = "the current folder" if Path(folder) == Path() else folder
+            raise FileNotFoundError(f"no photograph in {where} fits {pattern!r}.")
         found |= dict.fromkeys(Path(folder) / name for name in names)
     return tuple(found)
 
@@ -147,8 +148,7 @@ def tag_pose(
     _check_sizes([*shown, *boards])
     base = _Target(f"tag {base_tag}", {base_tag: tag_corners(base_size)})
     own = _Target(f"tag {tag}", {tag: tag_corners(size)})
-    for photo in shown:
-        _check_shown(photo, (tag, base_tag))
+    _check_shown(shown, (tag, base_tag))
     cameras = [
         CameraModel.unknown(shown[0].size, f * max(shown[0].size))
         for f in _FOCAL_LENGTHS
@@ -191,22 +191,31 @@ def _check_sizes(photos: Sequence[Photo]) -> None:
             )
 
 
-def _check_shown(photo: Photo, numbers: Sequence[int]) -> None:
-    """Raise ValueError unless a photograph shows some tags, and large enough."""
-    for number in numbers:
-        if number not in photo.corners:
-            seen = listed([str(n) for n in sorted(photo.corners)]) or "none"
-            raise ValueError(
-                f"photograph {photo.path} does not show tag {number}; tags there: "
-                f"{seen}. Leave it out, or take it anew: sharp, with the white rim of "
-                "the tag."
-            )
-        low = height(photo.corners[number])
-        if low < SMALLEST:
-            raise ValueError(
-                f"tag {number} is only {low:.0f} px high on {photo.path}; expected "
-                f"{SMALLEST:.0f} or more: go nearer, less aslant, or print it larger."
-            )
+def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:
+    """Raise ValueError, on all of them, unless photographs show tags large enough."""
+    absent, small = [], []
+    for photo in photos:
+        for number in numbers:
+            if number not in photo.corners:
+                seen = listed([str(n) for n in sorted(photo.corners)]) or "none"
+                absent.append(
+                    f"photograph {photo.path} does not show tag {number}; tags there: "
+                    f"{seen}."
+                )
+            elif (low := height(photo.corners[number])) < SMALLEST:
+                small.append(
+                    f"tag {number} is only {low:.0f} px high on photograph "
+                    f"{photo.path}; expected {SMALLEST:.0f} or more."
+                )
+    if absent:
+        absent.append(
+            "Leave out what does not, or take it anew: sharp, with the white rim of "
+            "the tag."
+        )
+    if small:
+        small.append("Go nearer, less aslant, or print it larger.")
+    if absent or small:
+        raise ValueError(" ".join([*absent, *small]))
 
 
 def _fitted(

@@ -3,7 +3,7 @@
 import argparse
 import math
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from softcal_jax.cli._shared import (
     load,
     no_equilibrium,
 )
+from softcal_jax.cli._steps import step_lines
 from softcal_jax.cli._writing import checkpoint_stands, interruptible, write_results
 
 if TYPE_CHECKING:
@@ -27,15 +28,10 @@ if TYPE_CHECKING:
         CalibrationResult,
         ConfigurationResult,
         EquilibriumProgress,
-        HistoryEntry,
     )
     from softcal_jax.configurations import Configuration
-    from softcal_jax.fields import Parameter
     from softcal_jax.identifiability import Assessment, Identifiability, Ranking
     from softcal_jax.project import Project
-
-MOST_BY_NAME, MOST_IN_FIELD = 2, 4
-"""Most parameters that a step shows by name, and most values of one field."""
 
 
 def demo(args: argparse.Namespace, show: Display) -> int:
@@ -106,7 +102,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     with interruptible(args), bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(
             checkpoint=args.checkpoint,
-            progress=_step_lines(project, show),
+            progress=step_lines(project, show),
             search_progress=lambda search: show.line(f"search   {search}"),
             equilibrium_progress=_equilibrium_lines(show),
             profiling=profiling,
@@ -234,33 +230,6 @@ def _names(group: "Sequence[Configuration]") -> str:
     return ", ".join(c.name for c in group)
 
 
-def _step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
-    """Return a callback that prints a line per step and says what comes next."""
-    sees_points = any(c.has_points for c in project.calibration)
-
-    def misfit(entry: "HistoryEntry") -> str:
-        # Lengths, angles and forces have no distance, so show the cost.
-        if sees_points:
-            return f"rms {1e3 * entry.rms:7.3f} mm"
-        return f"cost {entry.cost:9.3g}"
-
-    def progress(entry: "HistoryEntry") -> None:
-        size = max(abs(step) for step in entry.lambda_p)
-        moved = f"|lambda_p| {size:.1e}" if entry.step else " " * 18
-        values = _values(project.parameters, entry.values)
-        refused = "" if entry.accepted else "   (step refused)"
-        what = f"step {entry.step}" if entry.step else "start"
-        show.line(f"{what:<8} {misfit(entry)}   {moved}   {values}{refused}")
-        last = entry.step == project.settings.max_steps
-        finished = last or (entry.step > 0 and size <= project.settings.tol)
-        if finished and project.validation:
-            show.now(f"predicting {_names(project.validation)}")
-        else:
-            show.now(f"step {entry.step + 1}", log=False)
-
-    return progress
-
-
 def _equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":
     """Return a callback that shows how far the first equilibria are.
 
@@ -278,33 +247,6 @@ def _equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]"
         show.now(str(now), log=False)
 
     return progress
-
-
-def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> str:
-    """Format values on one line, with those of a field at control points together."""
-    from softcal_jax.export import readable_unit
-
-    fields: dict[str, list[Parameter]] = {}
-    for parameter in parameters:
-        at_points = len(parameters) > MOST_BY_NAME
-        # What is not of the material, like the turn of a frame, sets no field.
-        key = (parameter.field if at_points else "") or parameter.name
-        fields.setdefault(key, []).append(parameter)
-    texts = []
-    for name, members in fields.items():
-        own = [values[q.name] for q in members]
-        factor, unit = readable_unit(own, members[0].unit)
-        shown = [_rounded(factor * value, unit) for value in own]
-        text = ", ".join(shown)
-        if len(shown) > MOST_IN_FIELD:
-            low, high = min(own), max(own)
-            text = f"{_rounded(factor * low, unit)} to {_rounded(factor * high, unit)}"
-        texts.append(f"{name} = {text} {unit}".rstrip())
-    return "; ".join(texts) if len(parameters) > MOST_BY_NAME else ", ".join(texts)
-
-
-def _rounded(value: float, unit: str) -> str:
-    return f"{value:.2f}" if unit else f"{value:.5g}"
 
 
 def _print_held_out(fits: "Sequence[ConfigurationResult]", show: Display) -> None:

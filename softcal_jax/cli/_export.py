@@ -118,7 +118,8 @@ def _add_foam(command: argparse.ArgumentParser) -> None:
         "--infill",
         choices=["polyfoam", "phasor"],
         default="polyfoam",
-        help="foam with a soft axis (default), or with a stiff one",
+        help="foam with a soft axis (default), or with a stiff one, which needs "
+        "--table",
     )
     text = "moduli of the foam: columns density, shrink or iso, E_soft_kPa, E_stiff_kPa"
     add_path(command, "--table", "FILE.csv", f"{text} (default: as published, of TPU)")

@@ -1,7 +1,6 @@
 """`softcal export sofa`: a scene of SOFA, calibrated again for what SOFA will run."""
 
 import argparse
-from typing import TYPE_CHECKING
 
 from softcal_jax.cli._shared import (
     OK,
@@ -12,9 +11,7 @@ from softcal_jax.cli._shared import (
     no_equilibrium,
     start_computing,
 )
-
-if TYPE_CHECKING:
-    from softcal_jax.calibration import HistoryEntry
+from softcal_jax.cli._steps import step_lines
 
 
 def add_sofa(formats: "argparse._SubParsersAction") -> None:
@@ -65,10 +62,6 @@ def _export(args: argparse.Namespace, show: Display) -> int:
         result = load_result(args.results, project=args.project)
     show.lap("reading")
     show.now("calibrating the model of SOFA (compiling)")
-
-    def step(entry: "HistoryEntry") -> None:
-        show.line(str(entry))
-
     with bad_input(), no_equilibrium("Nothing was written."):
         found = export_sofa(
             result,
@@ -78,7 +71,7 @@ def _export(args: argparse.Namespace, show: Display) -> int:
             law=args.law,
             rotation=args.rotation,
             force=args.force,
-            progress=step,
+            progress=step_lines(result.project, show),
         )
     show.lap("solve")
     show.line()

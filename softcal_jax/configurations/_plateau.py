@@ -92,7 +92,9 @@ def find_plateau(
         raise ValueError(
             f"there is no plateau of {length:g} s: even in the stillest stretch, "
             f"between {times[best[0]]:g} and {times[best[1] - 1]:g} s, a marker is "
-            f"{worst:.3g} mm off its mean. Say `between` which times to average."
+            f"{worst:.3g} mm off its mean, by more than {100 * STILL:g} % of the "
+            "largest motion and its noise. Ask for a shorter one, or say `between` "
+            "which times to average."
         )
     return start, stop
 

@@ -1,5 +1,7 @@
 """Gmsh, which fills CAD models with tets: loaded, started and ended here alone."""
 
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -57,7 +59,7 @@ class Filled(NamedTuple):
 def _gmsh_model() -> Iterator[Any]:
     """Start gmsh silently with an empty model, and end it in any case.
 
-    Ctrl-C stays with Python. One thread makes the same mesh each time.
+    Ctrl-C and SIGTERM stay with Python. One thread makes the same mesh each time.
 
     Raises:
         ImportError: If gmsh is not installed, or lacks a library of the system.
@@ -72,6 +74,7 @@ def _gmsh_model() -> Iterator[Any]:
         )
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
+        _restore_handlers()
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)
         try:
@@ -83,6 +86,20 @@ def _gmsh_model() -> Iterator[Any]:
             raise GmshError(f"{said or 'it does not say why'}.") from error
     finally:
         gmsh.finalize()
+
+
+def _restore_handlers() -> None:
+    """Give signals back to the handlers that Python knows.
+
+    Gmsh sets SIGTERM to its default in C, where Python does not see it: what the
+    program does after that would be killed rather than ended.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return  # only the main thread may choose
+    for number in (signal.SIGINT, signal.SIGTERM):
+        handler = signal.getsignal(number)
+        if handler is not None:
+            signal.signal(number, handler)
 
 
 def _load() -> Any:

@@ -30,12 +30,12 @@ from softcal_jax.project._table import (
     Angle,
     ByKeys,
     Corner,
+    Direction,
     Extent,
     Integer,
     Length,
     Maker,
     Names,
-    Number,
     Position,
     PositiveLength,
     Table,
@@ -162,7 +162,7 @@ class BoxTable(Maker):
 class PlaneTable(Maker):
     makes = Plane
     point: Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
-    normal: tuple[Number, Number, Number] = Field(description="[0, 0, 1]")
+    normal: Direction = Field(description='its direction: "z" or [0, 0, 1]')
 
 
 class SphereTable(Maker):

@@ -37,7 +37,8 @@ class WindowTable(Table):
             raise ValueError(
                 f"got {' and '.join(given) or 'no time'}; expected one of between = "
                 '["1.2 s", "1.4 s"], at = "1.3 s", plateau = "0.5 s". A key of '
-                "[shared] holds as well."
+                "[shared] holds as well: where configurations differ in it, give each "
+                "its own."
             )
         if self.width is not None and self.at is None:
             raise ValueError("width is for the window around `at`.")

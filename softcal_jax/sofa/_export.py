@@ -30,6 +30,12 @@ from softcal_jax.sofa._recalibrate import (
 from softcal_jax.sofa._units import SofaUnits, scale_of
 from softcal_jax.sofa._write import Scene, write_scene
 
+_MODELS = ("calibrated model", "SOFA, same values", "SOFA, own values")
+_WORDS = 2
+"""Columns of words, before those of numbers."""
+
+_WHAT = "Distances of points from where they were measured, rms"
+
 
 class Refitted(eqx.Module):
     """A parameter of the calibrated model, and of that of SOFA, in SI units.
@@ -80,7 +86,7 @@ class SofaExport(eqx.Module):
     def __str__(self) -> str:
         """Write parameters, predictions and notes, line by line."""
         return "\n".join(
-            [*map(str, self.parameters), "", *table(self.predictions), "", *self.notes]
+            [*map(str, self.parameters), "", *_lines(self.predictions), "", *self.notes]
         ).strip()
 
 
@@ -171,7 +177,7 @@ def export_sofa(
         predictions=predictions(loaded, found),
         notes=_notes(found, scene),
     )
-    text = [*map(str, export.parameters), "", *table(export.predictions)]
+    text = [*map(str, export.parameters), "", *_markdown(export.predictions)]
     write_scene(folder, scene, text=text, notes=export.notes, force=force)
     return export
 
@@ -220,16 +226,33 @@ def _notes(found: CalibrationResult, scene: Scene) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def table(found: Sequence[Prediction]) -> list[str]:
-    """Tabulate what the models predict, as lines of Markdown."""
-    lines = [
-        "| configuration | role | moved [mm] | calibrated model, off [mm] "
-        "| SOFA with the same values | SOFA with its own values |",
-        "|---|---|---|---|---|---|",
-    ]
-    mm = lambda value: f"{1e3 * value:.3g}" if math.isfinite(value) else "-"
+def _cells(found: Sequence[Prediction]) -> list[list[str]]:
+    """Tabulate what the models predict; the cells of a column are of equal width."""
+    mm = lambda value: f"{1e3 * value:.3g} mm" if math.isfinite(value) else "-"
+    rows = [["configuration", "role", "moved", *_MODELS]]
     for own in found:
         values = (own.motion, own.calibrated, own.copied, own.own)
-        row = " | ".join([own.name, own.role, *map(mm, values)])
-        lines.append(f"| {row} |")
-    return lines
+        rows.append([own.name, own.role, *map(mm, values)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        [
+            cell.ljust(width) if k < _WORDS else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        for row in rows
+    ]
+
+
+def _lines(found: Sequence[Prediction]) -> list[str]:
+    """Tabulate what the models predict for a terminal."""
+    return [f"{_WHAT}:", *("  ".join(row) for row in _cells(found))]
+
+
+def _markdown(found: Sequence[Prediction]) -> list[str]:
+    """Tabulate what the models predict for README.md."""
+    head, *rows = _cells(found)
+    rule = [
+        "-" * len(cell) if k < _WORDS else f"{'-' * (len(cell) - 1)}:"
+        for k, cell in enumerate(head)
+    ]
+    return [f"{_WHAT}:", "", *(f"| {' | '.join(row)} |" for row in (head, rule, *rows))]

@@ -94,6 +94,15 @@ def test_noise_is_found_and_what_was_known_of_the_camera_improves():
     assert rms == pytest.approx(NOISE * np.sqrt(2.0 * free), rel=0.1)
 
 
+def test_covariance_is_that_of_the_errors():
+    """Their squares over it add up to a chi-squared number, in 99.9 % of all draws."""
+    n = 12
+    pairs = [adjusted(seed, 3) for seed in range(n)]
+    total = sum(off @ np.linalg.solve(found.covariance, off) for found, off in pairs)
+    low, high = chi2.ppf([0.0005, 0.9995], 6 * n)
+    assert low < total < high
+
+
 def coverage(n_trials, n_photos):
     squares = []
     for seed in range(n_trials):

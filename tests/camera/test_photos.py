@@ -1,5 +1,7 @@
 """Poses from photographs whose truth is known, since VTK drew them."""
 
+import re
+
 import numpy as np
 import pytest
 from photographs import board, looking, phone, photograph, photographs, random_views
@@ -67,6 +69,14 @@ def test_pose(pose):
     assert found.focal == pytest.approx(LENS.focal, rel=0.05)
 
 
+def test_a_base_tag_of_another_size(pose, tmp_path):
+    rng = np.random.default_rng(4)
+    both = {BASE: (HERE, 1.5 * SIZE), TAG: (MOVED, SIZE)}
+    paths = photographs(tmp_path, both, pose[1][:3], LENS, rng)
+    found = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, base_size=1.5 * SIZE)
+    assert np.linalg.norm(error(found, MOVED)[:3]) < 0.5e-3
+
+
 def test_a_photograph_of_another_pose_is_told(pose, tmp_path):
     elsewhere = Placement(MOVED.R, MOVED.p + np.array([0.0, 0.003, 0.0]))
     rng = np.random.default_rng(2)
@@ -75,10 +85,13 @@ def test_a_photograph_of_another_pose_is_told(pose, tmp_path):
         tag_pose([*pose[0], other], tag=TAG, base_tag=BASE, size=SIZE)
 
 
-def test_what_is_not_shown(pose, tmp_path):
+def test_what_is_not_shown(pose, tmp_path, monkeypatch):
     paths, _ = pose
     one = {"tag": TAG, "base_tag": BASE, "size": SIZE}
     with pytest.raises(ValueError, match=r"does not show tag 4; tags there: 0 and 3"):
+        tag_pose(paths, **{**one, "tag": 4})
+    every = rf"(?s){re.escape(paths[0].name)} does not.*{re.escape(paths[3].name)} does"
+    with pytest.raises(ValueError, match=every):
         tag_pose(paths, **{**one, "tag": 4})
     with pytest.raises(ValueError, match="tag and base_tag are both 0"):
         tag_pose(paths, **{**one, "tag": 0})
@@ -94,6 +107,9 @@ def test_what_is_not_shown(pose, tmp_path):
         tag_pose([text], **one)
     with pytest.raises(FileNotFoundError, match=r"no photograph in .* fits 'none"):
         find_photos("none/*.jpg", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"in the current folder fits 'none"):
+        find_photos("none/*.jpg")
     assert find_photos(["*.jpg", "te*.jpg"], tmp_path) == (text,)
 
 

@@ -88,6 +88,13 @@ def test_events_count_from_the_first_frame(tmp_path):
         recording.between(0.0, 0.1, **both)
 
 
+def test_events_of_a_part_of_a_trial(tmp_path):
+    """They count from the first frame of the trial, of which half a second is gone."""
+    path, events = tmp_path / "a.c3d", (("valve opens", 0.65),)
+    write_recording(path, motion(), events=events, first_frame=50)
+    assert read_c3d(path).time_of("valve opens") == pytest.approx(0.15)
+
+
 def noisy(seed=0, *, std=0.05e-3):
     """A marker that rests, moves by 20 mm, creeps by 1 %, and is let go again."""
     rng = np.random.default_rng(seed)
@@ -143,7 +150,9 @@ def test_the_plateau_is_found(seed):
     assert 5.9 < stop < 6.0
     table = recording.plateau(0.5, after_step_of="tip")
     assert table.window == (start, stop)
-    assert "on the plateau between" in table.places[0]
+    since = recording.step_of("tip")
+    words = f"on the plateau between {start - since:g} and {stop - since:g} s from"
+    assert table.places[0].startswith(words)
     # Creep has ended at 4 s, so that the mean is within what it was before.
     height = table.positions_of(["tip"])[0, 2]
     assert 20.0e-3 < height < 20.25e-3
@@ -185,6 +194,8 @@ def test_no_plateau():
     positions[:, 1, 0] = 0.05 * np.sin(3.0 * t)
     moving = Recording(NAMES, t, positions, "run")
     with pytest.raises(ValueError, match=r"no plateau of 0.3 s: even in the stillest"):
+        moving.plateau(0.3)
+    with pytest.raises(ValueError, match=r"by more than 2 % of the largest motion and"):
         moving.plateau(0.3)
     with pytest.raises(ValueError, match="held for less than 5 s away from"):
         noisy().plateau(5.0)

@@ -58,6 +58,24 @@ def test_qualisys(tmp_path, timed, titles, decimal):
     assert recording.events == events
 
 
+def test_a_cropped_recording_of_qualisys(tmp_path):
+    """Times of frames and events count from the first frame that is left."""
+    path = tmp_path / "run.tsv"
+    events = (("valve opens", 3.2),)
+    write_qualisys(path, seen(), events=events, start=3.0)
+    recording = read_recording(path, length_unit="mm")
+    check(recording)
+    assert recording.time_of("valve opens") == pytest.approx(0.2)
+
+
+def test_zeros_are_gaps_only_where_all_three_are(tmp_path):
+    """A marker that moves in a plane of the frame is seen."""
+    path = write_qualisys(tmp_path / "run.tsv", motion())
+    positions = read_recording(path, length_unit="mm").positions
+    np.testing.assert_allclose(positions[20:], 1e-3 * motion()[20:], atol=1e-9)
+    assert np.isnan(positions[:20, 1]).all()  # the origin itself
+
+
 @pytest.mark.parametrize("gap", ["", "NaN", "NULL"])
 def test_gaps(tmp_path, gap):
     """As programs write what was not seen; at the end of a row it may lack."""

@@ -1,6 +1,8 @@
 """Meshes of STEP models, against the dimensions of what was modelled."""
 
 import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -185,6 +187,23 @@ def test_too_many_tets(step):
     message = "edges of 0.005 are too short: .* tets, more than the limit"
     with pytest.raises(LimitError, match=message):
         mesh_cad(step, size=5e-6)
+
+
+def test_sigterm_stays_with_python(step):
+    """Gmsh takes it once per process, so in a new one: calibrations were killed."""
+    code = (
+        "import signal, sys\n"
+        "from softcal_jax.mesh import mesh_cad\n"
+        "signal.signal(signal.SIGTERM, signal.default_int_handler)\n"
+        f"mesh_cad(sys.argv[1], size={2 * SIZE})\n"
+        "try:\n"
+        "    signal.raise_signal(signal.SIGTERM)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('asked to end')\n"
+    )
+    command = [sys.executable, "-c", code, str(step)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "asked to end\n"
 
 
 def test_other_extensions(tmp_path):

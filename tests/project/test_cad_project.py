@@ -121,6 +121,13 @@ def test_a_sealed_chamber(path):
             "groups.wall: unknown surface group 'bose'. Did you mean 'base'?",
         ),
         (
+            (
+                'face = { points = ["(0, -400, -400) mm"] }',
+                'plane = { point = "(0, 0, 0) mm", normal = "-x" }',
+            ),
+            "groups.wall: 'base' is a group of nodes, and a surface is asked for: of =",
+        ),
+        (
             (', stop_at = "base" }', " }"),
             "groups.wall: no cavity surrounds the point (300, 0, 0) mm: what is reac",
         ),

@@ -1,0 +1,74 @@
+"""A line for each step of a calibration, with its values in readable units."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from softcal_jax.cli._shared import Display
+
+if TYPE_CHECKING:
+    from softcal_jax.calibration import HistoryEntry
+    from softcal_jax.fields import Parameter
+    from softcal_jax.project import Project
+
+MOST_BY_NAME, MOST_IN_FIELD = 2, 4
+"""Most parameters that a step shows by name, and most values of one field."""
+
+
+def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
+    """Return a callback that prints a line per step and says what comes next."""
+    sees_points = any(c.has_points for c in project.calibration)
+
+    def misfit(entry: "HistoryEntry") -> str:
+        # Lengths, angles and forces have no distance, so show the cost.
+        if sees_points:
+            return f"rms {1e3 * entry.rms:7.3f} mm"
+        return f"cost {entry.cost:9.3g}"
+
+    before: dict[str, float] = {}
+
+    def progress(entry: "HistoryEntry") -> None:
+        size = max(abs(step) for step in entry.lambda_p)
+        moved = f"|lambda_p| {size:.1e}" if entry.step else " " * 18
+        values = _values(project.parameters, entry.values)
+        note = "" if entry.accepted else "   (step refused)"
+        if entry.noise_level != before.setdefault("noise", entry.noise_level):
+            before["noise"] = entry.noise_level
+            note += "   (noise estimated anew)"
+        what = f"step {entry.step}" if entry.step else "start"
+        show.line(f"{what:<8} {misfit(entry)}   {moved}   {values}{note}")
+        last = entry.step == project.settings.max_steps
+        finished = last or (entry.step > 0 and size <= project.settings.tol)
+        if finished and project.validation:
+            names = ", ".join(c.name for c in project.validation)
+            show.now(f"predicting {names}")
+        else:
+            show.now(f"step {entry.step + 1}", log=False)
+
+    return progress
+
+
+def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> str:
+    """Format values on one line, with those of a field at control points together."""
+    from softcal_jax.export import readable_unit
+
+    fields: dict[str, list[Parameter]] = {}
+    for parameter in parameters:
+        at_points = len(parameters) > MOST_BY_NAME
+        # What is not of the material, like the turn of a frame, sets no field.
+        key = (parameter.field if at_points else "") or parameter.name
+        fields.setdefault(key, []).append(parameter)
+    texts = []
+    for name, members in fields.items():
+        own = [values[q.name] for q in members]
+        factor, unit = readable_unit(own, members[0].unit)
+        shown = [_rounded(factor * value, unit) for value in own]
+        text = ", ".join(shown)
+        if len(shown) > MOST_IN_FIELD:
+            low, high = min(own), max(own)
+            text = f"{_rounded(factor * low, unit)} to {_rounded(factor * high, unit)}"
+        texts.append(f"{name} = {text} {unit}".rstrip())
+    return "; ".join(texts) if len(parameters) > MOST_BY_NAME else ", ".join(texts)
+
+
+def _rounded(value: float, unit: str) -> str:
+    return f"{value:.2f}" if unit else f"{value:.5g}"
