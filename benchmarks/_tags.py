@@ -1,9 +1,9 @@
 """Poses of a tag from rendered photographs: how far off, and as certain as stated?
 
 Each draw is a pose of a tag of 20 mm beside one of the base, photographed from 0.4 m by
-a camera of 12 megapixels with distortion, blur and noise. Fifteen draws share a camera
-that was calibrated from eight photographs of the printed board, as a user would do it; the
-next ones have other photographs of it.
+a camera of 12 megapixels with distortion, blur and noise. Fifteen draws share a
+calibration of the camera, from eight photographs of the printed board as a user would
+take them; the next fifteen have other photographs of it.
 
 The stated covariance is checked for six and for eight photographs of a pose, not for
 fewer. Of 60 draws that are right with a probability of 95 %, 54 or more are in 97 % of
