@@ -76,7 +76,8 @@ def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
     """
     if missing():
         say(
-            "calculix: there is no program ccx, so no figures. apt install calculix-ccx"
+            "calculix: no figures. There is no program ccx; install the Debian package "
+            "calculix-ccx."
         )
         return {}
     figures: dict[str, Figure] = {}
