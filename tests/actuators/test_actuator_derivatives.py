@@ -8,17 +8,17 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from cavities import (
+from actuator_programs import (
     TURN,
     actuator_displacements,
     actuator_rows,
     bent,
     curvature_entries,
-    hollow_cube,
     with_frames,
 )
 from problems import central_difference
 
+from benchmarks._hollow import hollow_cube
 from softcal_jax.actuators import (
     Cable,
     Chamber,

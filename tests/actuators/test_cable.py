@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cavities import (
+from actuator_programs import (
     AXIS_LENGTH,
     TURN,
     actuator_displacements,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from cavities import (
+from actuator_programs import (
     actuator_displacements,
     actuator_rows,
     arrays_of,

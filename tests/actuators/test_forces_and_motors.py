@@ -1,7 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cavities import (
+from actuator_programs import (
     TURN,
     actuator_displacements,
     actuator_rows,

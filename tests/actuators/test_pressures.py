@@ -3,17 +3,16 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cavities import (
+from actuator_programs import (
     TURN,
     actuator_displacements,
     actuator_rows,
     area_vectors,
     arrays_of,
     bent,
-    hollow,
-    hollow_cube,
 )
 
+from benchmarks._hollow import hollow, hollow_cube
 from softcal_jax.actuators import (
     Chamber,
     SurfacePressure,

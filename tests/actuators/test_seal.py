@@ -5,18 +5,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cavities import (
+from actuator_programs import (
     TURN,
     actuator_displacements,
     actuator_rows,
     arrays_of,
     bent,
     curvature_entries,
-    hollow,
 )
 from scipy.spatial import KDTree
 
 import softcal_jax as sc
+from benchmarks._hollow import hollow
 from softcal_jax.actuators import Chamber
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.mesh import TetMesh, beam, finer

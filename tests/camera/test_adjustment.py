@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-from photographs import phone, random_views
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
+from benchmarks._photographs import phone, random_views
 from softcal_jax.camera import tag_corners
 from softcal_jax.camera._adjustment import (
     CameraModel,

@@ -4,10 +4,16 @@ import re
 
 import numpy as np
 import pytest
-from photographs import board, looking, phone, photograph, photographs, random_views
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
+from benchmarks._photographs import (
+    phone,
+    photograph,
+    photographs,
+    random_views,
+)
+from benchmarks._tags import difference, photograph_board
 from softcal_jax.camera import find_photos, read_photo, tag_corners, tag_pose
 from softcal_jax.camera._adjustment import Placement
 from softcal_jax.plotting import rendering_problem
@@ -27,12 +33,6 @@ MOVED = Placement(
 
 def sheet(place):
     return {BASE: (HERE, SIZE), TAG: (place, SIZE)}
-
-
-def error(found, true):
-    """Errors of position [m] and of orientation [rad], in the axes of the base."""
-    turn = Rotation.from_matrix(true.R @ found.rotation.T).as_rotvec()
-    return np.concatenate([true.p - found.position, turn])
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_corners(pose):
 def test_pose(pose):
     """The camera is unknown: the tags alone calibrate it."""
     found = tag_pose(pose[0], tag=TAG, base_tag=BASE, size=SIZE)
-    off = error(found, MOVED)
+    off = difference(found, MOVED)
     assert np.linalg.norm(off[:3]) < 0.3e-3
     assert np.rad2deg(np.linalg.norm(off[3:])) < 0.3
     square = off @ np.linalg.solve(found.covariance, off)
@@ -220,17 +220,7 @@ def test_twelve_megapixels(tmp_path):
     Coverage of the 95 % region within what chance allows in 99 % of all runs.
     """
     rng, lens = np.random.default_rng(0), phone()
-    boards = [
-        looking(
-            np.array([0.068, -0.102, 0.0]) + rng.uniform(-0.02, 0.02, 3),
-            tilt=np.deg2rad(rng.uniform(10.0, 40.0)),
-            turn=2.0 * np.pi * k / 8,
-            roll=np.pi / 2 * (k % 4) + rng.uniform(-0.2, 0.2),
-            away=rng.uniform(0.42, 0.5),
-        )
-        for k in range(8)
-    ]
-    of_board = photographs(tmp_path / "board", board(), boards, lens, rng)
+    of_board = photograph_board(tmp_path / "board", lens, rng)
     n, inside, worst = 30, 0, np.zeros(2)
     for trial in range(n):
         turn = Rotation.from_rotvec(rng.uniform(-0.25, 0.25, 3)).as_matrix()
@@ -239,7 +229,7 @@ def test_twelve_megapixels(tmp_path):
         views = random_views(rng, 0.5 * true.p, 6, away=0.4)
         paths = photographs(tmp_path / str(trial), sheet(true), views, lens, rng)
         found = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, board=of_board)
-        off = error(found, true)
+        off = difference(found, true)
         both = np.linalg.norm(off.reshape(2, 3), axis=1)
         worst = np.maximum(worst, [1e3 * both[0], np.rad2deg(both[1])])
         inside += off @ np.linalg.solve(found.covariance, off) < chi2.ppf(0.95, 6)

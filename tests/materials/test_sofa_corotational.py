@@ -6,11 +6,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import sofa_tets
 from laws import ELASTICITIES, GRADIENTS, NU, E, stress, tangent
 from problems import central_difference
 from scipy.spatial.transform import Rotation
 
+from benchmarks import _sofa_tets
 from softcal_jax.materials import (
     ClassicalCorotational,
     Isotropic,
@@ -36,7 +36,7 @@ def law_of(kind, elasticity, corners=CORNERS):
 @each_kind
 def test_stress_is_that_of_the_tets_of_sofa(kind):
     law, nodes = law_of(kind, Isotropic(E, NU)), np.array([[0, 1, 2, 3]])
-    tet = sofa_tets.tets(CORNERS, nodes, sofa_tets.hooke(E, NU), kind)
+    tet = _sofa_tets.tets(CORNERS, nodes, _sofa_tets.hooke(E, NU), kind)
     edges = (CORNERS[1:] - CORNERS[0]).T
     dN = np.linalg.inv(edges)
     for F in np.asarray(GRADIENTS):

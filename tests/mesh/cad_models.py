@@ -1,53 +1,19 @@
-"""CAD models for the tests, made by the OpenCASCADE kernel of gmsh."""
-
-from contextlib import contextmanager
+"""CAD models for the tests, which are skipped without gmsh."""
 
 import pytest
+
+from benchmarks._cad_models import (
+    CAVITY,
+    FINGER,
+    INLET,
+    MIDDLE,
+    modelled,
+    write_finger,
+)
 
 try:
     import gmsh  # pyright: ignore[reportMissingImports]
 except (ImportError, OSError) as error:
     pytest.skip(f"needs gmsh: {error}", allow_module_level=True)
 
-FINGER = (60.0, 16.0, 12.0)
-"""Length, width and height of the finger [mm]."""
-
-CAVITY = (40.0, 8.0, 4.0)
-INLET = 1.5
-"""Extent of its cavity, and radius of the inlet [mm]."""
-
-MIDDLE = (0.030, 0.008, 0.006)
-"""A point in the cavity [m]."""
-
-
-@contextmanager
-def modelled(path, size=None):
-    """A kernel with an empty model, which is written to a file in the end.
-
-    With a size its surface is meshed, for files of triangles.
-    """
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        yield gmsh.model.occ
-        gmsh.model.occ.synchronize()
-        if size is not None:
-            gmsh.option.setNumber("Mesh.MeshSizeMax", size)
-            gmsh.model.mesh.generate(2)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
-
-
-def write_finger(path, *, is_open=True, size=None):
-    """A finger with a cavity along it, and an inlet to that through its end x = 0."""
-    with modelled(path, size) as shape:
-        body = shape.addBox(0, 0, 0, *FINGER)
-        corner = [0.5 * (a - b) for a, b in zip(FINGER, CAVITY, strict=True)]
-        tools = [(3, shape.addBox(*corner, *CAVITY))]
-        if is_open:
-            end = corner[0] + 1.0
-            y, z = 0.5 * FINGER[1], 0.5 * FINGER[2]
-            tools.append((3, shape.addCylinder(0, y, z, end, 0, 0, INLET)))
-        shape.cut([(3, body)], tools)
-    return path
+__all__ = ["CAVITY", "FINGER", "INLET", "MIDDLE", "gmsh", "modelled", "write_finger"]

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from actuators.cavities import hollow, hollow_cube
 
+from benchmarks._hollow import hollow, hollow_cube
 from softcal_jax.mesh import (
     TetMesh,
     beam,

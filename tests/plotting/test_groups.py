@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from actuators.cavities import hollow_cube
 from matplotlib.image import imread
 
+from benchmarks._hollow import hollow_cube
 from softcal_jax.mesh import beam
 from softcal_jax.plotting import plot_groups
 from softcal_jax.plotting._groups import _colours, _faces, _frame, _image, _panels

@@ -6,12 +6,12 @@ import equinox as eqx
 import meshio
 import numpy as np
 import pytest
-from actuators.cavities import hollow_cube
 from all_kinds_project import ALL_KINDS
 from cable_project import ASKED, FOLDER, POINT, cable_beam, poses
 from scipy.spatial.transform import Rotation
 
 import softcal_jax as sc
+from benchmarks._hollow import hollow_cube
 from softcal_jax.actuators import ForceActuator, SurfaceForceActuator, SurfacePressure
 from softcal_jax.bodies import hinge_axes
 from softcal_jax.configurations import (

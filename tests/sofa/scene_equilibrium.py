@@ -1,8 +1,9 @@
 """The equilibrium of a scene, from what it hands to SOFA and nothing else."""
 
 import numpy as np
-import sofa_tets
-from sofa_tets import Piece
+
+from benchmarks import _sofa_tets
+from benchmarks._sofa_tets import Piece
 
 
 def _elasticity(root, X, tets):
@@ -21,15 +22,15 @@ def _elasticity(root, X, tets):
         return _hyperelastic(X, tets, data["materialName"], *data["ParameterSet"])
     if elastic.component == "TetrahedronAnisotropicForceField":
         assert data["elasticitySymmetry"] == "transverseIsotropic"
-        return sofa_tets.tets(X, tets, _of_plugin(data), "large")
-    stress = sofa_tets.hooke(data["youngModulus"], data["poissonRatio"])
+        return _sofa_tets.tets(X, tets, _of_plugin(data), "large")
+    stress = _sofa_tets.hooke(data["youngModulus"], data["poissonRatio"])
     for field in ("youngModulus", "poissonRatio"):
         assert len(data[field]) in (1, len(tets))
     if elastic.component == "CorotationalFEMForceField":
         assert data["rotationMethod"] == "polar"
-        return sofa_tets.tets(X, tets, stress, "procrustes")
+        return _sofa_tets.tets(X, tets, stress, "procrustes")
     kind = {"polar": "edge", "large": "large"}[data["method"]]
-    return sofa_tets.tets(X, tets, stress, kind)
+    return _sofa_tets.tets(X, tets, stress, kind)
 
 
 def _hyperelastic(X, tets, name, mu, lam):
@@ -170,5 +171,7 @@ def solve(root, load_steps=4):
         held = np.ix_(own.data["indices"], np.flatnonzero(own.data["fixedDirections"]))
         free[held] = False
     start = np.array(state.data["position"])
-    x = sofa_tets.equilibrium(X, pieces, load, free, start=start, load_steps=load_steps)
+    x = _sofa_tets.equilibrium(
+        X, pieces, load, free, start=start, load_steps=load_steps
+    )
     return x, X

@@ -10,8 +10,8 @@ import pytest
 from anisotropic_project import write_measured_project
 from scene_equilibrium import solve
 from small_project import write_small_project
-from sofa_standin import run
 
+from benchmarks._sofa import run
 from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.cli import main
 from softcal_jax.project import load_project
@@ -47,9 +47,7 @@ def results(tmp_path_factory, no_pictures):
     return folder
 
 
-def test_the_command_calibrates_again_for_the_linear_mesh(
-    results, tmp_path, monkeypatch, capsys
-):
+def test_the_command_calibrates_again_for_the_linear_mesh(results, tmp_path, capsys):
     scene = tmp_path / "scene"
     assert main(["export", "sofa", str(results / "quadratic"), "-o", str(scene)]) == 0
     said = capsys.readouterr().out
@@ -76,7 +74,7 @@ def test_the_command_calibrates_again_for_the_linear_mesh(
     else:
         raise AssertionError("README.md has no line on the held-out configuration")
     for name, told in data["configurations"].items():
-        root, monitor = run(scene, "v26.06", monkeypatch, name=name)
+        root, monitor = run(scene, "v26.06", name=name)
         x, _ = solve(root)
         monitor.state.position.value = x.tolist()
         predicted = np.array([own["predicted"] for own in told["effectors"]])
@@ -110,9 +108,7 @@ def test_nothing_is_written_without_convergence(results, tmp_path):
     assert not (tmp_path / "scene").exists()
 
 
-def test_a_beam_with_a_fibre_takes_what_the_plugin_computes(
-    tmp_path, no_pictures, monkeypatch
-):
+def test_a_beam_with_a_fibre_takes_what_the_plugin_computes(tmp_path, no_pictures):
     """Its E_t at two control points; E_l and the angle are known here."""
     path = write_measured_project(tmp_path / "robot")
     text = path.read_text()
@@ -126,7 +122,7 @@ def test_a_beam_with_a_fibre_takes_what_the_plugin_computes(
     readme = (tmp_path / "scene" / "README.md").read_text()
     assert "must be built from source" in readme
     assert "-l Anisotropy" in readme
-    root, monitor = run(tmp_path / "scene", "v26.06", monkeypatch)
+    root, monitor = run(tmp_path / "scene", "v26.06")
     x, X = solve(root)
     monitor.state.position.value = x.tolist()
     predicted = [own["predicted"] for own in monitor.effectors]

@@ -6,9 +6,10 @@ up along its own rays, 16 over its area, which distortion bends; blur acts on li
 what the sensor reads is encoded as sRGB, gets noise, and is written as JPEG.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -23,7 +24,16 @@ WHITE, BLACK, TABLE = 0.8, 0.04, 0.35
 
 @dataclass(frozen=True)
 class Lens:
-    """A camera of `size` pixels, with OpenCV's k1, k2, p1, p2, k3."""
+    """A camera.
+
+    Attributes:
+        size: Width and height [px].
+        focal: Focal length [px].
+        middle: Principal point [px].
+        distortion: OpenCV's k1, k2, p1, p2, k3.
+        blur: Standard deviation of what a point becomes [px].
+        noise: Standard deviation of what the sensor reads, of its range [-].
+    """
 
     size: tuple[int, int]
     focal: float
@@ -67,7 +77,9 @@ def phone(megapixels: float = 12.0) -> Lens:
     return Lens(size, 3050.0 * scale, middle, (0.06, -0.09, 4e-4, -3e-4, 0.02))
 
 
-def looking(at: np.ndarray, *, tilt: float, turn: float, roll: float, away: float):
+def looking(
+    at: np.ndarray, *, tilt: float, turn: float, roll: float, away: float
+) -> Placement:
     """Pose, in the camera, of a frame whose point `at` is seen from a direction.
 
     The direction is tilted from its z axis [rad], and turned about it.
@@ -81,7 +93,9 @@ def looking(at: np.ndarray, *, tilt: float, turn: float, roll: float, away: floa
     return Placement(R, np.array([0.0, 0.0, away]) - R @ at)
 
 
-def random_views(rng: np.random.Generator, at: np.ndarray, n: int, *, away: float):
+def random_views(
+    rng: np.random.Generator, at: np.ndarray, n: int, *, away: float
+) -> list[Placement]:
     """Poses from all sides, tilted by 20 to 50 degrees, not quite in the middle."""
     views = []
     for turn in 2.0 * np.pi * (np.arange(n) + rng.uniform(size=n)) / n:
@@ -116,21 +130,79 @@ def squares(sheet: Sheet) -> tuple[np.ndarray, np.ndarray]:
 JITTER = 4
 """Pictures from which a photograph is looked up."""
 
+REACH = 30
+"""What is drawn around a tag [px]."""
 
-def draw(
-    sheet: Sheet, view: Placement, lens: Lens
-) -> tuple[np.ndarray, tuple[int, int]]:
-    """Light on the part of a photograph that shows tags, and its first column, row."""
+
+class Part(NamedTuple):
+    """Light on a part of a photograph.
+
+    Attributes:
+        light: By row and column [-].
+        left: First column.
+        top: First row.
+    """
+
+    light: np.ndarray
+    left: int
+    top: int
+
+
+def draw(sheet: Sheet, view: Placement, lens: Lens) -> list[Part]:
+    """Draw the parts of a photograph that show tags.
+
+    Raises:
+        ValueError: If a tag is outside of the photograph.
+    """
+    return [_draw(own, box, view, lens) for own, box in _apart(sheet, view, lens)]
+
+
+Box = tuple[np.ndarray, np.ndarray]
+"""First column and row, and those after the last ones."""
+
+
+def _apart(sheet: Sheet, view: Placement, lens: Lens) -> list[tuple[Sheet, Box]]:
+    """Tags and the part of the photograph that each is on; together if they overlap."""
+    groups: list[tuple[Sheet, Box]] = []
+    for number, tag in sheet.items():
+        own: dict[int, tuple[Placement, float]] = {number: tag}
+        box = _box(own, view, lens)
+        while True:
+            near = [g for g in groups if _overlap(g[1], box)]
+            if not near:
+                break
+            groups = [g for g in groups if not _overlap(g[1], box)]
+            for other, theirs in near:
+                own |= other
+                box = np.minimum(box[0], theirs[0]), np.maximum(box[1], theirs[1])
+        groups.append((own, box))
+    return groups
+
+
+def _overlap(one: Box, other: Box) -> bool:
+    return bool(np.all(one[0] < other[1]) and np.all(other[0] < one[1]))
+
+
+def _box(sheet: Sheet, view: Placement, lens: Lens) -> Box:
+    corners, _ = squares(sheet)
+    places = lens.pixels(corners.reshape(-1, 3) @ view.R.T + view.p)
+    if not (np.all(places > 0) and np.all(places < lens.size)):
+        raise ValueError(
+            f"tags {', '.join(map(str, sheet))} are not on the photograph."
+        )
+    low = np.maximum(np.floor(places.min(axis=0)).astype(int) - REACH, 0)
+    high = np.ceil(places.max(axis=0)).astype(int) + REACH + 1
+    return low, np.minimum(high, lens.size)
+
+
+def _draw(sheet: Sheet, box: Box, view: Placement, lens: Lens) -> Part:
+    """Draw a part of a photograph, with all tags that are on it."""
     corners, white = squares(sheet)
     seen = corners.reshape(-1, 3) @ view.R.T + view.p
-    places = lens.pixels(seen)
-    assert np.all(places > 0), "a tag is outside of the photograph"
-    assert np.all(places < lens.size), "a tag is outside of the photograph"
-    low = np.maximum(np.floor(places.min(axis=0)).astype(int) - 30, 0)
-    high = np.minimum(np.ceil(places.max(axis=0)).astype(int) + 31, lens.size)
+    low, high = box
 
     # A camera at the same place that looks at the middle of what is seen.
-    middle = lens.rays(0.5 * (places.min(axis=0) + places.max(axis=0))[None])[0]
+    middle = lens.rays(0.5 * (low + high)[None])[0]
     z = middle / np.linalg.norm(middle)
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
@@ -142,22 +214,29 @@ def draw(
     width = int(np.ceil(2.0 * half * focal))
     scene = _Scene(seen.reshape(-1, 4, 3), white, width, focal)
     u, v = (np.arange(a, b) for a, b in zip(low, high, strict=True))
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    # Within a pixel the lens bends by 1e-5 of its side, so a ray is linear there.
+    ray = lens.rays(pixels)
+    along = [lens.rays(pixels + step) - ray for step in np.eye(2)]
     light = np.zeros((len(v), len(u)))
-    for k in range(JITTER):
-        # Edges of a picture keep to its pixels, so that each has others.
-        aside = np.array([k, (3 * k + 1) % JITTER, 0.0]) / JITTER / focal
-        turned = Rotation.from_rotvec(aside).as_matrix() @ axes
-        dark = scene.picture(turned)
+    # Edges of a picture keep to its pixels, so that each has others.
+    aside = np.array([(k, (3 * k + 1) % JITTER, 0.0) for k in range(JITTER)])
+    frames = Rotation.from_rotvec(aside / JITTER / focal).as_matrix() @ axes
+    for k, picture in enumerate(scene.pictures(frames)):
+        x, y, z = frames[k] @ ray.T
+        slopes = [frames[k] @ own.T for own in along]
         own = np.array([k % 2, k // 2])  # which of each 2 x 2 parts of a pixel
         for step in np.ndindex(fineness // 2, fineness // 2):
-            at = (2 * np.array(step) + own + 0.5) / fineness - 0.5
-            pixels = np.stack(np.meshgrid(u + at[0], v + at[1]), axis=-1).reshape(-1, 2)
-            ray = lens.rays(pixels) @ turned.T
+            a, b = (2 * np.array(step) + own + 0.5) / fineness - 0.5
+            dx, dy, dz = a * slopes[0] + b * slopes[1]
             # The middle of the first pixel of VTK is half a pixel from its border.
-            found = focal * ray[:, :2] / ray[:, 2:] + 0.5 * width - 0.5
-            looked_up = map_coordinates(dark, found.T[::-1], order=1, cval=TABLE)
+            row, column = (
+                focal * part / (z + dz) + 0.5 * width - 0.5 for part in (y + dy, x + dx)
+            )
+            looked_up = map_coordinates(picture, [row, column], order=1, cval=TABLE)
             light += looked_up.reshape(light.shape)
-    return light / (JITTER * (fineness // 2) ** 2), (int(low[0]), int(low[1]))
+    light /= JITTER * (fineness // 2) ** 2
+    return Part(light, int(low[0]), int(low[1]))
 
 
 @dataclass(frozen=True)
@@ -169,8 +248,8 @@ class _Scene:
     width: int
     focal: float
 
-    def picture(self, axes: np.ndarray) -> np.ndarray:
-        """Light that a pinhole camera with some axes sees."""
+    def pictures(self, frames: np.ndarray) -> Iterator[np.ndarray]:
+        """Light that pinhole cameras with the axes of these frames see."""
         import pyvista as pv
 
         from softcal_jax.plotting._offscreen import offscreen
@@ -183,44 +262,57 @@ class _Scene:
         grey = (TABLE - BLACK) / (WHITE - BLACK)
         with offscreen():
             plotter = pv.Plotter(
-                off_screen=True, window_size=(width, width), lighting="none"
+                off_screen=True, window_size=[width, width], lighting="none"
             )
             # Smoothed edges are mixed as codes of sRGB, which moves them.
             plotter.disable_anti_aliasing()
-            plotter.background_color = (grey, grey, grey)
+            plotter.background_color = (grey, grey, grey)  # pyright: ignore
             plotter.add_mesh(mesh, scalars="grey", rgb=True, lighting=False)
             camera = plotter.camera
             camera.position = (0.0, 0.0, 0.0)
-            camera.focal_point, camera.up = tuple(axes[2]), tuple(-axes[1])
             camera.view_angle = np.rad2deg(2.0 * np.arctan(0.5 * width / self.focal))
-            camera.clipping_range = (0.05, 5.0)
-            image = plotter.screenshot(return_img=True)[..., 0] / 255.0
+            for axes in frames:
+                camera.focal_point, camera.up = tuple(axes[2]), tuple(-axes[1])
+                camera.clipping_range = (0.05, 5.0)
+                plotter.render()
+                image = np.asarray(plotter.screenshot(return_img=True))[..., 0]
+                yield BLACK + (WHITE - BLACK) / 255.0 * image
             plotter.close()
-        return BLACK + (WHITE - BLACK) * image
 
 
 def photograph(
     path: Path, sheet: Sheet, view: Placement, lens: Lens, rng: np.random.Generator
 ) -> Path:
-    """Writes a JPEG, with light that falls off to one side."""
+    """Write a JPEG, with light that falls off to one side.
+
+    Raises:
+        ValueError: If a tag is outside of the photograph.
+    """
     import cv2
 
-    light, (left, top) = draw(sheet, view, lens)
-    whole = np.full(lens.size[::-1], TABLE)
-    whole[top : top + light.shape[0], left : left + light.shape[1]] = light
-    part = slice(max(top - 9, 0), top + light.shape[0] + 9)
-    whole[part] = gaussian_filter(whole[part], lens.blur)
-    whole *= np.linspace(1.05, 0.85, lens.size[0])[None]
-    curve = np.where(
-        whole <= 0.0031308, 12.92 * whole, 1.055 * whole ** (1 / 2.4) - 0.055
-    )
-    noisy = curve + lens.noise * rng.normal(size=curve.shape)
-    image = np.clip(np.rint(255.0 * noisy), 0, 255).astype(np.uint8)
+    width, height = lens.size
+    falls_off = np.linspace(1.05, 0.85, width)
+    codes = np.empty((height, width), np.float32)
+    codes[:] = _srgb(TABLE * falls_off)
+    for light, left, top in draw(sheet, view, lens):
+        # What is drawn reaches so far that blur leaves nothing at its border.
+        columns = slice(left, left + light.shape[1])
+        blurred = gaussian_filter(light, lens.blur) * falls_off[columns]
+        codes[top : top + light.shape[0], columns] = _srgb(blurred)
+    codes += lens.noise * rng.standard_normal(codes.shape, np.float32)
+    image = np.clip(np.rint(255.0 * codes), 0, 255).astype(np.uint8)
     ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])
-    assert ok
+    if not ok:
+        raise ValueError(f"{path}: OpenCV cannot write it.")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data.tobytes())
     return path
+
+
+def _srgb(light: np.ndarray) -> np.ndarray:
+    return np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055
+    )
 
 
 def photographs(
@@ -230,7 +322,7 @@ def photographs(
     lens: Lens,
     rng: np.random.Generator,
 ) -> list[Path]:
-    """Writes one photograph for each view."""
+    """Write one photograph for each view."""
     return [
         photograph(folder / f"{i}.jpg", sheet, view, lens, rng)
         for i, view in enumerate(views)

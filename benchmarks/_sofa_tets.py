@@ -40,7 +40,7 @@ def _frame(x):
     return np.stack([a, np.cross(c, a), c], axis=2)
 
 
-def rotations(kind, x, X):
+def rotations(kind: str, x: np.ndarray, X: np.ndarray) -> np.ndarray:
     """Rotation of each tet with the nodes x, and X at rest."""
     if kind == "procrustes":
         away = [p - p.mean(axis=1, keepdims=True) for p in (x, X)]
@@ -49,7 +49,9 @@ def rotations(kind, x, X):
     return factor(x) @ np.swapaxes(factor(X), 1, 2)
 
 
-def hooke(E, nu):
+def hooke(
+    E: np.ndarray | float, nu: np.ndarray | float
+) -> Callable[[np.ndarray], np.ndarray]:
     """Stress by strain; modulus and ratio are one for all tets, or one for each."""
     E, nu = (np.asarray(a, float).reshape(-1, 1, 1) for a in (E, nu))
     lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
@@ -61,13 +63,19 @@ def hooke(E, nu):
     return stress
 
 
-def tets(X, nodes, stress, kind) -> Piece:
+def tets(
+    X: np.ndarray,
+    nodes: np.ndarray,
+    stress: Callable[[np.ndarray], np.ndarray],
+    kind: str,
+) -> Piece:
     """Linear tets of SOFA with this rotation; `stress` maps strains to stresses."""
     rest = X[nodes]
     inner = np.linalg.inv(_edges(rest))
     dN = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
     volume = np.linalg.det(_edges(rest)) / 6
-    assert volume.min() > 0
+    if volume.min() <= 0:
+        raise ValueError("a tet has no volume, or its nodes stand the wrong way round.")
 
     def force(x):
         R = rotations(kind, x, rest)
@@ -78,13 +86,13 @@ def tets(X, nodes, stress, kind) -> Piece:
     return Piece(nodes, force)
 
 
-def lumped_volumes(X, nodes):
+def lumped_volumes(X: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """A quarter of the volume of each tet at each of its nodes."""
     volume = np.linalg.det(_edges(X[nodes])) / 6
     return np.bincount(nodes.ravel(), np.repeat(volume / 4, 4), len(X))
 
 
-def assembled(pieces: Sequence[Piece], x):
+def assembled(pieces: Sequence[Piece], x: np.ndarray) -> np.ndarray:
     """Sum of the forces of all pieces on the nodes."""
     total = np.zeros_like(x)
     for piece in pieces:
@@ -109,12 +117,31 @@ def _tangent(pieces: Sequence[Piece], x, step):
     return coo_matrix((v, (i, j)), (x.size, x.size)).tocsr()
 
 
-def equilibrium(X, pieces: Sequence[Piece], load, free, *, start=None, load_steps=4):
+def equilibrium(
+    X: np.ndarray,
+    pieces: Sequence[Piece],
+    load: np.ndarray,
+    free: np.ndarray,
+    *,
+    start: np.ndarray | None = None,
+    load_steps: int = 4,
+) -> np.ndarray:
     """Positions at which the forces of the pieces balance the load on free coordinates.
 
     Newton's method to a residual of 1e-9 of what loads and supports cause, from X or
     from a start that moves the supports; the load rises in steps. Rounding of long
     beams leaves some 1e-11.
+
+    Args:
+        X: Positions at rest.
+        pieces: What carries the load.
+        load: Forces on the nodes.
+        free: Which coordinates may move, like X.
+        start: Positions to begin at; X if left out.
+        load_steps: In how many steps the load rises.
+
+    Raises:
+        RuntimeError: If Newton's method does not end.
     """
     x, scale = (X if start is None else start).copy(), np.ptp(X, axis=0).max()
     size = np.linalg.norm((load - assembled(pieces, x))[free])
@@ -126,5 +153,5 @@ def equilibrium(X, pieces: Sequence[Piece], load, free, *, start=None, load_step
             K = _tangent(pieces, x, 1e-6 * scale)[free.ravel()][:, free.ravel()]
             x[free] += spsolve(K.tocsc(), residual)
         else:
-            raise AssertionError(f"no equilibrium at {part:.0%} of the load")
+            raise RuntimeError(f"no equilibrium at {part:.0%} of the load")
     return x

@@ -1,0 +1,42 @@
+"""Frames of rigid bodies, motions, and compiled programs of actuators."""
+
+import equinox as eqx
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softcal_jax import actuators
+from softcal_jax.actuators import actuator_arrays
+
+TURN = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
+AXIS_LENGTH = 0.3
+
+# One program each, in place of one for each operation in them.
+actuator_displacements = eqx.filter_jit(actuators.actuator_displacements)
+actuator_rows = eqx.filter_jit(actuators.actuator_rows)
+curvature_entries = eqx.filter_jit(actuators.curvature_entries)
+
+
+def with_frames(mesh, *frames):
+    """Rest positions of the mesh's nodes and of frames (origin, axes in rows)."""
+    nodes = [
+        np.concatenate([origin[None], origin + AXIS_LENGTH * axes])
+        for origin, axes in frames
+    ]
+    return np.concatenate([mesh.points, *nodes])
+
+
+def arrays_of(mesh, *actuators):
+    """Arrays of actuators on a mesh without rigid bodies."""
+    return actuator_arrays(mesh, mesh.points, actuators, {})
+
+
+def bent(points):
+    """A smooth motion that is not affine."""
+    x, y, z = points.T
+    return points + 0.1 * np.stack([y * z + x**2, np.sin(x) - z, x * y - 0.5 * z], 1)
+
+
+def area_vectors(points, faces):
+    """Area times normal of flat faces."""
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    return 0.5 * np.cross(b - a, c - a)
