@@ -1,5 +1,6 @@
 """Parse quantities of a project file, like "200 kPa" and "(0, 0, -1) N"."""
 
+import contextlib
 import functools
 import math
 import re
@@ -108,6 +109,37 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
 def shown(value: Any) -> str:
     """Format a value as a project file writes it."""
     return f'"{shortened(value)}"' if isinstance(value, str) else shortened(str(value))
+
+
+class Quantity(NamedTuple):
+    """One number or three, in an SI unit."""
+
+    values: tuple[float, ...]
+    unit: str
+
+
+def recognised(text: str) -> Quantity | None:
+    """Read a text as a quantity of any dimension that a file may have; None if not."""
+    vector = _VECTOR.fullmatch(text)
+    match = vector or _SCALAR.fullmatch(text)
+    if match is None or not match[2]:
+        return None
+    numbers = [part.strip() for part in match[1].split(",")]
+    if not all(re.fullmatch(_NUMBER, number) for number in numbers):
+        return None
+    found = _dimension_and_factor(match[2])
+    if found is None:
+        return None
+    dimension, factor = found
+    return Quantity(tuple(factor * float(n) for n in numbers), dimension.si)
+
+
+@functools.cache
+def _dimension_and_factor(unit: str) -> tuple[Dimension, float] | None:
+    for dimension in (*OF_UNIT.values(), ACCELERATION, TIME, MASS):
+        with contextlib.suppress(ValueError):
+            return dimension, _factor(unit, dimension, unit)
+    return None
 
 
 def is_number(value: Any) -> bool:
