@@ -38,7 +38,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
     if not args.no_pictures and not _is_own(picture):
         check_new(picture, force=args.force)
     with _counted() as doubts:
-        project = load(args.project, show)
+        project = load(args.project, show, solve=False)
     from softcal_jax.project import quantities_as_read
     from softcal_jax.report import outline
 
@@ -108,7 +108,7 @@ def _draw(project: "Project", picture: Path) -> None:
         posed,
         picture,
         title=project.name,
-        subtitle=f"As the project file describes it, at rest; nothing was solved.{more}",
+        subtitle=f"As the file describes it, at rest; nothing was solved.{more}",
         control_points=np.vstack(points) if points else None,
         metadata={"Software": _MARK},
     )

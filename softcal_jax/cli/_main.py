@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-from softcal_jax.cli._commands import calibrate, demo, identify, simulate
 from softcal_jax.cli._check import add_check
+from softcal_jax.cli._commands import calibrate, demo, identify, simulate
 from softcal_jax.cli._compare import add_compare
 from softcal_jax.cli._console import (
     PlainConsole,

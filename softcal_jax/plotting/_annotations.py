@@ -49,8 +49,10 @@ def separate_names(axes: "matplotlib.axes.Axes") -> None:
     """Move names up or down until none covers another, and into the axes."""
     frame, placed = axes.get_window_extent(), []
     points = 72.0 / axes.figure.dpi
+    from matplotlib.text import Annotation
+
     for text in axes.texts:
-        if not text.get_text() or not hasattr(text, "xyann"):
+        if not text.get_text() or not isinstance(text, Annotation):
             continue
         box = text.get_window_extent()
         over = max(box.x1 - frame.x1, 0.0) + min(box.x0 - frame.x0, 0.0)

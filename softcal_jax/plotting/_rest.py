@@ -13,7 +13,7 @@ _LIGHT, _DARK = 0.97, 0.70
 """Brightness of a face seen from the front, and from the side."""
 
 _OUTLINED = 7.0
-"""Mean edge from which the faces are outlined; below, lines would cover all [pixels]."""
+"""Mean edge from which faces are outlined; below, lines would cover all [pixels]."""
 
 
 def rest_image(

@@ -156,7 +156,6 @@ def _draw_gravity(
     """Draw the direction of gravity in the upper right corner, with its size."""
     g = np.asarray(gravity, float)
     size = float(np.linalg.norm(g))
-    where = {"xycoords": "axes fraction", "textcoords": "axes fraction"}
     words = {"fontsize": 13, "color": GRAVITY, "ha": "right", "va": "center"}
     text = f"{size:.4g} m/s2" if size else "no gravity"
     axes.text(0.985, 0.955, text, transform=axes.transAxes, **words)
@@ -176,7 +175,14 @@ def _draw_gravity(
     look = {"arrowstyle": "-|>", "color": GRAVITY, "lw": 3.0, "mutation_scale": 18}
     arrow = {**look, "shrinkA": 0, "shrinkB": 0}
     tip, tail = middle + half, middle - half
-    axes.annotate("", tuple(tip), tuple(tail), arrowprops=arrow, **where)
+    axes.annotate(
+        "",
+        tuple(tip),
+        tuple(tail),
+        arrowprops=arrow,
+        xycoords="axes fraction",
+        textcoords="axes fraction",
+    )
 
 
 def setup_handles(drawn: list[str]) -> list[Any]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
     AbstractLoad,
@@ -85,6 +86,8 @@ def outline(
     head = ("name", "role", "gravity", "held", "loads", "actuators and bodies")
     yield from _section("Configurations", [head, *rows])
     yield from _section("Measured", _measured(posed, lanes))
+    rows = _registrations(project)
+    yield from _section("Camera frames, registered to the mesh", rows)
     yield from _section("Parameters", _parameters(project.parameters))
     yield from _section("Quantities as read, in SI and mm", _as_read(quantities))
     yield from _section("Commands", _commands(project))
@@ -187,15 +190,19 @@ def _bodies(model: Model) -> Rows:
 
 
 def _actuators(model: Model) -> Rows:
-    actuators = model.mechanism.actuators
-    rows = [("name", "kind", "rest")]
-    rest = np.asarray(actuators.rest)
-    for name, kind, value in zip(actuators.names, actuators.kinds, rest, strict=True):
-        size = ""
-        if kind.noun == "cable":
-            size = f"{readable_values([-value], 'm')} long"
-        elif kind.noun == "chamber":
-            size = readable_values([value], "m3")
+    actuators, x = model.mechanism.actuators, model.mechanism.points
+    geometry = actuator_geometry(actuators, x)
+    lengths = np.linalg.norm(geometry.segments[:, 1] - geometry.segments[:, 0], axis=1)
+    volumes_of = enclosed_volumes(actuators.groups, x)
+    rows = [("name", "kind", "at rest")]
+    for a, (name, kind) in enumerate(
+        zip(actuators.names, actuators.kinds, strict=True)
+    ):
+        size, own = "", lengths[geometry.segment_owner == a]
+        if own.size:
+            size = f"{_length(own.sum())} long"
+        elif a in volumes_of:
+            size = readable_values([volumes_of[a]], "m3")
         rows.append((name, kind.noun, size))
     return rows if actuators.names else []
 
@@ -288,7 +295,9 @@ def _states(c: Configuration) -> Iterator[str]:
 def _measured(posed: Sequence[Configuration], lanes: ConfigurationLanes) -> Rows:
     """List what is measured in each configuration: markers together, others alone."""
     records = {c.name: own for c, own in zip(posed, lanes.effectors, strict=True)}
-    rows = [("configuration", "what", "value", "standard deviation")]
+    rows: list[tuple[str, ...]] = [
+        ("configuration", "what", "value", "standard deviation")
+    ]
     for c in posed:
         n = 0 if c.markers is None else len(c.markers.names)
         markers, others = records[c.name][:n], records[c.name][n:]
@@ -297,6 +306,7 @@ def _measured(posed: Sequence[Configuration], lanes: ConfigurationLanes) -> Rows
             std = np.asarray(c.markers.std)
             values = [std.min(), std.max()] if std.min() < std.max() else [std.max()]
             told = _stated(c.markers.std, " to ".join(_length(v) for v in values))
+            told += _share(c)
             names = f"{n} marker{'s' if n > 1 else ''}"
             if c.markers.axes != "xyz":
                 names += f" along {c.markers.axes}"
@@ -308,6 +318,9 @@ def _measured(posed: Sequence[Configuration], lanes: ConfigurationLanes) -> Rows
             size = readable_values(np.atleast_1d(np.asarray(std)).tolist(), record.unit)
             what = f"{record.name}, {_QUANTITIES[record.quantity]}"
             told = _stated(std, size) if record.seen.any() else ""
+            told += (
+                _share(c) if record.seen.any() and record.quantity == "point" else ""
+            )
             rows.append((c.name, what, _value(record, before), told))
         if not records[c.name]:
             rows.append((c.name, "nothing", "", ""))
@@ -331,6 +344,20 @@ _QUANTITIES = {
 
 def _stated(std: Any, shown: str) -> str:
     return f"not stated: {shown} as a weight" if isinstance(std, Unstated) else shown
+
+
+def _share(c: Configuration) -> str:
+    """Say what belongs to the noise beside a standard deviation."""
+    if c.relative_std == "estimated":
+        return " and an estimated share of the motion"
+    return f" and {100 * c.relative_std:.3g} % of the motion" if c.relative_std else ""
+
+
+def _registrations(project: Project) -> Rows:
+    rows = [("configuration", "rms left at the markers")]
+    for name, found in project.registrations.items():
+        rows.append((name, f"{1e3 * found.rms:.2f} mm"))
+    return rows if project.registrations else []
 
 
 def _motion(
@@ -366,7 +393,9 @@ def _value(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> str:
 
 
 def _parameters(parameters: Sequence[Parameter]) -> Rows:
-    rows = [("name", "start", "lower", "upper", "scale", "prior")]
+    rows: list[tuple[str, ...]] = [
+        ("name", "start", "lower", "upper", "scale", "prior")
+    ]
     for q in parameters:
         values = [float(v) for v in (q.start, q.lower, q.upper)]
         prior = "none"
@@ -407,9 +436,10 @@ def _commands(project: Project) -> Rows:
             rows.append((f"softcal {command}", "has all it needs"))
         except ProjectError as error:
             text = str(error).removeprefix(f"{project.path}: ")
-            first, *others = text.splitlines()
-            more = f" (and {len(others)} more)" if others else ""
-            rows.append((f"softcal {command}", f"would refuse: {first.strip()}{more}"))
+            first, *others = [line.strip() for line in text.splitlines()]
+            # Several problems stand below their number.
+            rows.append((f"softcal {command}", f"would refuse: {first}"))
+            rows += [("", other) for other in others]
     return rows
 
 
@@ -420,7 +450,7 @@ def _sized(vector: Any, unit: str) -> str:
     text = readable_values([size], unit)
     if not size:
         return text
-    along: Float[HostArray, "3"] = vector / size
+    along: Float[HostArray, 3] = vector / size
     axis = int(np.argmax(np.abs(along)))
     if abs(along[axis]) > 1.0 - 1e-9:
         return f"{text} along {'-' if along[axis] < 0 else '+'}{'xyz'[axis]}"
