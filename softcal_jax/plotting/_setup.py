@@ -107,7 +107,7 @@ def _draw_support(
     if name in mesh.surface_groups:
         corners = x[mesh.faces(name)[:, :3]]
         flat = view.project(corners.reshape(-1, 3)).reshape(-1, 3, 2)
-        style = {"facecolor": SUPPORT, "edgecolor": SUPPORT, "lw": 0.5, "alpha": 0.35}
+        style = {"facecolor": SUPPORT, "edgecolor": "white", "lw": 0.4, "alpha": 0.4}
         axes.add_collection(PolyCollection(list(flat), **style))
     else:
         small = {**_STYLES["support"], "ms": 5}
@@ -158,11 +158,11 @@ def _draw_gravity(
     size = float(np.linalg.norm(g))
     words = {"fontsize": 13, "color": GRAVITY, "ha": "right", "va": "center"}
     text = f"{size:.4g} m/s2" if size else "no gravity"
-    axes.text(0.985, 0.955, text, transform=axes.transAxes, **words)
+    axes.text(0.965, 0.955, text, transform=axes.transAxes, **words)
     if not size:
         return
     step = np.array([g @ view.right, g @ view.up]) / size
-    middle = (0.94, 0.87)
+    middle = (0.92, 0.87)
     if np.linalg.norm(step) < _LEAST:
         symbol = "." if g @ view.towards > 0 else "x"
         style = {"transform": axes.transAxes, "color": GRAVITY}
