@@ -38,9 +38,10 @@ def test_version():
 
 
 def test_a_command_does_not_wait_for_what_it_may_not_need():
-    """Drawing, and the second optimiser; a second of imports before every command."""
+    """Drawing, optimisers, units; seconds of imports before every command."""
     asked = "import sys, softcal_jax.cli, softcal_jax.project, softcal_jax.report; "
-    heavy = ["pyvista", "matplotlib", "vtkmodules", "optimistix", "pandas"]
+    heavy = ["pyvista", "matplotlib", "vtkmodules", "optimistix", "pandas", "pint"]
+    heavy += ["jaxopt", "scipy.stats", "scipy.optimize", "scipy.interpolate"]
     done = subprocess.run(
         [
             sys.executable,

@@ -26,6 +26,7 @@ from softcal_jax.actuators._pressure import (
     ChamberFaces,
     PressureFaces,
     SurfacePressure,
+    enclosed_volumes,
 )
 
 __all__ = [
@@ -52,5 +53,6 @@ __all__ = [
     "clique_nodes",
     "curvature_entries",
     "displacement_rows",
+    "enclosed_volumes",
     "free_rim_nodes",
 ]

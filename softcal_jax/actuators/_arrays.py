@@ -116,11 +116,14 @@ def actuator_arrays(
     points: Float[HostArray, "n_all 3"],
     actuators: Sequence[AbstractActuator],
     bodies: Mapping[str, int],
+    *,
+    at_rest: bool = True,
 ) -> ActuatorArrays:
     """Attach actuators to the nodes of a mesh and of rigid bodies.
 
     `points` are rest positions of all nodes [m], see `RestState`; `bodies` the index of
-    each rigid body by name.
+    each rigid body by name. Displacements are NaN unless they are evaluated `at_rest`,
+    for which a program is compiled.
 
     Raises:
         ValueError: If a name is used twice, or an actuator does not fit the mesh or
@@ -144,7 +147,9 @@ def actuator_arrays(
     groups = tuple(jax.tree.map(join, *same) for same in alike.values())
     return ActuatorArrays(
         groups=groups,
-        rest=_at_rest(groups, jax.device_put(points), len(names)),
+        rest=_at_rest(groups, jax.device_put(points), len(names))
+        if at_rest and groups
+        else jax.device_put(np.full(len(names), np.nan)),
         names=names,
         kinds=tuple(actuator.kind for actuator in actuators),
         motor_body=tuple(

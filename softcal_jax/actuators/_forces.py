@@ -97,8 +97,11 @@ class AbstractWeighted(AbstractPotentialCliques):
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw one arrow per actuator at the mean point of action of its force."""
-        nodes, weights = np.ravel(self.nodes), np.reshape(self.weights, (-1, 3))
-        owner = np.repeat(self.owner, np.shape(self.nodes)[1])
+        # On the host, where nothing is compiled.
+        of_cliques = np.asarray(self.nodes)
+        nodes = of_cliques.ravel()
+        weights = np.asarray(self.weights).reshape(-1, 3)
+        owner = np.repeat(np.asarray(self.owner), of_cliques.shape[1])
         actuators, of = np.unique(owner, return_inverse=True)
         total = np.zeros((actuators.size, 3))
         np.add.at(total, of, weights)

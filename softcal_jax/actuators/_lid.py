@@ -6,7 +6,7 @@ enclose a volume, and what the pressure does to a lid acts on the nodes of its r
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -83,6 +83,31 @@ def rims(
     return found
 
 
+def lid_cone(
+    arm: Float[Array | HostArray, "m 3"],
+    weights: Float[Array | HostArray, " m"],
+    *,
+    quadratic: bool,
+) -> Any:
+    """Compute the volume of the cone from the origin to a lid [m3].
+
+    Args:
+        arm: Nodes of its rim, in their order [m].
+        weights: Their shares in the mean of the rim [-].
+        quadratic: Whether every second node is a mid node.
+    """
+    xp: Any = np if isinstance(arm, np.ndarray) else jnp
+    if quadratic:
+        # The integral of x cross dx along the parabola through a, m and b.
+        a, m = arm[0::2], arm[1::2]
+        b = xp.roll(a, -1, axis=0)
+        turns = 4.0 * (xp.cross(a, m) + xp.cross(m, b)) - xp.cross(a, b)
+        area = xp.sum(turns, axis=0) / 6.0
+    else:
+        area = 0.5 * xp.sum(xp.cross(arm, xp.roll(arm, -1, axis=0)), axis=0)
+    return xp.dot(weights @ arm, area) / 3.0
+
+
 class ChamberLids(AbstractPotentialCliques):
     """Lids of chambers, one ring of nodes each; each adds a cone's volume to delta_a.
 
@@ -103,16 +128,7 @@ class ChamberLids(AbstractPotentialCliques):
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         """Compute the volume between one lid and the centre [m3]."""
-        arm = x - self.centre[None]
-        if self.quadratic:
-            # The integral of x cross dx along the parabola through a, m and b.
-            a, m = arm[0::2], arm[1::2]
-            b = jnp.roll(a, -1, axis=0)
-            turns = 4.0 * (jnp.cross(a, m) + jnp.cross(m, b)) - jnp.cross(a, b)
-            area = jnp.sum(turns, axis=0) / 6.0
-        else:
-            area = 0.5 * jnp.sum(jnp.cross(arm, jnp.roll(arm, -1, axis=0)), axis=0)
-        return jnp.dot(self.weights @ arm, area) / 3.0
+        return lid_cone(x - self.centre[None], self.weights, quadratic=self.quadratic)
 
     def refined(self, refinement: Refinement) -> "ChamberLids":
         """Return the rings on a finer mesh, which has nodes between these."""

@@ -1,6 +1,7 @@
 """Pressures: in a closed chamber, or following an open surface."""
 
-from typing import ClassVar
+from collections.abc import Iterable
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +14,14 @@ from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
     ActuatorGeometry,
     draw_faces,
-    each_clique,
     on_finer_faces,
     owned,
 )
-from softcal_jax.actuators._lid import ChamberLids, lid, open_edges, rims
+from softcal_jax.actuators._lid import ChamberLids, lid, lid_cone, open_edges, rims
 from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
 from softcal_jax.mesh import Refinement, TetMesh, boundary_faces
+
+AnyArray = Array | HostArray
 
 
 class Chamber(AbstractActuator):
@@ -61,11 +63,7 @@ class Chamber(AbstractActuator):
         wall = ChamberFaces(*owned(faces, owner), centres)
         of = {"centre": centre, "quadratic": rest.mesh.order == 2, "owner": owner}
         lids = [lid(rim, rest.points, **of) for rim in openings]
-        points = jax.device_put(rest.points)
-        volume = sum(
-            float(jnp.sum(each_clique(type(c).contribution, c, points)))
-            for c in (wall, *lids)
-        )
+        volume = enclosed_volumes((wall, *lids), rest.points)[owner]
         if not volume > 0.0:
             raise ValueError(
                 f"{self.label}: surface {self.surface!r} has the body on its inner "
@@ -113,9 +111,7 @@ class ChamberFaces(AbstractPotentialCliques):
 
     def contribution(self, x: Float[Array, "n_fn 3"]) -> Float[Array, ""]:
         """Compute the volume of the cone from the centre to one face [m3]."""
-        arm = x - self.centre[None]
-        n_dA, N = _vector_areas(arm)
-        return -jnp.sum(n_dA * (N @ arm)) / 3.0
+        return _cones(x - self.centre[None])
 
     def refined(self, refinement: Refinement) -> "ChamberFaces":
         """Return the faces of a finer mesh."""
@@ -192,18 +188,57 @@ def _outward_faces(
     return boundary[np.unique(at)]
 
 
+def enclosed_volumes(
+    cliques: Iterable[AbstractCliques], x: Float[HostArray, "n_all 3"]
+) -> dict[int, float]:
+    """Compute the volumes of chambers, on the host, where nothing is compiled.
+
+    Args:
+        cliques: Cliques of any kind; those of walls and lids count.
+        x: Positions of all nodes [m].
+
+    Returns:
+        The volume of each chamber by the index of its actuator [m3].
+    """
+    found: dict[int, float] = {}
+    for some in cliques:
+        if not isinstance(some, ChamberFaces | ChamberLids):
+            continue
+        nodes, centres = np.asarray(some.nodes), np.asarray(some.centre)
+        arms = x[nodes] - centres[:, None]
+        if isinstance(some, ChamberFaces):
+            parts = np.asarray(_cones(arms))
+        else:
+            weighted = zip(arms, np.asarray(some.weights), strict=True)
+            cones = [lid_cone(*own, quadratic=some.quadratic) for own in weighted]
+            parts = np.asarray(cones)
+        for owner, part in zip(np.asarray(some.owner).tolist(), parts, strict=True):
+            found[owner] = found.get(owner, 0.0) + float(part)
+    return found
+
+
+def _cones(arm: Float[AnyArray, "*n n_fn 3"]) -> Any:
+    """Compute the volumes of cones from the origin to faces [m3].
+
+    Of one face, or of many on the host.
+    """
+    n_dA, N = _vector_areas(arm)
+    return -(n_dA * (N @ arm)).sum(axis=(-2, -1)) / 3.0
+
+
 def _vector_areas(
-    x: Float[Array, "n_fn 3"],
-) -> tuple[Float[Array, "n_q 3"], Float[Array, "n_q n_fn"]]:
-    """Compute n dA [m2] and shape functions at the quadrature points of one face.
+    x: Float[AnyArray, "*n n_fn 3"],
+) -> tuple[Any, Any]:
+    """Compute n dA [m2] and shape functions at the quadrature points of a face.
 
     n dA = 1/2 w_q dx/dxi x dx/deta. The rule is exact for the integral of N n dA: of
     degree 1 on linear faces, 4 on quadratic ones.
     """
-    n_fn = x.shape[0]
+    xp: Any = np if isinstance(x, np.ndarray) else jnp
+    n_fn = x.shape[-2]
     rule = triangle_rule(1 if n_fn == 3 else 4)
-    N = jnp.asarray(shape_functions(rule.barycentric, n_fn), x.dtype)
-    dN = jnp.asarray(shape_gradients(rule.barycentric, n_fn), x.dtype)
-    weights = jnp.asarray(0.5 * rule.weights, x.dtype)
-    tangents = jnp.einsum("qaj,ai->jqi", dN, x)
-    return weights[:, None] * jnp.cross(tangents[0], tangents[1]), N
+    N = xp.asarray(shape_functions(rule.barycentric, n_fn), x.dtype)
+    dN = xp.asarray(shape_gradients(rule.barycentric, n_fn), x.dtype)
+    weights = xp.asarray(0.5 * rule.weights, x.dtype)
+    tangents = xp.einsum("qaj,...ai->j...qi", dN, x)
+    return weights[:, None] * xp.cross(tangents[0], tangents[1]), N

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._budget import MESH
@@ -188,8 +188,8 @@ def quantile_of(result: CalibrationResult, level: float) -> float:
     """Return how many standard errors chance allows: normal, or Student's t [-]."""
     spread, tail = result.uncertainty, 0.5 * (1.0 + level)
     if spread.noise == "stated":
-        return float(norm.ppf(tail))
-    return float(t.ppf(tail, spread.degrees_of_freedom))
+        return float(ndtri(tail))
+    return float(stdtrit(spread.degrees_of_freedom, tail))
 
 
 def _considered_error(result: CalibrationResult, column: int) -> float:
@@ -217,7 +217,7 @@ def whole_interval(
 
     Both move out by what is held fixed and may be wrong, in squares, up to the bounds.
     """
-    reach = norm.ppf(0.5 * (1.0 + level)) * _considered_error(result, column)
+    reach = ndtri(0.5 * (1.0 + level)) * _considered_error(result, column)
     wider = []
     for end, sign in zip(ends, (-1, 1), strict=True):
         room = room_beside(result.space, result.z, column, sign)

@@ -56,6 +56,8 @@ class ConfigurationResult(eqx.Module):
             lambda_p; None where nothing was calibrated.
         columns: Correlated part of the noise of all coordinates, in the order of the
             effectors, in units of their standard deviations; see `CorrelatedNoise` [-].
+        posed: The configuration as described: supports, loads, gravity; None where a
+            result was made without.
     """
 
     name: str
@@ -73,6 +75,7 @@ class ConfigurationResult(eqx.Module):
     robot: RobotState | None = None
     W_ep: Float[HostArray, "n_rows 3 n_p"] | None = None
     columns: Float[HostArray, "n_coordinates n_columns"] | None = None
+    posed: Configuration | None = None
 
     @property
     def points(self) -> tuple[EffectorRecord, ...]:
@@ -365,6 +368,7 @@ def _results(
             at_rounding=bool(solution.at_rounding[i]),
             min_det_F=float(solution.min_det_F[i]),
             robot=states[i],
+            posed=configuration,
         )
         for i, configuration in enumerate(configurations)
     )

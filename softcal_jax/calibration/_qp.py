@@ -5,8 +5,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve
-from jaxopt import BoxOSQP
-from jaxopt.base import KKTSolution
 
 from softcal_jax._typing import Array, Bool, Float, Int, is_traced
 
@@ -200,6 +198,10 @@ def _no_step(qp: _Scaled) -> _Point:
 
 def _iterated(qp: _Scaled, start: _Point) -> _Point:
     """Run BoxOSQP from a point and its multipliers."""
+    # Here, so that commands which do not need it do not wait for it.
+    from jaxopt import BoxOSQP
+    from jaxopt.base import KKTSolution
+
     n = qp.c.shape[0]
     G = jnp.concatenate([jnp.eye(n, dtype=qp.c.dtype), qp.R])
     limits = (

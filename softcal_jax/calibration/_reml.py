@@ -16,7 +16,6 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
-from scipy.optimize import minimize
 
 from softcal_jax._typing import Float, HostArray
 
@@ -102,6 +101,9 @@ def restricted_likelihood(
     Returns:
         All factors; 0 where the residuals show nothing of a component.
     """
+    # Here, so that commands which do not need it do not wait for it.
+    from scipy.optimize import minimize
+
     reduced, start = _Reduced(errors, columns), np.array(factors, float)
     which = np.flatnonzero(free)
     # Among the residuals that no column explains the jitter is alone.

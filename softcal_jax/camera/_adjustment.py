@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray, Int
@@ -187,6 +186,9 @@ class _Round(NamedTuple):
 
     def fitted(self) -> "_Fit":
         """Take the steps that fit best, and find the noise anew."""
+        # Here, so that commands which do not need it do not wait for it.
+        from scipy.optimize import least_squares
+
         n_pixels = self.seen.pixels.size
         start = np.zeros(_N_CAMERA + 6 * len(self.placements))
         found = least_squares(self.residuals, start, method="lm", xtol=1e-12)

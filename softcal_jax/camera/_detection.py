@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
-from scipy.ndimage import map_coordinates
 
 from softcal_jax._files import check_file
 from softcal_jax._typing import Float, HostArray
@@ -156,6 +155,9 @@ class _Edge(NamedTuple):
         Along each normal, an edge that was blurred symmetrically is at the place from
         which a sharp one would let through as much light.
         """
+        # Here, so that commands which do not need it do not wait for it.
+        from scipy.ndimage import map_coordinates
+
         start, along = corners[0], corners[1] - corners[0]
         length = float(np.linalg.norm(along))
         out = np.array([along[1], -along[0]]) / length

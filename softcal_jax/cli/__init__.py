@@ -1,4 +1,4 @@
-"""The command line: `softcal demo`, `calibrate`, `simulate`, `export` and others.
+"""The command line: `softcal demo`, `check`, `calibrate`, `simulate` and others.
 
 Exit codes: 0 done, 1 not converged or no equilibrium, 2 bad input, 130 interrupted by
 Ctrl-C or SIGTERM.

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from softcal_jax.cli._check import add_check
 from softcal_jax.cli._commands import calibrate, demo, identify, simulate
 from softcal_jax.cli._compare import add_compare
 from softcal_jax.cli._console import (
@@ -34,6 +35,7 @@ _EXAMPLES = """\
 examples:
   softcal demo                            calibrate a real silicone beam
   softcal demo --write my_robot           its project file and data, to start from
+  softcal check my_robot/project.toml     what it says, drawn, before any solve
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
   softcal identify my_robot/project.toml  would the data suffice? before measuring
@@ -161,6 +163,7 @@ ranked by what measuring them as well would add.""",
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
         command.add_argument("--force", action="store_true", help=again)
+    add_check(commands, raw)
     add_mesh(commands, raw)
     add_compare(commands, raw)
     add_export(commands, raw)

@@ -204,21 +204,21 @@ def start_computing(show: Display) -> None:
     show.lap("import")
 
 
-def load(path: Path, show: Display) -> "Project":
-    """Load a project, and describe its model."""
+def load(path: Path, show: Display, *, solve: bool = True) -> "Project":
+    """Load a project, and describe its model, with the solver if it is to `solve`."""
     from softcal_jax.project import load_project
 
     start_computing(show)
     show.now(f"reading {path.name}")
     with bad_input():
-        project = load_project(path)
+        project = load_project(path, solve=solve)
     show.lap("reading")
     mesh, model = project.model.mesh, project.model
     kind = "quadratic" if mesh.order == 2 else "linear"
     show.line(f"softcal {version('softcal-jax')}: {project.name}")
     show.line(
         f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets, {_law(model)} "
-        f"({model.formulation}), solver {model.solver.name}"
+        f"({model.formulation})" + (f", solver {model.solver.name}" if solve else "")
     )
     return project
 

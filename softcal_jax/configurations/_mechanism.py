@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
@@ -64,8 +64,13 @@ def build_mechanism(
     mesh: TetMesh,
     bodies: Sequence[RigidBody] = (),
     actuators: Sequence[AbstractActuator] = (),
+    *,
+    at_rest: bool = True,
 ) -> Mechanism:
     """Stack the rigid bodies and actuators of a mesh at rest.
+
+    Displacements of actuators are NaN unless they are evaluated `at_rest`, for which a
+    program is compiled: not needed to check or to draw them.
 
     Raises:
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
@@ -74,9 +79,11 @@ def build_mechanism(
     stacked = body_arrays(mesh, bodies)
     points = np.concatenate([mesh.points, stacked.frame_points])
     index_of = {name: k for k, name in enumerate(stacked.names)}
-    arrays = actuator_arrays(mesh, points, actuators, index_of)
+    arrays = actuator_arrays(mesh, points, actuators, index_of, at_rest=at_rest)
     _check_motors(stacked, arrays)
-    return Mechanism(points, stacked, arrays, jnp.zeros(len(arrays.names)))
+    # Not jnp.zeros, which would compile a program for every number.
+    zeros = jax.device_put(np.zeros(len(arrays.names)))
+    return Mechanism(points, stacked, arrays, zeros)
 
 
 def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
@@ -93,7 +100,7 @@ def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
             )
         if body in turned:
             raise ValueError(f"motors {turned[body]!r} and {name!r} both turn {own!r}.")
-        if np.any(np.asarray(bodies.mounting_rotation[body]) != 0.0):
+        if np.any(np.asarray(bodies.mounting_rotation)[body] != 0.0):
             raise ValueError(
                 f"motor {name!r} turns {own!r}, whose mounting turns it already: give "
                 "that rotation to the axes of the body, or to the angle."

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.control._problem import Command, Linear, follow_room
@@ -63,6 +62,9 @@ def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
 
 def _multipliers(slope, A, earlier) -> Float[HostArray, " n_rows"]:
     """Solve slope + A^T mu + earlier^T nu = 0 for mu >= 0, by least squares."""
+    # Here, so that commands which do not need it do not wait for it.
+    from scipy.optimize import nnls
+
     free = earlier.reshape(-1, A.shape[1])
     columns = np.concatenate([A, free, -free]).T
     if columns.shape[1] == 0:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from scipy.stats.qmc import LatinHypercube
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.control._descent import Descent, arrival, begin, descend, moved
@@ -123,6 +122,9 @@ def _other_starts(command: Command, first: Descent) -> Float[HostArray, "n_start
     n, reach = command.settings.other_starts, command.settings.max_step_bound
     (lower, upper), value = command.box(), first.here.value
     scale = first.linear.scale
+    # Here, so that commands which do not need it do not wait for it.
+    from scipy.stats.qmc import LatinHypercube
+
     low = np.maximum(lower, value - reach * scale)
     high = np.minimum(upper, value + reach * scale)
     shares = np.full((n, low.size), 0.5)

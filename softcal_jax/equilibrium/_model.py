@@ -18,6 +18,7 @@ from softcal_jax.configurations import Mechanism, build_mechanism
 from softcal_jax.elements import shape_functions, shape_gradients, tet_rule
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
+from softcal_jax.equilibrium._no_solver import NO_SOLVER
 from softcal_jax.equilibrium._solver_choice import (
     check_solver,
     choose_solver,
@@ -212,7 +213,8 @@ def build_model(
             "displacement" otherwise; `Model.formulation` says which.
         solver: Sparse direct solver: "pardiso" or "klu" on the CPU, by default that of
             the platform; or "pardiso-host", the default where JAX computes on a GPU
-            (extra `gpu`).
+            (extra `gpu`). "none" prepares none: such a model can be looked at, not
+            solved.
 
     Raises:
         ValueError: If JAX is not in float64, the mesh is not sound, the density is
@@ -226,7 +228,8 @@ def build_model(
     check_solver(solver)
     _check_fields(law, mesh.n_tets)
     density = _checked_density(density, mesh.n_tets)
-    mechanism = build_mechanism(mesh, bodies, actuators)
+    solved = solver != NO_SOLVER
+    mechanism = build_mechanism(mesh, bodies, actuators, at_rest=solved)
     check_mesh(mesh, linked=_linked(mechanism))
     return _prepared(
         mesh,
@@ -379,7 +382,7 @@ def _formulation(
 ) -> Formulation:
     if choice == "auto":
         nu = [
-            np.max(leaf)
+            np.max(np.asarray(leaf))
             for path, leaf in jax.tree_util.tree_leaves_with_path(law)
             if jax.tree_util.keystr(path).endswith(".nu")
         ]

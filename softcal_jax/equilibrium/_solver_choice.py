@@ -8,11 +8,12 @@ import jax
 from softcal_jax._names import suggestion
 from softcal_jax.equilibrium._host_pardiso import HostPardiso
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver, Klu, Pardiso
+from softcal_jax.equilibrium._no_solver import NO_SOLVER, NoSolver
 from softcal_jax.equilibrium._sparsity import Sparsity
 
 _ON_CPU = {"pardiso": Pardiso, "klu": Klu}
 _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
-_NAMES = ["klu", "pardiso", "pardiso-host"]
+_NAMES = ["klu", "none", "pardiso", "pardiso-host"]
 
 _REMOVED = ("auto", "multigrid")
 """Names of former solvers. With six parameters at 58 719 and 106 624 nodes, one
@@ -39,6 +40,8 @@ def choose_solver(name: str | None, unknowns: Sparsity) -> AbstractLinearSolver:
     None takes the one that pyproject.toml installs on the platform, or "pardiso-host"
     where JAX does not compute on the CPU.
     """
+    if name == NO_SOLVER:
+        return NoSolver(unknowns)
     backend = jax.default_backend()
     if name is None and backend != "cpu":
         name = "pardiso-host"

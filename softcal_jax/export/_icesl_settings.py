@@ -3,7 +3,6 @@
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.export._icesl_fields import N_VOXELS, Samples
@@ -181,6 +180,9 @@ class _Textures:
     """
 
     def __init__(self, samples: Samples):
+        # Here, so that commands which do not need it do not wait for it.
+        from scipy.ndimage import distance_transform_edt
+
         self.voxels = samples.voxels
         free = np.ones((N_VOXELS,) * 3, bool)
         free[tuple(self.voxels.T)] = False

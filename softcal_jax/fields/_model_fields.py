@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Float, HostArray, is_traced
 from softcal_jax.materials import PointValues, is_point_values
 
 
@@ -48,14 +48,25 @@ def set_field(
 
 def _in_tets(old: Any, new: Any, tets: Any, n_tets: int) -> Any:
     """Change values of some tets, by quadrature point if either is given so."""
-    by_points = lambda v: v.values if is_point_values(v) else jnp.asarray(v)[..., None]
+    either = is_point_values(old) or is_point_values(new)
+    # What is known is changed on the host, where nothing is compiled.
+    known = not any(map(is_traced, jax.tree.leaves((old, new))))
+    xp: Any = np if known else jnp
+    by_points = lambda v: (
+        xp.asarray(v.values) if is_point_values(v) else xp.asarray(v)[..., None]
+    )
     before, after = by_points(old), by_points(new)
     n_qp = max(before.shape[-1], after.shape[-1])
-    values = jnp.broadcast_to(before.reshape(-1, before.shape[-1]), (n_tets, n_qp))
-    after = after.reshape(-1, after.shape[-1])
-    values = values.at[tets].set(jnp.broadcast_to(after, (len(tets), n_qp)))
-    either = is_point_values(old) or is_point_values(new)
-    return PointValues(values) if either else values[:, 0]
+    values = xp.broadcast_to(before.reshape(-1, before.shape[-1]), (n_tets, n_qp))
+    after = xp.broadcast_to(after.reshape(-1, after.shape[-1]), (len(tets), n_qp))
+    if known:
+        values = values.copy()
+        values[np.asarray(tets)] = after
+    else:
+        values = values.at[tets].set(after)
+    values = values if either else values[:, 0]
+    values = jax.device_put(values) if known else values
+    return PointValues(values) if either else values
 
 
 def region_tets(mesh: Any, region: str | None) -> HostArray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -75,11 +76,14 @@ class AbstractEntry(eqx.Module):
 
 
 def _number(value) -> Float[Array, ""]:
-    return jnp.asarray(value, float)
+    if isinstance(value, jax.Array):
+        return jnp.asarray(value, float)
+    # Not jnp.asarray, which compiles a program for plain numbers.
+    return jax.device_put(np.asarray(value, float))
 
 
 def _number_or_none(value) -> Float[Array, ""] | None:
-    return None if value is None else jnp.asarray(value, float)
+    return None if value is None else _number(value)
 
 
 class AbstractFieldEntry(AbstractEntry):

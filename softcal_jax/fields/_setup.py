@@ -10,10 +10,12 @@ from operator import attrgetter
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._names import name_key, unknown_name
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax.fields._parameters import AbstractEntry, Parameter
 
 Scope = Literal["configuration", "recording"]
@@ -65,7 +67,15 @@ def entry_of(path: str) -> Put:
     where = attrgetter(path)
 
     def put(owner: Any, index: tuple[int, ...], change: Change) -> Any:
-        old = jnp.asarray(where(owner))
+        old = where(owner)
+        if not is_traced(old):
+            # On the host, where nothing is compiled.
+            host = np.array(old)
+            new = change(host[index])
+            if not is_traced(new):
+                host[index] = np.asarray(new)
+                return eqx.tree_at(where, owner, jax.device_put(host))
+        old = jnp.asarray(old)
         return eqx.tree_at(where, owner, old.at[index].set(change(old[index])))
 
     return put

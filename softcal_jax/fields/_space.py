@@ -1,6 +1,6 @@
 """The space of all calibrated parameters: scaling, bounds, order constraints."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -214,7 +214,9 @@ class ParameterSpace(eqx.Module):
     def order_rows(self) -> tuple[Float[Array, "n_rows n_p"], Float[Array, " n_rows"]]:
         """Return the order constraints as A z <= b."""
         terms = order_terms(self.entries, self.order)
-        A, b = jnp.zeros((len(terms), len(self.parameters))), jnp.zeros(len(terms))
+        # Not jnp.zeros, which would compile a program for every shape.
+        shape = (len(terms), len(self.parameters))
+        A, b = jax.device_put((np.zeros(shape), np.zeros(len(terms))))
         for row, pair in enumerate(terms):
             # Rows of unit size: lambda_p is of the order of 1 in every direction.
             size = jnp.maximum(pair[0].unit, pair[1].unit)
@@ -259,11 +261,20 @@ class ParameterSpace(eqx.Module):
             scaled[column] = value
         pairs = zip(self.parameters, scaled, strict=True)
         values = {q.name: q.from_scaled(coordinate) for q, coordinate in pairs}
+        return self._with_values(model, configuration, values)
+
+    def _with_values(
+        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    ) -> tuple[Any, Any]:
         for entry in self.entries:
             model, configuration = entry.apply(model, configuration, values)
         for axis in fading_axes(self.entries, self.axes):
             model = axis.apply(model, values)
         return model, configuration
+
+    def model_with(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
+        """Set the values of all parameters by name, in SI units, in a model alone."""
+        return self._with_values(model, None, values)[0]
 
     def model_at(self, model: Any, z: Float[Array, " n_p"]) -> Any:
         """Set the values of scaled coordinates in a model alone; see `apply`."""

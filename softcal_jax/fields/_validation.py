@@ -5,7 +5,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._names import unknown_name
@@ -38,11 +37,12 @@ def check_parameters(
     _check_twice(space)
     _check_effects(model, space, configuration)
     _check_order(space)
-    for side, z in (("lower", space.lower()), ("upper", space.upper())):
-        applied = space.model_at(model, z)
+    for side in ("lower", "upper"):
+        bounds = {q.name: getattr(q, side) for q in space.parameters}
+        applied = space.model_with(model, bounds)
         try:
             _check_constants(applied.law)
-            if not bool(jnp.all(applied.density >= 0.0)):
+            if not np.all(np.asarray(applied.density) >= 0.0):
                 raise ValueError("density must not be negative [kg/m3].")
         except ValueError as error:
             what = f"with all parameters at their {side} bound"
@@ -99,8 +99,7 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
     Sensitivities follow from `apply` by autodiff, but those of fields use a shortcut
     that misses everything else. Arrays that an entry does not set stay the same object.
     """
-    p = space.from_scaled(space.start())
-    values = dict(zip(space.names, p, strict=True))
+    values = {q.name: q.start for q in space.parameters}
     for entry in space.entries:
         changed = entry.apply(model, configuration, values)
         found = _differences((model, configuration), changed)
@@ -132,6 +131,8 @@ def _differences(old: Any, new: Any) -> set[str]:
 def _check_order(space: ParameterSpace) -> None:
     """Raise unless the start keeps the order and the bounds leave room for it."""
     A, b = map(np.asarray, space.order_rows())
+    if not len(A) and space.chart is None:
+        return
     low, high = np.asarray(space.lower()), np.asarray(space.upper())
     excess = A @ np.asarray(space.start()) - b
     best = np.minimum(A * low, A * high).sum(axis=1) - b

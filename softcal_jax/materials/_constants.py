@@ -24,7 +24,9 @@ def as_components(matrices: Any) -> tuple[Float[Array, "..."], ...]:
     if isinstance(matrices, tuple):
         return matrices
     rows = np.asarray(matrices, float)
-    return tuple(jnp.asarray(rows[..., i, j]) for i in range(3) for j in range(3))
+    # Not jnp.asarray of a part, which would compile a program for every shape.
+    parts = (np.ascontiguousarray(rows[..., i, j]) for i, j in np.ndindex(3, 3))
+    return jax.device_put(tuple(parts))
 
 
 class PointValues(eqx.Module):

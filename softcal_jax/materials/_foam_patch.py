@@ -1,7 +1,6 @@
 """Moduli between the samples of a foam table, and the search for given ones."""
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 from scipy.spatial import KDTree
 
 from softcal_jax._typing import Float, HostArray
@@ -35,6 +34,9 @@ class FoamPatch:
             moduli: Their E_soft and E_stiff [Pa].
             is_log: Whether levels are mixed by the logarithm of their anisotropy.
         """
+        # Here, so that commands which do not need it do not wait for it.
+        from scipy.interpolate import PchipInterpolator
+
         self.is_log = is_log
         values = np.unique(anisotropy)
         self.levels = np.log(values) if is_log else values

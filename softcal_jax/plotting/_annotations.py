@@ -45,6 +45,27 @@ def draw_name(axes: "matplotlib.axes.Axes", text: str, place, offset, **style) -
     axes.annotate(text, place, **where, **style, parse_math=False)
 
 
+def separate_names(axes: "matplotlib.axes.Axes") -> None:
+    """Move names up or down until none covers another, and into the axes."""
+    frame, placed = axes.get_window_extent(), []
+    points = 72.0 / axes.figure.dpi
+    from matplotlib.text import Annotation
+
+    for text in axes.texts:
+        if not text.get_text() or not isinstance(text, Annotation):
+            continue
+        box = text.get_window_extent()
+        over = max(box.x1 - frame.x1, 0.0) + min(box.x0 - frame.x0, 0.0)
+        x, y = text.xyann
+        room = box.height
+        ways = [0.0, *(sign * k * room for k in (1, 2, 3) for sign in (1, -1))]
+        boxes = [box.translated(-over, way) for way in ways]
+        free = (i for i, b in enumerate(boxes) if not any(map(b.overlaps, placed)))
+        best = next(free, 0)
+        text.xyann = (x - points * over, y + points * ways[best])
+        placed.append(boxes[best])
+
+
 def draw_markers(
     axes: "matplotlib.axes.Axes",
     measured: Float[HostArray, "n_markers 2"] | None,

@@ -17,3 +17,7 @@ DISPLACEMENT_MAP = "viridis"
 # What is drawn beside the soft body.
 CABLE, WALL, MOTOR = "#d95f02", "#0b5fa5", "#7b3294"
 FORCE, RIGID = "#1b7837", "#b4b4b4"
+
+# How the body is held, and its weight.
+SUPPORT, GRAVITY = "#8c510a", "#4d4d4d"
+FIBRE = "#5e3c99"

@@ -13,11 +13,13 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
+from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting import _robot as robots
 from softcal_jax.plotting._robot import SensorFrame
 from softcal_jax.plotting._scene import body_image
+from softcal_jax.plotting._setup import draw_setup, load_points, setup_handles
 from softcal_jax.plotting._view import choose_view
 
 if TYPE_CHECKING:
@@ -70,6 +72,7 @@ def render_configuration(
         warning="" if converged else "NOT CONVERGED: do not use these values",
         robot=result.robot,
         sensors=robots.sensor_frames(result),
+        posed=result.posed,
     )
 
 
@@ -107,6 +110,7 @@ def render_body(
     warning: str = "",
     robot: RobotState | None = None,
     sensors: Sequence[SensorFrame] = (),
+    posed: Configuration | None = None,
 ) -> None:
     """Draw a deformed body, coloured by displacement, over its outline at rest.
 
@@ -122,6 +126,7 @@ def render_body(
         warning: Printed large and red above the title.
         robot: Rigid bodies, drawn grey, and actuators with their forces.
         sensors: Poses of 6-D sensors.
+        posed: The configuration, whose supports, dead loads and gravity are drawn.
 
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
@@ -137,6 +142,9 @@ def render_body(
     }
     picture = None if robot is None else robots.robot_picture(model, robot)
     more = [*groups.values()] + ([] if picture is None else [picture.points])
+    x = model.mesh.points + u
+    if posed is not None:
+        more.append(load_points(posed, model.mesh, x))
     view = choose_view(model.mesh.points, u, np.concatenate([np.zeros((0, 3)), *more]))
     width = _WIDTH - _SIDE
     scale, height = _fit_body(view.width, view.height, width)
@@ -160,6 +168,7 @@ def render_body(
     body.imshow(pixels, extent=(-w, w, -h, h), interpolation="none")
     body.set(xlim=(-w, w), ylim=(-h, h))
     body.set_axis_off()
+    setup = [] if posed is None else draw_setup(body, view, posed, model.mesh, x)
     if picture is not None:
         robots.draw_robot(body, view, picture)
     robots.draw_sensors(body, view, sensors)
@@ -177,7 +186,7 @@ def render_body(
         bodies=model.mechanism.bodies.n_bodies > 0,
         sensors=len(sensors) > 0,
     )
-    annotations.draw_legend(figure, names, 62 / total, drawn)
+    annotations.draw_legend(figure, names, 62 / total, setup_handles(setup) + drawn)
     figure.savefig(path, dpi=_DPI, format="png")
 
 

@@ -40,6 +40,9 @@ _STYLES: dict[str, dict[str, Any]] = {
 }
 """Line styles of the kinds of actuators, in the picture and the legend."""
 
+KINDS = tuple(_STYLES)
+"""Kinds of actuators, as the legend names them."""
+
 
 class SensorFrame(NamedTuple):
     """Position and orientation of a 6-D sensor.
@@ -126,12 +129,18 @@ def _is_seen(actuator: ActuatorState) -> bool:
 
 
 def _force(actuator: ActuatorState) -> str:
+    """Say what drives an actuator; before a solve that is what is imposed."""
     if actuator.kind == "cable" and actuator.force == 0.0:
         return "slack"
-    if actuator.kind == "motor" and actuator.displacement is not None:
-        angle = readable_values([actuator.displacement], "rad", digits=3)
-        return f"{angle}, {readable_values([actuator.force], 'N m', digits=3)}"
-    return readable_values([actuator.force], actuator.force_unit, digits=3)
+    force = readable_values([actuator.force], actuator.force_unit, digits=3)
+    unit = actuator.displacement_unit
+    if actuator.displacement is None or unit is None:
+        return force
+    displacement = readable_values([actuator.displacement], unit, digits=3)
+    if np.isnan(actuator.force):
+        return displacement
+    both = actuator.kind == "motor" and np.isfinite(actuator.displacement)
+    return f"{displacement}, {force}" if both else force
 
 
 def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: bool):
@@ -173,7 +182,8 @@ def _draw_point(axes, view: View, picture: RobotPicture, a: int):
         axes.plot(*view.project(point[None])[0], "o", color=MOTOR, ms=9)
     else:
         # The arrow ends where the force acts.
-        tail = point - np.sign(actuator.force or 1.0) * _ARROW * view.width * arrow
+        pushes = actuator.displacement if np.isnan(actuator.force) else actuator.force
+        tail = point - np.sign(pushes or 1.0) * _ARROW * view.width * arrow
         ends = view.project(np.stack([tail, point]))
         look = {"arrowstyle": "-|>", "color": FORCE, "lw": 3.0, "mutation_scale": 22}
         axes.annotate("", ends[1], ends[0], arrowprops={**look, "shrinkB": 0})

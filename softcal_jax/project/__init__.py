@@ -1,5 +1,6 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
+from softcal_jax.project._as_read import QuantityAsRead, quantities_as_read
 from softcal_jax.project._compare import compare_projects
 from softcal_jax.project._load import load_mesh, load_project
 from softcal_jax.project._plausibility import ProjectWarning
@@ -15,6 +16,7 @@ __all__ = [
     "Project",
     "ProjectError",
     "ProjectWarning",
+    "QuantityAsRead",
     "Table",
     "at",
     "compare_projects",
@@ -22,6 +24,7 @@ __all__ = [
     "load_project",
     "one_by_one",
     "parse_in_si",
+    "quantities_as_read",
     "read_schema",
     "read_toml",
     "suggestion",

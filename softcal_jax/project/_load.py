@@ -34,7 +34,10 @@ from softcal_jax.project._reading import (
 
 
 def load_project(
-    path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None
+    path: str | os.PathLike[str],
+    *,
+    changes: Mapping[str, Any] | None = None,
+    solve: bool = True,
 ) -> Project:
     """Read a project file, build all that it describes, and check it.
 
@@ -46,6 +49,8 @@ def load_project(
         changes: Values that replace those of the file, written as there, by key:
             {"material.E": "200 kPa"}. An entry of a list goes by its name,
             "parameters.E.lower"; None removes a key.
+        solve: Whether a solver is prepared. Without, a project is read faster, can be
+            looked at, and raises RuntimeError where it is solved.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -62,7 +67,7 @@ def load_project(
     path = Path(path)
     table = read_tables(path, changes)
     with in_file(path):
-        project = _built(path, table, changes)
+        project = _built(path, table, changes, solve=solve)
     if changes is None:  # else it was said of the file, and a sweep has many
         _warn(project)
     return project
@@ -90,14 +95,15 @@ def _warn(project: Project) -> None:
 
 
 def _built(
-    path: Path, table: ProjectTable, changes: Mapping[str, Any] | None
+    path: Path, table: ProjectTable, changes: Mapping[str, Any] | None, *, solve: bool
 ) -> Project:
     """Build the project, reporting errors under the key they belong to."""
-    model, space = _model(path.parent, table), build_space(table)
+    solver = table.newton.solver if solve else "none"
+    model, space = _model(path.parent, table, solver), build_space(table)
     if space is not None:
         with under("parameters"):
             check_parameters(model, space)
-            model = space.model_at(model, space.start())
+            model = space.model_with(model, {q.name: q.start for q in space.parameters})
     found = _configurations(path.parent, table, model)
     posed = found["configurations"]
     of_role = lambda role: tuple(
@@ -130,7 +136,7 @@ def _built(
     )
 
 
-def _model(folder: Path, table: ProjectTable) -> Model:
+def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
     """Build the model: mesh, law, rigid bodies and actuators."""
     mesh = _mesh(folder, table)
     bodies, actuators = _parts(table, mesh)
@@ -142,7 +148,7 @@ def _model(folder: Path, table: ProjectTable) -> Model:
             bodies=bodies,
             actuators=actuators,
             formulation=table.material.formulation,
-            solver=table.newton.solver,
+            solver=solver,
         )
 
 
@@ -172,9 +178,9 @@ def _parts(
     for name, actuator in table.actuators.items():
         with under(f"actuators.{name}"):
             actuators.append(actuator.build(name))
-            build_mechanism(mesh, bodies, actuators[-1:])
+            build_mechanism(mesh, bodies, actuators[-1:], at_rest=False)
     with under("actuators"):
-        build_mechanism(mesh, bodies, actuators)
+        build_mechanism(mesh, bodies, actuators, at_rest=False)
     return bodies, actuators
 
 

@@ -84,7 +84,7 @@ def _gravity(posed: Posed) -> Iterator[Doubt]:
 
 def _loads(model: Model, posed: Posed) -> Iterator[Doubt]:
     mass = float(np.sum(np.asarray(model.density) * volumes(model.mesh)))
-    mass += float(np.sum(model.mechanism.bodies.mass))
+    mass += float(np.sum(np.asarray(model.mechanism.bodies.mass)))
     weight = mass * STANDARD_GRAVITY
     for key, c in posed.items():
         forces = [load.nodal_forces(model.mesh).sum(axis=0) for load in c.loads]

@@ -251,10 +251,8 @@ class Project(eqx.Module):
             precision=self.precision,
         )
 
-    def simulate(self) -> EquilibriumSolution:
-        """Solve the equilibria of all `configurations`, a lane each, at the start.
-
-        `check_converged` raises where one has no equilibrium.
+    def check_simulation(self) -> None:
+        """Check that there is something to solve.
 
         Raises:
             ProjectError: If there are no configurations.
@@ -264,6 +262,16 @@ class Project(eqx.Module):
                 f"{self.path}: configurations: there is none to simulate; add "
                 "[[configurations]]."
             )
+
+    def simulate(self) -> EquilibriumSolution:
+        """Solve the equilibria of all `configurations`, a lane each, at the start.
+
+        `check_converged` raises where one has no equilibrium.
+
+        Raises:
+            ProjectError: If there are no configurations.
+        """
+        self.check_simulation()
         mesh, mechanism = self.model.mesh, self.model.mechanism
         lanes = configuration_arrays(mesh, self.configurations, mechanism)
         return _solve_from_rest(self.model, lanes, self.newton.as_arrays())

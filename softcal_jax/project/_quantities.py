@@ -1,15 +1,17 @@
 """Parse quantities of a project file, like "200 kPa" and "(0, 0, -1) N"."""
 
+import contextlib
 import functools
 import math
 import re
 from collections.abc import Callable, Iterable
-from typing import Any, Literal, NamedTuple
-
-import pint
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from softcal_jax._names import METRES, suggestion
 from softcal_jax._text import shortened
+
+if TYPE_CHECKING:
+    import pint
 
 
 class Dimension(NamedTuple):
@@ -64,6 +66,24 @@ def dimension_of(unit: str) -> Dimension:
     return OF_UNIT.get(unit, own)
 
 
+_COMMON: dict[str, dict[str, float]] = {
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254},
+    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 1e2, "bar": 1e5}
+    | {"N/m^2": 1.0, "N/mm^2": 1e6},
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "kg": {"kg": 1.0, "g": 1e-3, "mg": 1e-6},
+    "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3, "kg/dm^3": 1e3},
+    "m/s^2": {"m/s^2": 1.0, "mm/s^2": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    "m^3": {"m^3": 1.0, "cm^3": 1e-6, "mm^3": 1e-9, "l": 1e-3, "ml": 1e-6},
+    "N*m": {"N*m": 1.0, "N*mm": 1e-3, "mN*m": 1e-3},
+    "Pa/m": {"N/mm^3": 1e9, "GPa/m": 1e9},
+}
+"""Units of nearly every file, by SI unit: pint takes a second to read all it knows."""
+
+_SI_OF = {unit: si for si, units in _COMMON.items() for unit in units}
+
 # pint treats angles as plain numbers, so it would accept "20 %" as an angle.
 _ANGLES = ("degree", "radian", "milliradian", "turn")
 
@@ -76,8 +96,9 @@ _VECTOR = re.compile(r"\s*[(\[](.*)[)\]]\s*(.*?)\s*")
 
 
 @functools.cache
-def _registry() -> pint.UnitRegistry:
-    # Built on first use: pint takes a tenth of a second to read its definitions.
+def _registry() -> "pint.UnitRegistry":
+    import pint
+
     return pint.UnitRegistry()
 
 
@@ -91,6 +112,14 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
     expected = f'expected {dimension.name}, like "{dimension.example}"'
     if not _UNIT.fullmatch(unit):
         raise ValueError(f'"{value}": cannot read the unit "{unit}"; {expected}.')
+    misfit = f'"{value}": "{unit}" is not {dimension.name}; {expected}.'
+    common = _COMMON.get(dimension.si, {})
+    if unit in common:
+        return common[unit]
+    if unit in _SI_OF and common:
+        raise ValueError(misfit)
+    import pint
+
     registry = _registry()
     try:
         one = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
@@ -101,13 +130,44 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
         ) from error
     fits = one.is_compatible_with(dimension.si)
     if not fits or (dimension is ANGLE and str(one.units) not in _ANGLES):
-        raise ValueError(f'"{value}": "{unit}" is not {dimension.name}; {expected}.')
+        raise ValueError(misfit)
     return float(one.to(dimension.si).magnitude)
 
 
 def shown(value: Any) -> str:
     """Format a value as a project file writes it."""
     return f'"{shortened(value)}"' if isinstance(value, str) else shortened(str(value))
+
+
+class Quantity(NamedTuple):
+    """One number or three, in an SI unit."""
+
+    values: tuple[float, ...]
+    unit: str
+
+
+def recognised(text: str) -> Quantity | None:
+    """Read a text as a quantity of any dimension that a file may have; None if not."""
+    vector = _VECTOR.fullmatch(text)
+    match = vector or _SCALAR.fullmatch(text)
+    if match is None or not match[2]:
+        return None
+    numbers = [part.strip() for part in match[1].split(",")]
+    if not all(re.fullmatch(_NUMBER, number) for number in numbers):
+        return None
+    found = _dimension_and_factor(match[2])
+    if found is None:
+        return None
+    dimension, factor = found
+    return Quantity(tuple(factor * float(n) for n in numbers), dimension.si)
+
+
+@functools.cache
+def _dimension_and_factor(unit: str) -> tuple[Dimension, float] | None:
+    for dimension in (*OF_UNIT.values(), ACCELERATION, TIME, MASS):
+        with contextlib.suppress(ValueError):
+            return dimension, _factor(unit, dimension, unit)
+    return None
 
 
 def is_number(value: Any) -> bool:

@@ -7,6 +7,7 @@ from softcal_jax.report._load import (
     ResultWarning,
     load_result,
 )
+from softcal_jax.report._outline import control_point_sets, outline, roles_of
 from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (
     PictureWarning,
@@ -21,9 +22,12 @@ __all__ = [
     "PictureWarning",
     "ResultError",
     "ResultWarning",
+    "control_point_sets",
     "export_icesl",
     "export_inp",
     "load_result",
+    "outline",
+    "roles_of",
     "simulation_table",
     "summary_table",
     "write_comparison",

@@ -2,6 +2,7 @@ from itertools import product
 
 import jax
 import jax.numpy as jnp
+import jaxopt
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, nnls
@@ -314,12 +315,12 @@ def test_iteration_starts_at_the_optimum_of_the_active_set(monkeypatch):
     """
     starts = []
 
-    class Recorder(_qp.BoxOSQP):
+    class Recorder(jaxopt.BoxOSQP):
         def run(self, first, objective, G, limits):
             starts.append((first, objective, G, limits))
             return super().run(first, objective, G, limits)
 
-    monkeypatch.setattr(_qp, "BoxOSQP", Recorder)
+    monkeypatch.setattr(jaxopt, "BoxOSQP", Recorder)
     # The first goes to its upper, the second to its lower bound, the others to the row.
     error = jnp.array([-3.0, 3.0, -0.8, -0.9])
     A, b = jnp.array([[0.0, 0.0, 1.0, 1.0]]), jnp.array([1.0])

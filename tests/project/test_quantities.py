@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from softcal_jax.project import _quantities
 from softcal_jax.project._quantities import (
     ACCELERATION,
     ANGLE,
@@ -136,3 +137,21 @@ def test_vector(value):
 def test_bad_vector(value, message):
     with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
         parse_vector(value, LENGTH)
+
+
+def test_common_units_are_those_of_pint():
+    """The table that spares pint's definitions holds what these would give."""
+    registry = _quantities._registry()
+    for si, units in _quantities._COMMON.items():
+        for unit, factor in units.items():
+            own = registry.Quantity(1.0, registry.parse_units(unit)).to(si).magnitude
+            # pint multiplies its prefixes, each with a rounding error.
+            assert factor == pytest.approx(own, rel=1e-15), unit
+
+
+def test_a_quantity_of_any_dimension():
+    assert _quantities.recognised("(0, 15, -2) m") == ((0.0, 15.0, -2.0), "m")
+    assert _quantities.recognised("2 ml") == ((2e-6,), "m^3")
+    assert _quantities.recognised("3 psi").values == pytest.approx((20684.27,))
+    for text in ("tip", "3 %", "350", "load 5 N", "x_min", "4 parsnips"):
+        assert _quantities.recognised(text) is None

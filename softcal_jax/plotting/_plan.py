@@ -1,0 +1,354 @@
+"""Draw what a project describes, before anything is solved."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations import (
+    BodyFrame,
+    Configuration,
+    EffectorRecord,
+    ImposedDisplacement,
+    configuration_lanes,
+    farthest,
+    motions,
+)
+from softcal_jax.equilibrium import ActuatorState, Model, RobotState
+from softcal_jax.plotting import _annotations as annotations
+from softcal_jax.plotting import _robot as robots
+from softcal_jax.plotting._colours import FIBRE, MEASURED, RIGID, SIMULATED, TEXT
+from softcal_jax.plotting._rest import rest_image
+from softcal_jax.plotting._robot import RobotPicture, SensorFrame
+from softcal_jax.plotting._setup import draw_setup, load_points, setup_handles
+from softcal_jax.plotting._view import View, choose_view
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+MOST_PANELS = 6
+"""Most configurations that are drawn; the others are counted."""
+
+_DPI = 100
+_WIDTH, _TOP, _BOTTOM, _HEADING = 1600, 110, 140, 44
+"""Whole width, and heights of title, legend and the heading of a panel [pixels]."""
+_LOWEST, _HIGHEST, _PAGE = 330, 820, 1100
+"""Limits of the height of a panel, and of all of them [pixels]."""
+_MARGIN = 80
+"""Room around the body for symbols and their names [pixels]."""
+
+_MOST_FIBRES = 400
+"""Most fibres that are drawn, of tets at the boundary that is seen."""
+
+_MOST_NAMES = 12
+"""Most markers that are named; more names would cover each other."""
+
+_REST = {"marker": "+", "ms": 12, "mew": 2.4, "mec": SIMULATED, "ls": "none"}
+_RING = {"marker": "o", "ms": 12, "mew": 2.4, "mec": MEASURED, "mfc": "none"}
+_CONTROL = {"marker": "o", "ms": 16, "mew": 2.0, "mec": TEXT, "mfc": "white"}
+
+Fibres = Mapping[str, Float[HostArray, "n_tets 3"]]
+
+
+class _Panel(NamedTuple):
+    """A configuration as it is drawn, with its heading and the points to be seen."""
+
+    configuration: Configuration
+    heading: str
+    records: tuple[EffectorRecord, ...]
+    robot: RobotPicture
+    points: Float[HostArray, "n 3"]
+
+
+def plot_plan(
+    model: Model,
+    headings: Mapping[str, str],
+    configurations: Sequence[Configuration],
+    path: str | Path,
+    *,
+    title: str,
+    subtitle: str = "",
+    control_points: Float[HostArray, "n_cp 3"] | None = None,
+    fibres: Float[HostArray, "n_tets 3"] | None = None,
+    metadata: Mapping[str, str] | None = None,
+) -> None:
+    """Draw the body at rest with all that acts on it and is measured, unsolved.
+
+    A panel for each configuration: supports, dead loads, gravity, actuators with what
+    is imposed on them, rigid bodies, and markers at rest and where they were measured.
+    All have the same camera. A point that was measured far away, see `farthest`, is
+    left out. Needs no OpenGL.
+
+    Args:
+        model: The model.
+        headings: What stands above each configuration, by its name.
+        configurations: The configurations; the first `MOST_PANELS` are drawn.
+        path: PNG file, 1600 pixels wide.
+        title: First line.
+        subtitle: Second line.
+        control_points: Control points, numbered from 1 [m].
+        fibres: Direction of the fibre of each tet; not drawn where it is zero [-].
+        metadata: Texts to be kept in the file.
+    """
+    from matplotlib.figure import Figure
+
+    mesh = model.mesh
+    shown = configurations[:MOST_PANELS]
+    lanes = configuration_lanes(mesh, shown, model.mechanism).effectors
+    panels = [
+        _panel(model, c, headings[c.name], records)
+        for c, records in zip(shown, lanes, strict=True)
+    ]
+    more = [panel.points for panel in panels]
+    if control_points is not None:
+        more.append(control_points)
+    view = choose_view(mesh.points, np.zeros_like(mesh.points), np.vstack(more))
+    columns, rows, height, scale = _grid(view, len(panels))
+    width = _WIDTH // columns
+    pixels = rest_image(mesh, view, size=(width, height), scale=scale)
+    total = _TOP + rows * (height + _HEADING) + _BOTTOM
+    figure = Figure(figsize=(_WIDTH / _DPI, total / _DPI), dpi=_DPI, facecolor="white")
+
+    def axes(left, bottom, wide, high) -> "matplotlib.axes.Axes":
+        """Add axes at a place in pixels, from the lower left corner."""
+        x, y = _WIDTH, total
+        return figure.add_axes((left / x, bottom / y, wide / x, high / y))
+
+    drawn: list[str] = []
+    for k, panel in enumerate(panels):
+        row, column = divmod(k, columns)
+        bottom = total - _TOP - (row + 1) * (height + _HEADING)
+        own = axes(column * width, bottom, width, height)
+        w, h = 0.5 * width / scale, 0.5 * height / scale
+        own.imshow(pixels, extent=(-w, w, -h, h), interpolation="none")
+        own.set(xlim=(-w, w), ylim=(-h, h))
+        own.set_axis_off()
+        if fibres is not None:
+            _draw_fibres(own, view, model, fibres)
+        drawn += _draw_panel(own, view, model, panel)
+        if control_points is not None:
+            _draw_control_points(own, view, control_points)
+        heading = axes(column * width, bottom + height, width, _HEADING)
+        _draw_heading(heading, panel.heading)
+    annotations.draw_title(axes(0, total - _TOP, _WIDTH, _TOP), title, subtitle, "")
+    annotations.draw_triad(axes(20, 5, _BOTTOM - 20, _BOTTOM - 20), view)
+    annotations.draw_length_scale(axes(_WIDTH - 320, 20, 300, 70), 300 / scale)
+    extra = {"fibre": fibres is not None, "control point": control_points is not None}
+    drawn += [what for what, there in extra.items() if there]
+    _draw_legend(figure, list(dict.fromkeys(drawn)), 70 / total)
+    figure.savefig(path, dpi=_DPI, format="png", metadata=dict(metadata or {}))
+
+
+class _Grid(NamedTuple):
+    """How panels are arranged: their number, height [pixels] and pixels per metre."""
+
+    columns: int
+    rows: int
+    height: int
+    scale: float
+
+
+def _grid(view: View, n: int) -> _Grid:
+    """Arrange panels so that the body is as large as the page allows."""
+
+    def arranged(columns: int) -> _Grid:
+        rows = math.ceil(n / columns)
+        scale = (_WIDTH // columns - 2 * _MARGIN) / view.width
+        most = max(_LOWEST, min(_HIGHEST, _PAGE // rows))
+        height = int(np.clip(view.height * scale + 2 * _MARGIN, _LOWEST, most))
+        scale = min(scale, (height - 2 * _MARGIN) / view.height)
+        return _Grid(columns, rows, height, scale)
+
+    return max(map(arranged, range(1, n + 1)), key=lambda grid: grid.scale)
+
+
+def _panel(
+    model: Model, c: Configuration, heading: str, records: tuple[EffectorRecord, ...]
+) -> _Panel:
+    """Collect what is drawn of a configuration."""
+    robot = robots.robot_picture(model, _at_rest(model, c))
+    points = [record for record in records if record.quantity == "point"]
+    seen = [p.at_rest for p in points] + [p for p, _ in _measured(model, points)]
+    places = [np.reshape(seen, (-1, 3)), robot.points]
+    places.append(load_points(c, model.mesh, model.mesh.points))
+    return _Panel(c, heading, tuple(points), robot, np.vstack(places))
+
+
+def _measured(
+    model: Model, points: Sequence[EffectorRecord]
+) -> list[tuple[HostArray, HostArray]]:
+    """Pair the places that were measured with those at rest, but for far ones [m]."""
+    return [
+        (np.where(p.seen, p.measured, p.at_rest), p.at_rest)
+        for p in points
+        if p.seen.any() and farthest(motions([p]), model.mesh.size) is None
+    ]
+
+
+def _at_rest(model: Model, c: Configuration) -> RobotState:
+    """Describe the actuators of a configuration as they are imposed, undeformed."""
+    actuators, states = model.mechanism.actuators, []
+    every = zip(actuators.names, actuators.kinds, actuators.motor_body, strict=True)
+    for name, kind, motor in every:
+        asked = c.actuation.get(name)
+        by_displacement = isinstance(asked, ImposedDisplacement)
+        by_displacement |= asked is None and motor >= 0
+        value = 0.0 if asked is None else asked.value
+        states.append(
+            ActuatorState(
+                name=name,
+                kind=kind.noun,
+                imposed="displacement" if by_displacement else "force",
+                force=math.nan if by_displacement else value,
+                force_unit=kind.force_unit,
+                displacement=value if by_displacement else None,
+                displacement_unit=kind.displacement_unit,
+            )
+        )
+    return RobotState((), tuple(states), (), np.zeros_like(model.mechanism.points))
+
+
+def _draw_panel(
+    axes: "matplotlib.axes.Axes", view: View, model: Model, panel: _Panel
+) -> list[str]:
+    """Draw one configuration; return what was drawn, for the legend."""
+    c, mesh = panel.configuration, model.mesh
+    _draw_bodies(axes, view, model, c)
+    drawn = ["rigid body"] if model.mechanism.bodies.n_bodies else []
+    drawn += draw_setup(axes, view, c, mesh, mesh.points)
+    robots.draw_robot(axes, view, panel.robot)
+    drawn += panel.robot.kinds
+    frames = {e.name for e in c.effectors if isinstance(e, BodyFrame)}
+    sensors = [
+        SensorFrame(p.at_rest, np.eye(3)) for p in panel.records if p.name in frames
+    ]
+    robots.draw_sensors(axes, view, sensors)
+    drawn += ["sensor's axes"] if sensors else []
+    for there, rest in _measured(model, panel.records):
+        ends = view.project(np.stack([rest, there]))
+        axes.plot(*ends[1], path_effects=annotations.halo(5.0), **_RING)
+        axes.plot(*ends.T, color=MEASURED, lw=1.5, alpha=0.7)
+        drawn.append("measured")
+    for p in panel.records:
+        flat = view.project(p.at_rest[None])[0]
+        axes.plot(*flat, path_effects=annotations.halo(5.0), **_REST)
+        if len(panel.records) <= _MOST_NAMES:
+            annotations.draw_name(axes, p.name, flat, (9, 7), fontsize=13)
+        drawn.append("point at rest")
+    annotations.separate_names(axes)
+    return drawn
+
+
+def _draw_bodies(
+    axes: "matplotlib.axes.Axes", view: View, model: Model, c: Configuration
+) -> None:
+    """Draw the nodes of rigid bodies as a patch, with name and state."""
+    from matplotlib.collections import PolyCollection
+
+    from softcal_jax.mesh import boundary_faces
+
+    bodies, mesh = model.mechanism.bodies, model.mesh
+    faces = boundary_faces(mesh)[:, :3]
+    for k, name in enumerate(bodies.names):
+        nodes = bodies.attached[bodies.body == k]
+        own = faces[np.isin(faces, nodes).all(axis=1)]
+        corners = view.project(mesh.points[own].reshape(-1, 3)).reshape(-1, 3, 2)
+        style = {"facecolor": RIGID, "edgecolor": "#6b6b6b", "lw": 0.6, "alpha": 0.75}
+        axes.add_collection(PolyCollection(list(corners), **style))
+        flat = view.project(mesh.points[nodes])
+        if not len(own):
+            axes.plot(*flat.T, "o", ms=4, color="#6b6b6b")
+        state = c.bodies.get(name)
+        kind = state if isinstance(state, str) else getattr(state, "kind", "held")
+        text = name if state is None else f"{name} ({kind})"
+        place = (flat[:, 0].mean(), flat[:, 1].max())
+        annotations.draw_name(axes, text, place, (0, 9), ha="center", fontsize=13)
+
+
+def _draw_fibres(
+    axes: "matplotlib.axes.Axes",
+    view: View,
+    model: Model,
+    fibres: Float[HostArray, "n_tets 3"],
+) -> None:
+    """Draw fibres of some of the tets whose outer face is seen."""
+    from matplotlib.collections import LineCollection
+
+    from softcal_jax.mesh import boundary_faces, boundary_tets
+
+    mesh = model.mesh
+    corners = mesh.points[boundary_faces(mesh)[:, :3]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    tets = boundary_tets(mesh)
+    seen = (normals @ view.towards > 0.0) & np.any(fibres[tets] != 0.0, axis=1)
+    own = np.flatnonzero(seen)
+    own = own[:: max(1, math.ceil(own.size / _MOST_FIBRES))]
+    half = 0.5 * np.sqrt(np.median(0.5 * np.linalg.norm(normals, axis=1)))
+    half = max(half, 0.008 * view.width)
+    centres, along = corners[own].mean(axis=1), half * fibres[tets[own]]
+    ends = np.stack([centres - along, centres + along], axis=1)
+    lines = view.project(ends.reshape(-1, 3)).reshape(-1, 2, 2)
+    axes.add_collection(LineCollection(list(lines), colors=FIBRE, lw=1.6, alpha=0.8))
+
+
+def _draw_control_points(
+    axes: "matplotlib.axes.Axes", view: View, points: Float[HostArray, "n_cp 3"]
+) -> None:
+    for i, (x, y) in enumerate(view.project(points)):
+        axes.plot(x, y, **_CONTROL)
+        style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
+        axes.text(x, y, str(i + 1), **style)
+
+
+def _draw_heading(axes: "matplotlib.axes.Axes", text: str) -> None:
+    axes.set_axis_off()
+    size, room = 16.0, axes.get_window_extent().width - 40
+    drawn = axes.text(
+        0.5,
+        0.4,
+        text,
+        fontsize=size,
+        color=TEXT,
+        ha="center",
+        va="center",
+        parse_math=False,
+    )
+    while size > 1.0 and drawn.get_window_extent().width > room:
+        size *= 0.95
+        drawn.set_fontsize(size)
+
+
+def _draw_legend(
+    figure: "matplotlib.figure.Figure", drawn: list[str], height: float
+) -> None:
+    from matplotlib.lines import Line2D
+
+    handles: list[Any] = []
+    for what, style in (
+        ("point at rest", _REST),
+        ("measured", {**_RING, "color": MEASURED, "lw": 1.5}),
+        ("control point", {**_CONTROL, "ls": "none"}),
+        ("fibre", {"color": FIBRE, "lw": 1.6}),
+    ):
+        if what in drawn:
+            handles.append(Line2D([], [], label=what, **style))
+    handles += setup_handles(drawn)
+    kinds = [what for what in drawn if what in robots.KINDS]
+    handles += robots.legend_handles(
+        kinds, bodies="rigid body" in drawn, sensors="sensor's axes" in drawn
+    )
+    if handles:
+        figure.legend(
+            handles=handles,
+            loc="center left",
+            bbox_to_anchor=(0.1, height),
+            ncols=min(len(handles), 5) if len(handles) > 6 else len(handles),
+            fontsize=14,
+            frameon=False,
+            labelcolor=TEXT,
+            columnspacing=1.6,
+        )
