@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import jax
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
@@ -18,6 +19,7 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
+from softcal_jax.materials import Fibre
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting import _robot as robots
 from softcal_jax.plotting._colours import FIBRE, MEASURED, RIGID, SIMULATED, TEXT
@@ -73,15 +75,14 @@ def plot_plan(
     title: str,
     subtitle: str = "",
     control_points: Float[HostArray, "n_cp 3"] | None = None,
-    fibres: Float[HostArray, "n_tets 3"] | None = None,
     metadata: Mapping[str, str] | None = None,
 ) -> None:
     """Draw the body at rest with all that acts on it and is measured, unsolved.
 
     A panel for each configuration: supports, dead loads, gravity, actuators with what
     is imposed on them, rigid bodies, and markers at rest and where they were measured.
-    All have the same camera. A point that was measured far away, see `farthest`, is
-    left out. Needs no OpenGL.
+    All have the same camera. Fibres are drawn on the faces that are seen. A point that
+    was measured far away, see `farthest`, is left out. Needs no OpenGL.
 
     Args:
         model: The model.
@@ -91,12 +92,11 @@ def plot_plan(
         title: First line.
         subtitle: Second line.
         control_points: Control points, numbered from 1 [m].
-        fibres: Direction of the fibre of each tet; not drawn where it is zero [-].
         metadata: Texts to be kept in the file.
     """
     from matplotlib.figure import Figure
 
-    mesh = model.mesh
+    mesh, fibres = model.mesh, _fibre_directions(model)
     shown = configurations[:MOST_PANELS]
     lanes = configuration_lanes(mesh, shown, model.mechanism).effectors
     panels = [
@@ -267,6 +267,36 @@ def _draw_bodies(
         text = name if state is None else f"{name} ({kind})"
         place = (flat[:, 0].mean(), flat[:, 1].max())
         annotations.draw_name(axes, text, place, (0, 9), ha="center", fontsize=13)
+
+
+def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
+    """Return the direction of the first fibre in each tet, zero without stiffness [-].
+
+    On the host, where nothing is compiled; None for a law without fibres.
+    """
+    is_fibre = lambda part: isinstance(part, Fibre)
+    parts = jax.tree.leaves(model.law, is_leaf=is_fibre)
+    fibres = [part for part in parts if is_fibre(part)]
+    if not fibres:
+        return None
+
+    def per_tet(value: Any) -> HostArray:
+        # Of several quadrature points, the first.
+        values = np.asarray(getattr(value, "values", value))
+        values = values[..., 0] if hasattr(value, "values") else values
+        return np.broadcast_to(values, (model.mesh.n_tets,))
+
+    fibre = fibres[0]
+    theta, phi = per_tet(fibre.theta), per_tet(fibre.phi)
+    a, b = ("xyz".index(letter) for letter in fibre.plane)
+    own = np.zeros((model.mesh.n_tets, 3))
+    own[:, a], own[:, b] = np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)
+    own[:, 3 - a - b] = np.sin(phi)
+    if fibre.frame is not None:
+        rows = np.stack([per_tet(part) for part in fibre.frame], axis=1)
+        own = np.einsum("ei,eij->ej", own, rows.reshape(-1, 3, 3))
+    stiffness = getattr(model.law, "E_f", None)
+    return own if stiffness is None else own * (per_tet(stiffness) > 0.0)[:, None]
 
 
 def _draw_fibres(

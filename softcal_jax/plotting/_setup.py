@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 _SHORTEST, _LONGEST = 0.07, 0.14
 """Lengths of the arrows of the smallest and largest load, over the view's width."""
 
+_GRAVITY = 24.0
+"""Half the length of its arrow, if it is seen from the side [pixels]."""
+
 _LEAST = 0.15
 """Part of an arrow that must be seen from the side; else a dot shows it end on [-]."""
 
@@ -171,7 +174,7 @@ def _draw_gravity(
         return
     # As long on the paper in every direction.
     width, height = axes.get_window_extent().size
-    half = 0.035 * min(width, height) * step / [width, height]
+    half = _GRAVITY * step / [width, height]
     look = {"arrowstyle": "-|>", "color": GRAVITY, "lw": 3.0, "mutation_scale": 18}
     arrow = {**look, "shrinkA": 0, "shrinkB": 0}
     tip, tail = middle + half, middle - half
