@@ -34,7 +34,7 @@ class Posed(NamedTuple):
 
     Attributes:
         configurations: The configurations.
-        problem: They in a calibration, with their noise.
+        problem: Their calibration, with its noise.
         at: Their evaluation, in units of it.
     """
 

@@ -258,14 +258,13 @@ class ConsideredErrors(NamedTuple):
         do not have the error. The error of the mesh is not among them where it is not
         known.
         """
-        n_c = self.columns.shape[1] if first is None else first
         own: ByCause = {}
         for error, column in zip(self.found, self.columns, strict=True):
-            for name, those in error.groups(n_c):
-                shared = np.where(those[:, None], column[:n_c], 0.0)
+            for name, those in error.groups(first):
+                shared = np.where(those[:, None], column[:first], 0.0)
                 own.setdefault(error.cause, {})[name] = shared
-        if self.mesh is not None and np.all(self.mesh.known[:n_c]):
-            own[MESH] = {self.mesh.name: self.mesh.changes[:n_c]}
+        if self.mesh is not None and np.all(self.mesh.known[:first]):
+            own[MESH] = {self.mesh.name: self.mesh.changes[:first]}
         return own
 
 

@@ -50,12 +50,14 @@ class Considered(NamedTuple):
         """Whether any configuration has it."""
         return any(key is not None for key in self.shared)
 
-    def groups(self, n_c: int) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
-        """List its independent errors in the first `n_c` configurations.
+    def groups(
+        self, first: int | None = None
+    ) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
+        """List its independent errors: their names, and which configurations share.
 
-        These are their names, and which of these configurations share each.
+        Only in the `first` so many configurations, by default in all.
         """
-        shared = self.shared[:n_c]
+        shared = self.shared[:first]
         keys = [key for key in dict.fromkeys(shared) if key is not None]
         for n, key in enumerate(keys, start=1):
             own = key if isinstance(key, str) else f"group {n}" * (len(keys) > 1)
