@@ -10,8 +10,9 @@ import numpy as np
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable_unit
-from softcal_jax.calibration._budget import considered_errors
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._budget import ConsideredErrors, considered_errors
+from softcal_jax.calibration._evaluation import Evaluation
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._references import independent_recordings
 from softcal_jax.calibration._uncertainty import UNLIKELY, Uncertainty, estimator
 from softcal_jax.configurations import Configuration
@@ -33,12 +34,12 @@ class Posed(NamedTuple):
 
     Attributes:
         configurations: The configurations.
-        evaluate: Their evaluator, with their noise.
+        problem: Their calibration, with its noise.
         at: Their evaluation, in units of it.
     """
 
     configurations: tuple[Configuration, ...]
-    evaluate: Evaluator
+    problem: CalibrationProblem
     at: Evaluation
 
 
@@ -74,36 +75,36 @@ def disagreeing(estimates: Sequence[RecordingEstimate]) -> list[RecordingEstimat
     return [e for e in estimates if e.probability < allowed]
 
 
+def that_stack_up(fitted: Posed, held_out: Posed | None) -> tuple[Posed, ...]:
+    """Return the fitted configurations, and those held out if their shapes agree."""
+    if held_out is None or not _stack_up(fitted, held_out):
+        return (fitted,)
+    return fitted, held_out
+
+
 def single_recordings(
-    fitted: Posed,
-    held_out: Posed | None,
+    parts: Sequence[Posed],
+    errors: ConsideredErrors,
     *,
-    uncertain: Uncertain,
     z: Float[Array, " n_p"],
     spread: Uncertainty,
-    W_c: Float[HostArray, "n_e n_errors"],
-) -> Job[tuple[RecordingEstimate, ...]]:
+) -> tuple[RecordingEstimate, ...]:
     """Ask each recording alone, fitted or held out, for the parameters.
 
     Args:
-        fitted: The fitted configurations.
-        held_out: Those that were only predicted, if any.
-        uncertain: What is uncertain.
+        parts: The fitted configurations, and those held out if any, of equal shapes.
+        errors: What is held fixed and may be wrong, see `errors_of_all`.
         z: Where the fit ended, scaled [-].
         spread: Uncertainty by the noise.
-        W_c: Change of the errors of the fitted ones per standard deviation of what is
-            held fixed, in noise units.
     """
     if not spread.has_noise:
         return ()
-    parts = [fitted]
-    if held_out is not None and _stack_up(fitted, held_out):
-        both = yield from _errors_of_both(fitted, held_out, uncertain, z)
-        parts, W_c = [fitted, held_out], both
+    fitted = parts[0]
     values = lambda name: np.concatenate(
         [np.nan_to_num(getattr(p.at, name)) for p in parts]
     )
     n_fitted, W = len(fitted.at.error), values("W_ep")
+    W_c = _in_noise_units(parts, errors)
     names = [independent_recordings(p.configurations) for p in parts]
     known = [np.asarray(p.at.equilibrium.converged) for p in parts]
     lanes = [
@@ -120,7 +121,7 @@ def single_recordings(
         np.nan_to_num(W_c),
         fitted=np.arange(len(W)) < n_fitted,
         rows={name: rows == name for name in dict.fromkeys(lanes) if name},
-        space=fitted.evaluate.problem.space,
+        space=fitted.problem.space,
         z=np.asarray(z),
         spread=spread,
     )
@@ -146,39 +147,51 @@ def not_asked(fitted: Posed, held_out: Posed | None) -> tuple[str, ...]:
 def _stack_up(one: Posed, other: Posed) -> bool:
     """Return whether the configurations of both have arrays of the same shapes."""
     shapes = [
-        jax.tree.map(lambda leaf: np.shape(leaf)[1:], p.evaluate.problem.configurations)
+        jax.tree.map(lambda leaf: np.shape(leaf)[1:], p.problem.configurations)
         for p in (one, other)
     ]
     return jax.tree.leaves(shapes[0]) == jax.tree.leaves(shapes[1])
 
 
-def _errors_of_both(
-    fitted: Posed, held_out: Posed, uncertain: Uncertain, z
-) -> Job[Float[HostArray, "n_e n_errors"]]:
-    """Compute W_c of both, with the errors that they have in common, in noise units."""
-    problems = [p.evaluate.problem for p in (fitted, held_out)]
+def errors_of_all(
+    parts: Sequence[Posed], uncertain: Uncertain, z: Float[Array, " n_p"]
+) -> Job[ConsideredErrors]:
+    """Compute once for all configurations what may be wrong with them.
+
+    They share the errors, and the finer mesh on which that of the mesh is found.
+
+    Args:
+        parts: The configurations, of equal shapes.
+        uncertain: What is uncertain.
+        z: Scaled parameters [-].
+    """
+    problems = [p.problem for p in parts]
     join = lambda *leaves: jax.device_put(np.concatenate([*map(np.asarray, leaves)]))
     joined = eqx.tree_at(
         lambda p: p.configurations,
         problems[0].with_noise(None),
         jax.tree.map(join, *(p.configurations for p in problems)),
     )
-    own = yield from considered_errors(
-        fitted.evaluate.with_configurations(joined),
-        (*fitted.configurations, *held_out.configurations),
+    return considered_errors(
+        joined,
+        tuple(c for p in parts for c in p.configurations),
         uncertain,
         z=z,
-        equilibrium=jax.tree.map(join, fitted.at.equilibrium, held_out.at.equilibrium),
+        equilibrium=jax.tree.map(join, *(p.at.equilibrium for p in parts)),
     )
-    errors = [error for those in own.values() for error in those.values()]
-    n_c = len(joined.configurations.gravity)
-    empty = np.zeros((n_c, len(fitted.at.error) // len(fitted.configurations)))
-    stacked = np.stack([empty, *errors], axis=2)[:, :, 1:]
-    split = np.split(stacked, [len(fitted.configurations)])
+
+
+def _in_noise_units(
+    parts: Sequence[Posed], errors: ConsideredErrors
+) -> Float[HostArray, "n_e n_errors"]:
+    """Stack W_c of all configurations, in units of their noise [-]."""
+    own = [error for those in errors.by_cause().values() for error in those.values()]
+    stacked = np.stack([np.zeros(errors.columns.shape[1:]), *own], axis=2)[:, :, 1:]
+    split = np.split(stacked, np.cumsum([len(p.configurations) for p in parts])[:-1])
     flat = lambda a: a.reshape(a.shape[0] * a.shape[1], a.shape[2])
     in_units = [
-        p.on_host_in_noise_units(flat(part))
-        for p, part in zip(problems, split, strict=True)
+        p.problem.on_host_in_noise_units(flat(part))
+        for p, part in zip(parts, split, strict=True)
     ]
     return np.concatenate(in_units)
 

@@ -14,6 +14,7 @@ they are causes too, by the same gain, and what the noise has left is its jitter
 """
 
 from collections.abc import Container, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,11 +24,11 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._considered import Considered, considered
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._lanes import each_lane, lane_of
-from softcal_jax.calibration._mesh_error import REMEDIES, mesh_errors
+from softcal_jax.calibration._mesh_error import REMEDIES, MeshErrors, mesh_errors
 from softcal_jax.calibration._noise import named_columns, whitened
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
@@ -153,29 +154,32 @@ class ErrorBudget(eqx.Module):
         return "\n".join(f"{name}: {self.sentence(name)}" for name in self.names)
 
 
+ByCause = dict[str, dict[str, Float[HostArray, "n_c n_e"]]]
+"""For each cause its errors by name: change of the effectors of each configuration."""
+
+
 def error_budget(
-    evaluate: Evaluator,
+    problem: CalibrationProblem,
     configurations: Sequence[Configuration],
     uncertain: Uncertain,
+    own: ByCause,
     *,
     z: Float[Array, " n_p"],
     at: Evaluation,
     spread: Uncertainty,
-) -> Job[ErrorBudget]:
+) -> ErrorBudget:
     """Split the uncertainty of a fit by cause.
 
     Args:
-        evaluate: Evaluator of the calibration.
+        problem: The calibration.
         configurations: The fitted configurations.
         uncertain: What is uncertain.
+        own: What it does to them, see `considered_errors`.
         z: Where the fit ended, scaled [-].
         at: Evaluation there.
         spread: Uncertainty by the noise.
     """
-    problem, space = evaluate.problem, evaluate.problem.space
-    own = yield from considered_errors(
-        evaluate, configurations, uncertain, z=z, equilibrium=at.equilibrium
-    )
+    space = problem.space
     gain = estimator(np.asarray(at.W_ep), spread, np.asarray(space.prior_weights()))
     in_units = lambda those: _stacked(problem, those.values())
     W_c = {name: in_units(errors) for name, errors in own.items()}
@@ -202,7 +206,7 @@ def error_budget(
 
 
 def unknown_causes(uncertain: Uncertain, found: Container[str]) -> tuple[str, ...]:
-    """Return causes that count, but that `considered_errors` has not found."""
+    """Return causes that count, but that `ConsideredErrors.by_cause` does not list."""
     return (MESH,) if uncertain.mesh > 0.0 and MESH not in found else ()
 
 
@@ -233,54 +237,76 @@ def _by_jitter(
     return covariance
 
 
+class ConsideredErrors(NamedTuple):
+    """What is held fixed and may be wrong, and what it does to configurations.
+
+    Attributes:
+        found: The errors, and which configurations share each.
+        columns: Change of the effectors per standard deviation of each, as if each
+            configuration had it.
+        mesh: That by the mesh; None if this is right.
+    """
+
+    found: tuple[Considered, ...]
+    columns: Float[HostArray, "n_errors n_c n_e"]
+    mesh: MeshErrors | None
+
+    def by_cause(self, first: int | None = None) -> ByCause:
+        """Return W_c of the `first` so many configurations, by default of all.
+
+        These are the changes in the units of the effectors, zero in configurations that
+        do not have the error. The error of the mesh is not among them where it is not
+        known.
+        """
+        own: ByCause = {}
+        for error, column in zip(self.found, self.columns, strict=True):
+            for name, those in error.groups(first):
+                shared = np.where(those[:, None], column[:first], 0.0)
+                own.setdefault(error.cause, {})[name] = shared
+        if self.mesh is not None and np.all(self.mesh.known[:first]):
+            own[MESH] = {self.mesh.name: self.mesh.changes[:first]}
+        return own
+
+
 def considered_errors(
-    evaluate: Evaluator,
+    problem: CalibrationProblem,
     configurations: Sequence[Configuration],
     uncertain: Uncertain,
     *,
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
-) -> Job[dict[str, dict[str, Float[HostArray, "n_c n_e"]]]]:
+) -> Job[ConsideredErrors]:
     """Compute W_c: change of the effectors per standard deviation of each error.
 
     Args:
-        evaluate: Evaluator of the calibration.
+        problem: The calibration.
         configurations: Its configurations.
         uncertain: What is uncertain.
         z: Scaled parameters [-].
         equilibrium: The equilibria, one lane per configuration.
-
-    Returns:
-        For each cause its errors by name, with the changes in the units of the
-        effectors; zero in configurations that do not have the error.
     """
-    found = considered(uncertain, evaluate.problem, configurations)
-    if uncertain.mesh == 0.0 and not any(own.happens for own in found):
-        return {}
-    of_mesh = uncertain.mesh > 0.0
+    found, of_mesh = considered(uncertain, problem, configurations), uncertain.mesh > 0
+    problem = without_names(problem)
+    if not of_mesh and not any(own.happens for own in found):
+        found = ()
     columns = yield from _all_columns(
-        evaluate, found, z, equilibrium.displacement, of_stiffness=of_mesh
+        problem, found, z, equilibrium.displacement, of_stiffness=of_mesh
     )
-    own: dict[str, dict[str, HostArray]] = {}
-    for error, column in zip(found, columns[: len(found)], strict=True):
-        for name, those in error.groups():
-            shared = np.where(those[:, None], column, 0.0)
-            own.setdefault(error.cause, {})[name] = shared
-    if of_mesh:
-        errors = mesh_errors(
-            evaluate,
-            configurations,
-            z,
-            forces=equilibrium.multipliers,
-            of_stiffness=columns[-1],
-        )
-        if errors:
-            own[MESH] = {name: uncertain.mesh * e for name, e in errors.items()}
-    return own
+    if not of_mesh:
+        return ConsideredErrors(found, columns, None)
+    mesh = mesh_errors(
+        problem,
+        configurations,
+        z,
+        forces=equilibrium.multipliers,
+        of_stiffness=columns[-1],
+    )
+    mesh = mesh._replace(changes=uncertain.mesh * mesh.changes)
+    return ConsideredErrors(found, columns[:-1], mesh)
 
 
 def _all_columns(
-    evaluate: Evaluator,
+    problem: CalibrationProblem,
     found: Sequence[Considered],
     z,
     displacement,
@@ -288,10 +314,10 @@ def _all_columns(
     of_stiffness: bool,
 ) -> Job[Float[HostArray, "n_rows n_c n_e"]]:
     """Compute W_c as if each configuration had each error, see `_columns`."""
-    problem, n_c = evaluate.numbered, len(displacement)
+    n_c, n_rows = len(displacement), len(found) + of_stiffness
     n_e = problem.configurations.effectors.measured.size // n_c
-    if n_e == 0:
-        return np.zeros((len(found) + of_stiffness, n_c, n_e))
+    if n_e * n_rows == 0:
+        return np.zeros((n_rows, n_c, n_e))
     entries = tuple(own.entry for own in found if own.entry is not None)
     errors = ParameterSpace(entries) if entries else None
     motions = [own.motions for own in found if own.entry is None]

@@ -50,13 +50,19 @@ class Considered(NamedTuple):
         """Whether any configuration has it."""
         return any(key is not None for key in self.shared)
 
-    def groups(self) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
-        """List its independent errors: their names, and which configurations share."""
-        keys = [key for key in dict.fromkeys(self.shared) if key is not None]
+    def groups(
+        self, first: int | None = None
+    ) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
+        """List its independent errors: their names, and which configurations share.
+
+        Only in the `first` so many configurations, by default in all.
+        """
+        shared = self.shared[:first]
+        keys = [key for key in dict.fromkeys(shared) if key is not None]
         for n, key in enumerate(keys, start=1):
             own = key if isinstance(key, str) else f"group {n}" * (len(keys) > 1)
             name = f"{self.name} in {own}" if own else self.name
-            yield name, np.array([other == key for other in self.shared])
+            yield name, np.array([other == key for other in shared])
 
 
 def considered(

@@ -30,10 +30,8 @@ from softcal_jax.equilibrium import (
     Model,
     Workers,
     program_key,
-    refined_model,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.mesh import Refinement
 from softcal_jax.sensitivity import (
     EnergyCompliance,
     Response,
@@ -210,20 +208,6 @@ class Evaluator:
         self.lanes = [lane_of(problem.configurations, c) for c in range(n_c)]
         self._program = program_key("evaluate_lane", self.shared, self.lanes[0])
         self._on: dict[int, tuple[Any, CalibrationProblem]] = {}
-        self._finer: list[tuple[Model, Refinement]] = []
-
-    @property
-    def finer(self) -> tuple[Model, Refinement]:
-        """The model on a finer mesh; prepared once for this and what it returns."""
-        if not self._finer:
-            self._finer.append(refined_model(self.numbered.model))
-        return self._finer[0]
-
-    def with_configurations(self, problem: CalibrationProblem) -> "Evaluator":
-        """Return an evaluator of other configurations of the same model."""
-        other = Evaluator(problem)
-        other._finer = self._finer
-        return other
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":
         """Return an evaluator of the same lanes with another order, chart or pin."""

@@ -10,7 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._agreement import Posed, not_asked, single_recordings
+from softcal_jax.calibration._agreement import (
+    Posed,
+    errors_of_all,
+    not_asked,
+    single_recordings,
+    that_stack_up,
+)
 from softcal_jax.calibration._begin import EquilibriumProgress, begin
 from softcal_jax.calibration._budget import error_budget
 from softcal_jax.calibration._build import as_sequence, build
@@ -172,7 +178,6 @@ def fit(
         weighed = _to_its_end(workers, job, journal, unknown)
         begin_noise, state = problem.noise, weighed.state
         problem = problem.with_noise(weighed.noise)
-        evaluate = evaluate.with_noise(weighed.noise)
         evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
         offsets = attachment_offsets(problem, configurations, lanes, evaluation)
         fits = configuration_results(
@@ -187,25 +192,7 @@ def fit(
             noise=weighed.noise,
         )
         spread = _uncertainty(problem, state.z, evaluation, noise, weighed.scale)
-        budget = workers.end_of(
-            error_budget(
-                evaluate,
-                configurations,
-                uncertain,
-                z=state.z,
-                at=evaluation,
-                spread=spread,
-            )
-        )
-        checks = residual_checks(
-            problem,
-            configurations,
-            state=state,
-            W_c=budget.W_c,
-            spread=spread,
-            fits=fits,
-        )
-        missing, others = [], None
+        predicted, missing, others = (), [], None
         if held_out is not None:
             other, records = held_out
             assert begin_noise is not None
@@ -220,19 +207,29 @@ def fit(
                 start=first,
                 z=state.z,
             )
-            fits += predicted
-        posed = Posed(configurations, evaluate, evaluation)
-        singles = workers.end_of(
-            single_recordings(
-                posed,
-                others,
-                uncertain=uncertain,
-                z=state.z,
-                spread=spread,
-                W_c=budget.W_c,
-            )
+        posed = Posed(configurations, problem, evaluation)
+        parts = that_stack_up(posed, others)
+        errors = workers.end_of(errors_of_all(parts, uncertain, state.z))
+        budget = error_budget(
+            problem,
+            configurations,
+            uncertain,
+            errors.by_cause(len(configurations)),
+            z=state.z,
+            at=evaluation,
+            spread=spread,
         )
+        checks = residual_checks(
+            problem,
+            configurations,
+            state=state,
+            W_c=budget.W_c,
+            spread=spread,
+            fits=fits,
+        )
+        singles = single_recordings(parts, errors, z=state.z, spread=spread)
         checks = replace(checks, recordings=singles)
+        fits += predicted
     result = CalibrationResult(
         converged=bool(state.converged),
         parameters=parameter_estimates(problem.space, state.z, spread, budget, start),

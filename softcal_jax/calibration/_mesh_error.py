@@ -16,15 +16,14 @@ more, than they move the linear one; so does the error.
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._evaluation import Evaluator
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import (
@@ -44,7 +43,7 @@ from softcal_jax.equilibrium import (
     input_rows,
     internal_force,
     linearise,
-    residual,
+    refined_model,
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
@@ -68,59 +67,71 @@ Loads may leave the effectors of a linear body where they are, and move those of
 deformed one."""
 
 
+class MeshErrors(NamedTuple):
+    """Standard deviation of the effectors by the mesh.
+
+    Attributes:
+        name: Which error it is, see `REMEDIES`.
+        changes: Signed change of the effectors of each configuration, which all have in
+            common.
+        known: Whether it is known. It is not where the body at rest has no stiffness,
+            and nowhere with more than `MOST_TETS`, where curved tets cannot be split or
+            a group does not exist on the finer mesh.
+    """
+
+    name: str
+    changes: Float[HostArray, "n_c n_e"]
+    known: Bool[HostArray, " n_c"]
+
+
 def mesh_errors(
-    evaluate: Evaluator,
+    problem: CalibrationProblem,
     configurations: Sequence[Configuration],
     z: Float[Array, " n_p"],
     *,
     forces: Float[Array, "n_c n_a"],
     of_stiffness: Float[HostArray, "n_c n_e"],
-) -> dict[str, Float[HostArray, "n_c n_e"]]:
+) -> MeshErrors:
     """Estimate the standard deviation of the effectors by the mesh.
 
+    To be called once for all configurations, since preparing and factorizing the finer
+    body is nearly all of the work.
+
     Args:
-        evaluate: Evaluator of the calibration.
+        problem: The calibration, without names.
         configurations: Its configurations.
         z: Scaled parameters [-].
         forces: Forces of the actuators whose displacement is imposed, at the
             equilibria.
         of_stiffness: Change of the effectors there per relative change of the
             stiffness.
-
-    Returns:
-        Signed change of the effectors of each configuration, which all have in common,
-        by one of the names in `REMEDIES`. Empty where it is not known: with more than
-        `MOST_TETS`, where curved tets cannot be split or a group does not exist on the
-        finer mesh, and where the body at rest has no stiffness.
     """
-    problem = evaluate.numbered
-    model = problem.model
+    model, n_c = problem.model, len(configurations)
     name = "locking" if model.mesh.order == 1 else "refinement"
     if of_stiffness.size == 0:
-        return {name: of_stiffness}
+        return MeshErrors(name, of_stiffness, np.ones(n_c, bool))
+    unknown = MeshErrors(name, of_stiffness, np.zeros(n_c, bool))
     if model.n_tets > MOST_TETS[model.mesh.order]:
-        return {}
+        return unknown
     try:
-        fine, refinement = evaluate.finer
+        fine, refinement = refined_model(model)
         posed = _refined(problem, configurations, fine, refinement)
     except ValueError:  # a group may name what the finer mesh does not have
-        return {}
+        return unknown
     if np.any(np.asarray(fine.weights) < 0.0):
-        return {}
+        return unknown
     motions = partial(_linear_motions, space=problem.space, z=z)
     seen = _comparable(model, problem.configurations, forces)
     *coarse, at_rest = motions(model, seen, of_stiffness=True)
     exact = motions(fine, _comparable(fine, posed, forces), of_stiffness=False)
     changes = exact - np.stack(coarse)
-    if not (np.all(np.isfinite(changes)) and np.all(np.isfinite(at_rest))):
-        return {}
-    n_c = len(configurations)
+    known = np.all(np.isfinite([*changes, at_rest]), axis=(0, 2))
     weights = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
     size = lambda e: np.linalg.norm(weights * e, axis=1, keepdims=True)
     # To first order a body half as stiff is moved by its loads twice as far.
     moved = np.maximum(size(at_rest), size(changes[0]) / MOST_CHANGE)
     there = size(of_stiffness) / np.where(moved > 0.0, moved, 1.0)
-    return {name: there * changes[0] + changes[1:].sum(axis=0)}
+    return MeshErrors(name, there * changes[0] + changes[1:].sum(axis=0), known)
 
 
 def _refined(
@@ -259,24 +270,19 @@ def _linear_motion(
 
     def rows_of(lane: ConfigurationArrays) -> InputRows:
         _, c = space.apply(model, lane, z)
-        unloaded, loaded = _at_share(c, 0.0, 0.0), _at_share(c, 1.0, 0.0)
-        # At a fixed state the loads are linear, and so are their readings.
-        read = lambda c: effector_values(model, c, *state).ravel()
-        by_loads = InputRows(
-            force=-lin.free(residual(model, loaded, *state)),
-            held=rest,
-            gap=jnp.zeros(model.with_multiplier.size),
-            reading=read(loaded) - read(unloaded),
-        )
-        if not moves:
-            return jax.tree.map(lambda own: own[None], by_loads)
+        unloaded = _at_share(c, 0.0, 0.0)
 
-        def along(function):
-            at = lambda share: function(model, _at_share(c, 0.0, share))
-            return jax.jvp(at, (jnp.zeros(()),), (jnp.ones(()),))[1]
+        def row(at_share) -> InputRows:
+            # At a fixed state loads and motions are linear, and so are their readings.
+            def along(function):
+                at = lambda share: function(model, at_share(share))
+                return jax.jvp(at, (jnp.zeros(()),), (jnp.ones(()),))[1]
 
-        by_motions = input_rows(model, unloaded, *state, along, effector_values)
-        return jax.tree.map(lambda *own: jnp.stack(own), by_loads, by_motions)
+            return input_rows(model, unloaded, *state, along, effector_values)
+
+        own = [row(lambda share: _at_share(c, share, 0.0))]
+        own += [row(lambda share: _at_share(c, 0.0, share))] if moves else []
+        return jax.tree.map(lambda *each: jnp.stack(each), *own)
 
     rows = jax.vmap(rows_of)(lanes)
     n_rows = 1 + moves

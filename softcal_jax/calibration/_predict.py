@@ -75,7 +75,7 @@ def predict(
         if not last.equilibrium.converged[i]
     ]
     notes += unscoped_notes(problem.space, validation)
-    return fits, notes, Posed(tuple(validation), evaluate, last)
+    return fits, notes, Posed(tuple(validation), problem, last)
 
 
 def _along_paths(

@@ -309,9 +309,9 @@ def survey(
             check_converged(there, names)
         u = solution.displacement
         compliance = workers.end_of(evaluator.energy_compliances(z, u))
-        causes = workers.end_of(
+        errors = workers.end_of(
             considered_errors(
-                evaluator, configurations, uncertain, z=z, equilibrium=solution
+                problem, configurations, uncertain, z=z, equilibrium=solution
             )
         )
     weights = np.asarray(arrays.effectors.inverse_std).reshape(len(names), -1)
@@ -336,8 +336,9 @@ def survey(
     )
     all_A = np.asarray(jax.tree.map(np.asarray, correlated).columns(weighed))
     all_A = all_A.reshape(len(names), -1, all_A.shape[1])
-    errors = [error for own in causes.values() for error in own.values()]
-    all_W_c = np.stack([np.zeros_like(weights), *errors], axis=2)[:, :, 1:]
+    causes = errors.by_cause()
+    columns = [error for own in causes.values() for error in own.values()]
+    all_W_c = np.stack([np.zeros_like(weights), *columns], axis=2)[:, :, 1:]
     sensed, compliance = [], jax.tree.map(np.asarray, compliance)
     for i, name in enumerate(names):
         W_ep, W_pp, ok = _lane(compliance, i)

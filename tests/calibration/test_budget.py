@@ -12,7 +12,9 @@ from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
 from softcal_jax.calibration import NOISE, build_problem, simulated_measurements
 from softcal_jax.calibration import calibrate as calibrate_with
-from softcal_jax.calibration._considered import considered
+from softcal_jax.calibration._budget import ConsideredErrors
+from softcal_jax.calibration._considered import Considered, considered
+from softcal_jax.calibration._mesh_error import MeshErrors
 from softcal_jax.calibration._noise import named_columns
 from softcal_jax.configurations import (
     Configuration,
@@ -433,3 +435,21 @@ def test_linear_tets_know_how_far_off_they_are():
     assert str(result.budget).endswith(": use quadratic tets")
     known = calibrate(coarse, wide, measured, noise="stated", uncertain=SAME_MESH)
     assert "mesh" not in {cause.name for cause in known.budget.causes}
+
+
+def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
+    """Another clamp there gives no group here, nor is the mesh unknown here by it."""
+    clamps = Considered("clamp", "clamp", None, (b"left", b"right"))
+    mesh = MeshErrors("refinement", np.array([[3.0], [4.0]]), np.array([True, False]))
+    errors = ConsideredErrors((clamps,), np.array([[[1.0], [2.0]]]), mesh)
+    assert errors.by_cause(1) == {
+        "clamp": {"clamp": [[1.0]]},
+        "mesh": {"refinement": [[3.0]]},
+    }
+    found = errors.by_cause()
+    assert list(found) == ["clamp"]
+    of_all = {name: own.tolist() for name, own in found["clamp"].items()}
+    assert of_all == {
+        "clamp in group 1": [[1.0], [0.0]],
+        "clamp in group 2": [[0.0], [2.0]],
+    }

@@ -16,7 +16,6 @@ from softcal_jax.calibration import (
     simulated_measurements,
 )
 from softcal_jax.calibration._agreement import Posed, not_asked
-from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import Parameter, exactly_known
@@ -351,7 +350,7 @@ def test_noise_that_still_changes_at_the_end_is_not_settled(monkeypatch):
 
 def test_held_out_recordings_that_are_not_asked_are_named():
     def posed(own):
-        return Posed(tuple(own), Evaluator(build_problem(MODEL, E, own)), None)
+        return Posed(tuple(own), build_problem(MODEL, E, own), None)
 
     data = measured()
     tip = Markers(MARKERS.names[2:], MARKERS.positions[2:], std=STD)

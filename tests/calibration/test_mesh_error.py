@@ -17,7 +17,6 @@ from softcal_jax.calibration import (
     evaluate,
     simulated_measurements,
 )
-from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.configurations import (
     ActuatorForce,
     Centroid,
@@ -77,7 +76,7 @@ def considered_at_start(problem, configurations):
     assert np.all(at.equilibrium.converged)
     with Workers(problem.model, len(configurations)) as workers:
         job = considered_errors(
-            Evaluator(problem),
+            problem,
             configurations,
             ONLY_THE_MESH,
             z=z,
@@ -89,7 +88,7 @@ def considered_at_start(problem, configurations):
 def both_by_pose(problem, configurations):
     """Readings at the start, and what the mesh is said to do to them."""
     read, found = considered_at_start(problem, configurations)
-    (of_mesh,) = found["mesh"].values()
+    (of_mesh,) = found.by_cause()["mesh"].values()
     return read, np.asarray(of_mesh)
 
 
@@ -330,7 +329,8 @@ def test_where_only_weight_keeps_the_rest_shape_nothing_is_known():
         actuation={"motor": ImposedForce(0.0)},
     )
     space = ParameterSpace([Parameter("E", "E", 2e5, 1e5, 1e6, unit="Pa")])
-    assert considered_at_start(build_problem(model, space, [pose]), [pose])[1] == {}
+    _, found = considered_at_start(build_problem(model, space, [pose]), [pose])
+    assert found.by_cause() == {}
 
 
 CORNERS = [(0.1, y, z) for y in (0.0, 0.03) for z in (0.0, 0.03)]
