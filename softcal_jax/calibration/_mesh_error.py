@@ -40,6 +40,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import (
     InputRows,
     Model,
+    derivatives,
     effector_values,
     input_rows,
     internal_force,
@@ -263,20 +264,20 @@ def _linear_motion(
         # At a fixed state the loads are linear, and so are their readings.
         read = lambda c: effector_values(model, c, *state).ravel()
         by_loads = InputRows(
-            force=-lin.free(residual(model, loaded, *state)),
-            held=rest,
-            gap=jnp.zeros(model.with_multiplier.size),
-            reading=read(loaded) - read(unloaded),
+            force=-lin.free(residual(model, loaded, *state))[None],
+            held=rest[None],
+            gap=jnp.zeros((1, model.with_multiplier.size)),
+            reading=(read(loaded) - read(unloaded))[None],
         )
         if not moves:
-            return jax.tree.map(lambda own: own[None], by_loads)
+            return by_loads
 
         def along(function):
-            at = lambda share: function(model, _at_share(c, 0.0, share))
-            return jax.jvp(at, (jnp.zeros(()),), (jnp.ones(()),))[1]
+            at = lambda share: function(model, _at_share(c, 0.0, share[0]))
+            return derivatives(at, jnp.zeros(1))
 
-        by_motions = input_rows(model, unloaded, *state, along, effector_values)
-        return jax.tree.map(lambda *own: jnp.stack(own), by_loads, by_motions)
+        by_motions = input_rows(lin, along, effector_values)
+        return jax.tree.map(lambda *own: jnp.concatenate(own), by_loads, by_motions)
 
     rows = jax.vmap(rows_of)(lanes)
     n_rows = 1 + moves
