@@ -39,6 +39,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import (
     InputRows,
     Model,
+    derivatives,
     effector_values,
     input_rows,
     internal_force,
@@ -267,25 +268,22 @@ def _linear_motion(
     rest = jnp.zeros((model.n_points, 3))
     state = (rest, jnp.zeros(model.mechanism.n_actuators))
     lin = linearise(model, _at_share(first, 0.0, 0.0), *state)
+    n_rows = 1 + moves
 
     def rows_of(lane: ConfigurationArrays) -> InputRows:
         _, c = space.apply(model, lane, z)
-        unloaded = _at_share(c, 0.0, 0.0)
 
-        def row(at_share) -> InputRows:
+        def by_shares(function):
             # At a fixed state loads and motions are linear, and so are their readings.
-            def along(function):
-                at = lambda share: function(model, at_share(share))
-                return jax.jvp(at, (jnp.zeros(()),), (jnp.ones(()),))[1]
+            motions = lambda shares: shares[1] if moves else 0.0
+            at = lambda shares: function(
+                model, _at_share(c, shares[0], motions(shares))
+            )
+            return derivatives(at, jnp.zeros(n_rows))
 
-            return input_rows(model, unloaded, *state, along, effector_values)
-
-        own = [row(lambda share: _at_share(c, share, 0.0))]
-        own += [row(lambda share: _at_share(c, 0.0, share))] if moves else []
-        return jax.tree.map(lambda *each: jnp.stack(each), *own)
+        return input_rows(lin, by_shares, effector_values)
 
     rows = jax.vmap(rows_of)(lanes)
-    n_rows = 1 + moves
     joined = lambda own: own.reshape(AT_ONCE * n_rows, *own.shape[2:])
     flat = jax.tree.map(joined, rows)
     solved = sensitivity(lin, flat)

@@ -1,7 +1,5 @@
 """Derivatives of effectors and actuators by what is imposed (Eqs. 4, 5)."""
 
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,6 +11,7 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     actuator_forces,
+    derivatives,
     effector_values,
     input_rows,
     linearise,
@@ -67,16 +66,16 @@ def actuator_state(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
 ) -> ActuatorState:
     """Read effectors and actuators of a configuration at its equilibrium."""
-    return _state(model, configuration, solution.displacement, solution.multipliers)
-
-
-def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a):
+    u, lambda_a = solution.displacement, solution.multipliers
     unbalanced = residual(model, configuration, u, lambda_a)
-    x = jnp.asarray(model.mechanism.points) + u
+    return _state(model, configuration, u, lambda_a, unbalanced)
+
+
+def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a, unbalanced):
     return ActuatorState(
         effector_values(model, configuration, u, lambda_a, unbalanced),
         actuator_forces(model, configuration, u, lambda_a, unbalanced),
-        model.mechanism.displacements(x),
+        model.displacements(u),
     )
 
 
@@ -97,23 +96,19 @@ def actuator_compliance(
     all columns.
     """
     value = jnp.asarray(configuration.actuation.value)
-    u = solution.displacement
-    lin = linearise(model, configuration, u)
-    lambda_a = lin.lambda_a
-    shapes = jax.eval_shape(_state, model, configuration, u, lambda_a)
-    ends = np.cumsum([leaf.size for leaf in jax.tree.leaves(shapes)])[:-1]
+    u, lambda_a = solution.displacement, solution.multipliers
+    lin = linearise(model, configuration, u, lambda_a)
+    state = _state(model, configuration, u, lambda_a, lin.unbalanced(u, lambda_a))
+    ends = np.cumsum([leaf.size for leaf in jax.tree.leaves(state)])[:-1]
 
-    def readings(model, configuration, u, lambda_a):
-        state = _state(model, configuration, u, lambda_a)
-        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(state)])
+    def readings(*at):
+        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(_state(*at))])
 
-    def row(unit):
-        of = lambda function, value: function(model, with_inputs(configuration, value))
-        along = lambda function: jax.jvp(partial(of, function), (value,), (unit,))[1]
-        return input_rows(model, configuration, u, lambda_a, along, readings)
+    def by_inputs(function):
+        of = lambda value: function(model, with_inputs(configuration, value))
+        return derivatives(of, value)
 
-    rows = jax.vmap(row)(jnp.eye(value.size))
-    found = sensitivity(lin, rows, readings)
+    found = sensitivity(lin, input_rows(lin, by_inputs, readings), readings)
     ok = found.ok & solution.converged
     or_nan = lambda a: jnp.where(ok, a, jnp.nan)
     W_ea, forces, displacements = jnp.split(or_nan(found.W_ep), ends)
@@ -124,7 +119,7 @@ def actuator_compliance(
     slack = by_displacement & jnp.asarray(actuators.unilateral) & stands_still
     acts = ~slack & jnp.asarray(actuators.has_displacement)
     return ActuatorCompliance(
-        state=actuator_state(model, configuration, solution),
+        state=state,
         W_ea=W_ea,
         by_force=forces,
         by_displacement=displacements,

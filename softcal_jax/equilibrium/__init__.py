@@ -48,6 +48,7 @@ from softcal_jax.equilibrium._sensitivity import (
     Readings,
     Sensitivity,
     adjoint_rows,
+    derivatives,
     input_rows,
     sensitivity,
 )
@@ -98,6 +99,7 @@ __all__ = [
     "check_converged",
     "continue_equilibrium",
     "continue_newton",
+    "derivatives",
     "effector_values",
     "energy_and_force",
     "external_force",

@@ -88,6 +88,26 @@ def rows_on_free(
     return jax.vmap(lambda row: posed.on_free(u, row))(rows)
 
 
+def nodal_tangent(
+    posed: Posed,
+    u: Float[Array, "n_points 3"],
+    lambda_a: Float[Array, " n_a"],
+    mesh: Float[Array, " nnz"],
+) -> Float[Array, " nnz"]:
+    """Add actuators and springs to the tangent of the mesh over all nodes [N/m]."""
+    model, nodal = posed.model, mesh
+    actuators, springs = model.mechanism.actuators, posed.configuration.springs
+    loads = actuator_loads(posed, lambda_a)
+    # d(F_a^T lambda_a)/dx
+    curvature = curvature_entries(actuators, model.positions(u), loads)
+    for matrices, places in zip(curvature, model.curvature_at, strict=True):
+        p, q = element_entries(matrices.shape[1] // 3, model.pattern.symmetric)
+        nodal = nodal.at[places].add(-matrices[:, p, q].T)
+    if springs.names:
+        nodal = nodal.at[model.pattern.diagonal].add(springs.coefficients().ravel())
+    return nodal
+
+
 class Tangent(NamedTuple):
     """The tangent at a deformed state.
 
@@ -114,27 +134,20 @@ def assemble(
     mesh: Float[Array, " nnz"],
     active: Bool[Array, " n_a"],
 ) -> Tangent:
-    """Add actuators and springs to the tangent of the mesh; reduce and border it.
+    """Assemble the tangent over all nodes; reduce it to the unknowns and border it.
 
     `mesh` is the tangent of the mesh over all nodes, `active` flags the actuators with
     an imposed displacement that acts.
     """
-    model, u, nodal = posed.model, at.u, mesh
-    actuators, springs = model.mechanism.actuators, posed.configuration.springs
-    x, which = model.positions(u), model.with_multiplier
+    model, u = posed.model, at.u
+    actuators, which = model.mechanism.actuators, model.with_multiplier
     g, rows = unbalanced(posed, at, lambda_a)
-    loads = actuator_loads(posed, lambda_a)
-    curvature = curvature_entries(actuators, x, loads)  # d(F_a^T lambda_a)/dx
-    for matrices, places in zip(curvature, model.curvature_at, strict=True):
-        p, q = element_entries(matrices.shape[1] // 3, model.pattern.symmetric)
-        nodal = nodal.at[places].add(-matrices[:, p, q].T)
-    if springs.names:
-        nodal = nodal.at[model.pattern.diagonal].add(springs.coefficients().ravel())
+    nodal = nodal_tangent(posed, u, lambda_a, mesh)
     reduced = posed.reduce(u, nodal, g)
     values, stiffness = mask_supports(model.solver.sparsity, reduced, posed.fixed())
     H_a, H_own = rows[which], None
     if any(actuators.has_friction):
-        H_a = displacement_rows(actuators, x)[which]
+        H_a = displacement_rows(actuators, model.positions(u))[which]
         H_own = rows_on_free(posed, u, H_a)
     F_a = rows_on_free(posed, u, rows[which])
     system = System(values, F_a, active[which], H_own)

@@ -13,11 +13,13 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium._assembly import tangent_values
 from softcal_jax.equilibrium._balance import (
     Point,
     estimated_forces,
     evaluate,
     merit,
+    nodal_tangent,
     relative,
     unbalanced,
 )
@@ -118,10 +120,14 @@ def continue_equilibrium(
     quick = _QuickSteps(Posed.of(model.tabulated(), configuration), settings, precise)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
+    posed, u = Posed.of(model, configuration), state.solution.displacement
+    lambda_a = state.solution.multipliers
     linearisation = Linearisation(
-        posed=Posed.of(model, configuration),
-        u=state.solution.displacement,
-        lambda_a=state.solution.multipliers,
+        posed=posed,
+        at=state.at._replace(u=u),
+        lambda_a=lambda_a,
+        # Compiled only for inputs that move something held, and readings of forces.
+        nodal=nodal_tangent(posed, u, lambda_a, tangent_values(quick.model, u)),
         system=state.factor.system,
         regular=state.factor.ok,
         factorized=True,

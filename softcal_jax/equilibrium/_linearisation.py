@@ -10,6 +10,7 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import tangent_values
 from softcal_jax.equilibrium._balance import (
+    Point,
     assemble,
     deform,
     estimated_forces,
@@ -57,8 +58,9 @@ class Linearisation(eqx.Module):
 
     Attributes:
         posed: Model and configuration at full load.
-        u: Displacement at the equilibrium [m].
+        at: Displacement at the equilibrium and internal force there.
         lambda_a: Forces of actuators whose displacement is imposed.
+        nodal: Tangent there over all nodes, held ones included [N/m].
         system: The matrix.
         regular: False if a factorization is known to have failed.
         factorized: Whether the solver may still hold the factors of this matrix.
@@ -67,12 +69,33 @@ class Linearisation(eqx.Module):
     """
 
     posed: Posed
-    u: Float[Array, "n_points 3"]
+    at: Point
     lambda_a: Float[Array, " n_a"]
+    nodal: Float[Array, " nnz"]
     system: System
     regular: Bool[Array, ""]
     factorized: bool = eqx.field(static=True, default=False)
     differentiable: bool = eqx.field(static=True, default=False)
+
+    @property
+    def u(self) -> Float[Array, "n_points 3"]:
+        """Displacement at the equilibrium [m]."""
+        return self.at.u
+
+    def unbalanced(
+        self, u: Float[Array, "n_points 3"], lambda_a: Float[Array, " n_a"]
+    ) -> Float[Array, "n_points 3"]:
+        """Compute `residual` near the equilibrium, to first order in u [N].
+
+        The derivative by u is the assembled tangent, so that none passes through the
+        tets.
+        """
+        return unbalanced(self.posed, self.at, lambda_a)[0] + self.stiffness(u - self.u)
+
+    def stiffness(self, du: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+        """Compute the change of the forces on all nodes in a small motion [N]."""
+        change = product(self.posed.model.pattern, self.nodal, du.ravel())
+        return change.reshape(du.shape)
 
     def free(self, forces: Float[Array, "n_points 3"]) -> Float[Array, " n_dof"]:
         """Reduce nodal forces to the free unknowns, 0 on the others [N]."""
@@ -192,11 +215,13 @@ def linearise(
     if lambda_a is None:
         lambda_a = estimated_forces(posed, at)
     mesh, active = tangent_values(model, u), taut(posed, at)
+    tangent = assemble(posed, at, lambda_a, mesh=mesh, active=active)
     return Linearisation(
         posed=posed,
-        u=u,
+        at=at,
         lambda_a=lambda_a,
-        system=assemble(posed, at, lambda_a, mesh=mesh, active=active).system,
+        nodal=tangent.nodal,
+        system=tangent.system,
         regular=jnp.ones((), bool),
         differentiable=differentiable,
     )

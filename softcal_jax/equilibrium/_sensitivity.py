@@ -7,7 +7,7 @@ readings. One function turns them into derivatives by the linearised equilibrium
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,16 +18,26 @@ from softcal_jax.equilibrium._linearisation import Linearisation, residual
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
 
-OfInputs = Callable[[Model, ConfigurationArrays], Float[Array, "..."]]
+OfInputs = Callable[[Model, ConfigurationArrays], Any]
 Readings = Callable[
-    [Model, ConfigurationArrays, Float[Array, "n_points 3"], Float[Array, " n_a"]],
+    [
+        Model,
+        ConfigurationArrays,
+        Float[Array, "n_points 3"],
+        Float[Array, " n_a"],
+        Float[Array, "n_points 3"],
+    ],
     Float[Array, "..."],
 ]
-"""Function that reads values off a state (u, multipliers), like `effector_values`."""
+"""Function that reads values off a state (u, multipliers) and its `residual`.
+
+Such as `effector_values`. Internal forces are read off the residual alone: its change
+is a product with the assembled tangent, and needs no pass over the tets per input.
+"""
 
 
 class InputRows(NamedTuple):
-    """Effects of a unit of each input at a fixed state; `input_rows` gives one row.
+    """Effects of a unit of each input at a fixed state, by rows; see `input_rows`.
 
     Held nodes and bodies follow the input in all of them.
 
@@ -45,46 +55,51 @@ class InputRows(NamedTuple):
     reading: Float[Array, "*n n_e"]
 
 
+def derivatives(
+    function: Callable[[Float[Array, " n"]], Any], value: Float[Array, " n"]
+) -> Any:
+    """Differentiate a function by each entry of its argument, stacked.
+
+    One entry after the other: a `vmap` of products with the sparse tangent is slower.
+    """
+    _, slope = jax.linearize(function, value)
+    return jax.lax.map(slope, jnp.eye(value.size))
+
+
 def input_rows(
-    model: Model,
-    configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
-    lambda_a: Float[Array, " n_a"],
-    along: Callable[[OfInputs], Float[Array, "..."]],
+    linearisation: Linearisation,
+    by_inputs: Callable[[OfInputs], Any],
     readings: Readings | None = None,
 ) -> InputRows:
-    """Differentiate balance, supports and readings along one direction of the inputs.
+    """Differentiate balance, supports and readings by the inputs.
 
-    `along` maps a function of (model, configuration) to its derivative along the
-    direction; `lambda_a` are the forces of actuators whose displacement is imposed.
+    `by_inputs` maps a function of (model, configuration), whose values are a tree of
+    arrays, to its derivatives by all inputs, stacked. The tets are only differentiated
+    by inputs that change their law: what a moved support strains follows from the
+    tangent.
     """
+    lin = linearisation
+    u, lambda_a, which = lin.u, lin.lambda_a, lin.posed.model.with_multiplier
 
-    def held(model, configuration):
-        return Posed.of(model, configuration).held_at(u)
-
-    def balance(model, configuration):
-        there = held(model, configuration)
-        forces = residual(model, configuration, there, lambda_a)
-        # Posed anew: the mounting of a tied body changes the arms of forces.
-        return Posed.of(model, configuration).gather(there, forces)
-
-    def gap(model, configuration):
+    def at_fixed_unknowns(model, configuration):
+        posed = Posed.of(model, configuration)
+        there = posed.held_at(u)
+        forces = residual(model, configuration, u, lambda_a) + lin.stiffness(there - u)
         wanted = jnp.asarray(configuration.actuation.value)
-        return wanted - model.displacements(held(model, configuration))
+        reading = jnp.zeros(0)
+        if readings is not None:
+            reading = readings(model, configuration, there, lambda_a, forces).ravel()
+        return InputRows(
+            # The mounting of a tied body changes the arms of forces.
+            force=-posed.gather(there, forces),
+            held=there,
+            gap=(wanted - model.displacements(there))[which],
+            reading=reading,
+        )
 
-    def read(model, configuration):
-        assert readings is not None
-        there = held(model, configuration)
-        return readings(model, configuration, there, lambda_a).ravel()
-
-    fixed = Posed.of(model, configuration).fixed()
-    which = model.with_multiplier
-    return InputRows(
-        force=jnp.where(fixed, 0.0, -along(balance)),
-        held=along(held),
-        gap=along(gap)[which] if which.size else jnp.zeros(0),
-        reading=jnp.zeros(0) if readings is None else along(read),
-    )
+    rows = by_inputs(at_fixed_unknowns)
+    fixed = lin.posed.fixed()
+    return rows._replace(force=jnp.where(fixed[None], 0.0, rows.force))
 
 
 class Sensitivity(NamedTuple):
@@ -134,10 +149,9 @@ def sensitivity(
     changed = lin.posed.model.among_all(solved.lambda_a)
     W = rows.reading.T
     if readings is not None:
-        read = _at_fixed_inputs(lin, readings)
-        state = (lin.u, lin.lambda_a)
-        follow = jax.vmap(lambda du, dl: jax.jvp(read, state, (du, dl))[1])
-        W = W + follow(moved, changed).T
+        _, slope = jax.linearize(_at_fixed_inputs(lin, readings), lin.u, lin.lambda_a)
+        # One after the other, like `derivatives`.
+        W = W + jax.lax.map(lambda d: slope(*d), (moved, changed)).T
     return Sensitivity(
         W_ep=W,
         ok=solved.ok,
@@ -165,7 +179,7 @@ def adjoint_rows(linearisation: Linearisation, readings: Readings) -> AdjointRow
     """Solve for the rows of H_e, one right-hand side per reading."""
     lin = linearisation
     value, pull_back = jax.vjp(_at_fixed_inputs(lin, readings), lin.u, lin.lambda_a)
-    by_u, by_lambda = jax.vmap(pull_back)(jnp.eye(value.size))
+    by_u, by_lambda = jax.lax.map(pull_back, jnp.eye(value.size))
     which = lin.posed.model.with_multiplier
     solved = lin.solve(jax.vmap(lin.free)(by_u), -by_lambda[:, which], transpose=True)
     return AdjointRows(solved.x, -solved.lambda_a, solved.ok)
@@ -174,4 +188,5 @@ def adjoint_rows(linearisation: Linearisation, readings: Readings) -> AdjointRow
 def _at_fixed_inputs(lin: Linearisation, readings: Readings):
     """Return the readings as a flat function of the state alone."""
     at = (lin.posed.model, lin.posed.configuration)
-    return lambda u, lambda_a: readings(*at, u, lambda_a).ravel()
+    forces = lin.unbalanced
+    return lambda u, lambda_a: readings(*at, u, lambda_a, forces(u, lambda_a)).ravel()

@@ -98,11 +98,11 @@ def _equilibrium_jvp(primals, tangents):
     def along(function):
         inputs, t_inputs = (model, configuration), (t_model, t_configuration)
         value, slope = eqx.filter_jvp(function, inputs, t_inputs)
-        return jnp.zeros_like(value) if slope is None else slope
+        of = lambda leaf, d: (jnp.zeros_like(leaf) if d is None else d)[None]
+        return jax.tree.map(of, value, slope)
 
-    row = input_rows(model, configuration, u, lambda_a, along)
     lin = linearise(model, configuration, u, lambda_a, differentiable=True)
-    d = sensitivity(lin, jax.tree.map(lambda leaf: leaf[None], row))
+    d = sensitivity(lin, input_rows(lin, along))
     # Without an equilibrium there is no derivative either.
     or_nan = lambda a: jnp.where(solution.converged, a[0], jnp.nan)
     none = jax.tree.map(lambda _: None, solution)

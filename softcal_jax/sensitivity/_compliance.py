@@ -18,7 +18,6 @@ from softcal_jax.equilibrium import (
     effector_values,
     lane_by_lane,
     linearise,
-    residual,
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
@@ -115,15 +114,13 @@ def _relaxation(
     if still:
         return rows.force @ found.unknowns.T  # the force is K u' on the free unknowns
 
-    posed = lin.posed
-
     def forces(u):
-        on_nodes = residual(posed.model, posed.configuration, u, lin.lambda_a)
+        on_nodes = lin.unbalanced(u, lin.lambda_a)
         # The moments of forces on a body change as it turns.
-        return on_nodes, posed.gather(u, on_nodes)
+        return on_nodes, lin.posed.gather(u, on_nodes)
 
-    along = jax.vmap(lambda du: jax.jvp(forces, (lin.u,), (du,))[1])
-    on_nodes, on_unknowns = along(found.displacement)
+    _, slope = jax.linearize(forces, lin.u)
+    on_nodes, on_unknowns = jax.lax.map(slope, found.displacement)
     held = jnp.einsum("ink,jnk->ij", rows.held, on_nodes)
     return found.unknowns @ on_unknowns.T + held
 

@@ -23,6 +23,7 @@ from softcal_jax.equilibrium import (
     Linearisation,
     Model,
     add_weighted,
+    derivatives,
     effector_values,
     field_forces,
     gravity_load,
@@ -68,7 +69,7 @@ def parameter_forces(
     others = _others(space)
     if others.size == 0:
         return forces
-    found = _by_others(model, configuration, space, z, lambda along: along(force))
+    found = _by_others(model, configuration, space, z)(force)
     return forces.at[others].set(found)
 
 
@@ -102,9 +103,8 @@ def parameter_rows(
     others = _others(space)
     if others.size == 0:
         return rows
-    at = (model, configuration, u, lin.lambda_a)
-    rows_along = lambda along: input_rows(*at, along, effector_values)
-    found = _by_others(model, configuration, space, z, rows_along)
+    by_others = _by_others(model, configuration, space, z)
+    found = input_rows(lin, by_others, effector_values)
     return jax.tree.map(lambda all_, own: all_.at[others].set(own), rows, found)
 
 
@@ -118,22 +118,18 @@ def _by_others(
     configuration: ConfigurationArrays,
     space: ParameterSpace,
     z: Float[Array, " n_p"],
-    rows: Callable,
-):
-    """Stack `rows` of a derivative along each parameter that sets more than fields.
+) -> Callable[[Callable], Any]:
+    """Return what differentiates by each parameter that sets more than fields.
 
     Only these parameters vary, so autodiff does not pass through fields.
     """
     others = _others(space)
 
-    def one(direction: Float[Array, " n_other"]):
-        def along(function: Callable):
-            at = lambda w: function(*space.apply(model, configuration, z, others, w))
-            return jax.jvp(at, (z[others],), (direction,))[1]
+    def by_others(function: Callable) -> Any:
+        at = lambda w: function(*space.apply(model, configuration, z, others, w))
+        return derivatives(at, z[others])
 
-        return rows(along)
-
-    return jax.vmap(one)(jnp.eye(others.size))
+    return by_others
 
 
 def readings_of_forces(
@@ -148,7 +144,7 @@ def readings_of_forces(
         return jnp.zeros((forces.shape[0], effectors.measured.size))
     state = (lin.posed.model, lin.posed.configuration, lin.u, lin.lambda_a)
     read = lambda unbalanced: effector_values(*state, unbalanced).ravel()
-    unbalanced = residual(*state)
+    unbalanced = lin.unbalanced(lin.u, lin.lambda_a)
     return jax.vmap(lambda f: jax.jvp(read, (unbalanced,), (-f,))[1])(forces)
 
 

@@ -74,7 +74,7 @@ def test_a_base_tag_of_another_size(pose, tmp_path):
     both = {BASE: (HERE, 1.5 * SIZE), TAG: (MOVED, SIZE)}
     paths = photographs(tmp_path, both, pose[1][:3], LENS, rng)
     found = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, base_size=1.5 * SIZE)
-    assert np.linalg.norm(error(found, MOVED)[:3]) < 0.5e-3
+    assert np.linalg.norm(difference(found, MOVED)[:3]) < 0.5e-3
 
 
 def test_a_photograph_of_another_pose_is_told(pose, tmp_path):

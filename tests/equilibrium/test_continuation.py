@@ -81,11 +81,12 @@ def forces(model, configuration, u):
 
 
 class Continued(NamedTuple):
-    """An equilibrium, and solutions for further right-hand sides there."""
+    """An equilibrium, solutions for further right-hand sides there, and K x."""
 
     equilibrium: EquilibriumSolution
     x: jax.Array
     ok: jax.Array
+    pull: jax.Array
 
 
 def with_solutions(done, right_hand_sides) -> Continued:
@@ -93,7 +94,8 @@ def with_solutions(done, right_hand_sides) -> Continued:
     lin = done.linearisation
     b = jax.vmap(lin.free)(right_hand_sides(lin.u))
     solved = lin.solve(b, jnp.zeros((len(b), lin.system.active.size)))
-    return Continued(done.equilibrium, lin.scatter(solved.x), solved.ok)
+    x = lin.scatter(solved.x)
+    return Continued(done.equilibrium, x, solved.ok, lin.stiffness(x[0]))
 
 
 @jax.jit
@@ -174,6 +176,16 @@ def test_right_hand_sides_are_those_of_the_equilibrium(careful):
     done = continued(MODEL, lane(LANES, HEAVIER), guess)
     moved = float(jnp.max(jnp.abs(done.equilibrium.displacement - guess)))
     assert float(jnp.max(jnp.abs(done.x[2]))) < 1e-4 * moved
+
+
+def test_forces_of_a_motion_are_those_of_the_equilibrium(careful):
+    """Those of the last Newton step are off by its way, like the solutions."""
+    there = lane(LANES, HEAVIER)
+    done = continued(MODEL, there, careful.displacement[HANGING])
+    force = lambda u: residual(MODEL, there, u)
+    _, pull = jax.jvp(force, (done.equilibrium.displacement,), (done.x[0],))
+    scale = float(jnp.max(jnp.abs(pull)))
+    np.testing.assert_allclose(done.pull, pull, rtol=0, atol=1e-11 * scale)
 
 
 def test_one_more_step_makes_the_solutions_exact(careful):
