@@ -103,6 +103,23 @@ class Identifiability(eqx.Module):
         """The directions that are not identifiable, the worst last."""
         return tuple(d for d in self.directions if d.verdict == "not identifiable")
 
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """What to do, in sentences; empty if nothing needs to be done."""
+        if self.n_data == 0:
+            return ("Nothing is measured: give the configurations markers.",)
+        if self.verdict == "identifiable":
+            return ()
+        missing, first = self.n_parameters - self.n_data, ""
+        if missing > 0:
+            several = "s are" if missing > 1 else " is"
+            first = f"At least {missing} more measured coordinate{several} needed. "
+        return (
+            f"{first}What to do: another configuration (load, orientation, other end "
+            "clamped), more markers, or less noise; ranking candidates tells which "
+            "configuration adds most. Or calibrate fewer parameters.",
+        )
+
     def __str__(self) -> str:
         """Format the verdict, the parameters, blind directions and what to do."""
         n_data, n_p = self.n_data, self.n_parameters
@@ -138,7 +155,7 @@ class Identifiability(eqx.Module):
             )
         if n_data:
             lines += str(self.conditioning).splitlines()
-        return "\n".join(lines + _remedies(self))
+        return "\n".join([*lines, *self.advice])
 
     @property
     def scale(self) -> str:
@@ -171,23 +188,6 @@ def _row(p: ParameterOutlook, has_prior: bool) -> tuple[str, ...]:
 def percent(ratio: float) -> str:
     """Write a standard error over the asked one, "blind" if it is infinite."""
     return f"{number(100.0 * ratio)} %" if math.isfinite(ratio) else "blind"
-
-
-def _remedies(found: Identifiability) -> list[str]:
-    """Advise what to do, if anything."""
-    if found.n_data == 0:
-        return ["Nothing is measured: give the configurations markers."]
-    if found.verdict == "identifiable":
-        return []
-    missing, first = found.n_parameters - found.n_data, ""
-    if missing > 0:
-        several = "s are" if missing > 1 else " is"
-        first = f"At least {missing} more measured coordinate{several} needed. "
-    return [
-        f"{first}What to do: another configuration (load, orientation, other end "
-        "clamped), more markers, or less noise; ranking candidates tells which "
-        "configuration adds most. Or calibrate fewer parameters."
-    ]
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -1,7 +1,7 @@
 """Write a results folder, whole or not at all."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from softcal_jax.export import (
     write_vtu,
 )
 from softcal_jax.fields import field_standard_errors
-from softcal_jax.identifiability import Assessment, Identifiability, Ranking
+from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import (
     plot_budget,
@@ -32,6 +32,7 @@ from softcal_jax.plotting import (
     render_configuration,
     rendering_problem,
 )
+from softcal_jax.report._pages import REPORT, calibration_page, simulation_page
 
 COLLECTION = "configurations.pvd"
 """All configurations at once, for ParaView."""
@@ -53,14 +54,14 @@ def write_results(
 ) -> Path:
     """Write a calibration to a folder, whole or not at all.
 
-    The folder holds `result.json` (see `result_dict`; its `files` lists the others),
-    `markers.csv`, `convergence.png`, `budget.png` and, for each configuration, a .vtu
-    for ParaView and a .png; `configurations.pvd` opens all .vtu at once. For a robot
-    with other effectors, rigid bodies or actuators there are `effectors.csv` and
-    `robot.csv`, too; of a recording of markers over time a picture that ends with
-    `_recording.png`. A calibration that did not converge is written
-    too, marked as such. A configuration without an equilibrium has neither .vtu nor
-    .png.
+    The folder holds `report.html`, a page for people that needs no other file;
+    `result.json` (see `result_dict`; its `files` lists the others), `markers.csv`,
+    `convergence.png`, `budget.png` and, for each configuration, a .vtu for ParaView and
+    a .png; `configurations.pvd` opens all .vtu at once. For a robot with other
+    effectors, rigid bodies or actuators there are `effectors.csv` and `robot.csv`, too;
+    of a recording of markers over time a picture that ends with `_recording.png`. A
+    calibration that did not converge is written too, marked as such. A configuration
+    without an equilibrium has neither .vtu nor .png.
 
     Args:
         result: The calibration.
@@ -78,10 +79,17 @@ def write_results(
         FileExistsError: If the folder is not empty, and `force` is off or it is not a
             results folder.
     """
-    more: dict[str, Any] = {"assessment": assessment, "timing_s": timing_s}
+    found = assessment or assess(result)
+    more: dict[str, Any] = {"assessment": found, "timing_s": timing_s}
     data = result_dict(result, name=name, directory=directory, **more)
     return _write(
-        result, data, Path(directory), "result.json", force=force, traces=traces or {}
+        result,
+        data,
+        Path(directory),
+        "result.json",
+        page=lambda data, folder: calibration_page(result, found, data, folder),
+        force=force,
+        traces=traces or {},
     )
 
 
@@ -96,11 +104,11 @@ def write_simulation(
 ) -> Path:
     """Write a forward simulation to a folder, whole or not at all.
 
-    The folder holds `simulation.json` (see `simulation_dict`) and, for each
-    configuration with an equilibrium, a .vtu and a .png; the others are listed with
-    the reason. `configurations.pvd`, `markers.csv`, `effectors.csv` and `robot.csv` are
-    as of `write_results`, without measured values. Arguments and errors are those of
-    `write_results`; returns the folder.
+    The folder holds `report.html`, `simulation.json` (see `simulation_dict`) and, for
+    each configuration with an equilibrium, a .vtu and a .png; the others are listed
+    with the reason. `configurations.pvd`, `markers.csv`, `effectors.csv` and
+    `robot.csv` are as of `write_results`, without measured values. Arguments and errors
+    are those of `write_results`; returns the folder.
     """
     data = simulation_dict(result, name=name, timing_s=timing_s)
     return _write(
@@ -108,6 +116,7 @@ def write_simulation(
         data,
         Path(directory),
         "simulation.json",
+        page=lambda data, folder: simulation_page(result, data, folder),
         force=force,
         traces=traces or {},
     )
@@ -176,6 +185,9 @@ def write_comparison(
 
 Result = CalibrationResult | SimulationResult
 
+Page = Callable[[Mapping[str, Any], Path], str]
+"""Writes a page of the content of the index and the pictures in a folder."""
+
 
 def _write(
     result: Result,
@@ -183,6 +195,7 @@ def _write(
     directory: Path,
     index: str,
     *,
+    page: Page,
     force: bool,
     traces: Mapping[str, Traces],
 ) -> Path:
@@ -195,7 +208,9 @@ def _write(
         pictures = problem is None
         files += _write_bodies(folder, result, data, traces, pictures=pictures)
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
-        write_json(folder / index, {**data, "files": files})
+        data["files"] = [REPORT, *files]
+        (folder / REPORT).write_text(page(data, folder), encoding="utf-8")
+        write_json(folder / index, data)
     return directory
 
 
