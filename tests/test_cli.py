@@ -252,7 +252,7 @@ def test_identify(tmp_path, out, capsys):
     assert "Candidate 'upside down' adds most: " in printed
     assert "Not ranked: 'crushed': " in printed
     assert "[[candidates]]" not in printed
-    files = "identifiability.json, identifiability.txt"
+    files = "identifiability.json, identifiability.txt, report.html"
     assert f"Results in {out}: {files}" in printed
     data = json.loads((out / "identifiability.json").read_text())
     assert data["identifiability"]["verdict"] == "weakly identifiable"

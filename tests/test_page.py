@@ -14,6 +14,7 @@ from export.handmade import (
     axis_space,
     make_fit,
     make_history,
+    make_ranking,
     make_result,
     make_simulation_result,
     small_model,
@@ -25,9 +26,13 @@ from softcal_jax.calibration import (
     ProjectSource,
     SourceFile,
 )
+from softcal_jax.identifiability import identifiability
+from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
 from softcal_jax.report import (
     _html,
     _write,
+    write_comparison,
+    write_identifiability,
     write_results,
     write_simulation,
 )
@@ -356,6 +361,73 @@ def test_page_of_a_simulation(tmp_path):
     page = check_page(tmp_path / "all")
     assert "All 2 configurations have an equilibrium." in page.text
     assert colours(page) == "good"
+
+
+def score(name, squares, failed=()):
+    """A model with squared errors on held-out poses, in units of the noise."""
+    folds = (
+        FoldScore(f"pose {i}", np.nan, np.nan, np.nan, "no equilibrium")
+        if i in failed
+        else FoldScore(f"pose {i}", 2e-3 * s**0.5, s**0.5, 1e-3)
+        for i, s in enumerate(squares)
+    )
+    return ModelScore(name, 0, 2, tuple(folds), 1e-3, 1.0, "", None)
+
+
+def test_page_of_a_comparison(tmp_path):
+    best, other = score("neo", [1.0, 1.1, 0.9]), score(HOSTILE, [9.0, 9.2, 8.9], (1,))
+    found = ModelComparison.ranked([other, best])
+    write_comparison(found, tmp_path / "out", name=HOSTILE)
+    page = check_page(tmp_path / "out")
+    data = json.loads((tmp_path / "out" / "comparison.json").read_text())
+    assert data["verdict"] in page.text
+    assert "pose 1 held out: no equilibrium." in page.text
+    _, *rows = page.tables["Models"]
+    assert rows[0][0] == data["best"] == "neo"
+    for row, own in zip(rows, data["models"], strict=True):
+        assert float(row[2]) == pytest.approx(own["held_out_rms_mm"], rel=1e-3)
+        assert float(row[6]) == pytest.approx(own["fit_rms_mm"])
+    _, *rows = page.tables["Error of each configuration, held out"]
+    for k, own in enumerate(data["models"]):
+        for row, fold in zip(rows, own["folds"], strict=True):
+            assert row[0] == fold["held_out"]
+            if fold["failure"]:
+                assert row[k + 1] == "failed"
+            else:
+                assert number(row[k + 1]) == pytest.approx(fold["rms_mm"], rel=1e-3)
+    colours_of = []
+    for models in ([best, score("b", [1.0, 1.0, 1.1])], [best, score("c", [9, 9, 9])]):
+        name = f"{len(colours_of)}"
+        write_comparison(ModelComparison.ranked(models), tmp_path / name)
+        colours_of.append(colours(check_page(tmp_path / name)))
+    assert colours_of == ["doubtful", "plain"]
+
+
+def test_page_of_what_data_would_tell(tmp_path):
+    """The second row sees the angle to the asked 10 degrees or so, or not at all."""
+    for angle, colour in ((100.0, "good"), (20.0, "doubtful"), (0.0, "bad")):
+        space = axis_space()
+        rows = np.array([[100.0, 0.0], [0.0, angle]])
+        found = identifiability(rows, space, space.start())
+        out = tmp_path / colour
+        write_identifiability(found, make_ranking(), out, name="beam")
+        page = check_page(out)
+        data = json.loads((out / "identifiability.json").read_text())
+        assert colours(page) == colour
+        assert found.headline in page.text
+        assert "Candidate 'turned' adds most: it divides a standard err" in page.text
+        assert "Not ranked: 'crushed': inverted." in page.text
+        _, *rows = page.tables["Standard errors to expect"]
+        for row, own in zip(rows, data["identifiability"]["parameters"], strict=True):
+            assert (row[0], row[-1]) == (own["name"], own["verdict"])
+        assert number(rows[0][1]) == pytest.approx(500.0)
+        std = data["identifiability"]["parameters"][0]["standard_error"]
+        assert number(rows[0][2]) == pytest.approx(1e-3 * std, rel=5e-3)
+        assert ("hardly see 1 of 2" in page.text) == (colour == "bad")
+    write_identifiability(found, None, tmp_path / "alone")
+    assert "What to do: another configuration" in check_page(tmp_path / "alone").text
+    write_identifiability(None, make_ranking(), tmp_path / "ranking")
+    assert colours(check_page(tmp_path / "ranking")) == "plain"
 
 
 def brightness(colour):

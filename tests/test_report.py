@@ -332,11 +332,11 @@ def test_an_outlook_as_a_folder(tmp_path):
     folder = write_identifiability(
         found, make_ranking(), tmp_path / "out", name="beam", timing_s={"solve": 1.0}
     )
-    words = ["identifiability.json", "identifiability.txt"]
+    words = ["identifiability.json", "identifiability.txt", "report.html"]
     assert names(folder) == words
     data = json.loads((folder / "identifiability.json").read_text())
     assert (data["name"], data["timing_s"]) == ("beam", {"solve": 1.0})
-    assert data["files"] == ["identifiability.txt"]
+    assert data["files"] == ["report.html", "identifiability.txt"]
     assert data["identifiability"]["verdict"] == "not identifiable"
     text = (folder / "identifiability.txt").read_text()
     assert text == f"beam\n\n{found}\n\n{make_ranking()}\n"
@@ -355,7 +355,7 @@ def test_a_verdict_goes_into_the_results(tmp_path):
     assert data["identifiability"]["verdict"] == "identifiable"
     # Over it, an outlook: the calibration's files go.
     write_identifiability(judged([1.0, 0.0]), None, folder, force=True)
-    words = ["identifiability.json", "identifiability.txt"]
+    words = ["identifiability.json", "identifiability.txt", "report.html"]
     assert names(folder) == words
 
 

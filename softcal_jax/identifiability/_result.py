@@ -1,6 +1,7 @@
 """What data can tell about the parameters: the result and its text."""
 
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -17,6 +18,18 @@ from softcal_jax.identifiability._spread import (
 
 MOST_SHOWN = 8
 """Most blind directions that are listed; the others are only counted."""
+
+
+class Tabulated(NamedTuple):
+    """Texts of a table.
+
+    Attributes:
+        head: Names of the columns.
+        rows: One text per column each.
+    """
+
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
 
 
 class ParameterOutlook(eqx.Module):
@@ -104,6 +117,23 @@ class Identifiability(eqx.Module):
         return tuple(d for d in self.directions if d.verdict == "not identifiable")
 
     @property
+    def headline(self) -> str:
+        """The verdict in a sentence."""
+        n_data, n_p = self.n_data, self.n_parameters
+        return (
+            f"{self.verdict.capitalize()} at these values: {n_data} measured "
+            f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
+        )
+
+    @property
+    def tabulated(self) -> Tabulated:
+        """What is known of each parameter, in texts."""
+        head = ("parameter", "value", "standard error", "asked", "verdict")
+        if self.has_prior:
+            head = (*head[:3], "from data alone", *head[3:])
+        return Tabulated(head, [_row(p, self.has_prior) for p in self.parameters])
+
+    @property
     def advice(self) -> tuple[str, ...]:
         """What to do, in sentences; empty if nothing needs to be done."""
         if self.n_data == 0:
@@ -123,15 +153,7 @@ class Identifiability(eqx.Module):
     def __str__(self) -> str:
         """Format the verdict, the parameters, blind directions and what to do."""
         n_data, n_p = self.n_data, self.n_parameters
-        lines = [
-            f"{self.verdict.capitalize()} at these values: {n_data} measured "
-            f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
-        ]
-        head = ("parameter", "value", "standard error", "asked", "verdict")
-        if self.has_prior:
-            head = (*head[:3], "from data alone", *head[3:])
-        lines += table(head, [_row(p, self.has_prior) for p in self.parameters])
-        lines.append(self.scale)
+        lines = [self.headline, *table(*self.tabulated), self.scale]
         lines += [
             f"Errors of the {cause} are not among these: their size is not known here."
             for cause in self.unknown

@@ -32,6 +32,7 @@ from softcal_jax.plotting import (
     render_configuration,
     rendering_problem,
 )
+from softcal_jax.report._outlook_pages import comparison_page, identifiability_page
 from softcal_jax.report._pages import REPORT, calibration_page, simulation_page
 
 COLLECTION = "configurations.pvd"
@@ -133,9 +134,9 @@ def write_identifiability(
 ) -> Path:
     """Write an identifiability result to a folder, whole or not at all.
 
-    The folder holds `identifiability.json` (see `outlook_dict`) and the same in words,
-    `identifiability.txt`. Further arguments and errors are those of `write_results`;
-    returns the folder.
+    The folder holds `report.html`, `identifiability.json` (see `outlook_dict`) and the
+    same in words, `identifiability.txt`. Further arguments and errors are those of
+    `write_results`; returns the folder.
 
     Args:
         found: Result of the configurations; None if there are none.
@@ -147,11 +148,9 @@ def write_identifiability(
     """
     data = outlook_dict(found, ranking, name=name, timing_s=timing_s)
     text = "\n\n".join(str(part) for part in (found, ranking) if part is not None)
-    with results_folder(directory, force=force) as folder:
-        path = folder / "identifiability.txt"
-        path.write_text(f"{name}\n\n{text}\n", encoding="utf-8")
-        write_json(folder / "identifiability.json", {**data, "files": [path.name]})
-    return Path(directory)
+    page = lambda data: identifiability_page(found, ranking, data)
+    text = f"{name}\n\n{text}\n"
+    return _write_words(data, "identifiability", text, page, directory, force=force)
 
 
 def write_comparison(
@@ -164,9 +163,9 @@ def write_comparison(
 ) -> Path:
     """Write a comparison of models to a folder, whole or not at all.
 
-    The folder holds `comparison.json` (see `comparison_dict`) and the same in words,
-    `comparison.txt`. Further arguments and errors are those of `write_results`; returns
-    the folder.
+    The folder holds `report.html`, `comparison.json` (see `comparison_dict`) and the
+    same in words, `comparison.txt`. Further arguments and errors are those of
+    `write_results`; returns the folder.
 
     Args:
         comparison: The comparison.
@@ -176,10 +175,26 @@ def write_comparison(
         timing_s: Wall time per part [s].
     """
     data = comparison_dict(comparison, name=name, timing_s=timing_s)
+    page = lambda data: comparison_page(comparison, data)
+    text = f"{comparison}\n"
+    return _write_words(data, "comparison", text, page, directory, force=force)
+
+
+def _write_words(
+    data: dict[str, Any],
+    stem: str,
+    text: str,
+    page: Callable[[Mapping[str, Any]], str],
+    directory: str | Path,
+    *,
+    force: bool,
+) -> Path:
+    """Write a result without bodies: as a page, as text, and last as its index."""
+    data["files"] = [REPORT, f"{stem}.txt"]
     with results_folder(directory, force=force) as folder:
-        path = folder / "comparison.txt"
-        path.write_text(f"{comparison}\n", encoding="utf-8")
-        write_json(folder / "comparison.json", {**data, "files": [path.name]})
+        (folder / REPORT).write_text(page(data), encoding="utf-8")
+        (folder / f"{stem}.txt").write_text(text, encoding="utf-8")
+        write_json(folder / f"{stem}.json", data)
     return Path(directory)
 
 
