@@ -89,6 +89,9 @@ def test_calibrate(tmp_path, out, capsys):
         "Held-out error, pulled: 0.00 mm rms over 2 markers, 0.0 % of how far" in text
     )
     assert f"Results in {out}: " in text
+    assert f"Open {out / 'report.html'} in a browser" in text
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "softcal calibrate ../project.toml -o repeated" in page
     for part in ("import", "reading", "compile", "solve", "results and pictures"):
         assert f"{part} " in text.split("Time: ")[1]
 
@@ -250,7 +253,8 @@ def test_identify(tmp_path, out, capsys):
     assert "Candidate 'upside down' adds most: " in printed
     assert "Not ranked: 'crushed': " in printed
     assert "[[candidates]]" not in printed
-    assert f"Results in {out}: identifiability.json, identifiability.txt" in printed
+    files = "identifiability.json, identifiability.txt, report.html"
+    assert f"Results in {out}: {files}" in printed
     data = json.loads((out / "identifiability.json").read_text())
     assert data["identifiability"]["verdict"] == "weakly identifiable"
     assert [c["name"] for c in data["ranking"]["candidates"]] == ["upside down"]

@@ -72,6 +72,7 @@ def test_a_calibration_as_a_folder(tmp_path):
         "held_out.png",
         "held_out.vtu",
         "markers.csv",
+        "report.html",
         "result.json",
     ]
     assert (data["name"], data["converged"]) == ("beam", True)
@@ -93,6 +94,7 @@ def test_without_opengl_the_rest_is_written_and_it_is_said(tmp_path, no_opengl):
         "droop.vtu",
         "held_out.vtu",
         "markers.csv",
+        "report.html",
         "result.json",
     ]
     data = json.loads((tmp_path / "out" / "result.json").read_text())
@@ -122,6 +124,7 @@ class TestWholeOrNotAtAll:
             "convergence.png",
             "markers.csv",
             "other.vtu",
+            "report.html",
             "result.json",
         ]
         data = json.loads((tmp_path / "out" / "result.json").read_text())
@@ -158,6 +161,7 @@ class TestWholeOrNotAtAll:
             "configurations.pvd",
             "lane_0.vtu",
             "markers.csv",
+            "report.html",
             "simulation.json",
         ]
 
@@ -181,12 +185,14 @@ def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
         "lane_2.png",
         "lane_2.vtu",
         "markers.csv",
+        "report.html",
         "simulation.json",
     ]
     data = json.loads((tmp_path / "out" / "simulation.json").read_text())
     assert (data["name"], data["converged"]) == ("poses", False)
     pictures = ["lane_0.vtu", "lane_0.png", "lane_2.vtu", "lane_2.png"]
-    assert data["files"] == ["markers.csv", "configurations.pvd", *pictures]
+    tables = ["report.html", "markers.csv", "configurations.pvd"]
+    assert data["files"] == [*tables, *pictures]
     reader = pyvista.PVDReader(tmp_path / "out" / "configurations.pvd")
     assert [own.path for own in reader.datasets] == ["lane_0.vtu", "lane_2.vtu"]
     failed = data["configurations"][1]
@@ -326,10 +332,11 @@ def test_an_outlook_as_a_folder(tmp_path):
     folder = write_identifiability(
         found, make_ranking(), tmp_path / "out", name="beam", timing_s={"solve": 1.0}
     )
-    assert names(folder) == ["identifiability.json", "identifiability.txt"]
+    words = ["identifiability.json", "identifiability.txt", "report.html"]
+    assert names(folder) == words
     data = json.loads((folder / "identifiability.json").read_text())
     assert (data["name"], data["timing_s"]) == ("beam", {"solve": 1.0})
-    assert data["files"] == ["identifiability.txt"]
+    assert data["files"] == ["report.html", "identifiability.txt"]
     assert data["identifiability"]["verdict"] == "not identifiable"
     text = (folder / "identifiability.txt").read_text()
     assert text == f"beam\n\n{found}\n\n{make_ranking()}\n"
@@ -348,7 +355,8 @@ def test_a_verdict_goes_into_the_results(tmp_path):
     assert data["identifiability"]["verdict"] == "identifiable"
     # Over it, an outlook: the calibration's files go.
     write_identifiability(judged([1.0, 0.0]), None, folder, force=True)
-    assert names(folder) == ["identifiability.json", "identifiability.txt"]
+    words = ["identifiability.json", "identifiability.txt", "report.html"]
+    assert names(folder) == words
 
 
 def test_summary_says_that_it_did_not_converge():

@@ -1,7 +1,6 @@
 """The commands; heavy packages are imported only when one runs."""
 
 import argparse
-import math
 import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -26,7 +25,6 @@ from softcal_jax.cli._writing import checkpoint_stands, interruptible, write_res
 if TYPE_CHECKING:
     from softcal_jax.calibration import (
         CalibrationResult,
-        ConfigurationResult,
         EquilibriumProgress,
     )
     from softcal_jax.configurations import Configuration
@@ -114,7 +112,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     assessment = assess(result)
     show.line()
     show.line(report.summary_table(result, assessment))
-    _print_held_out(result.configurations, show)
+    _print_held_out(result, show)
     with interruptible(args):
         force = args.force or any(early)
         write_results(partial(write, result, assessment), args, show, force=force)
@@ -249,24 +247,8 @@ def _equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]"
     return progress
 
 
-def _print_held_out(fits: "Sequence[ConfigurationResult]", show: Display) -> None:
-    for fit in fits:
-        if fit.role == "validation" and (found := _held_out_errors(fit)):
-            show.line(f"Held-out error, {fit.name}: {found}.")
+def _print_held_out(result: "CalibrationResult", show: Display) -> None:
+    from softcal_jax.report import held_out_sentences
 
-
-def _held_out_errors(fit: "ConfigurationResult") -> str:
-    """Format distances of markers and angles of orientations, where there are any."""
-    texts = []
-    if fit.points:
-        n = len(fit.points)
-        markers = "marker" if n == 1 else "markers"
-        texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {n} {markers}")
-    if fit.points and math.isfinite(fit.rms_share):
-        texts[0] += (
-            f", {100 * fit.rms_share:.1f} % of how far they moved "
-            f"({1e3 * fit.motion:.1f} mm)"
-        )
-    if math.isfinite(fit.turn_after):
-        texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
-    return "; ".join(texts)
+    for line in held_out_sentences(result.configurations):
+        show.line(line)

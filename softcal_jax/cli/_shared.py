@@ -19,7 +19,6 @@ from softcal_jax._text import escaped
 from softcal_jax.cli._console import PlainConsole
 
 if TYPE_CHECKING:
-    from softcal_jax.equilibrium import Model
     from softcal_jax.project import Project
 
 OK, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -98,6 +97,7 @@ class Display:
         """Print what was written where, and how long the parts took."""
         files = sorted(p.name for p in where.iterdir())
         self.line(f"Results in {where}: {', '.join(files)}")
+        self.line(f"Open {where / 'report.html'} in a browser to read them.")
         self.times()
 
 
@@ -207,28 +207,18 @@ def start_computing(show: Display) -> None:
 def load(path: Path, show: Display, *, solve: bool = True) -> "Project":
     """Load a project, and describe its model, with the solver if it is to `solve`."""
     from softcal_jax.project import load_project
+    from softcal_jax.report import model_words
 
     start_computing(show)
     show.now(f"reading {path.name}")
     with bad_input():
         project = load_project(path, solve=solve)
     show.lap("reading")
-    mesh, model = project.model.mesh, project.model
-    kind = "quadratic" if mesh.order == 2 else "linear"
     show.line(f"softcal {version('softcal-jax')}: {project.name}")
-    show.line(
-        f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets, {_law(model)} "
-        f"({model.formulation})" + (f", solver {model.solver.name}" if solve else "")
-    )
+    model = project.model
+    solver = f", solver {model.solver.name}" if solve else ""
+    show.line(f"{model_words(model)}{solver}")
     return project
-
-
-def _law(model: "Model") -> str:
-    name = type(model.law).__name__
-    parts = (getattr(model.law, key, None) for key in ("elasticity", "matrix"))
-    return " of ".join(
-        [name, *(type(part).__name__ for part in parts if part is not None)]
-    )
 
 
 @contextmanager

@@ -21,7 +21,7 @@ INDEX_FILES = (
 )
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 
-_RESERVED = {"convergence", "markers", "result", "simulation"}
+_RESERVED = {"budget", "convergence", "markers", "report", "result", "simulation"}
 """Stems of the other files of a results folder."""
 
 _ENDINGS = ("", "_robot", "_recording")

@@ -13,6 +13,7 @@ from softcal_jax.identifiability._ranking import (
 from softcal_jax.identifiability._result import (
     Identifiability,
     ParameterOutlook,
+    Tabulated,
     percent,
     table,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "Prediction",
     "Ranking",
     "Spread",
+    "Tabulated",
     "Unranked",
     "Verdict",
     "assess",

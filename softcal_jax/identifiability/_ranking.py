@@ -20,7 +20,7 @@ from softcal_jax.identifiability._identify import (
     in_noise_units,
     survey,
 )
-from softcal_jax.identifiability._result import number, table
+from softcal_jax.identifiability._result import Tabulated, number, table
 from softcal_jax.identifiability._spread import (
     Spread,
     information,
@@ -126,32 +126,45 @@ class Ranking(eqx.Module):
     n_parameters: int
     blind_before: int
 
-    def __str__(self) -> str:
-        """Describe the best candidate, and tabulate all."""
+    @property
+    def headline(self) -> str:
+        """Which candidate to measure next, in a sentence."""
         if not self.gains:
-            return "\n".join(["No candidate can be ranked.", *map(str, self.unranked)])
-        best, n_p = self.gains[0], self.n_parameters
+            return "No candidate can be ranked."
+        best = self.gains[0]
+        return f"Candidate {best.name!r} adds most: it {best.words}."
+
+    @property
+    def tabulated(self) -> Tabulated:
+        """What each candidate would add, in texts."""
         head = "candidate, D gain [nat], volume, E gain, blind left, standard error"
         rows = [
             (
                 gain.name,
                 *map(number, (gain.d_gain, gain.volume, gain.e_gain)),
-                f"{gain.blind_left} of {n_p}",
+                f"{gain.blind_left} of {self.n_parameters}",
                 gain.effect,
             )
             for gain in self.gains
         ]
-        return "\n".join(
-            [
-                f"Candidate {best.name!r} adds most: it {best.words}.",
-                *table(tuple(head.split(", ")), rows),
-                f"Without a candidate {self.blind_before} of {n_p} directions are "
-                "blind. Volume: factor on that of the uncertainty, exp(-D gain / 2). E "
-                "gain: information added where there is least, in units of what the "
-                "asked standard error tells.",
-                *map(str, self.unranked),
-            ]
+        return Tabulated(tuple(head.split(", ")), rows)
+
+    @property
+    def legend(self) -> str:
+        """What the columns of the table mean."""
+        return (
+            f"Without a candidate {self.blind_before} of {self.n_parameters} "
+            "directions are blind. Volume: factor on that of the uncertainty, "
+            "exp(-D gain / 2). E gain: information added where there is least, in "
+            "units of what the asked standard error tells."
         )
+
+    def __str__(self) -> str:
+        """Describe the best candidate, and tabulate all."""
+        if not self.gains:
+            return "\n".join([self.headline, *map(str, self.unranked)])
+        lines = [self.headline, *table(*self.tabulated), self.legend]
+        return "\n".join([*lines, *map(str, self.unranked)])
 
 
 def rank_configurations(

@@ -1,6 +1,7 @@
 """What data can tell about the parameters: the result and its text."""
 
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -17,6 +18,18 @@ from softcal_jax.identifiability._spread import (
 
 MOST_SHOWN = 8
 """Most blind directions that are listed; the others are only counted."""
+
+
+class Tabulated(NamedTuple):
+    """Texts of a table.
+
+    Attributes:
+        head: Names of the columns.
+        rows: One text per column each.
+    """
+
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
 
 
 class ParameterOutlook(eqx.Module):
@@ -103,18 +116,44 @@ class Identifiability(eqx.Module):
         """The directions that are not identifiable, the worst last."""
         return tuple(d for d in self.directions if d.verdict == "not identifiable")
 
-    def __str__(self) -> str:
-        """Format the verdict, the parameters, blind directions and what to do."""
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence."""
         n_data, n_p = self.n_data, self.n_parameters
-        lines = [
+        return (
             f"{self.verdict.capitalize()} at these values: {n_data} measured "
             f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
-        ]
+        )
+
+    @property
+    def tabulated(self) -> Tabulated:
+        """What is known of each parameter, in texts."""
         head = ("parameter", "value", "standard error", "asked", "verdict")
         if self.has_prior:
             head = (*head[:3], "from data alone", *head[3:])
-        lines += table(head, [_row(p, self.has_prior) for p in self.parameters])
-        lines.append(self.scale)
+        return Tabulated(head, [_row(p, self.has_prior) for p in self.parameters])
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """What to do, in sentences; empty if nothing needs to be done."""
+        if self.n_data == 0:
+            return ("Nothing is measured: give the configurations markers.",)
+        if self.verdict == "identifiable":
+            return ()
+        missing, first = self.n_parameters - self.n_data, ""
+        if missing > 0:
+            several = "s are" if missing > 1 else " is"
+            first = f"At least {missing} more measured coordinate{several} needed. "
+        return (
+            f"{first}What to do: another configuration (load, orientation, other end "
+            "clamped), more markers, or less noise; ranking candidates tells which "
+            "configuration adds most. Or calibrate fewer parameters.",
+        )
+
+    def __str__(self) -> str:
+        """Format the verdict, the parameters, blind directions and what to do."""
+        n_data, n_p = self.n_data, self.n_parameters
+        lines = [self.headline, *table(*self.tabulated), self.scale]
         lines += [
             f"Errors of the {cause} are not among these: their size is not known here."
             for cause in self.unknown
@@ -138,7 +177,7 @@ class Identifiability(eqx.Module):
             )
         if n_data:
             lines += str(self.conditioning).splitlines()
-        return "\n".join(lines + _remedies(self))
+        return "\n".join([*lines, *self.advice])
 
     @property
     def scale(self) -> str:
@@ -171,23 +210,6 @@ def _row(p: ParameterOutlook, has_prior: bool) -> tuple[str, ...]:
 def percent(ratio: float) -> str:
     """Write a standard error over the asked one, "blind" if it is infinite."""
     return f"{number(100.0 * ratio)} %" if math.isfinite(ratio) else "blind"
-
-
-def _remedies(found: Identifiability) -> list[str]:
-    """Advise what to do, if anything."""
-    if found.n_data == 0:
-        return ["Nothing is measured: give the configurations markers."]
-    if found.verdict == "identifiable":
-        return []
-    missing, first = found.n_parameters - found.n_data, ""
-    if missing > 0:
-        several = "s are" if missing > 1 else " is"
-        first = f"At least {missing} more measured coordinate{several} needed. "
-    return [
-        f"{first}What to do: another configuration (load, orientation, other end "
-        "clamped), more markers, or less noise; ranking candidates tells which "
-        "configuration adds most. Or calibrate fewer parameters."
-    ]
 
 
 def number(value: float, digits: int = 3) -> str:

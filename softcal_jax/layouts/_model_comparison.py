@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from softcal_jax._names import listed
-from softcal_jax.identifiability import table
+from softcal_jax.identifiability import Tabulated, table
 from softcal_jax.layouts._comparison import ModelScore
 
 LEVEL_OF_COMPARISON = 0.95
@@ -128,7 +128,12 @@ class ModelComparison(eqx.Module):
 
     def __str__(self) -> str:
         """Write the verdict, a table, and the folds that failed."""
-        lines = [self.verdict, *_table(self)]
+        return "\n".join([self.verdict, *table(*self.tabulated), *self.failures])
+
+    @property
+    def failures(self) -> list[str]:
+        """Which fits failed and why, one sentence each."""
+        lines = []
         for model in self.models:
             lines += [
                 f"{model.name!r}, {fold.held_out} held out: {fold.failure}."
@@ -138,31 +143,30 @@ class ModelComparison(eqx.Module):
                 lines.append(
                     f"{model.name!r}, all configurations fitted: {model.fit_failure}."
                 )
-        return "\n".join(lines)
+        return lines
 
-
-def _table(comparison: ModelComparison) -> list[str]:
-    """Write a table, one line per model."""
-    head = ("model", "parameters", "held-out [mm]", "in noise", "squared [noise^2]")
-    head += ("worse than the best by", "fit [mm]", "failed folds")
-    against = {d.name: d for d in comparison.differences}
-    rows = []
-    for model in comparison.models:
-        rows.append(
-            (
-                model.name,
-                str(model.n_parameters),
-                _number(1e3 * model.held_out_rms, ".4g"),
-                _number(model.held_out_noise_rms, ".2f"),
-                _plus_minus(model.score, model.standard_error),
-                _difference(against.get(model.name)),
-                _number(1e3 * model.fit_rms, ".4g"),
-                f"{len(model.failed)} of {len(model.folds)}"
-                if model.failed
-                else "none",
+    @property
+    def tabulated(self) -> Tabulated:
+        """How well each model predicts, in texts."""
+        head = ("model", "parameters", "held-out [mm]", "in noise", "squared [noise^2]")
+        head += ("worse than the best by", "fit [mm]", "failed folds")
+        against = {d.name: d for d in self.differences}
+        rows = []
+        for model in self.models:
+            failed = f"{len(model.failed)} of {len(model.folds)}"
+            rows.append(
+                (
+                    model.name,
+                    str(model.n_parameters),
+                    _number(1e3 * model.held_out_rms, ".4g"),
+                    _number(model.held_out_noise_rms, ".2f"),
+                    _plus_minus(model.score, model.standard_error),
+                    _difference(against.get(model.name)),
+                    _number(1e3 * model.fit_rms, ".4g"),
+                    failed if model.failed else "none",
+                )
             )
-        )
-    return table(head, rows)
+        return Tabulated(head, rows)
 
 
 def _difference(found: PairedDifference | None) -> str:

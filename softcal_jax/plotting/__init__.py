@@ -1,6 +1,6 @@
 """Pictures of results, drawn without a screen."""
 
-from softcal_jax.plotting._budget import plot_budget
+from softcal_jax.plotting._budget import budget_shares, plot_budget
 from softcal_jax.plotting._configuration import render_body, render_configuration
 from softcal_jax.plotting._diagrams import plot_convergence, plot_trials
 from softcal_jax.plotting._directions import plot_directions
@@ -15,6 +15,7 @@ __all__ = [
     "MOST_PANELS",
     "RenderingError",
     "SensorFrame",
+    "budget_shares",
     "plot_budget",
     "plot_convergence",
     "plot_directions",

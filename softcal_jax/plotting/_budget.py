@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import NOISE, CalibrationResult
 from softcal_jax.plotting._colours import FAINT, SERIES, TEXT
 
@@ -38,7 +39,7 @@ def budget_figure(result: CalibrationResult, name: str) -> "matplotlib.figure.Fi
     figure = Figure(figsize=(12.0, height), dpi=_DPI, layout="constrained")
     axes = figure.subplots()
     rows, left = np.arange(n_p), np.zeros(n_p)
-    for k, (cause, share) in enumerate(_shares(result).items()):
+    for k, (cause, share) in enumerate(budget_shares(result).items()):
         axes.barh(
             rows,
             100.0 * share,
@@ -73,8 +74,17 @@ def budget_figure(result: CalibrationResult, name: str) -> "matplotlib.figure.Fi
     return figure
 
 
-def _shares(result: CalibrationResult) -> dict[str, np.ndarray]:
-    """Return the share of each cause in the variance; zero without standard error."""
+def budget_shares(
+    result: CalibrationResult,
+) -> dict[str, Float[HostArray, " n_p"]]:
+    """Compute the share of each cause in the variance of each parameter.
+
+    Args:
+        result: The calibration.
+
+    Returns:
+        Shares by cause, that of the noise first; zero without a standard error [-].
+    """
     squares = {cause: std**2 for cause, std in result.budget.by_cause().items()}
     total = sum(squares.values())
     known = np.isfinite(total) & (total > 0.0)

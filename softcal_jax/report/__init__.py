@@ -1,5 +1,6 @@
-"""Results written, loaded and exported, and the tables for the terminal."""
+"""Results written, loaded and exported: files, a page, and tables for the terminal."""
 
+from softcal_jax.report._calibration import held_out_sentences, model_words
 from softcal_jax.report._export import export_icesl, export_inp
 from softcal_jax.report._load import (
     LoadedResult,
@@ -25,7 +26,9 @@ __all__ = [
     "control_point_sets",
     "export_icesl",
     "export_inp",
+    "held_out_sentences",
     "load_result",
+    "model_words",
     "outline",
     "roles_of",
     "simulation_table",

@@ -1,7 +1,7 @@
 """Write a results folder, whole or not at all."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from softcal_jax.export import (
     write_vtu,
 )
 from softcal_jax.fields import field_standard_errors
-from softcal_jax.identifiability import Assessment, Identifiability, Ranking
+from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import (
     plot_budget,
@@ -32,6 +32,8 @@ from softcal_jax.plotting import (
     render_configuration,
     rendering_problem,
 )
+from softcal_jax.report._outlook_pages import comparison_page, identifiability_page
+from softcal_jax.report._pages import REPORT, calibration_page, simulation_page
 
 COLLECTION = "configurations.pvd"
 """All configurations at once, for ParaView."""
@@ -53,14 +55,14 @@ def write_results(
 ) -> Path:
     """Write a calibration to a folder, whole or not at all.
 
-    The folder holds `result.json` (see `result_dict`; its `files` lists the others),
-    `markers.csv`, `convergence.png`, `budget.png` and, for each configuration, a .vtu
-    for ParaView and a .png; `configurations.pvd` opens all .vtu at once. For a robot
-    with other effectors, rigid bodies or actuators there are `effectors.csv` and
-    `robot.csv`, too; of a recording of markers over time a picture that ends with
-    `_recording.png`. A calibration that did not converge is written
-    too, marked as such. A configuration without an equilibrium has neither .vtu nor
-    .png.
+    The folder holds `report.html`, a page for people that needs no other file;
+    `result.json` (see `result_dict`; its `files` lists the others), `markers.csv`,
+    `convergence.png`, `budget.png` and, for each configuration, a .vtu for ParaView and
+    a .png; `configurations.pvd` opens all .vtu at once. For a robot with other
+    effectors, rigid bodies or actuators there are `effectors.csv` and `robot.csv`, too;
+    of a recording of markers over time a picture that ends with `_recording.png`. A
+    calibration that did not converge is written too, marked as such. A configuration
+    without an equilibrium has neither .vtu nor .png.
 
     Args:
         result: The calibration.
@@ -78,10 +80,17 @@ def write_results(
         FileExistsError: If the folder is not empty, and `force` is off or it is not a
             results folder.
     """
-    more: dict[str, Any] = {"assessment": assessment, "timing_s": timing_s}
+    found = assessment or assess(result)
+    more: dict[str, Any] = {"assessment": found, "timing_s": timing_s}
     data = result_dict(result, name=name, directory=directory, **more)
     return _write(
-        result, data, Path(directory), "result.json", force=force, traces=traces or {}
+        result,
+        data,
+        Path(directory),
+        "result.json",
+        page=lambda data, folder: calibration_page(result, found, data, folder),
+        force=force,
+        traces=traces or {},
     )
 
 
@@ -96,11 +105,11 @@ def write_simulation(
 ) -> Path:
     """Write a forward simulation to a folder, whole or not at all.
 
-    The folder holds `simulation.json` (see `simulation_dict`) and, for each
-    configuration with an equilibrium, a .vtu and a .png; the others are listed with
-    the reason. `configurations.pvd`, `markers.csv`, `effectors.csv` and `robot.csv` are
-    as of `write_results`, without measured values. Arguments and errors are those of
-    `write_results`; returns the folder.
+    The folder holds `report.html`, `simulation.json` (see `simulation_dict`) and, for
+    each configuration with an equilibrium, a .vtu and a .png; the others are listed
+    with the reason. `configurations.pvd`, `markers.csv`, `effectors.csv` and
+    `robot.csv` are as of `write_results`, without measured values. Arguments and errors
+    are those of `write_results`; returns the folder.
     """
     data = simulation_dict(result, name=name, timing_s=timing_s)
     return _write(
@@ -108,6 +117,7 @@ def write_simulation(
         data,
         Path(directory),
         "simulation.json",
+        page=lambda data, folder: simulation_page(result, data, folder),
         force=force,
         traces=traces or {},
     )
@@ -124,9 +134,9 @@ def write_identifiability(
 ) -> Path:
     """Write an identifiability result to a folder, whole or not at all.
 
-    The folder holds `identifiability.json` (see `outlook_dict`) and the same in words,
-    `identifiability.txt`. Further arguments and errors are those of `write_results`;
-    returns the folder.
+    The folder holds `report.html`, `identifiability.json` (see `outlook_dict`) and the
+    same in words, `identifiability.txt`. Further arguments and errors are those of
+    `write_results`; returns the folder.
 
     Args:
         found: Result of the configurations; None if there are none.
@@ -138,11 +148,9 @@ def write_identifiability(
     """
     data = outlook_dict(found, ranking, name=name, timing_s=timing_s)
     text = "\n\n".join(str(part) for part in (found, ranking) if part is not None)
-    with results_folder(directory, force=force) as folder:
-        path = folder / "identifiability.txt"
-        path.write_text(f"{name}\n\n{text}\n", encoding="utf-8")
-        write_json(folder / "identifiability.json", {**data, "files": [path.name]})
-    return Path(directory)
+    page = lambda data: identifiability_page(found, ranking, data)
+    text = f"{name}\n\n{text}\n"
+    return _write_words(data, "identifiability", text, page, directory, force=force)
 
 
 def write_comparison(
@@ -155,9 +163,9 @@ def write_comparison(
 ) -> Path:
     """Write a comparison of models to a folder, whole or not at all.
 
-    The folder holds `comparison.json` (see `comparison_dict`) and the same in words,
-    `comparison.txt`. Further arguments and errors are those of `write_results`; returns
-    the folder.
+    The folder holds `report.html`, `comparison.json` (see `comparison_dict`) and the
+    same in words, `comparison.txt`. Further arguments and errors are those of
+    `write_results`; returns the folder.
 
     Args:
         comparison: The comparison.
@@ -167,14 +175,33 @@ def write_comparison(
         timing_s: Wall time per part [s].
     """
     data = comparison_dict(comparison, name=name, timing_s=timing_s)
+    page = lambda data: comparison_page(comparison, data)
+    text = f"{comparison}\n"
+    return _write_words(data, "comparison", text, page, directory, force=force)
+
+
+def _write_words(
+    data: dict[str, Any],
+    stem: str,
+    text: str,
+    page: Callable[[Mapping[str, Any]], str],
+    directory: str | Path,
+    *,
+    force: bool,
+) -> Path:
+    """Write a result without bodies: as a page, as text, and last as its index."""
+    data["files"] = [REPORT, f"{stem}.txt"]
     with results_folder(directory, force=force) as folder:
-        path = folder / "comparison.txt"
-        path.write_text(f"{comparison}\n", encoding="utf-8")
-        write_json(folder / "comparison.json", {**data, "files": [path.name]})
+        (folder / REPORT).write_text(page(data), encoding="utf-8")
+        (folder / f"{stem}.txt").write_text(text, encoding="utf-8")
+        write_json(folder / f"{stem}.json", data)
     return Path(directory)
 
 
 Result = CalibrationResult | SimulationResult
+
+Page = Callable[[Mapping[str, Any], Path], str]
+"""Writes a page of the content of the index and the pictures in a folder."""
 
 
 def _write(
@@ -183,6 +210,7 @@ def _write(
     directory: Path,
     index: str,
     *,
+    page: Page,
     force: bool,
     traces: Mapping[str, Traces],
 ) -> Path:
@@ -195,7 +223,9 @@ def _write(
         pictures = problem is None
         files += _write_bodies(folder, result, data, traces, pictures=pictures)
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
-        write_json(folder / index, {**data, "files": files})
+        data["files"] = [REPORT, *files]
+        (folder / REPORT).write_text(page(data, folder), encoding="utf-8")
+        write_json(folder / index, data)
     return directory
 
 

@@ -1,0 +1,317 @@
+"""What a calibration found, in tables and sentences."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from softcal_jax.calibration import (
+    CalibrationResult,
+    ConfigurationResult,
+    LeftOut,
+    ResidualChecks,
+)
+from softcal_jax.equilibrium import Model
+from softcal_jax.export import readable_unit
+from softcal_jax.identifiability import Assessment, Identifiability, percent
+from softcal_jax.report._description import Cell, Table, Tone, Verdict, described
+
+MOST_DIRECTIONS = 6
+"""Most blind directions that are listed; the others are only counted."""
+
+MOST_CORRELATED = 12
+"""Most parameters whose correlations are shown as a matrix."""
+
+MOST_PAIRS = 20
+"""Most pairs of parameters that are listed where there are more."""
+
+TONES: dict[str, Tone] = {
+    "identifiable": "good",
+    "weakly identifiable": "doubtful",
+    "not identifiable": "bad",
+}
+"""How the verdicts on what data tell are meant."""
+
+
+def verdict_of(result: CalibrationResult, found: Assessment) -> Verdict:
+    """Say in one sentence whether the values of a calibration can be used."""
+    steps = len(result.history) - 1
+    taken = f"{steps} step{'s' * (steps != 1)}"
+    if not result.converged:
+        text = f"NOT CONVERGED after {taken}: do not use these values."
+        return Verdict(text, "bad")
+    if found.identified:
+        text = f"Converged in {taken}, and nothing speaks against the values."
+        return Verdict(text, "good")
+    text = f"Converged in {taken}, but take the values with care:"
+    return Verdict(text, "doubtful", found.reasons)
+
+
+def model_words(model: Model) -> str:
+    """Describe the size, the law and the elements of a model."""
+    mesh, law = model.mesh, model.law
+    kind = "quadratic" if mesh.order == 2 else "linear"
+    parts = (getattr(law, key, None) for key in ("elasticity", "matrix"))
+    named = [type(law).__name__]
+    named += [type(part).__name__ for part in parts if part is not None]
+    return (
+        f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets, {' of '.join(named)} "
+        f"({model.formulation})"
+    )
+
+
+def parameter_table(result: CalibrationResult, found: Identifiability) -> Table:
+    """Tabulate values, standard errors, starts and bounds."""
+    blind = {p.name for p in found.parameters if p.verdict == "not identifiable"}
+    title = "Parameters" + ("" if result.intervals else ", ± not checked")
+    rows = []
+    for q in result.parameters:
+        text = q.estimate
+        if q.at_bound:
+            text += " (on a bound)"
+        elif q.given:
+            text += f" (with {', '.join(q.given)} on a bound)"
+        factor, unit = readable_unit([q.value], q.unit)
+        bounds = f"{q.lower * factor:.4g} to {q.upper * factor:.4g} {unit}"
+        sound = result.converged and not q.at_bound and q.name not in blind
+        start = f"{q.start * factor:.4g} {unit}".rstrip()
+        value = Cell(text, "strong" if sound else "bad")
+        rows.append((q.name, value, start, bounds.rstrip()))
+    return described(
+        title, ("parameter", "value ± std. error", "start", "bounds"), rows
+    )
+
+
+def budget_table(result: CalibrationResult) -> Table:
+    """Tabulate in words what the standard errors come from."""
+    columns = "parameter", "standard error over the value"
+    rows = [(name, result.budget.sentence(name)) for name in result.budget.names]
+    return described("Standard errors by cause", columns, rows)
+
+
+def cause_table(result: CalibrationResult) -> Table:
+    """Tabulate the standard error of each parameter by each cause alone."""
+    budget, total = result.budget, result.budget.standard_errors
+    by_cause = budget.by_cause()
+
+    def cell(i: int, std: float) -> str:
+        return budget.readable(i, std) if np.isfinite(std) else "-"
+
+    rows = [
+        (
+            name,
+            cell(i, float(total[i])),
+            *(cell(i, float(own[i])) for own in by_cause.values()),
+        )
+        for i, name in enumerate(budget.names)
+    ]
+    columns = "parameter", "all causes", *by_cause
+    return described(
+        "Standard error over the value, by each cause alone", columns, rows
+    )
+
+
+def interval_tables(result: CalibrationResult) -> list[Table]:
+    """Tabulate the intervals of the parameters, and how each was found."""
+    if not result.intervals:
+        return []
+    rows = []
+    for own in result.intervals:
+        tone: Tone = "bad" if own.kind == "none" else "plain"
+        rows.append((own.name, Cell(str(own), tone), own.kind))
+    level = f"{100.0 * result.intervals[0].level:g} % interval"
+    return [described("Intervals", ("parameter", level, "kind"), rows)]
+
+
+def error_tables(
+    fits: Sequence[ConfigurationResult], checks: ResidualChecks | None
+) -> list[Table]:
+    """Tabulate the errors of points and of orientations.
+
+    With three or more fitted configurations, points also as the others predict them,
+    and in brackets what errors explain of that.
+    """
+    predicted = {} if checks is None else {own.name: own for own in checks.left_out}
+    columns = ("configuration", "role", "before", "after", "moved", "after/moved")
+    more = ("by the others",) if predicted else ()
+    points, turns = [], []
+    for fit in fits:
+        before, after, moved = map(
+            distance, (fit.rms_before, fit.rms_after, fit.motion)
+        )
+        share = "-" if math.isnan(fit.rms_share) else f"{100.0 * fit.rms_share:.1f} %"
+        by_others = [_by_others(predicted.get(fit.name))] if predicted else []
+        first = (fit.name, fit.role)
+        points.append((*first, before, Cell(after, "strong"), moved, share, *by_others))
+        if math.isfinite(fit.turn_after):
+            turned = Cell(_angle(fit.turn_after), "strong")
+            turns.append((*first, _angle(fit.turn_before), turned))
+    title = "Rms distance of the markers"
+    shown = []
+    if any(fit.points for fit in fits):
+        shown.append(described(title, columns + more, points))
+    if turns:
+        shown.append(described("Rms angle of the orientations", columns[:4], turns))
+    return shown
+
+
+def _by_others(own: LeftOut | None) -> str:
+    """Write how far a prediction by the other configurations is off."""
+    if own is None or math.isnan(own.rms):
+        return "-"
+    return f"{distance(own.rms)} ({distance(own.expected)})"
+
+
+def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
+    """Say how far off held-out configurations are predicted, where that was measured.
+
+    For distances of markers and for angles of orientations.
+    """
+    return [
+        f"Held-out error, {fit.name}: {found}."
+        for fit in fits
+        if fit.role == "validation" and (found := _held_out_errors(fit))
+    ]
+
+
+def _held_out_errors(fit: ConfigurationResult) -> str:
+    texts = []
+    if fit.points:
+        n = len(fit.points)
+        markers = "marker" if n == 1 else "markers"
+        texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {n} {markers}")
+    if fit.points and math.isfinite(fit.rms_share):
+        texts[0] += (
+            f", {100 * fit.rms_share:.1f} % of how far they moved "
+            f"({1e3 * fit.motion:.1f} mm)"
+        )
+    if math.isfinite(fit.turn_after):
+        texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
+    return "; ".join(texts)
+
+
+def outlook_table(assessment: Assessment) -> Table:
+    """Tabulate what the data tell about each parameter."""
+    rows = [
+        (
+            p.name,
+            percent(p.ratio),
+            Cell(p.verdict, outlook_tone(p.verdict, assessment)),
+        )
+        for p in assessment.identifiability.parameters
+    ]
+    columns = "parameter", "std. error over asked", "verdict"
+    return described("What the data tell", columns, rows)
+
+
+def outlook_tone(verdict: str, assessment: Assessment) -> Tone:
+    """Return how a verdict on the data is meant.
+
+    What they would tell is no good news under a model that they contradict.
+    """
+    doubtful = verdict == "identifiable" and not assessment.identified
+    return "doubtful" if doubtful else TONES[verdict]
+
+
+def outlook_legend(found: Identifiability) -> str:
+    """Say what the verdicts mean, and give the condition numbers."""
+    return f"{found.scale} {str(found.conditioning).splitlines()[0]}"
+
+
+def blindness(assessment: Assessment) -> list[str]:
+    """Describe the directions of the parameters that the data hardly see.
+
+    The first line says how many; the others are one direction each, or count the rest.
+    """
+    found = assessment.identifiability
+    blind = found.blind[::-1]
+    if not blind:
+        return [_sight(assessment)]
+    n, prior = found.n_parameters, "the prior and " if found.has_prior else ""
+    several = "s" if n > 1 else ""
+    lines = [
+        f"The data hardly see {len(blind)} of {n} direction{several}; "
+        f"along these {prior}the start decide{'' if prior else 's'}, not the data:"
+    ]
+    lines += [f"{d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
+    if len(blind) > MOST_DIRECTIONS:
+        lines.append(f"and {len(blind) - MOST_DIRECTIONS} more.")
+    return lines
+
+
+def _sight(assessment: Assessment) -> str:
+    """Say what the data determine where they are blind to no direction."""
+    verdict = assessment.identifiability.verdict
+    if verdict == "not identifiable":
+        return "The data do not determine all parameters."
+    if verdict != "identifiable":
+        return "The data determine the parameters only weakly in part."
+    if not assessment.identified:
+        return "The data would determine the parameters well; see the reasons for care."
+    return "The data determine the parameters well."
+
+
+def beyond_prior(found: Identifiability) -> str:
+    """Say along how many directions blind data tell more than the prior; or nothing."""
+    if not (found.has_prior and found.blind):
+        return ""
+    n = found.n_parameters
+    return f"They tell more than the prior along {found.informed} of {n}."
+
+
+def correlation_table(found: Identifiability) -> Table:
+    """Tabulate the correlation of the parameters; of many, the strongest pairs."""
+    names = [p.name for p in found.parameters]
+    C = found.correlation
+    if len(names) <= MOST_CORRELATED:
+        rows = [
+            (name, *(_correlation(c) for c in row))
+            for name, row in zip(names, C, strict=True)
+        ]
+        return described("Correlation", ("parameter", *names), rows)
+    i, j = np.triu_indices(len(names), 1)
+    strength = np.nan_to_num(np.abs(C[i, j]), nan=-1.0)
+    first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
+    rows = [
+        (names[a], names[b], _correlation(float(C[a, b])))
+        for a, b in zip(i[first], j[first], strict=True)
+    ]
+    columns = "parameter", "of", "correlation"
+    return described(f"The {MOST_PAIRS} strongest correlations", columns, rows)
+
+
+def _correlation(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "-"
+
+
+def singular_value_table(found: Identifiability) -> Table:
+    """Tabulate the singular values of W_ep in units of the noise."""
+    values = enumerate(found.conditioning.singular_values, 1)
+    rows = [(str(k), f"{value:.3g}") for k, value in values]
+    title = "Singular values of W_ep in units of the noise"
+    return described(title, ("number", "singular value"), rows)
+
+
+def history_table(result: CalibrationResult) -> Table:
+    """Tabulate the steps of the fit."""
+    rows = [
+        (
+            str(own.step),
+            f"{own.cost:.4g}",
+            "-" if math.isnan(own.rms) else f"{1e3 * own.rms:.4g} mm",
+            f"{max(map(abs, own.lambda_p)):.2g}" if own.step else "-",
+            "taken" if own.accepted else Cell("refused", "doubtful"),
+        )
+        for own in result.history
+    ]
+    columns = "step", "cost", "rms marker distance", "largest lambda_p", "outcome"
+    return described("Steps of the fit", columns, rows)
+
+
+def _angle(radians: float) -> str:
+    return "-" if math.isnan(radians) else f"{math.degrees(radians):.2f} deg"
+
+
+def distance(metres: float) -> str:
+    """Write a distance in millimetres."""
+    return "-" if math.isnan(metres) else f"{1e3 * metres:.2f} mm"

@@ -1,0 +1,65 @@
+"""Results as tables and sentences, which a terminal and a page show alike."""
+
+from collections.abc import Iterable, Sequence
+from typing import Literal, NamedTuple
+
+Tone = Literal["plain", "strong", "good", "doubtful", "bad"]
+"""How a text is meant; its words must say so too, as colours are not seen by all."""
+
+_WORDS = {"role", "effector", "actuator", "rigid body", "state", "of", "file"}
+_WORDS |= {"outcome", "verdict", "standard error over the value", "kind", "SHA-256"}
+"""Columns of words; the others hold numbers."""
+
+
+class Cell(NamedTuple):
+    """A cell of a table.
+
+    Attributes:
+        text: What it shows.
+        tone: How it is meant.
+    """
+
+    text: str
+    tone: Tone = "plain"
+
+
+class Table(NamedTuple):
+    """A table of results.
+
+    Attributes:
+        title: Its title.
+        columns: Heads of the columns; the first names what a row is about.
+        rows: The cells, one row per thing.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def holds_words(self, column: int) -> bool:
+        """Whether a column holds words, which are aligned on the left."""
+        return column == 0 or self.columns[column] in _WORDS
+
+
+class Verdict(NamedTuple):
+    """What may be said of a run, first of all.
+
+    Attributes:
+        sentence: The verdict; it ends with a colon where reasons follow.
+        tone: How it is meant.
+        reasons: What there is to doubt, one sentence each.
+    """
+
+    sentence: str
+    tone: Tone
+    reasons: tuple[str, ...] = ()
+
+
+def described(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[str | Cell]]
+) -> Table:
+    """Make a table of texts and cells."""
+    cells = (
+        tuple(Cell(own) if isinstance(own, str) else own for own in row) for row in rows
+    )
+    return Table(title, tuple(columns), tuple(cells))

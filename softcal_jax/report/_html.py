@@ -1,0 +1,192 @@
+"""HTML in which every text is escaped, and the frame of a page."""
+
+import base64
+import html
+import struct
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+from softcal_jax._machine import installed_version
+from softcal_jax._text import escaped
+from softcal_jax.report._description import Table, Verdict
+
+MOST_PICTURES = 3_400_000
+"""Most bytes of pictures in one page; the others stay beside it.
+
+As text they take a third more, so that a page stays below 5 MB.
+"""
+
+_VOID = {"br", "img", "meta"}
+"""Elements that have neither content nor an end."""
+
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+"""What a page may load: its own styles and pictures, and nothing by network."""
+
+
+class Html(str):
+    """A text that is HTML already; any other is escaped where it enters a page."""
+
+    __slots__ = ()
+
+
+class Section(NamedTuple):
+    """A part of a page with a heading.
+
+    Attributes:
+        id: Where links to it lead.
+        title: Its heading.
+        content: What stands below it.
+    """
+
+    id: str
+    title: str
+    content: Sequence[Html]
+
+
+def node(name: str, *content: str, **attributes: str) -> Html:
+    """Make an element.
+
+    Args:
+        name: Its name.
+        content: What it holds; a `str` that is no `Html` is text of a user.
+        attributes: Its attributes, with "_" for "-" and behind a Python keyword.
+    """
+    texts = (
+        f' {key.rstrip("_").replace("_", "-")}="{_safe(value)}"'
+        for key, value in attributes.items()
+    )
+    start = f"<{name}{''.join(texts)}>"
+    if name in _VOID:
+        return Html(start)
+    inner = "".join(own if isinstance(own, Html) else _safe(own) for own in content)
+    return Html(f"{start}{inner}</{name}>")
+
+
+def _safe(text: str) -> str:
+    return html.escape(escaped(text))
+
+
+def joined(parts: Iterable[Html]) -> Html:
+    """Put pieces of HTML one after the other."""
+    return Html("\n".join(parts))
+
+
+def bullets(lines: Iterable[str], **attributes: str) -> Html:
+    """Make a list of sentences."""
+    return node("ul", *(node("li", line) for line in lines), **attributes)
+
+
+def table_html(table: Table) -> Html:
+    """Write a table."""
+    kinds = ["w" if table.holds_words(k) else "n" for k in range(len(table.columns))]
+    head = (
+        node("th", column, scope="col", class_=kind)
+        for column, kind in zip(table.columns, kinds, strict=True)
+    )
+    rows = []
+    for first, *others in table.rows:
+        cells = (
+            node("td", cell.text, class_=f"{kind} {cell.tone}")
+            for cell, kind in zip(others, kinds[1:], strict=True)
+        )
+        rows.append(node("tr", node("th", first.text, scope="row"), *cells))
+    return _wide(table.title, node("thead", node("tr", *head)), node("tbody", *rows))
+
+
+def facts_html(title: str, facts: Mapping[str, str]) -> Html:
+    """Write names and what they stand for as a table without heads of columns."""
+    rows = (
+        node("tr", node("th", name, scope="row"), node("td", fact, class_="w"))
+        for name, fact in facts.items()
+    )
+    return _wide(title, node("tbody", *rows))
+
+
+def _wide(title: str, *content: Html) -> Html:
+    """Make a table that scrolls by itself where the page is too narrow for it."""
+    table = node("table", node("caption", title), *content)
+    return node(
+        "div", table, class_="wide", role="region", aria_label=title, tabindex="0"
+    )
+
+
+def picture(path: Path, alt: str) -> Html:
+    """Write a PNG file into the page."""
+    content = path.read_bytes()
+    width, height = struct.unpack(">II", content[16:24])
+    return node(
+        "img",
+        src=f"data:image/png;base64,{base64.b64encode(content).decode()}",
+        alt=alt,
+        width=str(width),
+        height=str(height),
+    )
+
+
+def figure(content: Html, caption: str, *, title: str = "") -> Html:
+    """Make a figure with what it shows in words below it, and a title above."""
+    head = [node("p", node("strong", title))] if title else []
+    return node("figure", *head, content, node("figcaption", caption))
+
+
+def page(
+    name: str, kind: str, verdict: Verdict, sections: Sequence[Section], *, index: str
+) -> str:
+    """Write a whole page.
+
+    Args:
+        name: Name of the project.
+        kind: What was done, like "Calibration".
+        verdict: What stands first.
+        sections: What follows; those without content are left out.
+        index: File of the same numbers for programs, beside the page.
+    """
+    shown = [own for own in sections if own.content]
+    style = files("softcal_jax.report").joinpath("page.css").read_text("utf-8")
+    head = node(
+        "head",
+        node("meta", charset="utf-8"),
+        node("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        node("meta", name_="viewport", content="width=device-width, initial-scale=1"),
+        node("title", f"{name}: {kind.lower()}"),
+        node("style", Html(style)),
+    )
+    links = (node("li", node("a", own.title, href=f"#{own.id}")) for own in shown)
+    when = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
+    body = node(
+        "body",
+        node("header", node("p", kind, class_="kind"), node("h1", name)),
+        node(
+            "main",
+            _verdict(verdict),
+            node("nav", node("ul", *links), aria_label="Contents"),
+            *map(_section, shown),
+        ),
+        node(
+            "footer",
+            f"Written by softcal_jax {installed_version('softcal-jax')} on {when}. The "
+            "same numbers for programs, in SI and mm: ",
+            node("a", index, href=index),
+            ".",
+        ),
+    )
+    return f"<!DOCTYPE html>\n{node('html', head, body, lang='en')}\n"
+
+
+def _verdict(verdict: Verdict) -> Html:
+    reasons = [bullets(verdict.reasons)] if verdict.reasons else []
+    sentence = node("p", node("strong", verdict.sentence))
+    return node(
+        "section",
+        node("h2", "Verdict"),
+        sentence,
+        *reasons,
+        class_=f"verdict {verdict.tone}",
+    )
+
+
+def _section(own: Section) -> Html:
+    return node("section", node("h2", own.title), joined(own.content), id=own.id)

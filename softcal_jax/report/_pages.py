@@ -1,0 +1,216 @@
+"""The page of each kind of run."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from softcal_jax.calibration import CalibrationResult, SimulationResult
+from softcal_jax.identifiability import Assessment
+from softcal_jax.report._calibration import (
+    beyond_prior,
+    blindness,
+    budget_table,
+    cause_table,
+    correlation_table,
+    error_tables,
+    held_out_sentences,
+    history_table,
+    interval_tables,
+    model_words,
+    outlook_legend,
+    outlook_table,
+    parameter_table,
+    singular_value_table,
+    verdict_of,
+)
+from softcal_jax.report._charts import budget_chart, course_charts, error_chart
+from softcal_jax.report._description import Verdict
+from softcal_jax.report._html import (
+    MOST_PICTURES,
+    Html,
+    Section,
+    bullets,
+    facts_html,
+    figure,
+    node,
+    page,
+    picture,
+    table_html,
+)
+from softcal_jax.report._provenance import made_html, repeat_html
+from softcal_jax.report._robot import robot_tables
+from softcal_jax.report._tables import simulation_tables
+
+REPORT = "report.html"
+"""Name of the page in a results folder."""
+
+_MARKED = "A triangle marks values that should not be used as they are."
+
+_ROLES = {"calibration": "fitted", "validation": "held out"}
+
+
+def calibration_page(
+    result: CalibrationResult,
+    found: Assessment,
+    data: Mapping[str, Any],
+    folder: Path,
+) -> str:
+    """Write the page of a calibration.
+
+    Args:
+        result: The calibration.
+        found: Its assessment.
+        data: The content of its `result.json`, with notes and files.
+        folder: Where its pictures are.
+    """
+    fits, own = result.configurations, found.identifiability
+    agreement = result.checks.agreement if result.checks else ()
+    sections = [
+        Section("notes", "Notes", _notes(data["notes"])),
+        Section("subject", "What was calibrated", [_subject(result, found)]),
+        Section("errors", "Before and after", _errors(result, found)),
+        Section("parameters", "Parameters", _parameters(result, found)),
+        Section(
+            "agreement",
+            "Do the recordings agree?",
+            [bullets(agreement)] if agreement else [],
+        ),
+        Section("data", "What the data tell", _outlook(found)),
+        Section("next", "What to measure next", _sentences(own.advice)),
+        Section("pictures", "Pictures", _pictures(data, folder)),
+        Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
+        Section("fit", "Course of the fit", _course(result)),
+        Section("inner", "Correlation and singular values", _inner(found)),
+        Section("repeat", "Repeat it", repeat_html(data)),
+        Section("made", "Settings, versions and times", made_html(data)),
+    ]
+    verdict = verdict_of(result, found)
+    return page(data["name"], "Calibration", verdict, sections, index="result.json")
+
+
+def simulation_page(
+    result: SimulationResult, data: Mapping[str, Any], folder: Path
+) -> str:
+    """Write the page of a simulation; arguments as of `calibration_page`."""
+    sections = [
+        Section("notes", "Notes", _notes(data["notes"])),
+        Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
+        Section("states", "States", [*map(table_html, simulation_tables(result))]),
+        Section("pictures", "Pictures", _pictures(data, folder)),
+        Section("made", "Versions and times", made_html(data)),
+    ]
+    n = len(result.configurations)
+    lost = [own.name for own in result.configurations if not own.converged]
+    verdict = Verdict(
+        f"{n - len(lost)} of {n} configurations have an equilibrium.", "bad"
+    )
+    if not lost:
+        every = "The configuration has" if n == 1 else f"All {n} configurations have"
+        verdict = Verdict(f"{every} an equilibrium.", "good")
+    return page(data["name"], "Simulation", verdict, sections, index="simulation.json")
+
+
+def _notes(notes: Sequence[str]) -> list[Html]:
+    return [bullets(notes)] if notes else []
+
+
+def _sentences(lines: Sequence[str]) -> list[Html]:
+    return [node("p", line) for line in lines]
+
+
+def _subject(result: CalibrationResult, found: Assessment) -> Html:
+    """Tabulate what was calibrated, and from what."""
+    of_role = lambda role: [f.name for f in result.configurations if f.role == role]
+    spread = result.uncertainty
+    noise = "as stated"
+    if spread.noise == "estimated":
+        noise = "estimated from the residuals"
+        if spread.has_noise:
+            noise += f": {spread.noise_scale:.3g} times the stated standard deviations"
+    rows = {
+        "model": model_words(result.model),
+        "parameters": ", ".join(q.name for q in result.parameters),
+        "fitted configurations": ", ".join(of_role("calibration")),
+        "held-out configurations": ", ".join(of_role("validation")) or "none",
+        "measured coordinates": str(found.identifiability.n_data),
+        "noise": noise,
+        "solver": result.model.solver.name,
+    }
+    return facts_html("Calibration", rows)
+
+
+def _errors(result: CalibrationResult, found: Assessment) -> list[Html]:
+    """Show how far the model is off, before and after."""
+    fits = result.configurations
+    lines = [*held_out_sentences(fits), *filter(None, [found.prediction])]
+    tables = map(table_html, error_tables(fits, result.checks))
+    return [*_sentences(lines), *error_chart(fits), *tables]
+
+
+def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
+    tables = [
+        parameter_table(result, found.identifiability),
+        *interval_tables(result),
+        budget_table(result),
+    ]
+    starts = [] if result.starts is None else [node("pre", str(result.starts))]
+    causes = table_html(cause_table(result))
+    marked = any(cell.tone == "bad" for row in tables[0].rows for cell in row)
+    legend = [node("p", _MARKED)] if marked else []
+    shown = map(table_html, tables)
+    return [*legend, *shown, *budget_chart(result), causes, *starts]
+
+
+def _outlook(found: Assessment) -> list[Html]:
+    """Say what the data see, and what they are blind to."""
+    own = found.identifiability
+    first, *directions = blindness(found)
+    return [
+        node("p", first),
+        *([bullets(directions)] if directions else []),
+        *_sentences([*filter(None, [beyond_prior(own)])]),
+        table_html(outlook_table(found)),
+        node("p", outlook_legend(own)),
+    ]
+
+
+def _inner(found: Assessment) -> list[Html]:
+    own = found.identifiability
+    tables = [singular_value_table(own)]
+    if own.n_parameters > 1:
+        tables = [correlation_table(own), *tables]
+    return [*map(table_html, tables)]
+
+
+def _course(result: CalibrationResult) -> list[Html]:
+    return [*course_charts(result), table_html(history_table(result))]
+
+
+def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
+    """Show the pictures of the configurations, as many as a page should hold."""
+    shown, left = [], MOST_PICTURES
+    for own in data["configurations"]:
+        for name in (file for file in own["files"] if file.endswith(".png")):
+            path = folder / name
+            caption = _seen(own, name)
+            left -= path.stat().st_size
+            if left < 0:
+                link = node("a", name, href=name)
+                text = "to keep the page small, this picture stays beside it, as "
+                shown.append(node("p", f"{caption}; {text}", link, "."))
+            else:
+                shown.append(figure(picture(path, caption), f"{caption}."))
+    return shown
+
+
+def _seen(own: Mapping[str, Any], file: str) -> str:
+    """Say what the picture of a configuration shows."""
+    if file.endswith("_recording.png"):
+        return f"{own['name']}: the recording of the markers over time"
+    role = _ROLES.get(own.get("role", ""), "simulated")
+    text = f"{own['name']} ({role}): the deformed body, coloured by displacement"
+    if not own["markers"]:
+        return text
+    if "role" not in own:
+        return f"{text}, with simulated markers"
+    return f"{text}, with measured markers (circles) and simulated ones (crosses)"

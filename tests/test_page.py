@@ -1,0 +1,499 @@
+"""`report.html`, read as a browser would: well formed, self-contained, and right."""
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from export.handmade import (
+    axis_space,
+    make_fit,
+    make_history,
+    make_ranking,
+    make_result,
+    make_simulation_result,
+    small_model,
+)
+
+from softcal_jax.calibration import (
+    ParameterEstimate,
+    ParameterInterval,
+    ProjectSource,
+    SourceFile,
+)
+from softcal_jax.identifiability import identifiability
+from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
+from softcal_jax.report import (
+    _html,
+    _write,
+    write_comparison,
+    write_identifiability,
+    write_results,
+    write_simulation,
+)
+
+HOSTILE = "<img src=x onerror=alert(1)> & \"q\" 'a' </title>\x1b\u202e"
+"""A name that breaks out of texts, attributes and terminals, if it can."""
+
+VOID = {"br", "img", "meta"}
+
+pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+
+
+@pytest.fixture(autouse=True)
+def no_opengl(request, monkeypatch):
+    """Pictures cost seconds; most pages need none."""
+    if "pictures" not in request.fixturenames:
+        monkeypatch.setattr(_write, "rendering_problem", lambda: "no OpenGL here")
+
+
+class Read(HTMLParser):
+    """A page as lists of what it holds; raises where elements do not nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.open, self.tables, self.texts = [], [], {}, []
+        self.styles = ""
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        keys = [key for key, _ in attributes]
+        assert len(set(keys)) == len(keys), attributes
+        self.elements.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "caption":
+            self.title = ""
+        elif tag == "tr":
+            self.tables[self.title].append([])
+        elif tag in ("td", "th"):
+            self.tables[self.title][-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        if tag == "caption":
+            assert self.title not in self.tables
+            self.tables[self.title] = []
+
+    def handle_data(self, data):
+        inner = self.open[-1] if self.open else ""
+        if inner == "style":
+            self.styles += data
+            return
+        self.texts.append(data)
+        if inner == "caption":
+            self.title += data
+        elif inner in ("td", "th"):
+            self.tables[self.title][-1][-1] += data
+
+    def of(self, tag):
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    @property
+    def text(self):
+        return " ".join("".join(f"{t} " for t in self.texts).split())
+
+
+def written(folder, result, **options):
+    """The page of a calibration, read, and its result.json."""
+    write_results(result, folder, **options)
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    return Read(text), json.loads((folder / "result.json").read_text())
+
+
+def check_page(folder):
+    """What holds for every page; returns it read."""
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert len(text.encode()) < 5e6
+    assert text.startswith("<!DOCTYPE html>\n<html")
+    page = Read(text)
+    assert page.of("html") == [{"lang": "en"}]
+    viewports = [own for own in page.of("meta") if own.get("name") == "viewport"]
+    assert viewports[0]["content"].startswith("width=device-width")
+    assert len(page.of("h1")) == len(page.of("main")) == len(page.of("title")) == 1
+    ids = [own["id"] for _, own in page.elements if "id" in own]
+    assert len(set(ids)) == len(ids)
+    files = {path.name for path in folder.iterdir()}
+    for tag, own in page.elements:
+        assert tag not in ("script", "link", "iframe", "object", "base", "form")
+        assert not [key for key in own if key.startswith("on")]
+        if "src" in own:
+            assert own["src"].startswith("data:image/png;base64,")
+        if "href" in own:
+            target = own["href"]
+            assert target[1:] in ids if target.startswith("#") else target in files
+        for value in own.values():
+            for name in re.findall(r"url\(#(\w+)\)", value or ""):
+                assert name in ids
+        if tag == "th":
+            assert own["scope"] in ("row", "col")
+        if tag == "img":
+            assert own["alt"].strip()
+        if own.get("role") in ("img", "region"):
+            assert own["aria-label"].strip()
+    assert "http" not in page.styles
+    assert "url(" not in page.styles
+    assert "nan" not in re.findall(r"\w+", page.text)
+    assert all(len({len(row) for row in rows}) == 1 for rows in page.tables.values())
+    data = json.loads(next(folder.glob("*.json")).read_text())
+    assert "report.html" in data["files"]
+    return page
+
+
+def number(text):
+    """The first number of a cell."""
+    return float(re.match(r"[-+]?[\d.]+(e[-+]?\d+)?", text).group())
+
+
+def interval_of_E():
+    ends = (0.95, 2.3e5, 2.5e5, "likelihood", "likelihood", "Pa", "first-order")
+    return ParameterInterval("E", *ends)
+
+
+def test_the_numbers_are_those_of_result_json(tmp_path):
+    """Each is read back from the page, and rounded as it is shown there."""
+    result = make_result(intervals=[interval_of_E()], history=make_history((2,)))
+    page, data = written(tmp_path / "out", result, name="beam")
+    check_page(tmp_path / "out")
+    rows = {row[0]: row for row in page.tables["Parameters"]}
+    for own, unit in zip(data["parameters"], (1e3, 1.0), strict=True):
+        _, value, start, bounds = rows[own["name"]]
+        assert number(value) == pytest.approx(own["value"] / unit)
+        assert number(start) == pytest.approx(own["start"] / unit)
+        ends = [float(x) for x in re.findall(r"[\d.]+", bounds)]
+        assert ends == pytest.approx([own["lower"] / unit, own["upper"] / unit])
+        assert ("on a bound" in value) == own["at_bound"]
+    assert rows["E"][1] == "240.0 ± 6.0 kPa"
+    assert data["parameters"][0]["standard_error"] == pytest.approx(6e3)
+    (own,) = data["intervals"]
+    low, high = re.findall(r"[\d.]+", page.tables["Intervals"][1][1])
+    assert [1e3 * float(low), 1e3 * float(high)] == [own["lower"], own["upper"]]
+
+    keys = ("rms_before_mm", "rms_after_mm", "motion_mm", "rms_after_percent_of_motion")
+    _, *rows = page.tables["Rms distance of the markers"]
+    for row, own in zip(rows, data["configurations"], strict=True):
+        assert row[:2] == [own["name"], own["role"]]
+        shown = [number(cell) for cell in row[2:]]
+        np.testing.assert_allclose(shown, [own[key] for key in keys], atol=0.05)
+        found = [f"{own[key]:.2f} mm" for key in keys[:3]]
+        assert f"{found[0]} before, {found[1]} after, moved {found[2]}" in page.text
+
+    head, *rows = page.tables["Standard error over the value, by each cause alone"]
+    for row, own in zip(rows, data["budget"]["parameters"], strict=True):
+        if own["standard_error"] is None:
+            assert set(row[1:]) == {"-"}
+            continue
+        value = data["parameters"][0]["value"]
+        of_causes = [own["by_cause"][cause] for cause in head[2:]]
+        for cell, std in zip(row[1:], [own["standard_error"], *of_causes], strict=True):
+            assert number(cell) == pytest.approx(100.0 * std / value, rel=0.05)
+        shares = ((std / own["standard_error"]) ** 2 for std in of_causes)
+        for cause, share in zip(head[2:], shares, strict=True):
+            assert f"{cause} {100.0 * share:.0f} %" in page.text
+
+    _, *rows = page.tables["Steps of the fit"]
+    for row, own in zip(rows, data["history"], strict=True):
+        assert number(row[1]) == pytest.approx(own["cost"], rel=1e-3)
+        assert number(row[2]) == pytest.approx(own["rms_mm"], rel=1e-3)
+        assert row[4] == ("taken" if own["accepted"] else "refused")
+    inner = data["identifiability"]
+    singular = [float(row[1]) for row in page.tables[SINGULAR][1:]]
+    values = inner["conditioning"]["singular_values"]
+    np.testing.assert_allclose(singular, values, rtol=5e-3)
+    correlations = [list(map(float, row[1:])) for row in page.tables["Correlation"][1:]]
+    np.testing.assert_allclose(correlations, inner["correlation"], atol=5e-3)
+    _, *rows = page.tables["What the data tell"]
+    for row, own in zip(rows, inner["parameters"], strict=True):
+        assert row[2] == own["verdict"]
+        assert number(row[1]) == pytest.approx(100.0 * own["ratio"], rel=5e-3)
+    versions = dict(page.tables["Versions"])
+    assert versions == data["versions"]
+    settings = dict(page.tables["Settings"])
+    assert settings["newton.rtol"] == str(data["settings"]["newton"]["rtol"])
+    assert [row[0] for row in page.tables["Files"]] == data["files"]
+
+
+SINGULAR = "Singular values of W_ep in units of the noise"
+
+
+def test_hostile_names_stay_text(tmp_path):
+    """In every place of the page: heading, tables, charts, notes, attributes."""
+    fits = [make_fit(small_model().mesh, HOSTILE)]
+    estimate = ParameterEstimate(HOSTILE, 2e5, 1e3, 2e5, 1e5, 1e6, "Pa", False)
+    result = make_result(fits=fits, parameters=(estimate,), notes=(HOSTILE,))
+    page, _ = written(tmp_path / "out", result, name=HOSTILE)
+    check_page(tmp_path / "out")
+    shown = HOSTILE.replace("\x1b", "\\x1b").replace("\u202e", "\\u202e")
+    assert page.texts.count(shown) >= 5
+    assert not page.of("img")
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "\x1b" not in text
+    assert "\u202e" not in text
+    assert "<img" not in text
+
+
+def colours(page):
+    """Class of the verdict."""
+    (own,) = (a["class"] for a in page.of("section") if "verdict" in a.get("class", ""))
+    return own.removeprefix("verdict ")
+
+
+def test_success_only_where_the_package_grants_it(tmp_path):
+    kept = tuple(
+        ParameterEstimate(*own, False)
+        for own in (
+            ("E", 2.4e5, 6e3, 2e5, 1e5, 1e6, "Pa"),
+            ("nu", 0.4, 0.001, 0.4, 0.3, 0.44, ""),
+        )
+    )
+    model = small_model(order=2)
+    fits = (make_fit(model.mesh),)
+    good = make_result(parameters=kept, model=model, fits=fits, notes=())
+    for name, result, colour, sentence in (
+        ("good", good, "good", "Converged in 4 steps, and nothing speaks against"),
+        ("bound", make_result(), "doubtful", "but take the values with care:"),
+        ("lost", replace(good, converged=False), "bad", "NOT CONVERGED after 4 steps"),
+    ):
+        page, data = written(tmp_path / name, result)
+        assert data["assessment"]["identified"] == (colour == "good")
+        assert colours(page) == colour
+        assert sentence in page.text
+        assert ("nothing speaks against" in page.text) == (colour == "good")
+        assert ("onverged in" in page.text) == (colour != "bad")
+        if colour == "doubtful":
+            for reason in data["assessment"]["reasons"]:
+                assert reason in page.text
+
+
+def test_blind_directions_and_what_to_do_are_in_words(tmp_path):
+    """The data see a modulus, and not the angle."""
+    values = np.deg2rad([-33.94, 0.123, 10.0, -90.0, 90.0])
+    result = make_result(
+        parameters=(
+            ParameterEstimate("E_t", 5e5, 9e3, 2e5, 1e5, 1e6, "Pa", False),
+            ParameterEstimate("theta", *map(float, values), "rad", False),
+        ),
+        space=axis_space(),
+        z=axis_space().start(),
+        W_ep=np.array([[100.0, 0.0]]),
+    )
+    page, _ = written(tmp_path / "out", result)
+    check_page(tmp_path / "out")
+    assert "The data hardly see 1 of 2 directions" in page.text
+    assert "theta (blind)" in page.text
+    assert "At least 1 more measured coordinate is needed." in page.text
+    assert "-33.94 ± 0.12 deg" in page.text
+
+
+def test_command_and_hashes(tmp_path):
+    """The project file of the folder above, and what stands beside it."""
+    files = {"my project.toml": "aa", "data/markers.csv": "bb"}
+    project, markers = (SourceFile(tmp_path / n, s) for n, s in files.items())
+    result = replace(make_result(), source=ProjectSource(project, (markers,), {}))
+    page, data = written(tmp_path / "out", result)
+    check_page(tmp_path / "out")
+    assert "softcal calibrate '../my project.toml' -o repeated" in page.text
+    assert page.tables["Files that were read"][1:] == [
+        ["../my project.toml", data["source"]["project"]["sha256"]],
+        ["../data/markers.csv", data["source"]["files"][0]["sha256"]],
+    ]
+    changed = ProjectSource(project, (), {"material.nu": 0.4})
+    page, _ = written(tmp_path / "changed", replace(result, source=changed))
+    assert page.tables["Changes"][1:] == [["material.nu", "0.4"]]
+    page, _ = written(tmp_path / "none", make_result())
+    assert "made in Python, without a project file" in page.text
+
+
+def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
+    """One that would make the page too large stays beside it, with a link."""
+
+    def draw(model, own, path, **options):
+        from PIL import Image
+
+        Image.new("RGB", (40, 30), "white").save(path)
+
+    monkeypatch.setattr(_write, "rendering_problem", lambda: None)
+    monkeypatch.setattr(_write, "render_configuration", draw)
+    page, _ = written(tmp_path / "out", make_result())
+    check_page(tmp_path / "out")
+    first, second = page.of("img")
+    assert (first["width"], first["height"]) == ("40", "30")
+    assert first["alt"].startswith("droop (fitted): the deformed body")
+    assert second["alt"].startswith("held out (held out): ")
+    size = (tmp_path / "out" / "droop.png").stat().st_size
+    monkeypatch.setattr("softcal_jax.report._pages.MOST_PICTURES", size)
+    page, _ = written(tmp_path / "small", make_result())
+    check_page(tmp_path / "small")
+    assert len(page.of("img")) == 1
+    assert {"href": "held_out.png"} in page.of("a")
+
+
+def test_a_page_of_the_user_is_not_replaced(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").write_text('{"files": []}')
+    (tmp_path / "out" / "report.html").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"report\.html is not part of"):
+        write_results(make_result(), tmp_path / "out", force=True)
+    assert (tmp_path / "out" / "report.html").read_text() == "mine"
+
+
+def test_page_of_a_simulation(tmp_path):
+    write_simulation(make_simulation_result(small_model()), tmp_path / "out")
+    page = check_page(tmp_path / "out")
+    data = json.loads((tmp_path / "out" / "simulation.json").read_text())
+    assert "1 of 2 configurations have an equilibrium." in page.text
+    assert colours(page) == "bad"
+    _, *rows = page.tables["Simulation"]
+    for row, own in zip(rows, data["configurations"], strict=True):
+        assert (row[0], row[3]) == (own["name"], own["outcome"])
+        assert int(row[2]) == own["newton_steps"]
+    largest = data["configurations"][0]["largest_displacement_mm"]
+    assert rows[0][1] == f"{largest:.2f} mm"
+    result = make_simulation_result(small_model(), (True, True))
+    write_simulation(result, tmp_path / "all")
+    page = check_page(tmp_path / "all")
+    assert "All 2 configurations have an equilibrium." in page.text
+    assert colours(page) == "good"
+
+
+def score(name, squares, failed=()):
+    """A model with squared errors on held-out poses, in units of the noise."""
+    folds = (
+        FoldScore(f"pose {i}", np.nan, np.nan, np.nan, "no equilibrium")
+        if i in failed
+        else FoldScore(f"pose {i}", 2e-3 * s**0.5, s**0.5, 1e-3)
+        for i, s in enumerate(squares)
+    )
+    return ModelScore(name, 0, 2, tuple(folds), 1e-3, 1.0, "", None)
+
+
+def test_page_of_a_comparison(tmp_path):
+    best, other = score("neo", [1.0, 1.1, 0.9]), score(HOSTILE, [9.0, 9.2, 8.9], (1,))
+    found = ModelComparison.ranked([other, best])
+    write_comparison(found, tmp_path / "out", name=HOSTILE)
+    page = check_page(tmp_path / "out")
+    data = json.loads((tmp_path / "out" / "comparison.json").read_text())
+    assert data["verdict"] in page.text
+    assert "pose 1 held out: no equilibrium." in page.text
+    _, *rows = page.tables["Models"]
+    assert rows[0][0] == data["best"] == "neo"
+    for row, own in zip(rows, data["models"], strict=True):
+        assert float(row[2]) == pytest.approx(own["held_out_rms_mm"], rel=1e-3)
+        assert float(row[6]) == pytest.approx(own["fit_rms_mm"])
+    _, *rows = page.tables["Error of each configuration, held out"]
+    for k, own in enumerate(data["models"]):
+        for row, fold in zip(rows, own["folds"], strict=True):
+            assert row[0] == fold["held_out"]
+            if fold["failure"]:
+                assert row[k + 1] == "failed"
+            else:
+                assert number(row[k + 1]) == pytest.approx(fold["rms_mm"], rel=1e-3)
+    colours_of = []
+    for models in ([best, score("b", [1.0, 1.0, 1.1])], [best, score("c", [9, 9, 9])]):
+        name = f"{len(colours_of)}"
+        write_comparison(ModelComparison.ranked(models), tmp_path / name)
+        colours_of.append(colours(check_page(tmp_path / name)))
+    assert colours_of == ["doubtful", "plain"]
+
+
+def test_page_of_what_data_would_tell(tmp_path):
+    """The second row sees the angle to the asked 10 degrees or so, or not at all."""
+    for angle, colour in ((100.0, "good"), (20.0, "doubtful"), (0.0, "bad")):
+        space = axis_space()
+        rows = np.array([[100.0, 0.0], [0.0, angle]])
+        found = identifiability(rows, space, space.start())
+        out = tmp_path / colour
+        write_identifiability(found, make_ranking(), out, name="beam")
+        page = check_page(out)
+        data = json.loads((out / "identifiability.json").read_text())
+        assert colours(page) == colour
+        assert found.headline in page.text
+        assert "Candidate 'turned' adds most: it divides a standard err" in page.text
+        assert "Not ranked: 'crushed': inverted." in page.text
+        _, *rows = page.tables["Standard errors to expect"]
+        for row, own in zip(rows, data["identifiability"]["parameters"], strict=True):
+            assert (row[0], row[-1]) == (own["name"], own["verdict"])
+        assert number(rows[0][1]) == pytest.approx(500.0)
+        std = data["identifiability"]["parameters"][0]["standard_error"]
+        assert number(rows[0][2]) == pytest.approx(1e-3 * std, rel=5e-3)
+        assert ("hardly see 1 of 2" in page.text) == (colour == "bad")
+    write_identifiability(found, None, tmp_path / "alone")
+    assert "What to do: another configuration" in check_page(tmp_path / "alone").text
+    write_identifiability(None, make_ranking(), tmp_path / "ranking")
+    assert colours(check_page(tmp_path / "ranking")) == "plain"
+
+
+def brightness(colour):
+    """Relative luminance of WCAG 2, of a colour like "#1a2b3c"."""
+    if len(colour) == 4:
+        colour = "#" + "".join(2 * c for c in colour[1:])
+    parts = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def contrast(one, two):
+    low, high = sorted([brightness(one), brightness(two)])
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_contrast():
+    """Texts against their paper as WCAG 2 asks, 4.5; each verdict on its own."""
+    assert contrast("#fff", "#000000") == pytest.approx(21.0)
+    style = (Path(_html.__file__).parent / "page.css").read_text()
+    named = dict(re.findall(r"--(\w+): (#\w+);", style))
+    for name in ("ink", "faint", "good", "doubtful", "bad", "blue"):
+        assert contrast(named[name], "#fff") >= 4.5
+    papers = re.findall(r"\.verdict\.(\w+) {.*background: (#\w+)", style)
+    assert {name for name, _ in papers} == {"good", "doubtful", "bad"}
+    for name, paper in papers:
+        for ink in (named[name], named["ink"], named["faint"]):
+            assert contrast(ink, paper) >= 4.5
+
+
+@pytest.mark.slow
+def test_in_a_browser(tmp_path):
+    """Nothing on its console, no request, and no scrolling sideways on a phone."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("Chromium is not installed")
+    long = "a configuration with a rather long name, of which there are some"
+    fits = [make_fit(small_model().mesh, long)]
+    write_results(make_result(fits=fits), tmp_path / "out", name="beam")
+    page = tmp_path / "out" / "report.html"
+    log, frame = tmp_path / "net.json", tmp_path / "phone.html"
+    # A frame is as narrow as a phone, where the window of a browser may not be.
+    frame.write_text(
+        f'<iframe id="f" width="360" height="700" src="{page.as_uri()}"></iframe>'
+        "<script>onload = () => { const own = f.contentDocument.documentElement;"
+        "document.title = own.scrollWidth + ' ' + own.clientWidth }</script>"
+    )
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--virtual-time-budget=2000",
+    ]
+    options += ["--allow-file-access-from-files", "--enable-logging=stderr"]
+    options += [f"--user-data-dir={tmp_path / 'user'}", "--dump-dom"]
+    done = subprocess.run(
+        [browser, *options, f"--log-net-log={log}", page.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert "Converged in 4 steps" in done.stdout
+    assert "CONSOLE" not in done.stderr
+    done = subprocess.run(
+        [browser, *options, frame.as_uri()], capture_output=True, text=True, timeout=120
+    )
+    wide, narrow = re.search(r"<title>(\d+) (\d+)</title>", done.stdout).groups()
+    assert int(narrow) >= 340
+    assert int(wide) <= int(narrow)
