@@ -459,7 +459,7 @@ def difference(folder, model, lane):
     ours = np.asarray(solution.displacement[0])[: model.mesh.n_nodes]
     motion = np.linalg.norm(ours, axis=1).max()
     apart = np.linalg.norm(theirs - ours, axis=1).max() / motion
-    # With -s, for the README.
+    # With -s, for docs/guide/other-programs.md.
     print(f"{100 * apart:.5f} % of {1e3 * motion:.1f} mm", end=" ")
     return apart, motion
 
