@@ -146,12 +146,13 @@ def test_the_pages_build_without_a_warning_and_need_no_network(tmp_path):
     build = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q"]
     done = subprocess.run([*build, DOCS, tmp_path], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    pages = list(tmp_path.rglob("*.html"))
+    # In _static the theme keeps a template, which is no page.
+    pages = [p for p in tmp_path.rglob("*.html") if "_static" not in p.parts]
     assert len(pages) > len(PAGES)
     loads = r"<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=\"([^\"]+)\""
     for page in pages:
         for target in re.findall(loads, page.read_text(encoding="utf-8")):
-            if target.startswith(("#", "data:")) or 'rel="canonical"' in target:
+            if target.startswith(("#", "data:")):
                 continue
             assert not re.match(r"(https?:)?//", target), f"{page.name}: {target}"
             path = target.partition("?")[0].partition("#")[0]

@@ -211,6 +211,13 @@ KEPT_OR_MARKED = re.compile(
 """What of a docstring is left as it is, and what has a meaning for Sphinx only."""
 
 
+OWN_TYPE = re.compile(r"\bsoftcal_jax(?:\.\w+)*\._\w+\.[A-Z]\w*")
+"""A type by the module that defines it, which is nothing to be read."""
+
+ARRAY = re.compile(r"\bjaxlib\._jax\.Array\b")
+"""An array of JAX, as Python calls it."""
+
+
 def as_it_reads(
     app: Any, what: str, name: str, obj: object, options: Any, lines: list[str]
 ) -> None:
@@ -219,12 +226,27 @@ def as_it_reads(
         lambda found: f"\\{found[0]}" if found[0] in "*|" else found[0],
         "\n".join([*lines, ""]),
     )
-    lines[:] = escaped.split("\n")
+    lines[:] = OWN_TYPE.sub(r"~\g<0>", ARRAY.sub("Array", escaped)).split("\n")
+
+
+def short_signature(
+    app: Any,
+    what: str,
+    name: str,
+    obj: object,
+    options: Any,
+    signature: str | None,
+    returns: str | None,
+) -> tuple[str | None, str | None]:
+    """Call arrays as the code does."""
+    short = lambda text: ARRAY.sub("Array", text) if text else text
+    return short(signature), short(returns)
 
 
 def setup(app: Any) -> dict[str, bool]:
     """Register the directives, and the reader of docstrings after that of sections."""
     app.connect("autodoc-process-docstring", as_it_reads, priority=900)
+    app.connect("autodoc-process-signature", short_signature)
     for directive in (Help, Message, Refusal, Raised, Names, Shown):
         app.add_directive(directive.__name__.lower(), directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
