@@ -117,7 +117,7 @@ def _first_line(value: object) -> str:
 def _quoted(message: str) -> nodes.container:
     """Show a message as it was printed, so that it is found by its words."""
     text = nodes.literal_block(message, message, language="text")
-    return nodes.container("", text, classes=["message"])
+    return nodes.container("", text, classes=["message", "wrapped"])
 
 
 class Help(Directive):
@@ -200,7 +200,8 @@ class Shown(Directive):
         if not rest:
             raise self.error(f"README.md has no command {self.arguments[0]}")
         text = rest.split("\n```")[0]
-        return [nodes.literal_block(text, text, language="sh")]
+        block = nodes.literal_block(text, text, language="sh")
+        return [nodes.container("", block, classes=["wrapped"])]
 
 
 KEPT_OR_MARKED = re.compile(
