@@ -82,8 +82,8 @@ def profile_ends(
     """Find how far parameters can move before the best fit of the others is too bad.
 
     A parameter is held and all others are calibrated; the end is the distance at which
-    twice the cost has risen by `rise`^2 (Venzon and Moolgavkar, Appl. Stat. 37, 1988).
-    All ends are found side by side, on the cores of this machine.
+    twice the cost has risen by the square of `rise` (Venzon and Moolgavkar, Appl. Stat.
+    37, 1988). All ends are found side by side, on the cores of this machine.
 
     Args:
         problem: The calibration.

@@ -105,7 +105,7 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
     is found before the first trial.
 
     Args:
-        path: A TOML file; the README shows one.
+        path: A TOML file; docs/guide/sweeps.md shows one.
 
     Returns:
         The sweep, ready for `run`.

@@ -74,10 +74,12 @@ def test_helix_of_two_families(tmp_path):
     np.testing.assert_allclose(other[:, 1:], -u[:, 1:], rtol=0, atol=1e-15)
 
 
-def test_the_readme_has_wound_silicone(tmp_path):
+def test_the_page_on_laws_has_wound_silicone(tmp_path):
     """Its [material], with a group "wall" and the axis of this beam."""
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
-    shown = readme.split("<!-- fragment: wound -->\n```toml\n")[1].split("```")[0]
+    page = Path(__file__).parents[2] / "docs/guide/element-and-law.md"
+    shown = (
+        page.read_text().split("<!-- fragment: wound -->\n```toml\n")[1].split("```")[0]
+    )
     shown = shown.replace('axis = "z", through = "(0, 0, 0) mm"', AXIS)
     wall = (
         '[groups.wall]\nof = "tets"\nbox = { lower = "(30, 0, 0) mm", upper = '

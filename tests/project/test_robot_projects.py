@@ -151,7 +151,7 @@ def test_every_table_is_what_the_python_api_makes(tmp_path):
 
 
 def test_the_cable_beam_is_the_one_of_the_python_api():
-    """The project in the README; its measurements are the tracker's."""
+    """The project of docs/guide/robots.md; its measurements are the tracker's."""
     project, model = load_project(FOLDER / "project.toml"), cable_beam()
     assert_same(project.model.mechanism, model.mechanism)
     arrays = lambda m, c: configuration_arrays(m.mesh, c, m.mechanism)

@@ -304,13 +304,14 @@ def test_changes_of_a_project(small):
         load_project(small / "project.toml", changes={"material.nu.x": 1})
 
 
-def test_the_file_in_the_readme(tmp_path):
-    """What a reader copies is right, on the project that the README points to."""
+def test_the_file_in_the_docs(tmp_path):
+    """What a reader copies is right, on the project that the page points to."""
     root = Path(__file__).parents[2]
     project = (root / "tests/project/anisotropic_beam.toml").read_text()
     coarse = project.replace("cells = [10, 2, 2]", "cells = [4, 1, 1]")
     (tmp_path / "project.toml").write_text(coarse)
-    text = (root / "README.md").read_text().split("<!-- file: sweep.toml -->")[1]
+    page = (root / "docs/guide/sweeps.md").read_text()
+    text = page.split("<!-- file: sweep.toml -->")[1]
     path = tmp_path / "sweep.toml"
     path.write_text(text.split("```toml\n")[1].split("```")[0])
     sweep = load_sweep(path)

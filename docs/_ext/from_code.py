@@ -1,0 +1,253 @@
+"""What pages take from the code, so that it is never out of date.
+
+Directives: `help` (the help of a command), `message` (of a member of an enumeration of
+outcomes), `refusal` (what a project file with a mistake is answered), `raised` (classes
+of errors and warnings), `names` (those that `softcal_jax` offers, with links), `shown`
+(a command of the README).
+"""
+
+import contextlib
+import importlib
+import inspect
+import io
+import os
+import pkgutil
+import re
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from sphinx.util.docutils import SphinxDirective
+
+import softcal_jax
+from softcal_jax.cli import main
+from softcal_jax.project import ProjectError, load_project
+from softcal_jax.robots import silicone_beam_path
+
+COARSE = ("cells = [14, 6, 6]", "cells = [6, 3, 3]")
+"""The demo's mesh, and one that is made sooner."""
+
+ARROW = "=>"
+"""Between what stands in the demo's project file and what replaces it."""
+
+
+class Refused(NamedTuple):
+    """A project file with a mistake: its lines that differ, and what is said to it."""
+
+    lines: list[str]
+    message: str
+
+
+def help_text(command: str) -> str:
+    """Return what `softcal COMMAND --help` prints on 80 columns."""
+    out, before = io.StringIO(), os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = "80"
+    try:
+        with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+            main([*command.split(), "--help"])
+    finally:
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
+    return out.getvalue().rstrip()
+
+
+def refusal(change: str) -> Refused:
+    """Return what is said to the demo's project file after a change `old => new`.
+
+    Lines that differ are those that are there now, or those that are gone, as comments.
+
+    Raises:
+        ValueError: If the change does not apply, or the file is not refused.
+    """
+    path = silicone_beam_path()
+    right = path.read_text(encoding="utf-8").replace(*COARSE)
+    old, new = (part.strip() for part in change.split(ARROW))
+    if old not in right:
+        raise ValueError(f"the demo's project file has no {old!r}")
+    wrong = right.replace(old, new, 1)
+    before, after = right.splitlines(), wrong.splitlines()
+    lines = [line for line in after if line not in before]
+    lines = lines or [f"# {line}" for line in before if line not in after]
+    with tempfile.TemporaryDirectory() as folder:
+        changed = Path(folder, "project.toml")
+        changed.write_text(wrong, encoding="utf-8")
+        table = path.with_name("markers.csv")
+        Path(folder, table.name).write_bytes(table.read_bytes())
+        try:
+            load_project(changed)
+        except (ProjectError, FileNotFoundError) as error:
+            return Refused(lines, str(error).replace(f"{folder}{os.sep}", ""))
+    raise ValueError("this project file is not refused")
+
+
+def raised() -> list[type]:
+    """Return the classes of errors and warnings of the public packages, by name."""
+    found = {
+        value
+        for package in packages()
+        for name, value in vars(importlib.import_module(package)).items()
+        if not name.startswith("_")
+        and inspect.isclass(value)
+        and issubclass(value, Exception)
+        and value.__module__.startswith("softcal_jax")
+    }
+    return sorted(found, key=lambda kind: kind.__name__)
+
+
+def packages() -> list[str]:
+    """Return the packages below `softcal_jax`, without the command line."""
+    below = pkgutil.iter_modules(softcal_jax.__path__, "softcal_jax.")
+    return [m.name for m in below if m.ispkg and m.name != "softcal_jax.cli"]
+
+
+def home_of(name: str) -> str:
+    """Return the package in which a name of `softcal_jax` is documented."""
+    found = [p for p in packages() if name in importlib.import_module(p).__all__]
+    return found[0] if found else "softcal_jax"
+
+
+def _first_line(value: object) -> str:
+    return (inspect.getdoc(value) or "").splitlines()[0]
+
+
+def _quoted(message: str) -> nodes.container:
+    """Show a message as it was printed, so that it is found by its words."""
+    text = nodes.literal_block(message, message, language="text")
+    return nodes.container("", text, classes=["message", "wrapped"])
+
+
+class Help(Directive):
+    """The help of a command, as its terminal shows it."""
+
+    optional_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        """Print it."""
+        text = help_text(" ".join(self.arguments))
+        return [nodes.literal_block(text, text, language="text")]
+
+
+class Message(Directive):
+    """The message of an outcome: `softcal_jax.equilibrium.RESULTS.max_steps`."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Quote it."""
+        module, kind, member = self.arguments[0].rsplit(".", 2)
+        outcomes: Any = getattr(importlib.import_module(module), kind)
+        text = outcomes[getattr(outcomes, member)]
+        return [_quoted(text)]
+
+
+class Refusal(Directive):
+    """A change of the demo's project file, and what is said to it."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """Try it, and quote the lines and the message."""
+        try:
+            lines, said = refusal(" ".join(self.content))
+        except ValueError as error:
+            raise self.error(str(error)) from error
+        shown = "\n".join(lines)
+        # The file of one of them is no TOML, which is no error of the page.
+        block = nodes.literal_block(shown, shown, language="toml", force=True)
+        return [block, _quoted(said)]
+
+
+class Raised(SphinxDirective):
+    """A list of the classes of errors and warnings, with what each is for."""
+
+    def run(self) -> list[nodes.Node]:
+        """List them."""
+        lines = [
+            f"- {{py:obj}}`.{kind.__name__}`: {_first_line(kind)}" for kind in raised()
+        ]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+class Names(SphinxDirective):
+    """The names of `softcal_jax`, with links to where each is documented."""
+
+    def run(self) -> list[nodes.Node]:
+        """List them."""
+        lines = ["| name | what it is | in |", "|---|---|---|"]
+        for name in softcal_jax.__all__:
+            home, value = home_of(name), getattr(softcal_jax, name)
+            own = "" if home == "softcal_jax" else home.removeprefix("softcal_jax.")
+            lines.append(
+                f"| {{py:obj}}`{name} <{home}.{name}>` | {_first_line(value)} | {own} |"
+            )
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+class Shown(Directive):
+    """The command of the README below `<!-- command: NAME -->`."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Show it."""
+        readme = Path(__file__).parents[2].joinpath("README.md").read_text("utf-8")
+        _, _, rest = readme.partition(f"<!-- command: {self.arguments[0]} -->\n```sh\n")
+        if not rest:
+            raise self.error(f"README.md has no command {self.arguments[0]}")
+        text = rest.split("\n```")[0]
+        block = nodes.literal_block(text, text, language="sh")
+        return [nodes.container("", block, classes=["wrapped"])]
+
+
+KEPT_OR_MARKED = re.compile(
+    r"``[^`]*``|`[^`]*`"  # names and formulas
+    r"|::\n(?:\n| {3,}.*\n)+"  # examples
+    r"|(?<!\\)[*|]"  # what would begin emphasis or a substitution
+)
+"""What of a docstring is left as it is, and what has a meaning for Sphinx only."""
+
+
+OWN_TYPE = re.compile(r"\bsoftcal_jax(?:\.\w+)*\._\w+\.[A-Z]\w*")
+"""A type by the module that defines it, which is nothing to be read."""
+
+ARRAY = re.compile(r"\bjaxlib\._jax\.Array\b")
+"""An array of JAX, as Python calls it."""
+
+
+def as_it_reads(
+    app: Any, what: str, name: str, obj: object, options: Any, lines: list[str]
+) -> None:
+    """Escape a docstring, in which `*` is a product and `|` an absolute value."""
+    escaped = KEPT_OR_MARKED.sub(
+        lambda found: f"\\{found[0]}" if found[0] in "*|" else found[0],
+        "\n".join([*lines, ""]),
+    )
+    lines[:] = OWN_TYPE.sub(r"~\g<0>", ARRAY.sub("Array", escaped)).split("\n")
+
+
+def short_signature(
+    app: Any,
+    what: str,
+    name: str,
+    obj: object,
+    options: Any,
+    signature: str | None,
+    returns: str | None,
+) -> tuple[str | None, str | None]:
+    """Call arrays as the code does."""
+    short = lambda text: ARRAY.sub("Array", text) if text else text
+    return short(signature), short(returns)
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Register the directives, and the reader of docstrings after that of sections."""
+    app.connect("autodoc-process-docstring", as_it_reads, priority=900)
+    app.connect("autodoc-process-signature", short_signature)
+    for directive in (Help, Message, Refusal, Raised, Names, Shown):
+        app.add_directive(directive.__name__.lower(), directive)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
