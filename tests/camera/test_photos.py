@@ -213,6 +213,78 @@ def test_motion_between_two_poses(pose, tmp_path):
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
 
 
+DROOPING = """\
+name = "drooping"
+
+[mesh]
+beam = { size = "(100, 20, 20) mm", cells = [5, 1, 1] }
+element = "linear"
+
+[material]
+law = "corotational"
+E = "300 kPa"
+nu = 0.3
+density = "1 g/cm^3"
+
+[[parameters]]
+field = "E"
+lower = "50 kPa"
+upper = "1 MPa"
+
+[bodies.plate]
+group = "x_max"
+
+[effectors.sensor]
+type = "frame"
+body = "plate"
+point = "(105, 10, 10) mm"
+base = { position = "(110, 60, -10) mm", azimuth = "90 deg" }
+
+[uncertain]
+mesh = 0
+
+[settings]
+intervals = 0
+
+[shared]
+gravity = "(0, 0, -9.81) m/s^2"
+supports = [{ group = "x_min" }]
+measured.effectors.sensor = { tag = 3, base_tag = 0, size = "20 mm" }
+
+[[configurations]]
+name = "droop"
+"""
+
+
+@pytest.mark.slow
+def test_a_modulus_comes_back_from_photographs(tmp_path):
+    """Photographs of a plate on a beam whose modulus is known are all that is given."""
+    from softcal_jax import load_project, simulated_measurements
+
+    path = tmp_path / "project.toml"
+    path.write_text(DROOPING)
+    robot = load_project(path)
+    (true,) = simulated_measurements(robot.model, robot.calibration)
+    moved = true.effectors[0].measured
+    base = Placement(
+        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+        np.array([0.11, 0.06, -0.01]),
+    )
+    rest = np.array([0.105, 0.01, 0.01])
+    tag = base.inverse @ Placement(
+        np.array(moved.matrix), rest + np.array(moved.translation)
+    )
+    rng = np.random.default_rng(3)
+    views = random_views(rng, 0.5 * tag.p, 4, away=0.25)
+    photographs(tmp_path / "droop", sheet(tag), views, LENS, rng)
+    text = DROOPING.replace('E = "300 kPa"', 'E = "200 kPa"')
+    path.write_text(f'{text}measured.effectors.sensor.photos = "droop/*.jpg"\n')
+    found = load_project(path).calibrate()
+    assert found.converged
+    # The tip sinks by a centimetre, and photographs are good to 0.1 mm.
+    assert found.parameters[0].value == pytest.approx(300e3, rel=0.02)
+
+
 @pytest.mark.slow
 def test_twelve_megapixels(tmp_path):
     """Tags of 20 mm at 0.4 m: within 0.3 mm and 0.3 degrees, and as certain as said.
