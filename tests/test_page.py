@@ -152,6 +152,14 @@ def number(text):
     return float(re.match(r"[-+]?[\d.]+(e[-+]?\d+)?", text).group())
 
 
+def history_of(*names):
+    """The steps of the handmade calibration, with other names of the parameters."""
+    return tuple(
+        replace(own, values=dict(zip(names, own.values.values(), strict=True)))
+        for own in make_history()
+    )
+
+
 def interval_of_E():
     ends = (0.95, 2.3e5, 2.5e5, "likelihood", "likelihood", "Pa", "first-order")
     return ParameterInterval("E", *ends)
@@ -223,11 +231,20 @@ def test_the_numbers_are_those_of_result_json(tmp_path):
 SINGULAR = "Singular values of W_ep in units of the noise"
 
 
+@pytest.mark.filterwarnings("ignore:Glyph")  # no font has control characters
 def test_hostile_names_stay_text(tmp_path):
     """In every place of the page: heading, tables, charts, notes, attributes."""
     fits = [make_fit(small_model().mesh, HOSTILE)]
-    estimate = ParameterEstimate(HOSTILE, 2e5, 1e3, 2e5, 1e5, 1e6, "Pa", False)
-    result = make_result(fits=fits, parameters=(estimate,), notes=(HOSTILE,))
+    names = (HOSTILE, "nu")
+    kept = make_result().parameters
+    result = make_result(
+        fits=fits,
+        parameters=tuple(
+            replace(q, name=name) for q, name in zip(kept, names, strict=True)
+        ),
+        history=history_of(*names),
+        notes=(HOSTILE,),
+    )
     page, _ = written(tmp_path / "out", result, name=HOSTILE)
     check_page(tmp_path / "out")
     shown = HOSTILE.replace("\x1b", "\\x1b").replace("\u202e", "\\u202e")
@@ -280,6 +297,7 @@ def test_blind_directions_and_what_to_do_are_in_words(tmp_path):
             ParameterEstimate("E_t", 5e5, 9e3, 2e5, 1e5, 1e6, "Pa", False),
             ParameterEstimate("theta", *map(float, values), "rad", False),
         ),
+        history=history_of("E_t", "theta"),
         space=axis_space(),
         z=axis_space().start(),
         W_ep=np.array([[100.0, 0.0]]),
