@@ -99,7 +99,8 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
     Sensitivities follow from `apply` by autodiff, but those of fields use a shortcut
     that misses everything else. Arrays that an entry does not set stay the same object.
     """
-    values = {q.name: q.start for q in space.parameters}
+    # Copies: a model at the start may hold the very arrays of the parameters.
+    values = {q.name: jax.device_put(np.array(q.start)) for q in space.parameters}
     for entry in space.entries:
         changed = entry.apply(model, configuration, values)
         found = _differences((model, configuration), changed)
