@@ -1,4 +1,4 @@
-"""How Sphinx builds these pages; `python -m sphinx -W docs docs/build` does."""
+"""How Sphinx builds these pages; `python -m sphinx -W docs docs/build/html` does."""
 
 import sys
 from pathlib import Path
