@@ -19,6 +19,12 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 
+_NO_STIFFNESS = 1e-11
+"""Stiffness against the motion by an input, relative to the largest, that is rounding.
+
+Of a robot that a motor turns as a whole, without weight, 5e-15 is left.
+"""
+
 
 class ActuatorState(eqx.Module):
     """Effectors and actuators of a robot at an equilibrium.
@@ -48,7 +54,8 @@ class ActuatorCompliance(eqx.Module):
         by_displacement: Change of the displacements, likewise.
         W_aa: H_a K^-1 H_a^T, displacements per forces if all actuators were driven by
             force; symmetric, and positive definite where that state is stable. Zero for
-            slack cables, and for pressures on open surfaces.
+            slack cables, for pressures on open surfaces, and for imposed displacements
+            that nothing resists, like a motor's that turns all of a weightless robot.
         slack: Cables that their imposed displacement leaves slack, so they do not act.
         displacement: Change of the displacement of all nodes, one row per input [m].
     """
@@ -118,6 +125,7 @@ def actuator_compliance(
     stands_still = jnp.diag(displacements) == 0.0
     slack = by_displacement & jnp.asarray(actuators.unilateral) & stands_still
     acts = ~slack & jnp.asarray(actuators.has_displacement)
+    acts &= _is_resisted(forces, displacements, found.displacement)
     return ActuatorCompliance(
         state=state,
         W_ea=W_ea,
@@ -129,6 +137,15 @@ def actuator_compliance(
         slack=slack,
         displacement=or_nan(found.displacement),
     )
+
+
+def _is_resisted(by_force, by_displacement, displacement):
+    """Return which inputs meet a stiffness: energy per squared motion [N/m]."""
+    energy = jnp.abs(jnp.sum(by_force * by_displacement, axis=0))
+    motion = jnp.abs(displacement).max(axis=(1, 2), initial=0.0)
+    stiffness = energy / jnp.where(motion > 0.0, motion, 1.0) ** 2
+    # What is nan stays so.
+    return ~(stiffness <= _NO_STIFFNESS * stiffness.max(initial=0.0))
 
 
 def _force_compliance(by_force, by_displacement, acts, *, symmetric: bool):
