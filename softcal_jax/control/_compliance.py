@@ -103,8 +103,10 @@ def actuator_compliance(
     all columns.
     """
     value = jnp.asarray(configuration.actuation.value)
-    u, lambda_a = solution.displacement, solution.multipliers
-    lin = linearise(model, configuration, u, lambda_a)
+    u = solution.displacement
+    # Estimated anew: the solution may be that of imposed forces.
+    lin = linearise(model, configuration, u)
+    lambda_a = lin.lambda_a
     state = _state(model, configuration, u, lambda_a, lin.unbalanced(u, lambda_a))
     ends = np.cumsum([leaf.size for leaf in jax.tree.leaves(state)])[:-1]
 

@@ -25,7 +25,7 @@ def as_components(matrices: Any) -> tuple[Float[Array, "..."], ...]:
         return matrices
     rows = np.asarray(matrices, float)
     # Not jnp.asarray of a part, which would compile a program for every shape.
-    parts = (np.ascontiguousarray(rows[..., i, j]) for i, j in np.ndindex(3, 3))
+    parts = (np.array(rows[..., i, j]) for i, j in np.ndindex(3, 3))
     return jax.device_put(tuple(parts))
 
 

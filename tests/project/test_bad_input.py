@@ -203,7 +203,8 @@ CASES = {
     ),
     "load on an unknown surface": (
         ('surface = "x_max"', 'surface = "tip"'),
-        "configurations.pulled.loads[1]: unknown surface group 'tip'.",
+        "configurations.pulled.loads[1]: 'tip' is a group of nodes, and a surface is "
+        'asked for: of = "faces" under [groups.NAME] in a project file, ',
     ),
     "marker far outside": (
         ('tip = "(60, 10, 10) mm"', 'tip = "(600, 10, 10) mm"'),
