@@ -154,7 +154,8 @@ def _belonging(key: str, place: "_Place") -> str | None:
         return getattr(place.table, "foreign", lambda key: None)(key)
     has = ", ".join(k for k in place.table.model_fields if k != "type")
     this = _choice(place.table, place.kinds)
-    return f"{key} belongs to {' or '.join(owners)}. This is {this}, which has {has}."
+    known = f"This is {this}, which has" if this else "Without these, it has"
+    return f"{key} belongs to {' or '.join(owners)}. {known} {has}."
 
 
 def type_of(kind: type[BaseModel]) -> str:

@@ -249,7 +249,6 @@ intervals = 0
 [shared]
 gravity = "(0, 0, -9.81) m/s^2"
 supports = [{ group = "x_min" }]
-measured.effectors.sensor = { tag = 3, base_tag = 0, size = "20 mm" }
 
 [[configurations]]
 name = "droop"
@@ -278,7 +277,8 @@ def test_a_modulus_comes_back_from_photographs(tmp_path):
     views = random_views(rng, 0.5 * tag.p, 4, away=0.25)
     photographs(tmp_path / "droop", sheet(tag), views, LENS, rng)
     text = DROOPING.replace('E = "300 kPa"', 'E = "200 kPa"')
-    path.write_text(f'{text}measured.effectors.sensor.photos = "droop/*.jpg"\n')
+    keys = 'photos = "droop/*.jpg", tag = 3, base_tag = 0, size = "20 mm"'
+    path.write_text(f"{text}measured.effectors.sensor = {{ {keys} }}\n")
     found = load_project(path).calibrate()
     assert found.converged
     # The tip sinks by a centimetre, and photographs are good to 0.1 mm.

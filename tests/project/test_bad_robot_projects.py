@@ -55,6 +55,11 @@ CASES = {
         'actuators.cable.body: body belongs to type = "motor". This is type = "cable", '
         "which has guides, friction, pulled_from.",
     ),
+    "a tag without its photographs": (
+        (SLACK, "measured.effectors.sensor.tag = 3"),
+        "configurations.slack.measured.effectors.sensor.tag: tag belongs to photos and "
+        "tag and base_tag and size. Without these, it has azimuth, elevation, ",
+    ),
     "no type": (
         (CABLE, "[actuators.cable]"),
         'actuators.cable.type: missing. Expected one of "cable", "chamber", "surface-p',
