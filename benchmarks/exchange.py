@@ -29,7 +29,7 @@ COUNTS = {
     "sofa_scenes": 7,
     "calculix": 11,
     "icesl": 6,
-    "tags": 60,
+    "tags": 15,
     "cad_to_result": 1,
 }
 """The parts, and how many of each are done if nothing else is asked for."""
