@@ -9,16 +9,13 @@ other.
 
 The stated covariance is checked for six and for eight photographs of a pose, not for
 fewer. Of 60 draws that are right with a probability of 95 %, 54 or more are in 97 % of
-all runs, so a share of 0.9 says no more than this. So many cannot be drawn yet: on a
-photograph of the 26th pose one tag hides a corner of the other, and `tag_pose` refuses
-what does not fit.
+all runs, so a share of 0.9 says no more than this. So many cannot be drawn yet: a
+photograph of the 26th pose does not fit its others, and `tag_pose` refuses it.
 """
 
-import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
@@ -42,6 +39,7 @@ from softcal_jax.camera import TagPose, read_photo, tag_pose
 from softcal_jax.camera._adjustment import Placement
 from softcal_jax.camera._sheet import opencv
 from softcal_jax.plotting import rendering_problem
+from softcal_jax.sweeps._worker import threads_of_children
 
 SEED = 23
 BASE, TAG, SIZE, AWAY = 0, 3, 20e-3, 0.4
@@ -54,9 +52,6 @@ SIX = (0, 1, 2, 4, 5, 6)
 
 TRIES = 5
 """Photographs taken at most from one side, until one shows both tags."""
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
-"""Limits of OpenMP, of OpenBLAS and of the renderer of Mesa."""
 
 
 class Error(NamedTuple):
@@ -91,7 +86,7 @@ def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
     starts = range(0, count, POSES_OF_A_BOARD)
     found: dict[str, list[Error]] = {"": [], "_8_photos": []}
     with (
-        _one_thread_each(),
+        threads_of_children(1),  # there is one process for each core
         ProcessPoolExecutor(
             min(len(starts), available_cores()), mp_context=get_context("spawn")
         ) as pool,
@@ -115,21 +110,6 @@ def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
             f"tag_coverage_95{ending}": float(inside.mean()),
         }
     return figures
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Let processes that start here keep to one thread: there is one for each core."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def photograph_poses(first: int, end: int) -> list[tuple[Error, Error]]:

@@ -20,10 +20,7 @@ from softcal_jax.equilibrium import (
 )
 
 _NO_STIFFNESS = 1e-11
-"""Stiffness against the motion by an input, relative to the largest, that is rounding.
-
-Of a robot that a motor turns as a whole, without weight, 5e-15 is left.
-"""
+"""Stiffness that an input meets, relative to the largest, that is rounding."""
 
 
 class ActuatorState(eqx.Module):

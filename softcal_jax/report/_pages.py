@@ -37,6 +37,7 @@ from softcal_jax.report._html import (
     picture,
     table_html,
 )
+from softcal_jax.report._outline import ROLES
 from softcal_jax.report._provenance import made_html, repeat_html
 from softcal_jax.report._robot import robot_tables
 from softcal_jax.report._tables import simulation_tables
@@ -45,8 +46,6 @@ REPORT = "report.html"
 """Name of the page in a results folder."""
 
 _MARKED = "A triangle marks values that should not be used as they are."
-
-_ROLES = {"calibration": "fitted", "validation": "held out"}
 
 
 def calibration_page(
@@ -207,7 +206,7 @@ def _seen(own: Mapping[str, Any], file: str) -> str:
     """Say what the picture of a configuration shows."""
     if file.endswith("_recording.png"):
         return f"{own['name']}: the recording of the markers over time"
-    role = _ROLES.get(own.get("role", ""), "simulated")
+    role = ROLES.get(own.get("role", ""), "simulated")
     text = f"{own['name']} ({role}): the deformed body, coloured by displacement"
     if not own["markers"]:
         return text

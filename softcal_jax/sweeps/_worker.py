@@ -25,7 +25,12 @@ DEATHS = 2
 
 READY = "ready"
 
-_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_THREADS = (
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "LP_NUM_THREADS",  # of the renderer of Mesa
+)
 
 # JAX does not survive a fork.
 _SPAWN = multiprocessing.get_context("spawn")
