@@ -1,7 +1,7 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
 from softcal_jax.calibration._agreement import RecordingEstimate
-from softcal_jax.calibration._begin import EquilibriumProgress
+from softcal_jax.calibration._begin import EquilibriumProgress, told_of_lane
 from softcal_jax.calibration._budget import (
     MESH,
     NOISE,
@@ -28,7 +28,7 @@ from softcal_jax.calibration._configuration_result import (
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._lanes import simulate
+from softcal_jax.calibration._lanes import equilibria, simulate
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     correlated_noise,
@@ -119,6 +119,7 @@ __all__ = [
     "correlated_noise",
     "default_starts",
     "descend",
+    "equilibria",
     "evaluate",
     "images_of",
     "initial_state",
@@ -134,6 +135,7 @@ __all__ = [
     "simulated_measurements",
     "simulation_result",
     "synthetic_measurements",
+    "told_of_lane",
     "uncertainty",
     "unknown_causes",
     "whitened",

@@ -15,12 +15,12 @@ from softcal_jax.export import readable_unit
 from softcal_jax.identifiability import assess
 from softcal_jax.plotting._annotations import draw_name
 from softcal_jax.plotting._colours import BAD, DOUBTFUL, FAINT, GOOD, SERIES, TEXT
+from softcal_jax.plotting._save import DPI, save
 
 if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
-_DPI = 100
 _TITLE_WIDTH = 85
 """Characters of a line of the reasons below the title."""
 
@@ -41,11 +41,11 @@ def plot_convergence(
 
     Args:
         result: The calibration.
-        path: PNG file, 1200 pixels wide.
+        path: PNG file, 1200 pixels wide, or SVG file.
         name: Name of the calibration.
     """
     figure = convergence_figure(result, name)
-    figure.savefig(path, dpi=_DPI, format="png")
+    save(figure, path)
 
 
 def convergence_figure(
@@ -57,7 +57,7 @@ def convergence_figure(
 
     units = list(dict.fromkeys(parameter.unit for parameter in result.parameters))
     n = 2 + len(units)
-    figure = Figure(figsize=(12.0, 1.2 + 3.0 * n), dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(12.0, 1.2 + 3.0 * n), dpi=DPI, layout="constrained")
     panels = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
     _plot_rms(panels[0], result)
     _plot_step(panels[1], result)
@@ -188,7 +188,7 @@ def plot_trials(
     Args:
         columns: Values of the trials on each axis, by its name.
         figures: Results of the trials, by the label of the figure; nan is not drawn.
-        path: PNG file.
+        path: PNG or SVG file.
         title: Title of the picture.
         left_out: Which trials are not drawn, and why; printed below the title.
 
@@ -202,7 +202,7 @@ def plot_trials(
         raise ValueError("there is nothing to draw: no trial has converged yet.")
     n_rows, n_columns = shape = len(figures), len(columns)
     size = (max(8.0, 2.0 + 5.0 * n_columns), 1.2 + 3.0 * n_rows)
-    drawing = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    drawing = Figure(figsize=size, dpi=DPI, layout="constrained")
     panels = drawing.subplots(*shape, sharex="col", sharey="row", squeeze=False)
     for row, (label, values) in zip(panels, figures.items(), strict=True):
         for axes, where in zip(row, columns.values(), strict=True):
@@ -218,7 +218,7 @@ def plot_trials(
         bar = Line2D([], [], color=SERIES[1], lw=2.5, label="mean")
         drawing.legend(handles=[bar], loc="upper right", fontsize=13, frameon=False)
     drawing.get_layout_engine().set(h_pad=0.1, w_pad=0.1)  # pyright: ignore
-    drawing.savefig(path, dpi=_DPI, format="png")
+    save(drawing, path)
 
 
 def _draw(axes: "matplotlib.axes.Axes", where: Sequence[Any], values: Any) -> None:

@@ -2,6 +2,7 @@
 
 import base64
 import html
+import re
 import struct
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -114,12 +115,18 @@ def _wide(title: str, *content: Html) -> Html:
 
 
 def picture(path: Path, alt: str) -> Html:
-    """Write a PNG file into the page."""
+    """Write a PNG or SVG file into the page, as an image, which runs no scripts."""
     content = path.read_bytes()
-    width, height = struct.unpack(">II", content[16:24])
+    if path.suffix == ".svg":
+        kind = "svg+xml"
+        sizes = re.findall(rb'<svg [^>]*?viewBox="0 0 (\S+) (\S+)"', content[:4000])
+        width, height = (round(float(size)) for size in sizes[0])
+    else:
+        kind = "png"
+        width, height = struct.unpack(">II", content[16:24])
     return node(
         "img",
-        src=f"data:image/png;base64,{base64.b64encode(content).decode()}",
+        src=f"data:image/{kind};base64,{base64.b64encode(content).decode()}",
         alt=alt,
         width=str(width),
         height=str(height),

@@ -42,6 +42,9 @@ from softcal_jax.report._provenance import made_html, repeat_html
 from softcal_jax.report._robot import robot_tables
 from softcal_jax.report._tables import simulation_tables
 
+PICTURES = (".png", ".svg")
+"""Endings of pictures."""
+
 REPORT = "report.html"
 """Name of the page in a results folder."""
 
@@ -189,7 +192,7 @@ def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
     """Show the pictures of the configurations, as many as a page should hold."""
     shown, left = [], MOST_PICTURES
     for own in data["configurations"]:
-        for name in (file for file in own["files"] if file.endswith(".png")):
+        for name in (file for file in own["files"] if file.endswith(PICTURES)):
             path = folder / name
             caption = _seen(own, name)
             left -= path.stat().st_size
@@ -204,7 +207,7 @@ def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
 
 def _seen(own: Mapping[str, Any], file: str) -> str:
     """Say what the picture of a configuration shows."""
-    if file.endswith("_recording.png"):
+    if Path(file).stem.endswith("_recording"):
         return f"{own['name']}: the recording of the markers over time"
     role = ROLES.get(own.get("role", ""), "simulated")
     text = f"{own['name']} ({role}): the deformed body, coloured by displacement"
