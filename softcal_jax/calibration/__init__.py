@@ -67,16 +67,18 @@ from softcal_jax.calibration._state import (
     CalibrationState,
     initial_state,
 )
-from softcal_jax.calibration._step import KKT_TOLERANCE, propose
+from softcal_jax.calibration._step import FLAT, KKT_TOLERANCE, SMALLEST_FALL, propose
 from softcal_jax.calibration._uncertainty import EXACT, Uncertainty, uncertainty
 
 __all__ = [
     "EXACT",
+    "FLAT",
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
     "LEVEL",
     "MESH",
     "NOISE",
+    "SMALLEST_FALL",
     "CalibrationProblem",
     "CalibrationResult",
     "CalibrationSettings",

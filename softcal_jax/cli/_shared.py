@@ -11,6 +11,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import shtab
+
 from softcal_jax._text import escaped
 from softcal_jax.cli._display import Display
 
@@ -89,7 +91,11 @@ def add_path(
 ) -> None:
     """Add an argument that is a path; `--output` is also `-o`."""
     names = ["-o", name] if name == "--output" else [name]
-    parser.add_argument(*names, metavar=metavar, type=Path, help=text, **more)
+    added = parser.add_argument(*names, metavar=metavar, type=Path, help=text, **more)
+    folder = metavar == "DIR"
+    added.complete = (  # pyright: ignore[reportAttributeAccessIssue]
+        shtab.DIRECTORY if folder else shtab.FILE
+    )
 
 
 def add_output(command: argparse.ArgumentParser, *, pictures: bool = False) -> None:

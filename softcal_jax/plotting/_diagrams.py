@@ -12,9 +12,9 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ParameterEstimate
 from softcal_jax.export import readable_unit
-from softcal_jax.identifiability import assess
+from softcal_jax.identifiability import assess, end_of, verdict_of
 from softcal_jax.plotting._annotations import draw_name
-from softcal_jax.plotting._colours import BAD, DOUBTFUL, FAINT, GOOD, SERIES, TEXT
+from softcal_jax.plotting._colours import BAD, COLOUR_OF, FAINT, SERIES, TEXT
 from softcal_jax.plotting._save import DPI, save
 
 if TYPE_CHECKING:
@@ -76,19 +76,15 @@ def convergence_figure(
         _finish(axes)
     panels[-1].set_xlabel("step", fontsize=14)
     panels[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
-    steps = len(result.history) - 1
-    text, colour = f"{name}: converged in {steps} step{'s' * (steps != 1)}", GOOD
-    found = assess(result)
-    if not found.identified:
-        text, colour = f"{text}, but take the values with care", DOUBTFUL
+    verdict = verdict_of(result, assess(result))
+    colour = COLOUR_OF[verdict.tone]
     if not result.converged:
-        text = f"{name}: NOT converged after {steps} steps, do not use these values"
-        colour = BAD
         figure.set_facecolor("#fdecea")
-    figure.suptitle(text, fontsize=19, weight="bold", color=colour, parse_math=False)
-    if result.converged and found.reasons:
-        lines = [line for own in found.reasons for line in wrap(own, _TITLE_WIDTH)]
-        style = {"fontsize": 13, "color": DOUBTFUL, "loc": "left"}
+    text = "\n".join([name, verdict.sentence])
+    figure.suptitle(text, fontsize=17, weight="bold", color=colour, parse_math=False)
+    if verdict.reasons:
+        lines = [line for own in verdict.reasons for line in wrap(own, _TITLE_WIDTH)]
+        style = {"fontsize": 13, "color": colour, "loc": "left"}
         panels[0].set_title("\n".join(lines), **style, parse_math=False)
         figure.set_figheight(figure.get_figheight() + _LINE * len(lines))
     figure.get_layout_engine().set(h_pad=0.12, w_pad=0.12)  # pyright: ignore
@@ -137,6 +133,8 @@ def _plot_step(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
     axes.semilogy([e.step for e in history], sizes, "o-", color=SERIES[0], lw=2, ms=7)
     tol = result.settings.tol
     axes.axhline(tol, color=FAINT, ls="--", lw=1.8, label=f"tolerance {tol:g}")
+    style = {"fontsize": 13, "color": TEXT, "loc": "left"}
+    axes.set_title(end_of(result), **style, parse_math=False)
     axes.minorticks_off()
     axes.set_ylabel(r"largest $|\lambda_p|$ [-]")
 
@@ -169,8 +167,27 @@ def _plot_parameters(
         style = {"color": SERIES[i % len(SERIES)], "label": label if named else None}
         series = shown.factor * np.array(values[parameter.name])
         axes.plot(steps, series, "o-", **style, **size)
+    if named:
+        _draw_bounds(axes, parameters, shown.factor)
     what = parameters[0].name if len(parameters) == 1 else "parameters"
     axes.set_ylabel(f"{what} [{shown.unit or '-'}]", parse_math=False)
+
+
+def _draw_bounds(
+    axes: "matplotlib.axes.Axes", parameters: list[ParameterEstimate], factor: float
+) -> None:
+    """Draw the bounds that lie near the values, and name all of them."""
+    low, high = axes.get_ylim()
+    for i, parameter in enumerate(parameters):
+        bounds = [factor * parameter.lower, factor * parameter.upper]
+        label = f"bounds of {parameter.name}: {bounds[0]:.4g} to {bounds[1]:.4g}"
+        # One that is far away would leave no room for the values.
+        near = [b for b in bounds if low <= b <= high]
+        look = {"color": SERIES[i % len(SERIES)], "ls": "-.", "lw": 1.5}
+        for bound in near:
+            axes.axhline(bound, **look)
+        axes.plot([], [], label=label, **look)
+    axes.set_ylim(low, high)
 
 
 def plot_trials(

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from softcal_jax._machine import installed_version
 from softcal_jax._text import escaped
-from softcal_jax.report._description import Table, Verdict
+from softcal_jax.identifiability import RunVerdict
+from softcal_jax.report._description import Table
 
 MOST_PICTURES = 3_400_000
 """Most bytes of pictures in one page; the others stay beside it.
@@ -140,7 +141,12 @@ def figure(content: Html, caption: str, *, title: str = "") -> Html:
 
 
 def page(
-    name: str, kind: str, verdict: Verdict, sections: Sequence[Section], *, index: str
+    name: str,
+    kind: str,
+    verdict: RunVerdict,
+    sections: Sequence[Section],
+    *,
+    index: str,
 ) -> str:
     """Write a whole page.
 
@@ -183,12 +189,12 @@ def page(
     return f"<!DOCTYPE html>\n{node('html', head, body, lang='en')}\n"
 
 
-def _verdict(verdict: Verdict) -> Html:
+def _verdict(verdict: RunVerdict) -> Html:
     reasons = [bullets(verdict.reasons)] if verdict.reasons else []
     sentence = node("p", node("strong", verdict.sentence))
     return node(
         "section",
-        node("h2", "Verdict"),
+        node("h2", "RunVerdict"),
         sentence,
         *reasons,
         class_=f"verdict {verdict.tone}",

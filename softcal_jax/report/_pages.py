@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from softcal_jax.calibration import CalibrationResult, SimulationResult
-from softcal_jax.identifiability import Assessment
+from softcal_jax.identifiability import Assessment, RunVerdict, verdict_of
 from softcal_jax.report._calibration import (
     beyond_prior,
     blindness,
@@ -21,10 +21,8 @@ from softcal_jax.report._calibration import (
     outlook_table,
     parameter_table,
     singular_value_table,
-    verdict_of,
 )
 from softcal_jax.report._charts import budget_chart, course_charts, error_chart
-from softcal_jax.report._description import Verdict
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
@@ -103,12 +101,12 @@ def simulation_page(
     ]
     n = len(result.configurations)
     lost = [own.name for own in result.configurations if not own.converged]
-    verdict = Verdict(
+    verdict = RunVerdict(
         f"{n - len(lost)} of {n} configurations have an equilibrium.", "bad"
     )
     if not lost:
         every = "The configuration has" if n == 1 else f"All {n} configurations have"
-        verdict = Verdict(f"{every} an equilibrium.", "good")
+        verdict = RunVerdict(f"{every} an equilibrium.", "good")
     return page(data["name"], "Simulation", verdict, sections, index="simulation.json")
 
 
