@@ -168,19 +168,23 @@ def _plot_parameters(
         series = shown.factor * np.array(values[parameter.name])
         axes.plot(steps, series, "o-", **style, **size)
     if named:
-        _draw_bounds(axes, parameters, shown.factor)
+        _draw_bounds(axes, parameters, shown.factor, shown.unit)
     what = parameters[0].name if len(parameters) == 1 else "parameters"
     axes.set_ylabel(f"{what} [{shown.unit or '-'}]", parse_math=False)
 
 
 def _draw_bounds(
-    axes: "matplotlib.axes.Axes", parameters: list[ParameterEstimate], factor: float
+    axes: "matplotlib.axes.Axes",
+    parameters: list[ParameterEstimate],
+    factor: float,
+    unit: str,
 ) -> None:
     """Draw the bounds that lie near the values, and name all of them."""
     low, high = axes.get_ylim()
     for i, parameter in enumerate(parameters):
         bounds = [factor * parameter.lower, factor * parameter.upper]
-        label = f"bounds of {parameter.name}: {bounds[0]:.4g} to {bounds[1]:.4g}"
+        ends = f"{bounds[0]:.4g} to {bounds[1]:.4g} {unit}".rstrip()
+        label = f"bounds of {parameter.name}: {ends}"
         # One that is far away would leave no room for the values.
         near = [b for b in bounds if low <= b <= high]
         look = {"color": SERIES[i % len(SERIES)], "ls": "-.", "lw": 1.5}

@@ -154,7 +154,8 @@ def test_bounds_are_named_and_drawn_where_they_are_near():
     q = {p.name: p for p in make_result().parameters}
     for axes, name, factor in ((E, "E", 1e-3), (nu, "nu", 1.0)):
         low, high = (factor * b for b in (q[name].lower, q[name].upper))
-        assert f"bounds of {name}: {low:.4g} to {high:.4g}" in texts(axes)
+        unit = " kPa" if name == "E" else ""
+        assert f"bounds of {name}: {low:.4g} to {high:.4g}{unit}" in texts(axes)
         drawn = [line.get_ydata()[0] for line in axes.lines if len(line.get_xdata())]
         bottom, top = axes.get_ylim()
         for bound in (low, high):
