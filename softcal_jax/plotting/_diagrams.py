@@ -11,7 +11,7 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ParameterEstimate
-from softcal_jax.export import readable_unit
+from softcal_jax.export import Readable, readable_unit
 from softcal_jax.identifiability import assess, end_of, verdict_of
 from softcal_jax.plotting._annotations import draw_name
 from softcal_jax.plotting._colours import BAD, COLOUR_OF, FAINT, SERIES, TEXT
@@ -132,6 +132,8 @@ def _plot_step(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
     sizes = [max(*np.abs(entry.lambda_p), 1e-16) for entry in history]
     axes.semilogy([e.step for e in history], sizes, "o-", color=SERIES[0], lw=2, ms=7)
     tol = result.settings.tol
+    if not history:  # the tolerance alone spans no axis
+        axes.set_ylim(0.1 * tol, 1.0)
     axes.axhline(tol, color=FAINT, ls="--", lw=1.8, label=f"tolerance {tol:g}")
     style = {"fontsize": 13, "color": TEXT, "loc": "left"}
     axes.set_title(end_of(result), **style, parse_math=False)
@@ -168,7 +170,8 @@ def _plot_parameters(
         series = shown.factor * np.array(values[parameter.name])
         axes.plot(steps, series, "o-", **style, **size)
     if named:
-        _draw_bounds(axes, parameters, shown.factor, shown.unit)
+        drawn = [shown.factor * v for own in values.values() for v in own]
+        _draw_bounds(axes, parameters, drawn, shown)
     what = parameters[0].name if len(parameters) == 1 else "parameters"
     axes.set_ylabel(f"{what} [{shown.unit or '-'}]", parse_math=False)
 
@@ -176,14 +179,15 @@ def _plot_parameters(
 def _draw_bounds(
     axes: "matplotlib.axes.Axes",
     parameters: list[ParameterEstimate],
-    factor: float,
-    unit: str,
+    values: Sequence[float],
+    shown: Readable,
 ) -> None:
     """Draw the bounds that lie near the values, and name all of them."""
-    low, high = axes.get_ylim()
+    span = max(values) - min(values) or 0.1 * abs(max(values)) or 1.0
+    low, high = min(values) - 0.05 * span, max(values) + 0.05 * span
     for i, parameter in enumerate(parameters):
-        bounds = [factor * parameter.lower, factor * parameter.upper]
-        ends = f"{bounds[0]:.4g} to {bounds[1]:.4g} {unit}".rstrip()
+        bounds = [shown.factor * parameter.lower, shown.factor * parameter.upper]
+        ends = f"{bounds[0]:.4g} to {bounds[1]:.4g} {shown.unit}".rstrip()
         label = f"bounds of {parameter.name}: {ends}"
         # One that is far away would leave no room for the values.
         near = [b for b in bounds if low <= b <= high]

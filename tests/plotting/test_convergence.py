@@ -132,7 +132,7 @@ def ended(**changes):
     result = make_result(**{k: v for k, v in changes.items() if k != "size"})
     if "size" in changes:
         *before, last = result.history
-        small = replace(last, lambda_p=np.full(len(last.lambda_p), changes["size"]))
+        small = replace(last, lambda_p=(changes["size"],) * len(last.lambda_p))
         result = replace(result, history=(*before, small))
     return end_of(result)
 
