@@ -144,7 +144,7 @@ def step_by_step(
     begin: Callable[[ConfigurationArrays, Float[Array, "n_points 3"]], Any],
     go_on: Callable[[Sequence[tuple[ConfigurationArrays, Any]]], Batch],
     *,
-    max_steps: int,
+    max_steps: int | Int[Array, ""],
     told: OfLane,
 ) -> Job[EquilibriumSolution]:
     """Solve equilibria a few iterations at a time, and report in between.
