@@ -258,9 +258,9 @@ def _write(
             drawn.told(done, len(draw))
         for entry, own in zip(data["configurations"], of_each, strict=True):
             entry["files"] += own
+            files += entry["files"]
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
-        of_each = [file for own in of_each for file in own]
-        data["files"] = [REPORT, *of_all, *files, *of_each]
+        data["files"] = [REPORT, *of_all, *files]
         (folder / REPORT).write_text(page(data, folder), encoding="utf-8")
         write_json(folder / index, data)
     return directory
@@ -303,7 +303,7 @@ def _write_bodies(folder: Path, result: Result, data: dict[str, Any]) -> list[st
     if not bodies:
         return []
     write_pvd(folder / COLLECTION, bodies)
-    return [COLLECTION, *(file for own in bodies for file in own)]
+    return [COLLECTION]
 
 
 Plots = dict[str, Callable[[Path], None]]
