@@ -144,7 +144,7 @@ def step_by_step(
     begin: Callable[[ConfigurationArrays, Float[Array, "n_points 3"]], Any],
     go_on: Callable[[Sequence[tuple[ConfigurationArrays, Any]]], Batch],
     *,
-    max_steps: int | Int[Array, ""],
+    max_steps: int | Int[Array | HostArray, ""],
     told: OfLane,
 ) -> Job[EquilibriumSolution]:
     """Solve equilibria a few iterations at a time, and report in between.
@@ -221,7 +221,10 @@ def equilibria(
 
     def call(solver, lane):
         own = eqx.tree_at(lambda m: m.solver, model, solver)
-        return jax.block_until_ready(_go_on_lane(own, shared[1], *lane, steps))
+        configuration, state = lane
+        return jax.block_until_ready(
+            _go_on_lane(own, shared[1], configuration, state, steps)
+        )
 
     def go_on(pairs):
         key = program_key("equilibria", shared, pairs[0])

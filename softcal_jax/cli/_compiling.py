@@ -74,7 +74,7 @@ class Compiling:
                     self._since = time.time()
                 self._open[threading.get_ident(), event] += 1
 
-    def _ends(self, event: str, duration: float, **_: Any) -> None:
+    def _ends(self, event: str, duration_secs: float, **_: Any) -> None:
         if event.startswith(_COMPILE):
             self._close((threading.get_ident(), event))
 
