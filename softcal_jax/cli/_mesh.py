@@ -10,6 +10,7 @@ from softcal_jax.cli._shared import (
     OK,
     Display,
     Stop,
+    add_output,
     add_path,
     bad_input,
     check_new,
@@ -55,8 +56,9 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
             f"error: {args.output} ends in {args.output.suffix!r}; expected a name that"
             " ends in .msh, like finger.msh.",
         )
-    picture = args.output.with_suffix(".png")
-    check_new(args.output, picture, force=args.force)
+    picture = args.output.with_suffix(f".{args.pictures}")
+    written = [args.output] if args.no_pictures else [args.output, picture]
+    check_new(*written, force=args.force)
     show.lap("import")
     show.now(f"meshing {args.model.name}")
     with bad_input():
@@ -66,14 +68,24 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
             raise ValueError(str(error)) from error
         show.lap("mesh")
         write_mesh(made, args.output, length_unit=_UNIT)
-        show.now("drawing")
-        plot_groups(made, picture, title=args.model.name)
-    show.lap("picture")
-    show.line(f"softcal {version('softcal-jax')}: {args.model.name}")
+        if not args.no_pictures:
+            show.now("drawing")
+            plot_groups(made, picture, title=args.model.name)
+            show.lap("picture")
+    show.note(f"softcal {version('softcal-jax')}: {args.model.name}")
     for line in _described(made):
         show.line(line)
-    show.line(
-        f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}), picture in {picture}."
+    drawn = "" if args.no_pictures else f", picture in {picture}"
+    show.line(f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}){drawn}.")
+    show.document(
+        {
+            "nodes": made.n_nodes,
+            "tets": made.n_tets,
+            "surface_groups": list(made.surface_groups),
+            "tet_groups": list(made.tet_groups),
+            "node_groups": list(made.node_groups),
+            "files": [str(path) for path in written],
+        }
     )
     show.times()
     return OK
@@ -170,4 +182,5 @@ are seen before anything is computed; with another mesh file, the groups of that
     command.add_argument("--length-unit", metavar="UNIT", help=unit)
     again = "replace earlier files"
     command.add_argument("--force", action="store_true", help=again)
+    add_output(command, pictures=True)
     command.set_defaults(run=mesh)
