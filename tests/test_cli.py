@@ -60,7 +60,7 @@ def test_help(capsys):
         main(["--help"])
     assert caught.value.code == 0
     text = capsys.readouterr().out
-    assert "softcal demo --write my_robot" in text
+    assert "softcal new my_robot" in text
     assert "exit codes: 0" in text
 
 

@@ -148,7 +148,7 @@ def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
     point = np.where(np.arange(3) == axis, end, middle)
     normal, letter = np.eye(3)[axis], "xyz"[axis]
     for of, share in (("faces", _FLAT), ("nodes", _END)):
-        region = Plane(point, normal, tolerance=share * mesh.size)
+        region = Plane(point=point, normal=normal, tolerance=share * mesh.size)
         try:
             if of == "faces":
                 nodes = np.unique(select_faces(mesh, region))

@@ -142,7 +142,7 @@ def _actuators(found: Findings) -> Iterator[str]:
         if chamber.is_open:
             yield "seal = true # it has a rim: a lid without material closes it"
     if not found.chambers:
-        yield """# Actuators, a table each, which `actuation` of a pose drives:
+        yield """# Actuators, a table each, driven by `actuation` of a pose:
 #   [actuators.air]
 #   type = "chamber"     # or "cable" (guides), "motor" (body), "point-force"
 #   surface = "wall"
@@ -158,7 +158,7 @@ def _markers(found: Findings) -> Iterator[str]:
         yield "# Nothing was recorded: these two are proposed, for `softcal identify`."
     elif found.own_frame:
         yield """# The recording has a frame of its own, far from the mesh: measure where
-# these are on the robot. What is written here is only somewhere on its surface."""
+# these are on the robot. Here they are only somewhere on it."""
     elif recorded.others:
         yield f"# As recorded in {recorded.rest.name!r}, and how far off the mesh."
     else:
