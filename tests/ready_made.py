@@ -80,10 +80,10 @@ def parallel(folder: Path) -> None:
     for c in measured:
         (rod,) = c.effectors
         place = 1e3 * (middle + rod.measured.translation)
-        turn = np.rad2deg(Rotation.from_matrix(rod.measured.matrix).as_euler("ZYX"))
-        rows.append([c.name, "rod", *(f"{x:.4f}" for x in (*place, *turn))])
-    angles = ["azimuth_deg", "elevation_deg", "roll_deg"]
-    header = ["pose", "sensor", "x_mm", "y_mm", "z_mm", *angles]
+        x, y, z, w = Rotation.from_matrix(rod.measured.matrix).as_quat()
+        turn = [f"{own:.6f}" for own in (w, x, y, z)]
+        rows.append([c.name, "rod", *(f"{own:.4f}" for own in place), *turn])
+    header = ["pose", "sensor", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"]
     _write(folder / "tracker.csv", header, rows)
 
 

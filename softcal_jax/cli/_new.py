@@ -107,9 +107,9 @@ def _found(found: "Findings") -> Iterator[str]:
     yield f"Body: {sides} mm{unit}; {body.mesh.n_tets} tets."
     held = "by its name" if found.held.plane is None else "an end of the body"
     yield f"Held: {found.held.group}, {held}."
-    for chamber in found.chambers:
-        rim = ", sealed at its rim" if chamber.is_open else ""
-        yield f"Chamber: {chamber.group}, by its name{rim}."
+    for group, is_open in found.chambers.items():
+        rim = ", sealed at its rim" if is_open else ""
+        yield f"Chamber: {group}, by its name{rim}."
     if recorded is None:
         yield (
             "Nothing measured yet: `softcal identify` and `softcal simulate` run, and "

@@ -32,6 +32,7 @@ def guess_length_unit(path: str | os.PathLike[str]) -> str:
             points = read_stl(path).points
         else:
             points = np.asarray(read_raw(path, []).points, float)
+    points = points if points.ndim == 2 else np.zeros((0, 3))  # of a broken file
     finite = points[np.isfinite(points).all(axis=1)]
     across = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     return "mm" if across > _LARGEST else "m"

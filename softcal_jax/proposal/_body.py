@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import Chamber
+from softcal_jax.configurations import build_mechanism
 from softcal_jax.mesh import (
     CAD_FORMATS,
     MeshWarning,
@@ -167,11 +169,26 @@ def _longest(extent: Float[HostArray, "3"]) -> int:
     return 2 if near[2] else int(np.argmax(extent))
 
 
-def is_closed(faces: HostArray) -> bool:
-    """Tell whether a surface has no rim: each of its edges belongs to two faces."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, counts = np.unique(edges, axis=0, return_counts=True)
-    return bool((counts == 2).all())
+def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
+    """Find the surfaces that are called like chambers, and are walls of a cavity.
+
+    Returns:
+        Whether each has a rim that a lid has to close, by the name of its group.
+    """
+    found = {}
+    for name in named_like(mesh, CHAMBER_WORDS, surface=True):
+        faces = mesh.surface_groups[name]
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        _, counts = np.unique(edges, axis=0, return_counts=True)
+        is_open = bool((counts == 1).any())
+        chamber = Chamber(name, name, seal=is_open)
+        try:
+            build_mechanism(mesh, [], [chamber])
+        except ValueError:  # a wall of the outside, whatever it is called
+            continue
+        if name != held.group:
+            found[name] = is_open
+    return found
 
 
 def far_end(mesh: TetMesh, held: Held) -> Float[HostArray, "3"]:

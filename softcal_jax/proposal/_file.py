@@ -134,12 +134,12 @@ def _actuators(found: Findings) -> Iterator[str]:
     """Write a chamber for each surface that is called like one."""
     if found.chambers:
         yield _ruler("the actuators")
-    for k, chamber in enumerate(found.chambers):
-        yield "\n" * (k > 0) + f"[actuators.{bare(f'air in {chamber.group}')}]"
+    for k, (group, is_open) in enumerate(found.chambers.items()):
+        yield "\n" * (k > 0) + f"[actuators.{bare(f'air in {group}')}]"
         yield 'type = "chamber"'
         named = "# CHANGE: what is inflated, here by its name"
-        yield f"surface = {quoted(chamber.group)} {named}"
-        if chamber.is_open:
+        yield f"surface = {quoted(group)} {named}"
+        if is_open:
             yield "seal = true # it has a rim: a lid without material closes it"
     if not found.chambers:
         yield """# Actuators, a table each, driven by `actuation` of a pose:
@@ -157,7 +157,7 @@ def _markers(found: Findings) -> Iterator[str]:
     if recorded is None:
         yield "# Nothing was recorded: these two are proposed, for `softcal identify`."
     elif found.own_frame:
-        yield """# The recording has a frame of its own, far from the mesh: measure where
+        yield """# The recording has a frame of its own, off the mesh: measure where
 # these are on the robot. Here they are only somewhere on it."""
     elif recorded.others:
         yield f"# As recorded in {recorded.rest.name!r}, and how far off the mesh."
@@ -270,7 +270,7 @@ def _driven(found: Findings, pose: Pose | None, load: str) -> str:
     if not found.chambers:
         hint = f", its name is a pressure: actuation = {{ air = {quoted(str(name))} }}"
         return f"{load} # CHANGE: what acts in this pose{hint * pressed}"
-    actuator = bare(f"air in {found.chambers[0].group}")
+    actuator = bare(f"air in {next(iter(found.chambers))}")
     if pressed:
         return f"actuation = {{ {actuator} = {quoted(str(name))} }} # by its name"
     guess = f'actuation = {{ {actuator} = "{PRESSURE}" }}'

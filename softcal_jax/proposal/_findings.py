@@ -7,13 +7,6 @@ from softcal_jax.proposal._body import Body, Held
 from softcal_jax.proposal._recorded import Pose, Recorded
 
 
-class Chamber(NamedTuple):
-    """A surface group that is called like a chamber, and whether it has a rim."""
-
-    group: str
-    is_open: bool
-
-
 class MarkerPlace(NamedTuple):
     """Where a marker is put, and how far from the mesh it was recorded [m]."""
 
@@ -30,7 +23,7 @@ class Findings(NamedTuple):
         body: Its mesh.
         held: What is proposed to be held.
         tip: Where a load is proposed to act [m].
-        chambers: Surfaces that are called like chambers.
+        chambers: Whether chambers have a rim, by the names of their surfaces.
         recorded: The poses, if there is a recording.
         own_frame: Whether the recording has another frame than the mesh.
         markers: The markers.
@@ -40,7 +33,7 @@ class Findings(NamedTuple):
     body: Body
     held: Held
     tip: Float[HostArray, "3"]
-    chambers: tuple[Chamber, ...]
+    chambers: dict[str, bool]
     recorded: Recorded | None
     own_frame: bool
     markers: tuple[MarkerPlace, ...]

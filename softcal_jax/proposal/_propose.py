@@ -15,17 +15,15 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.mesh import MaterialPoints, MeshWarning, locate, mesh_files
 from softcal_jax.project import ProjectWarning, load_project
 from softcal_jax.proposal._body import (
-    CHAMBER_WORDS,
     Body,
     Held,
     far_end,
-    is_closed,
-    named_like,
+    find_chambers,
     propose_held,
     read_body,
 )
 from softcal_jax.proposal._file import project_text
-from softcal_jax.proposal._findings import Chamber, Findings, MarkerPlace
+from softcal_jax.proposal._findings import Findings, MarkerPlace
 from softcal_jax.proposal._recorded import Recorded, read_recorded
 from softcal_jax.robots import ready_made_path
 
@@ -137,8 +135,6 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
     moving = None if recorded is None or own_frame else recorded.moving
     held = propose_held(mesh, moving)
     tip = far_end(mesh, held)
-    chambers = named_like(mesh, CHAMBER_WORDS, surface=True)
-    chambers = [name for name in chambers if name != held.group]
     # A file that includes others would have to be copied with all of them.
     alone = len(mesh_files(model)) == 1
     return Findings(
@@ -146,9 +142,7 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
         body=body,
         held=held,
         tip=tip,
-        chambers=tuple(
-            Chamber(name, not is_closed(mesh.surface_groups[name])) for name in chambers
-        ),
+        chambers=find_chambers(mesh, held),
         recorded=recorded,
         own_frame=own_frame,
         markers=_markers(body, held, tip, recorded, at, own_frame=own_frame),
