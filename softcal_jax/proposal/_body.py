@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.actuators import Chamber
+from softcal_jax.actuators import Chamber, enclosed_volumes
 from softcal_jax.configurations import build_mechanism
 from softcal_jax.mesh import (
     CAD_FORMATS,
@@ -21,6 +21,7 @@ from softcal_jax.mesh import (
     read_mesh,
     select_faces,
     select_nodes,
+    volumes,
 )
 
 HELD_WORDS = ("clamp", "base", "fix", "support", "held", "mount", "anchor", "ground")
@@ -33,6 +34,9 @@ HELD = "held"
 _FLAT = 1e-4
 _END = 0.02
 """How deep a flat end and a round one are, as shares of the size of the mesh [-]."""
+
+_EMPTY = 1e-6
+"""Share of the volume of the body below which a surface encloses nothing [-]."""
 
 _ALONG = 20.0
 """Tets along a CAD model: enough for bending, and solved in seconds."""
@@ -183,10 +187,12 @@ def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
         is_open = bool((counts == 1).any())
         chamber = Chamber(name, name, seal=is_open)
         try:
-            build_mechanism(mesh, [], [chamber])
+            made = build_mechanism(mesh, [], [chamber])
         except ValueError:  # a wall of the outside, whatever it is called
             continue
-        if name != held.group:
+        (volume,) = enclosed_volumes(made.actuators.groups, made.points).values()
+        # A flat wall of the outside encloses nothing, with either sign of rounding.
+        if name != held.group and volume > _EMPTY * float(volumes(mesh).sum()):
             found[name] = is_open
     return found
 
