@@ -37,20 +37,19 @@ def new(args: argparse.Namespace, show: Display) -> int:
             "yours.",
         )
     with bad_input():
-        if args.robot is not None:
-            _ready_made(args, show)
-        else:
-            _proposed(args, show)
+        run = _proposed if args.robot is None else _ready_made
+        measured = run(args, show)
     show.line("Next:")
     project = args.folder / "project.toml"
     show.line(f"  softcal check {project}")
     show.line(f"  softcal identify {project}")
-    show.line(f"  softcal calibrate {project} -o {args.folder / 'results'}")
+    if measured:
+        show.line(f"  softcal calibrate {project} -o {args.folder / 'results'}")
     return OK
 
 
-def _ready_made(args: argparse.Namespace, show: Display) -> None:
-    """Copy a ready-made robot, and say what it is."""
+def _ready_made(args: argparse.Namespace, show: Display) -> bool:
+    """Copy a ready-made robot, and say what it is; its readings are there."""
     from softcal_jax.proposal import write_ready_made
 
     options = ("markers", "size", "length_unit")
@@ -64,10 +63,11 @@ def _ready_made(args: argparse.Namespace, show: Display) -> None:
     show.line(f"Wrote {', '.join(files)} to {args.folder}.")
     readme = (args.folder / "README.md").read_text(encoding="utf-8")
     show.line(readme.splitlines()[0].removeprefix("# ") + ": see README.md there.")
+    return True
 
 
-def _proposed(args: argparse.Namespace, show: Display) -> None:
-    """Write a project for a model, and say what was found and guessed."""
+def _proposed(args: argparse.Namespace, show: Display) -> bool:
+    """Write a project for a model; returns whether it has readings to calibrate to."""
     from softcal_jax.project import CHANGE, guesses_left
     from softcal_jax.proposal import propose_project
 
@@ -93,6 +93,7 @@ def _proposed(args: argparse.Namespace, show: Display) -> None:
         f'{many} lines hold a guess, with a remark "{CHANGE}..." that says what is to '
         "be changed or confirmed. `softcal check` lists them."
     )
+    return made.findings.recorded is not None and not made.findings.own_frame
 
 
 def _found(found: "Findings") -> Iterator[str]:
