@@ -181,6 +181,18 @@ def test_groups_are_known_by_their_names(tmp_path):
     assert asked.value == pytest.approx(12e3)
 
 
+@pytest.mark.parametrize(("moves", "held"), [(0.06, 0.0), (0.0, 0.06)])
+def test_the_end_away_from_what_moves_is_held(tmp_path, body, moves, held):
+    rows = ["pose,marker,x_mm,y_mm,z_mm"]
+    rows += [f"{pose},m,{1e3 * moves},10,{z}" for pose, z in (("rest", 10), ("a", 8))]
+    (tmp_path / "poses.csv").write_text("\n".join(rows))
+    propose_project(body, tmp_path / "mine", recordings=[tmp_path / "poses.csv"])
+    project = loaded(tmp_path / "mine")
+    mesh, (support,) = project.model.mesh, project.calibration[0].supports
+    nodes = node_indices(mesh, support.where, "a support")
+    np.testing.assert_allclose(mesh.points[nodes][:, 0], held, atol=1e-9)
+
+
 def test_a_chamber_by_its_name_alone_is_none(tmp_path):
     made = beam(0.06, 0.02, 0.02, (6, 2, 2))
     made = made.with_surface_group("air chamber", made.surface_groups["z_max"])
