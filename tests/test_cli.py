@@ -60,7 +60,7 @@ def test_help(capsys):
         main(["--help"])
     assert caught.value.code == 0
     text = capsys.readouterr().out
-    assert "softcal demo --write my_robot" in text
+    assert "softcal new my_robot" in text
     for code in ("  0  done", "  1  not converged", "  2  bad input", "130  inter"):
         assert code in text
 

@@ -35,6 +35,7 @@ LAYERS = [
     {"plotting"},
     {"project"},
     {"report", "sweeps"},
+    {"proposal"},
     {"sofa"},
     {"cli"},
     {"__main__"},

@@ -22,6 +22,7 @@ from softcal_jax.cli._console import (
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._export import add_export
 from softcal_jax.cli._mesh import add_mesh
+from softcal_jax.cli._new import add_new
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Stop,
@@ -39,7 +40,8 @@ Calibrate the finite-element model of a soft robot from a few measured poses."""
 _EXAMPLES = """\
 examples:
   softcal demo                            calibrate a real silicone beam
-  softcal demo --write my_robot           its project file and data, to start from
+  softcal new my_robot --robot beam       a ready-made robot, to start from
+  softcal new my_robot --model body.step  a project for your own mesh or CAD model
   softcal check my_robot/project.toml     what it says, drawn, before any solve
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
@@ -188,6 +190,7 @@ ranked by what measuring them as well would add.""",
         again = "replace earlier results in that folder"
         command.add_argument("--force", action="store_true", help=again)
         add_output(command, pictures=command is not outlook)
+    add_new(commands, raw)
     add_check(commands, raw)
     add_mesh(commands, raw)
     add_compare(commands, raw)

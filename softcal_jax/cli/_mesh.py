@@ -49,6 +49,7 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
     """Write the mesh of a CAD model, a project or another mesh file, and draw it."""
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
+    from softcal_jax.report import mesh_lines
 
     if args.output.suffix.lower() != ".msh":
         raise Stop(
@@ -73,7 +74,7 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
             plot_groups(made, picture, title=args.model.name)
             show.lap("picture")
     show.note(f"softcal {version('softcal-jax')}: {args.model.name}")
-    for line in _described(made):
+    for line in mesh_lines(made):
         show.line(line)
     drawn = "" if args.no_pictures else f", picture in {picture}"
     show.line(f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}){drawn}.")
@@ -118,47 +119,6 @@ def _made(args: argparse.Namespace) -> "TetMesh":
             "[mesh]. Leave it out."
         )
     return load_mesh(args.model)
-
-
-def _described(made: "TetMesh") -> list[str]:
-    """Describe the mesh and its groups, with a point on each surface."""
-    import numpy as np
-
-    from softcal_jax.export import readable_values
-    from softcal_jax.mesh import face_shares, volumes
-
-    corners = made.points[made.tets[:, :4]]
-    edges = np.linalg.norm(corners[:, [1, 2, 3]] - corners[:, :1], axis=2)
-    kind = "quadratic" if made.order == 2 else "linear"
-    lines = [
-        f"{made.n_nodes} nodes, {made.n_tets} {kind} tets, edges of "
-        f"{readable_values([float(edges.mean())], 'm', digits=3)} in the mean, volume "
-        f"{readable_values([float(volumes(made).sum())], 'm3')}"
-    ]
-    width = max(
-        map(len, [*made.surface_groups, *made.tet_groups, *made.node_groups, ""])
-    )
-    for name, faces in made.surface_groups.items():
-        centres = made.points[faces[:, :3]].mean(axis=1)
-        areas = face_shares(made, faces).sum(axis=1)
-        mean = np.average(centres, axis=0, weights=areas)
-        point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
-        lines.append(
-            f"  {name:<{width}}  {1e6 * areas.sum():.1f} mm2, a point on it: "
-            f"{_in_mm(point)}"
-        )
-    for name, tets in made.tet_groups.items():
-        own = readable_values([float(volumes(made)[tets].sum())], "m3")
-        lines.append(f"  {name:<{width}}  {len(tets)} tets, {own}")
-    for name, nodes in made.node_groups.items():
-        if name not in made.surface_groups and name not in made.tet_groups:
-            lines.append(f"  {name:<{width}}  {len(nodes)} nodes")
-    return lines
-
-
-def _in_mm(point) -> str:
-    """Write a point as a project file does."""
-    return '"(' + ", ".join(f"{1e3 * x:.4g}" for x in point) + f') {_UNIT}"'
 
 
 def add_mesh(commands: "argparse._SubParsersAction", raw: Callable) -> None:
