@@ -17,7 +17,7 @@ from benchmarks._record import load_average, record, write_json
 _RESULTS = Path("benchmark-results")
 """Folder of everything that a run writes, where nothing else is asked for."""
 
-_PEERS = ("felupe", "lupa", "pypardiso")
+_PEERS = ("felupe", "lupa", "pypardiso", "tensortrax")
 _WORSE, _WRONG_CALL = 1, 2
 
 
