@@ -14,7 +14,7 @@ ROOT = Path(softcal_jax.__file__).parent
 LAYERS = [
     {
         *("_compilation_cache", "_limits", "_machine", "_names", "_places"),
-        *("_process", "_results", "_text", "_typing", "_units"),
+        *("_process", "_results", "_text", "_typing", "_units", "_warnings"),
     },
     {"_files"},
     {"elements"},

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import shtab
 
 from softcal_jax._text import escaped
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.cli._display import Display
 
 if TYPE_CHECKING:
@@ -51,38 +52,20 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
     Those of other packages are for developers: they are shown only where Python was
     asked for warnings, with -W or PYTHONWARNINGS.
     """
-    from softcal_jax._compilation_cache import (
-        CompilationCacheWarning,
-        throw_away_damaged,
-    )
-    from softcal_jax.calibration import CalibrationWarning
-    from softcal_jax.configurations import TrackerWarning
-    from softcal_jax.mesh import MeshWarning
-    from softcal_jax.project import ProjectWarning
-    from softcal_jax.report import PictureWarning, ResultWarning
+    from softcal_jax._compilation_cache import throw_away_damaged
 
-    own = (
-        CalibrationWarning,
-        CompilationCacheWarning,
-        MeshWarning,
-        ProjectWarning,
-        PictureWarning,
-        ResultWarning,
-        TrackerWarning,
-    )
     with warnings.catch_warnings():
         plain = warnings.showwarning
 
         def line(message, category, *where, **more):
             mended = throw_away_damaged(str(message))
-            if issubclass(category, own) or mended:
+            if issubclass(category, SoftcalWarning) or mended:
                 show.warning(mended or str(message))
             elif sys.warnoptions:
                 plain(escaped(str(message)), category, *where, **more)
 
         warnings.showwarning = line
-        for category in own:
-            warnings.simplefilter("always", category)
+        warnings.simplefilter("always", SoftcalWarning)
         yield
 
 

@@ -15,6 +15,7 @@ from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._machine import installed_version
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -36,7 +37,7 @@ class ResultError(ValueError):
     """A result cannot be loaded; the text says which file is in the way, and why."""
 
 
-class ResultWarning(UserWarning):
+class ResultWarning(SoftcalWarning):
     """A result was loaded whose values should not be used as they are."""
 
 

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.configurations import Traces
 from softcal_jax.export import (
@@ -47,7 +48,7 @@ Told = Callable[[int, int], None]
 """Told how many pictures are drawn, of how many."""
 
 
-class PictureWarning(UserWarning):
+class PictureWarning(SoftcalWarning):
     """Results were written, but without the pictures of the body."""
 
 
