@@ -12,9 +12,10 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
+    {"_warnings"},
     {
         *("_compilation_cache", "_limits", "_machine", "_names", "_places"),
-        *("_process", "_results", "_text", "_typing", "_units", "_warnings"),
+        *("_process", "_results", "_text", "_typing", "_units"),
     },
     {"_files"},
     {"elements"},
@@ -41,7 +42,7 @@ LAYERS = [
     {"__main__"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-SHARED = LAYERS[0]
+SHARED = LAYERS[0] | LAYERS[1]
 
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 
