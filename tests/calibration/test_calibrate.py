@@ -124,6 +124,23 @@ def test_two_parameters_are_recovered(model, exact):
     assert result.value("nu") == pytest.approx(NU_TRUE, rel=1e-5)
 
 
+@pytest.mark.parametrize("E", np.geomspace(5e4, 5e5, 6))
+def test_equilibria_from_rest_are_as_exact_as_those_on_the_way(model, exact, E):
+    """Else the cost at the start of a fit is off by more than a step can lower it.
+
+    Every step is refused then: a fit from its own optimum was "not converged".
+    """
+    nu = Parameter("nu", "nu", 0.2, 0.0, 0.45, scale="linear")
+    problem = build_problem(model, [parameter(), nu], exact)
+    z = problem.space.to_scaled(jnp.array([E, 0.3]))
+    from_rest = evaluate(problem, z)
+    near = evaluate(problem, z, from_rest.equilibrium.displacement)
+    motion = float(np.max(np.abs(from_rest.equilibrium.displacement)))
+    np.testing.assert_allclose(
+        from_rest.effectors, near.effectors, rtol=0, atol=1e-12 * motion
+    )
+
+
 def test_held_out_configuration_is_predicted_and_never_used(model, exact, recovered):
     roles = {fit.name: fit.role for fit in recovered.configurations}
     assert roles == {"hang": "calibration", "pull": "calibration", "push": "validation"}

@@ -1,5 +1,6 @@
 """Equilibrium from a good guess: what the careful solve gives, in fewer steps."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import TIGHT, lane, solve, solve_as_users
+from bodies import TIGHT, lane, solve
 
 from softcal_jax.configurations import (
     Configuration,
@@ -98,10 +99,14 @@ def with_solutions(done, right_hand_sides) -> Continued:
     return Continued(done.equilibrium, x, solved.ok, lin.stiffness(x[0]))
 
 
+def continued(model, configuration, guess, precise=False, settings=TIGHT):
+    return _continued(model, configuration, guess, precise, settings)
+
+
 @jax.jit
-def continued(model, configuration, guess, precise=False):
+def _continued(model, configuration, guess, precise, settings):
     done = continue_equilibrium(
-        model, configuration, guess, settings=TIGHT, precise=precise
+        model, configuration, guess, settings=settings, precise=precise
     )
     return with_solutions(done, lambda u: forces(model, configuration, u))
 
@@ -135,24 +140,22 @@ def assert_same(done, index, careful, *, rtol):
     )
 
 
-def test_from_rest_it_is_the_careful_solve_bit_for_bit(careful):
-    """Compiled as a user has it: otherwise two programs may round differently."""
-    as_users = continued.lower(MODEL, lane(LANES, HANGING), jnp.zeros(SHAPE)).compile(
-        {"xla_cpu_use_fusion_emitters": True}
-    )
-    done = as_users(MODEL, lane(LANES, HANGING), jnp.zeros(SHAPE))
-    users = solve_as_users(MODEL, LANES, TIGHT)
-    np.testing.assert_array_equal(
-        done.equilibrium.displacement, users.displacement[HANGING]
-    )
-    for name in ("steps", "load_steps", "residual", "min_det_F", "n_negative"):
+def test_from_rest_it_is_the_careful_solve_and_one_step_on_its_factor(careful):
+    """That step costs no factorization, and leaves an equilibrium to rounding."""
+    loose = replace(TIGHT, rtol=1e-5)
+    done = continued(MODEL, lane(LANES, HANGING), jnp.zeros(SHAPE), settings=loose)
+    alone = solve(MODEL, LANES, loose)
+    for name in ("steps", "load_steps", "load_reached", "n_negative"):
         np.testing.assert_array_equal(
-            getattr(done.equilibrium, name), getattr(users, name)[HANGING]
+            getattr(done.equilibrium, name), getattr(alone, name)[HANGING]
         )
+    before, after = float(alone.residual[HANGING]), float(done.equilibrium.residual)
+    assert 1e-9 < before <= loose.rtol
+    assert after < 1e-2 * before
     assert_same(done, HANGING, careful, rtol=1e-6)
     expected = further(MODEL, lane(LANES, HANGING), done.equilibrium.displacement).x
     scale = float(jnp.max(jnp.abs(expected)))
-    np.testing.assert_allclose(done.x, expected, rtol=0, atol=1e-12 * scale)
+    np.testing.assert_allclose(done.x, expected, rtol=0, atol=1e-4 * scale)
 
 
 def test_from_a_good_guess_in_a_few_steps(careful):
