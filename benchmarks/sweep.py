@@ -1,10 +1,10 @@
 """Calibrations per hour of a sweep, with one and with two worker processes.
 
 The beam of Sec. V: 525 nodes, print plane upright, four configurations, six parameters,
-a draw of noise per trial, one start. The sweep runs twice with an empty database: with one worker
-and nothing compiled before, then with two that find what the first one compiled. A rate
-counts from when every worker has ended its first trial, since that one compiles; the
-wait for it is a figure of its own. Rows must be the same, bit for bit.
+one start and a draw of noise per trial. The sweep runs twice with an empty database:
+with one worker and nothing compiled before, then with two that find what the first one
+compiled. A rate counts from when every worker has ended its first trial, since that one
+compiles; the wait for it is a figure of its own. Rows must be the same, bit for bit.
 """
 
 import os
