@@ -77,7 +77,7 @@ def _upward(symmetric: bool, row, col):
 def _distinct(keys: Int[HostArray, "..."]) -> Int[HostArray, " n"]:
     """Return distinct keys in order; faster than the hash table of `np.unique`."""
     ordered = np.sort(keys, axis=None)
-    return ordered[np.diff(ordered, prepend=ordered[0] - 1) > 0]
+    return ordered[np.diff(ordered, prepend=ordered[:1] - 1) > 0]
 
 
 def build_sparsity(
@@ -132,15 +132,19 @@ def destinations(
     sparsity: Sparsity, nodes: Int[HostArray, "n m"]
 ) -> Int[HostArray, "n_entries n"]:
     """Find the positions of each clique's entries, ordered as in `element_entries`."""
-    p, q = element_entries(nodes.shape[1], sparsity.symmetric)
     # Only blocks of 3 x 3 are searched for: nine times fewer than entries. Those of a
     # row of nodes follow each other, and row i of an upper triangle begins i later.
     first = sparsity.positions(3 * nodes[:, :, None], 3 * nodes[:, None])
-    rows, columns = ((3 * nodes[:, k // 3] + k % 3).T for k in (p, q))
-    row, column = _upward(sparsity.symmetric, rows, columns)
-    i, j = row % 3, column % 3
-    within = sparsity.indptr[row] - sparsity.indptr[row - i] - i * sparsity.symmetric
-    return (first[:, p // 3, q // 3].T + within + j).astype(np.int32)
+    entries = np.transpose(element_entries(nodes.shape[1], sparsity.symmetric))
+    found = np.empty((len(entries), len(nodes)), np.int32)
+    # One entry at a time: all at once would take a gigabyte for 25 000 quadratic tets.
+    for own, (p, q) in zip(found, entries, strict=True):
+        ends = (3 * nodes[:, k // 3] + k % 3 for k in (p, q))
+        row, column = _upward(sparsity.symmetric, *ends)
+        i, j = row % 3, column % 3
+        within = sparsity.indptr[row] - sparsity.indptr[row - i]
+        own[:] = first[:, p // 3, q // 3] + within - i * sparsity.symmetric + j
+    return found
 
 
 def product(
@@ -277,10 +281,10 @@ def build_reduction(
 def _ordered_pairs(cliques, n_nodes: int) -> tuple[HostArray, HostArray]:
     """List every ordered pair of coupled nodes once."""
     keys = [
-        np.unique(nodes[:, :, None].astype(np.int64) * n_nodes + nodes[:, None, :])
+        _distinct(nodes[:, :, None].astype(np.int64) * n_nodes + nodes[:, None, :])
         for nodes in cliques
     ]
-    found = np.unique(np.concatenate(keys))
+    found = _distinct(np.concatenate(keys))
     return found // n_nodes, found % n_nodes
 
 
