@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._lanes import (
     as_guess,
@@ -40,7 +41,7 @@ from softcal_jax.sensitivity import (
 )
 
 
-class Evaluation(eqx.Module):
+class Evaluation(Module):
     """Equilibria, errors and compliances of all configurations at one z.
 
     Attributes:
@@ -194,6 +195,8 @@ class Evaluator:
         shared: What all lanes share, without configurations.
         lanes: The configurations.
     """
+
+    __repr__ = one_line
 
     def __init__(self, problem: CalibrationProblem):
         """Split the calibration into what all lanes share, and the lanes."""
