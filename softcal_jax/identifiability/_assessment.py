@@ -55,15 +55,16 @@ class Assessment(Result):
         )
 
     @property
-    def _head(self) -> str:
+    def headline(self) -> str:
+        """The verdict; it ends with a colon where reasons follow."""
         return "Identified." if self.identified else "Not identified:"
 
     def _words(self) -> str:
-        return " ".join([self._head, *self.reasons])
+        return " ".join([self.headline, *self.reasons])
 
     def __str__(self) -> str:
         """The verdict and its reasons, then the identifiability report."""
-        lines = ["\n  ".join([self._head, *self.reasons]), str(self.identifiability)]
+        lines = ["\n  ".join([self.headline, *self.reasons]), str(self.identifiability)]
         return "\n".join([*lines, *filter(None, [self.prediction])])
 
 

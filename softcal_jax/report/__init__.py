@@ -8,6 +8,7 @@ from softcal_jax.report._load import (
     ResultWarning,
     load_result,
 )
+from softcal_jax.report._notebook import notebook_html
 from softcal_jax.report._outline import control_point_sets, outline, roles_of
 from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (
@@ -29,6 +30,7 @@ __all__ = [
     "held_out_sentences",
     "load_result",
     "model_words",
+    "notebook_html",
     "outline",
     "roles_of",
     "simulation_table",
