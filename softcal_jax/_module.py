@@ -16,6 +16,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._results import RESULTS
@@ -63,21 +64,21 @@ class Result(Module):
         return import_module("softcal_jax.report").notebook_html(self)
 
 
-def one_line(own: Any, /) -> str:
+def one_line(self: Any) -> str:
     """Describe a record in one line, like "NeoHookean, E = 150 kPa, nu = 0.49".
 
     A text of its own comes first, of which the first line is taken; without one its
     fields are written, as many as there is room for.
 
     Args:
-        own: A dataclass or a named tuple; its fields may hold anything, also what is
+        self: A dataclass or a named tuple; its fields may hold anything, also what is
             traced, batched or missing.
     """
-    kind = type(own).__name__
-    words = _own_words(own)
+    kind = type(self).__name__
+    words = _own_words(self)
     if not words:
-        return _described(own, ", {}")
-    name = getattr(own, "name", None)
+        return _described(self, ", {}")
+    name = getattr(self, "name", None)
     if isinstance(name, str) and name not in words:
         kind += f" {_quoted(name)}"
     return _cut(f"{kind}: {words}")
@@ -156,7 +157,7 @@ def _says_nothing(value: Any, default: Any) -> bool:
         return type(value) is type(default) and value == default
     if not isinstance(default, int | float) or default != 0 or is_traced(value):
         return False
-    number = jax.dtypes.issubdtype(getattr(value, "dtype", np.float64), np.number)
+    number = jnp.issubdtype(getattr(value, "dtype", np.float64), np.number)
     return number and np.ndim(value) == 0 and bool(value == 0)
 
 
@@ -242,7 +243,7 @@ def _array(value: Any, unit: str) -> str:
         return f"traced {_shape(value.shape)}"
     if isinstance(value, jax.Array) and value.is_deleted():
         return f"deleted {_shape(value.shape)}"
-    if jax.dtypes.issubdtype(value.dtype, jax.dtypes.extended):  # keys of random
+    if jnp.issubdtype(value.dtype, jax.dtypes.extended):  # keys of random
         return _shape(value.shape)
     return _numbers(np.asarray(value), unit)
 
