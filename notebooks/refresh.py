@@ -35,7 +35,7 @@ def executed(notebook: NotebookNode, folder: Path = FOLDER) -> NotebookNode:
             cell.outputs, cell.execution_count = [], None
     client = NotebookClient(
         notebook,
-        timeout=600,
+        timeout=1800,
         kernel_name="python3",
         record_timing=False,
         resources={"metadata": {"path": str(folder)}},
