@@ -46,7 +46,7 @@ class Kind(NamedTuple):
 KINDS = [
     Kind(law, order, formulation, solver)
     for law, (order, formulation), solver in itertools.product(
-        _oracle.STRESSES,
+        _oracle.LAWS,
         ((1, "displacement"), (2, "displacement"), (2, "mean-dilatation")),
         ("pardiso", "klu"),
     )
@@ -80,9 +80,7 @@ def draw(random: np.random.Generator, kind: Kind) -> Drawn:
     node = mesh.node_groups["x_max"][[random.integers(len(mesh.node_groups["x_max"]))]]
     gravity = 9.81 * 10.0 ** random.uniform(-6.0, 4.0) * _unit(random)
     pose = Configuration("drawn", ("x_min",), tuple(gravity), NodalForces(node, push))
-    load = _oracle.weight(
-        mesh.points, mesh.tets, np.tile(DENSITY * gravity, (mesh.n_tets, 1))
-    )
+    load = _oracle.weight(mesh.points, mesh.tets, DENSITY * gravity)
     load[node] += push
     free = np.ones(mesh.points.shape, bool)
     free[mesh.points[:, 0] == 0.0] = False

@@ -45,7 +45,7 @@ def modelled(path: Path, size: float | None = None) -> Iterator[Any]:
 
 
 def write_finger(
-    path: Path, *, is_open: bool = True, size: float | None = None
+    path: Path, *, is_open: bool = True, size: float | None = None, above: float = 0.0
 ) -> Path:
     """Write a finger with a cavity along it.
 
@@ -53,14 +53,16 @@ def write_finger(
         path: The file.
         is_open: Whether the cavity has an inlet, through the end x = 0.
         size: Length of the edges of triangles, for files of these [mm].
+        above: How far the cavity lies above the middle; the finger bends then [mm].
     """
     with modelled(path, size) as shape:
         body = shape.addBox(0, 0, 0, *FINGER)
         corner = [0.5 * (a - b) for a, b in zip(FINGER, CAVITY, strict=True)]
+        corner[2] += above
         tools = [(3, shape.addBox(*corner, *CAVITY))]
         if is_open:
             end = corner[0] + 1.0
-            y, z = 0.5 * FINGER[1], 0.5 * FINGER[2]
+            y, z = 0.5 * FINGER[1], 0.5 * FINGER[2] + above
             tools.append((3, shape.addCylinder(0, y, z, end, 0, 0, INLET)))
         shape.cut([(3, body)], tools)
     return path

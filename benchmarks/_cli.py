@@ -8,16 +8,17 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import benchmarks
 from benchmarks._compare import RECORDS, BadRecord, compare, fresh_files, read_record
 from benchmarks._problem import Options, UnknownProblem, discover, load
-from benchmarks._record import load_average, record, write_json
+from benchmarks._record import load_average, record, renewed, write_json
 
 _RESULTS = Path("benchmark-results")
 """Folder of everything that a run writes, where nothing else is asked for."""
 
-_PEERS = ("felupe", "lupa", "pypardiso")
+_PEERS = ("felupe", "lupa", "pypardiso", "tensortrax")
 _WORSE, _WRONG_CALL = 1, 2
 
 
@@ -67,9 +68,18 @@ def _run(arguments: argparse.Namespace, package: ModuleType) -> int:
     name, json = arguments.name, arguments.json
     if json is not None:
         _check_writable(json)
+    old = None
+    if arguments.renew:
+        if json is None or not arguments.count:
+            raise WrongCall("--renew needs --count, the parts, and --json, the record.")
+        old = read_record(json)
+        if old["name"] != name:
+            raise WrongCall(
+                f"--json {json} is a record of {old['name']!r}, not {name!r}."
+            )
     try:
         output = arguments.output or _RESULTS / name
-        _run_one(package, name, json, output, dict(arguments.count))
+        _run_one(package, name, json, output, dict(arguments.count), old)
     except ModuleNotFoundError as error:
         if error.name not in _PEERS:
             raise
@@ -86,8 +96,12 @@ def _run_one(
     json: Path | None,
     output: Path,
     counts: dict[str, int],
+    old: dict[str, Any] | None,
 ) -> None:
-    """Run a problem, print what it found, write the record and the page of plots."""
+    """Run a problem, print what it found, write the record and the page of plots.
+
+    With an old record the figures of the parts that ran are renewed in it.
+    """
     problem = load(package, name)
     for part in counts:
         if part not in problem.counts:
@@ -102,6 +116,8 @@ def _run_one(
 
     show_outcome(name, outcome)
     content = record(name, outcome, before)
+    if old is not None:
+        content = renewed(old, content, counts)
     if json is not None:
         write_json(json, content)
     page = options.folder() / f"{name}.png"
@@ -199,6 +215,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="write the result here; with --all a folder, for one file per benchmark "
         f"(default: {_RESULTS})",
+    )
+    run.add_argument(
+        "--renew",
+        action="store_true",
+        help="with --count and --json: replace only the figures of these parts in that "
+        "record, and note there which commit and machine they are of",
     )
     run.add_argument(
         "--output",

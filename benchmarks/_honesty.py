@@ -114,6 +114,8 @@ def judge(drawn: Drawn, solution: EquilibriumSolution) -> Judged:
     now = assembly.balance(u)
     if not now.min_det_F > 0.0:
         return Judged([f"a tet is inverted: det F = {now.min_det_F:.3g}"], math.inf)
+    if not np.isfinite(now.internal).all():
+        return Judged(["the law has no forces at this displacement"], math.inf)
     if np.any(u[~body.free]):
         wrong.append("a support has moved")
     norm = np.linalg.norm
@@ -142,7 +144,7 @@ def _correction(K: Any, g: np.ndarray, rounding: np.ndarray, u: np.ndarray) -> f
 
 
 def _second_method(drawn: Drawn) -> bool:
-    """Whether the oracle's own Newton method finds a stable equilibrium."""
+    """Whether the Newton method of FElupe finds a stable equilibrium."""
     assembly = _oracle.Assembly(drawn.body)
     u = _oracle.equilibrium(assembly)
     return u is not None and _oracle.lowest_eigenvalue(assembly.on_free(u)) > -UNSTABLE

@@ -1,20 +1,32 @@
-"""Forces of a body in plain NumPy, to check the package's equilibria with.
+"""Forces of a body by FElupe, to check the package's equilibria with.
 
-It shares no code with the package: shape functions, quadrature, stresses, assembly and
-Newton's method are written here again, from the textbooks' formulas.
+It shares no code with the package. Elements, quadrature, assembly, mean dilatation and
+all laws but two are FElupe's (https://github.com/adtzlr/felupe); those two are written
+here from their formulas, as a `Material` of FElupe.
 """
 
 import warnings
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+import felupe as fem
+import felupe.constitution.tensortrax as autodiff
 import numpy as np
-from scipy.sparse import csr_matrix
+import tensortrax.math as tm
+from felupe.math import ddot, det, svd
+from scipy.sparse import csr_matrix, diags_array
 from scipy.sparse.linalg import MatrixRankWarning, spsolve
 
-EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
-"""Corners between which the further nodes of a quadratic tet stand, as in VTK."""
-
 EPS = float(np.finfo(float).eps)
+
+STEP = 6e-6
+"""By which F is changed for the differences of a stress [-], the cube root of EPS."""
+
+_NEAR = (5.0 - np.sqrt(5.0)) / 20.0
+RULE = fem.quadrature.Scheme(
+    _NEAR + (1.0 - 4.0 * _NEAR) * np.eye(4)[:, 1:], np.full(4, 1.0 / 24.0)
+)
+"""Four points of a quadratic tet. FElupe's own have eight digits, which forces show."""
 
 
 class Body(NamedTuple):
@@ -23,7 +35,7 @@ class Body(NamedTuple):
     Attributes:
         points: Node positions [m].
         tets: Four or ten nodes of each tet.
-        law: A key of `STRESSES`.
+        law: A key of `LAWS`.
         constants: Its constants by name, one per tet.
         mean_dilatation: Whether each tet has one volume ratio.
         free: Which displacements are free, by node and axis.
@@ -43,7 +55,7 @@ class Balance(NamedTuple):
     """Forces at a displacement.
 
     Attributes:
-        internal: Internal forces of each tet on its nodes [N].
+        internal: Internal forces on the nodes [N]; nan where a tet is inverted.
         rounding: Bound of what rounding does to their sums [N].
         min_det_F: Smallest det F.
     """
@@ -53,144 +65,30 @@ class Balance(NamedTuple):
     min_det_F: float
 
 
-def shape_gradients(points: np.ndarray, tets: np.ndarray):
-    """Gradients at the quadrature points by tet, point, node, axis; and the weights."""
-    corners = points[tets[:, :4]]
-    sides = corners[:, 1:] - corners[:, :1]
-    volume = np.linalg.det(sides) / 6.0
-    columns = np.linalg.inv(sides).transpose(0, 2, 1)
-    g = np.concatenate([-columns.sum(axis=1, keepdims=True), columns], axis=1)
+def _field(points: np.ndarray, tets: np.ndarray) -> fem.Field:
+    """The displacement, on four or ten nodes of each tet."""
     if tets.shape[1] == 4:
-        return g[:, None], volume[:, None]
-    a = 0.13819660112501053
-    rule = np.full((4, 4), a) + (1.0 - 4.0 * a) * np.eye(4)
-    of_corners = (4.0 * rule[None, :, :, None] - 1.0) * g[:, None]
-    of_edges = [
-        4.0
-        * (
-            rule[None, :, i, None] * g[:, None, j]
-            + rule[None, :, j, None] * g[:, None, i]
-        )
-        for i, j in EDGES
-    ]
-    dN = np.concatenate([of_corners, np.stack(of_edges, axis=2)], axis=2)
-    return dN, np.repeat(volume[:, None] / 4.0, 4, axis=1)
+        return fem.Field(fem.RegionTetra(fem.Mesh(points, tets, "tetra")), dim=3)
+    mesh = fem.Mesh(points, tets, "tetra10")
+    return fem.Field(fem.Region(mesh, fem.QuadraticTetra(), RULE), dim=3)
 
 
 def weight(points: np.ndarray, tets: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Forces on the nodes of a force per volume [N/m3], one for each tet."""
-    volume = shape_gradients(points, tets)[1].sum(axis=1)
-    share = np.full(4, 0.25) if tets.shape[1] == 4 else np.r_[[-0.05] * 4, [0.2] * 6]
-    out = np.zeros_like(points)
-    np.add.at(out, tets, (volume[:, None] * share)[..., None] * force[:, None])
-    return out
+    """Forces on the nodes of a force per volume [N/m3]."""
+    field = fem.FieldContainer([_field(points, tets)])
+    load = fem.SolidBodyForce(field, values=force).assemble.vector()
+    return load.toarray().reshape(points.shape)
 
 
-def _neo_hookean(F, J, G, c):
+def _neo_hookean(c):
     lam, mu = _lame(c)
-    return mu * (F - G) + lam * np.log(J) * G
+    return fem.NeoHookeCompressible(mu=mu, lmbda=lam)
 
 
-def _st_venant_kirchhoff(F, J, G, c):
+def _st_venant_kirchhoff(c):
     lam, mu = _lame(c)
-    strain = 0.5 * (np.swapaxes(F, -1, -2) @ F - np.eye(3))
-    return F @ (lam * _trace(strain) * np.eye(3) + 2.0 * mu * strain)
-
-
-def _corotational(F, J, G, c):
-    lam, mu = _lame(c)
-    U, s, V = np.linalg.svd(F)  # det F > 0, so that U V is a rotation
-    strain = s - 1.0
-    P = lam[..., 0] * strain.sum(axis=-1, keepdims=True) + 2.0 * mu[..., 0] * strain
-    return (U * P[..., None, :]) @ V
-
-
-def _transverse(F, J, G, c):
-    """The stress of 1/2 e : C : e with the stretch less one, e = V^T s V - I.
-
-    In the principal axes de_ij = (s_i dF_ij + s_j dF_ji) / (s_i + s_j).
-    """
-    U, s, V = np.linalg.svd(F)
-    e = np.swapaxes(V, -1, -2) @ (s[..., None] * V) - np.eye(3)
-    inside = V @ _of_fibre(e, c) @ np.swapaxes(V, -1, -2)
-    share = 2.0 * s[..., :, None] / (s[..., :, None] + s[..., None, :])
-    return U @ (inside * share) @ V
-
-
-def _of_fibre(strain, c):
-    """The stress of a strain, by its compliance in axes with the fibre last."""
-    phi = c["phi"][..., 0, 0]
-    along = np.stack([np.cos(phi), np.sin(phi), 0.0 * phi], axis=-1)
-    beside = np.stack([-np.sin(phi), np.cos(phi), 0.0 * phi], axis=-1)
-    Q = np.stack([beside, np.cross(along, beside), along], axis=-2)
-    back = np.swapaxes(Q, -1, -2)
-    e = Q @ strain @ back
-    E_t, E_l, nu_t, nu_tl = (c[k][..., 0, 0] for k in ("E_t", "E_l", "nu_t", "nu_tl"))
-    S = np.zeros((*phi.shape, 3, 3))
-    S[..., 0, 0] = S[..., 1, 1] = 1.0 / E_t
-    S[..., 0, 1] = S[..., 1, 0] = -nu_t / E_t
-    S[..., :2, 2] = S[..., 2, :2] = (-nu_tl / E_t)[..., None]
-    S[..., 2, 2] = 1.0 / E_l
-    normal = np.diagonal(e, axis1=-2, axis2=-1)[..., None]
-    stress = np.zeros_like(e)
-    stress[..., range(3), range(3)] = np.linalg.solve(S, normal)[..., 0]
-    across, mu_l = E_t / (2.0 * (1.0 + nu_t)), c["mu_l"][..., 0, 0]
-    for i, j, mu in ((0, 1, across), (0, 2, mu_l), (1, 2, mu_l)):
-        stress[..., i, j] = stress[..., j, i] = 2.0 * mu * e[..., i, j]
-    return back @ stress @ Q
-
-
-def _volume(J, G, c):
-    """The stress of K/4 (J^2 - 1 - 2 ln J)."""
-    bulk = c["mu"] * 2.0 * (1.0 + c["nu"]) / (3.0 * (1.0 - 2.0 * c["nu"]))
-    return 0.5 * bulk * (J * J - 1.0) * G
-
-
-def _by_invariants(W_1, W_2):
-    """The stress of a W by its derivatives by i1 and i2, and of the volume."""
-
-    def stress(F, J, G, c):
-        C = np.swapaxes(F, -1, -2) @ F
-        I1 = _trace(C)
-        I2 = 0.5 * (I1 * I1 - np.sum(C * C, axis=(-1, -2), keepdims=True))
-        a, b = np.cbrt(J) ** -2, np.cbrt(J) ** -4
-        d1 = 2.0 * a * (F - I1 / 3.0 * G)
-        d2 = 2.0 * b * (I1 * F - F @ C - 2.0 / 3.0 * I2 * G)
-        return W_1(a * I1 - 3.0, c) * d1 + W_2(c) * d2 + _volume(J, G, c)
-
-    return stress
-
-
-def _ogden(F, J, G, c):
-    U, s, V = np.linalg.svd(F)
-    isochoric = s / np.cbrt(J[..., 0])
-    along = np.zeros_like(s)
-    for p in ("1", "2"):
-        power = isochoric ** c[f"alpha_{p}"][..., 0]
-        mean = power.mean(axis=-1, keepdims=True)
-        along += c[f"mu_{p}"][..., 0] * (power - mean) / s
-    return (U * along[..., None, :]) @ V + _volume(J, G, c)
-
-
-def _yeoh(x, c):
-    return c["c10"] + 2.0 * c["c20"] * x + 3.0 * c["c30"] * x * x
-
-
-def _gent(x, c):
-    return np.where(x < c["J_m"], 0.5 * c["mu"] / (1.0 - x / c["J_m"]), np.nan)
-
-
-STRESSES = {
-    "neo-hookean": _neo_hookean,
-    "st-venant-kirchhoff": _st_venant_kirchhoff,
-    "corotational": _corotational,
-    "transverse": _transverse,
-    "mooney-rivlin": _by_invariants(lambda x, c: c["c10"], lambda c: c["c01"]),
-    "yeoh": _by_invariants(_yeoh, lambda c: 0.0),
-    "gent": _by_invariants(_gent, lambda c: 0.0),
-    "ogden": _ogden,
-}
-"""First Piola-Kirchhoff stress of F, J = det F, G = F^-T and the constants [Pa]."""
+    energy = autodiff.models.hyperelastic.saint_venant_kirchhoff
+    return autodiff.Hyperelastic(energy, mu=mu, lmbda=lam)
 
 
 def _lame(c):
@@ -198,70 +96,189 @@ def _lame(c):
     return lam, 0.5 * c["E"] / (1.0 + c["nu"])
 
 
-def _trace(A):
-    return np.trace(A, axis1=-2, axis2=-1)[..., None, None]
+def _corotational(c):
+    shear = 0.5 * c["E"] / (1.0 + c["nu"])
+    hooke = fem.LinearElasticOrthotropic(
+        E=[c["E"]] * 3, nu=[c["nu"]] * 3, G=[shear] * 3
+    )
+    return _of_stretch(hooke, np.zeros_like(c["E"]))
+
+
+def _transverse(c):
+    """The fibre is the third axis of Hooke's law, phi its angle in the xy plane."""
+    E_t, E_l, nu_t, nu_tl = (c[name] for name in ("E_t", "E_l", "nu_t", "nu_tl"))
+    hooke = fem.LinearElasticOrthotropic(
+        E=[E_t, E_t, E_l],
+        nu=[nu_t, nu_tl, nu_tl * E_l / E_t],
+        G=[0.5 * E_t / (1.0 + nu_t), c["mu_l"], c["mu_l"]],
+    )
+    return _of_stretch(hooke, c["phi"])
+
+
+def _of_stretch(hooke: fem.LinearElasticOrthotropic, phi: np.ndarray) -> fem.Material:
+    """The law 1/2 e : C : e of the stretch less one, e = V s V^T - 1 with F = U s V^T.
+
+    In the principal axes de_ij = (s_i dF_ij + s_j dF_ji) / (s_i + s_j). FElupe's own
+    law of this strain splits equal stretches by 1e-8, which small strains would show.
+    """
+    sin, cos, nil = np.sin(phi), np.cos(phi), np.zeros_like(phi)
+    axes = np.array([[-sin, cos, nil], [nil, nil, nil + 1.0], [cos, sin, nil]])
+    (C,) = hooke.hessian(shape=(1, len(phi)))
+
+    def stress(F):
+        U, s, Vt = svd(F)
+        e = np.einsum("ai...,a...,aj...->ij...", Vt, s - 1.0, Vt)
+        Q = np.broadcast_to(axes[:, :, None], F.shape)
+        along = ddot(C, np.einsum("ai...,ij...,bj...->ab...", Q, e, Q), mode=(4, 2))
+        S = np.einsum("ai...,ab...,bj...->ij...", Q, along, Q)
+        S = np.einsum("ai...,ij...,bj...->ab...", Vt, S, Vt)
+        share = 2.0 * s[:, None] / (s[:, None] + s[None])
+        return np.einsum("ia...,ab...,bj...->ij...", U, S * share, Vt)
+
+    return _by_differences(stress)
+
+
+def _by_differences(stress: Callable[[np.ndarray], np.ndarray]) -> fem.Material:
+    """A law by its first Piola-Kirchhoff stress P(F) [Pa] alone."""
+
+    def hessian(x):
+        F = x[0]
+        A = np.empty((3, 3, *F.shape))
+        for k, m in np.ndindex(3, 3):
+            dF = np.zeros_like(F)
+            dF[k, m] = STEP
+            A[:, :, k, m] = (stress(F + dF) - stress(F - dF)) / (2.0 * STEP)
+        return [A]
+
+    return fem.Material(lambda x: [stress(x[0]), x[-1]], hessian)
+
+
+def _ogden(c):
+    """Terms mu_p / alpha_p (sum_i s_i^alpha_p - 3) of the isochoric stretches.
+
+    FElupe's own Ogden law splits equal stretches by 1e-8, which small strains would
+    show.
+    """
+    half_bulk = 0.5 * _bulk(c)
+
+    def stress(F):
+        U, s, Vt = svd(F)
+        J = s.prod(axis=0)
+        P = half_bulk * (J * J - 1.0) / s
+        for p in ("1", "2"):
+            power = (s / np.cbrt(J)) ** c[f"alpha_{p}"]
+            P += c[f"mu_{p}"] * (power - power.mean(axis=0)) / s
+        return np.einsum("ia...,a...,aj...->ij...", U, P, Vt)
+
+    return _by_differences(stress)
+
+
+def _bulk(c):
+    return c["mu"] * 2.0 * (1.0 + c["nu"]) / (3.0 * (1.0 - 2.0 * c["nu"]))
+
+
+def _rubber(distortion: Callable[..., Any]) -> Callable[..., fem.Material]:
+    """The law of an energy of distortion, and K/4 (J^2 - 1 - 2 ln J)."""
+
+    def energy(C, c):
+        det_C = tm.linalg.det(C)
+        return distortion(C, c) + 0.25 * _bulk(c) * (det_C - 1.0 - tm.log(det_C))
+
+    return lambda c: autodiff.Hyperelastic(energy, c=c)
+
+
+def _mooney_rivlin(C, c):
+    return autodiff.models.hyperelastic.mooney_rivlin(C, c["c10"], c["c01"])
+
+
+def _yeoh(C, c):
+    return autodiff.models.hyperelastic.yeoh(C, c["c10"], c["c20"], c["c30"])
+
+
+def _gent(C, c):
+    """-mu J_m / 2 ln(1 - i1 / J_m), its root taken so that it ends in nan at J_m."""
+    i1 = tm.linalg.det(C) ** (-1 / 3) * tm.trace(C) - 3.0
+    return -c["mu"] * c["J_m"] * tm.log(tm.sqrt(1.0 - i1 / c["J_m"]))
+
+
+LAWS: dict[str, Callable[[dict[str, np.ndarray]], Any]] = {
+    "neo-hookean": _neo_hookean,
+    "st-venant-kirchhoff": _st_venant_kirchhoff,
+    "corotational": _corotational,
+    "transverse": _transverse,
+    "mooney-rivlin": _rubber(_mooney_rivlin),
+    "yeoh": _rubber(_yeoh),
+    "gent": _rubber(_gent),
+    "ogden": _ogden,
+}
+"""FElupe's laws of constants that are given for each tet."""
+
+
+_QUIETLY = np.errstate(invalid="ignore", over="ignore", divide="ignore")
+"""What is inverted or torn apart has nan for forces, and that says it."""
 
 
 class Assembly:
     """The forces and the tangent of a body at any displacement."""
 
     def __init__(self, body: Body):
-        """Take what does not depend on the displacement."""
-        self.body = body
-        self.dN, self.w = shape_gradients(body.points, body.tets)
-        self.constants = {k: v[:, None, None, None] for k, v in body.constants.items()}
-        n = body.points.size
-        dofs = (3 * body.tets[..., None] + np.arange(3)).reshape(len(body.tets), -1)
-        self._rows = np.repeat(dofs, dofs.shape[1], axis=1).ravel()
-        self._columns = np.tile(dofs, dofs.shape[1]).ravel()
-        self._shape = (n, n)
+        """Take what does not depend on the displacement.
 
-    def element_forces(self, of_tets: np.ndarray):
-        """Forces of each tet on its nodes at its own displacements [N], and det F."""
-        w, c = self.w, self.constants
-        relative = of_tets - of_tets[:, :1]
-        F = np.eye(3) + np.einsum("tni,tqnj->tqij", relative, self.dN)
-        if not np.isfinite(F).all():
-            return np.full_like(of_tets, np.nan), np.full((1,), np.nan)
-        J = np.linalg.det(F)[..., None, None]
-        if not np.all(J > 0.0):
-            return np.full_like(of_tets, np.nan), J
-        G = np.linalg.inv(F).transpose(0, 1, 3, 2)
-        stress = STRESSES[self.body.law]
-        if not self.body.mean_dilatation:
-            P = stress(F, J, G, c)
-        else:
-            P = self._mean(stress, F, J, G)
-        return np.einsum("tq,tqij,tqnj->tni", w, P, self.dN), J
-
-    def _mean(self, stress, F, J, G):
-        """The stress of a tet whose volume ratio is the same at all points.
-
-        The energy of F_bar = (J_bar / J)^(1/3) F, J_bar = <J>, differentiated by F.
+        With mean dilatation a pressure and a volume ratio stand in each tet.
         """
-        w = self.w[..., None, None]
-        volume = w.sum(axis=1, keepdims=True)
-        J_bar = (w * J).sum(axis=1, keepdims=True) / volume
-        s = np.cbrt(J_bar / J)
-        F_bar, mean = s * F, np.broadcast_to(J_bar, J.shape)
-        P_bar = stress(F_bar, mean, G / s, self.constants)
-        pressure = np.sum(P_bar * F_bar, axis=(-1, -2), keepdims=True) / 3.0
-        common = (w * pressure).sum(axis=1, keepdims=True) / (J_bar * volume)
-        return s * P_bar + (common * J - pressure) * G
+        self.body = body
+        u = _field(body.points, body.tets)
+        self.region, fields = u.region, [u]
+        self.volume = self.region.dV.sum(axis=0)
+        law = LAWS[body.law](body.constants)
+        if body.mean_dilatation:
+            law = fem.ThreeFieldVariation(law)
+            constant = fem.Region(
+                self.region.mesh.dual(points_per_cell=1),
+                fem.ConstantHexahedron(),  # one shape function, which is one
+                self.region.quadrature,
+                grad=False,
+            )
+            fields += [fem.Field(constant), fem.Field(constant)]
+        self.field = fem.FieldContainer(fields)
+        self.solid = fem.SolidBody(law, self.field)
 
+    def _move(self, u: np.ndarray) -> float:
+        """Set the fields at a displacement, and return the smallest det F.
+
+        The volume ratio of a tet is the mean of det F, its pressure the mean of what
+        the law says without one.
+        """
+        self.field[0].values[:] = u
+        J = det(self.field.extract()[0])
+        if self.body.mean_dilatation and np.all(J > 0.0):
+            mean = lambda x: (x * self.region.dV).sum(axis=0) / self.volume
+            pressure, ratio = (field.values[:, 0] for field in self.field[1:])
+            pressure[:], ratio[:] = 0.0, mean(J)
+            pressure[:] = mean(self.solid.evaluate.gradient(self.field)[2][0])
+        return float(J.min())
+
+    @_QUIETLY
     def balance(self, u: np.ndarray) -> Balance:
         """Internal forces at a displacement [m]."""
-        f, J = self.element_forces(u[self.body.tets])
-        F = np.sqrt(3.0) + np.abs(
-            np.einsum("tni,tqnj->tqij", np.abs(u[self.body.tets]), np.abs(self.dN))
-        ).max(axis=(-1, -2))
-        stiff = self._stiffest()[:, None] * self.w * F**2
-        each = 8.0 * EPS * np.einsum("tq,tqnj->tn", stiff, np.abs(self.dN))
+        min_det_F = self._move(u)
+        internal = np.full(u.shape, np.nan)
+        if min_det_F > 0.0:
+            force = self.solid.assemble.vector(self.field)
+            internal = force.toarray()[: u.size, 0].reshape(u.shape)
+        return Balance(internal, self._rounding(u), min_det_F)
+
+    def _rounding(self, u: np.ndarray) -> np.ndarray:
+        """Bound of what rounding does to the forces on the nodes [N]."""
+        tets, dN = self.body.tets, np.abs(self.region.dhdX)
+        F = np.sqrt(3.0) + np.einsum("cai,ajqc->ijqc", np.abs(u[tets]), dN).max(
+            axis=(0, 1)
+        )
+        stiff = self._stiffest() * self.region.dV * F**2
+        each = 8.0 * EPS * np.einsum("qc,ajqc->ca", stiff, dN)
         rounding = np.zeros(len(u))
-        np.add.at(rounding, self.body.tets, each)
-        out = np.zeros_like(u)
-        np.add.at(out, self.body.tets, f)
-        return Balance(out, rounding, float(J.min()))
+        np.add.at(rounding, tets, each)
+        return rounding
 
     def _stiffest(self) -> np.ndarray:
         """The largest modulus of each tet, against change of volume [Pa]."""
@@ -272,22 +289,17 @@ class Assembly:
             return c["E"] * (1.0 + 1.0 / (1.0 - 2.0 * c["nu"]))
         return c["mu"] * (4.0 + 2.0 / (1.0 - 2.0 * c["nu"]))
 
+    @_QUIETLY
     def tangent(self, u: np.ndarray) -> csr_matrix:
-        """Central differences of the forces of all tets at once [N/m]."""
-        of_tets = u[self.body.tets]
-        # The height over the largest face bounds what a step may change.
-        h = 6e-6 / np.abs(self.dN).max(axis=(1, 2, 3))
-        columns = []
-        for node, axis in np.ndindex(of_tets.shape[1:]):
-            ends = []
-            for sign in (1.0, -1.0):
-                moved = of_tets.copy()
-                moved[:, node, axis] += sign * h
-                ends.append(self.element_forces(moved)[0])
-            columns.append((ends[0] - ends[1]) / (2.0 * h)[:, None, None])
-        K = np.stack(columns, axis=-1).reshape(len(of_tets), -1)
-        full = csr_matrix((K.ravel(), (self._rows, self._columns)), self._shape)
-        return (0.5 * (full + full.T)).tocsr()
+        """Derivative of the forces [N/m], without pressures and volume ratios."""
+        self._move(u)
+        K, *more = self.solid.assemble.matrix(self.field, block=False)
+        if more:
+            K_p, K_J, _, _, H = more
+            by_volume = diags_array(1.0 / self.volume)
+            both = K_p @ by_volume @ K_J.T
+            K = K + both + both.T + K_p @ by_volume @ H @ by_volume @ K_p.T
+        return csr_matrix(0.5 * (K + K.T))
 
     def on_free(self, u: np.ndarray) -> csr_matrix:
         """The tangent of the free displacements."""
@@ -309,40 +321,51 @@ def lowest_eigenvalue(K: csr_matrix) -> float:
     return float(np.linalg.eigvalsh(dense * scale * scale[:, None])[0])
 
 
-def equilibrium(assembly: Assembly, most: int = 400) -> np.ndarray | None:
-    """Displacement under the full load, by load steps from rest; None if not found."""
+def equilibrium(assembly: Assembly, most: int = 40) -> np.ndarray | None:
+    """Displacement under the full load, by load steps from rest; None if not found.
+
+    Args:
+        assembly: The body.
+        most: Load steps that are tried, those that fail among them.
+    """
     body, u, done, step = assembly.body, np.zeros_like(assembly.body.points), 0.0, 1.0
-    spent = 0
-    while done < 1.0 and step > 1e-4 and spent < most:
+    for _ in range(most):
         load = min(1.0, done + step)
-        found, used = _newton(assembly, u, load * body.load)
-        spent += used
-        if found is None:
+        try:
+            u = _newton(assembly, u, load * body.load)
+        except fem.tools.NewtonConvergenceError:
             step /= 2.0
-        else:
-            u, done, step = found, load, 2.0 * step
-    return u if done >= 1.0 else None
+            continue
+        done, step = load, 2.0 * step
+        if done >= 1.0:
+            return u
+    return None
 
 
-def _newton(assembly: Assembly, u: np.ndarray, load: np.ndarray):
-    free, used = assembly.body.free, 0
-    last = np.inf
-    for used in range(1, 31):
-        now = assembly.balance(u)
-        g = np.where(free, now.internal - load, 0.0)
-        size = float(np.linalg.norm(g))
+def _newton(assembly: Assembly, u: np.ndarray, load: np.ndarray) -> np.ndarray:
+    """FElupe's Newton method, with steps short enough that no tet is inverted."""
+    free = assembly.body.free
+
+    def moved(x):
+        at = u.copy()
+        at[free] = x
+        return at
+
+    def check(dx, x, f, **_):
+        now = assembly.balance(moved(x))
         scale = max(np.linalg.norm(load), np.linalg.norm(now.internal))
-        if not np.isfinite(size) or size > 1e3 * last:
-            return None, used
-        if size <= 1e-9 * scale + np.linalg.norm(now.rounding):
-            return u, used
-        last = size
-        du = np.zeros(free.shape)
-        du[free] = -solved(assembly.on_free(u), g[free])
-        if not np.isfinite(du).all():
-            return None, used
-        share = 1.0
-        while share > 1e-3 and not assembly.balance(u + share * du).min_det_F > 0.0:
-            share /= 2.0
-        u = u + share * du
-    return None, used
+        size = np.linalg.norm(f)
+        small = size <= 1e-9 * scale + np.linalg.norm(now.rounding)
+        return np.linalg.norm(dx), size, small
+
+    found = fem.newtonraphson(
+        x0=u[free],
+        fun=lambda x: (assembly.balance(moved(x)).internal - load)[free],
+        jac=lambda x: assembly.on_free(moved(x)),
+        solve=solved,
+        check=check,
+        maxiter=30,
+        verbose=0,
+        plugins=[fem.LinesearchPlugin(admissible=False, residual=False)],
+    )
+    return moved(found.x)

@@ -8,6 +8,7 @@ what the sensor reads is encoded as sRGB, gets noise, and is written as JPEG.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
-from softcal_jax.camera import BOARD_IDS, board_corners, tag_cells
+from softcal_jax.camera import BOARD_IDS, board_corners, tag_cells, tag_corners
 from softcal_jax.camera._adjustment import Placement
 
 WHITE, BLACK, TABLE = 0.8, 0.04, 0.35
@@ -97,13 +98,56 @@ def random_views(
     rng: np.random.Generator, at: np.ndarray, n: int, *, away: float
 ) -> list[Placement]:
     """Poses from all sides, tilted by 20 to 50 degrees, not quite in the middle."""
+    turns = 2.0 * np.pi * (np.arange(n) + rng.uniform(size=n)) / n
+    return [_random_view(rng, at, turn, away) for turn in turns]
+
+
+def clear_views(
+    rng: np.random.Generator, sheet: "Sheet", n: int, *, away: float
+) -> list[Placement]:
+    """Poses like `random_views` from which no tag hides a part of another one.
+
+    They look at the middle of the tags; one that is not clear is drawn again, anywhere
+    on its side.
+    """
+    at = np.mean([place.p for place, _ in sheet.values()], axis=0)
     views = []
-    for turn in 2.0 * np.pi * (np.arange(n) + rng.uniform(size=n)) / n:
-        aside = rng.uniform(-0.02, 0.02, 3)
-        tilt, roll = np.deg2rad(rng.uniform(20.0, 50.0)), rng.uniform(-0.5, 0.5)
-        far = away * rng.uniform(0.95, 1.05)
-        views.append(looking(at + aside, tilt=tilt, turn=turn, roll=roll, away=far))
+    for i in range(n):
+        view = None
+        while view is None or not _clear(sheet, view):
+            turn = 2.0 * np.pi * (i + rng.uniform()) / n
+            view = _random_view(rng, at, turn, away)
+        views.append(view)
     return views
+
+
+def _random_view(
+    rng: np.random.Generator, at: np.ndarray, turn: float, away: float
+) -> Placement:
+    aside = rng.uniform(-0.02, 0.02, 3)
+    tilt, roll = np.deg2rad(rng.uniform(20.0, 50.0)), rng.uniform(-0.5, 0.5)
+    far = away * rng.uniform(0.95, 1.05)
+    return looking(at + aside, tilt=tilt, turn=turn, roll=roll, away=far)
+
+
+def _clear(sheet: "Sheet", view: Placement) -> bool:
+    """Whether a line parts any two tags with their rims, seen without a lens."""
+    rims = []
+    for place, size in sheet.values():
+        seen = 1.25 * tag_corners(size) @ place.R.T + place.p
+        seen = seen @ view.R.T + view.p
+        rims.append(seen[:, :2] / seen[:, 2:])
+    return all(_parted(one, other) for one, other in combinations(rims, 2))
+
+
+def _parted(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether a side of two convex polygons has one on either side."""
+    for polygon in (one, other):
+        for x, y in np.roll(polygon, -1, axis=0) - polygon:
+            a, b = one @ [y, -x], other @ [y, -x]
+            if a.max() < b.min() or b.max() < a.min():
+                return True
+    return False
 
 
 Sheet = Mapping[int, tuple[Placement, float]]
@@ -206,7 +250,7 @@ def _draw(sheet: Sheet, box: Box, view: Placement, lens: Lens) -> Part:
     z = middle / np.linalg.norm(middle)
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
-    axes = np.array([x, np.cross(z, x), z])
+    axes = _askew(np.array([x, np.cross(z, x), z]), seen)
     ahead = seen @ axes.T
     half = 1.05 * np.abs(ahead[:, :2] / ahead[:, 2:]).max() + 40.0 / lens.focal
     fineness = 4 if half * lens.focal < 700.0 else 2
@@ -237,6 +281,20 @@ def _draw(sheet: Sheet, box: Box, view: Placement, lens: Lens) -> Part:
             light += looked_up.reshape(light.shape)
     light /= JITTER * (fineness // 2) ** 2
     return Part(light, int(low[0]), int(low[1]))
+
+
+def _askew(axes: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Turn a camera about its z axis, so that squares lie askew in its picture.
+
+    VTK moves an edge along rows, columns or diagonals by up to half a pixel all along
+    it; one that lies between them is a pixel too far here and too near there.
+    """
+    ahead = seen @ axes.T
+    places = (ahead[:, :2] / ahead[:, 2:]).reshape(-1, 4, 2)
+    along = np.diff(places[:, :3], axis=1)
+    # The mean of angles that count up to 45 degrees.
+    eighth = np.angle(np.exp(8j * np.arctan2(along[..., 1], along[..., 0])).mean())
+    return Rotation.from_euler("z", (eighth - np.pi) / 8.0).as_matrix().T @ axes
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ import os
 import platform
 import subprocess
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,36 @@ def record(name: str, outcome: Outcome, load_before: float | None) -> dict[str, 
         },
         "samples": {key: list(values) for key, values in outcome.samples.items()},
     }
+
+
+def renewed(
+    old: dict[str, Any], new: dict[str, Any], parts: Iterable[str]
+) -> dict[str, Any]:
+    """Put the figures of some parts into an earlier record of the same benchmark.
+
+    Args:
+        old: The record of all parts.
+        new: The record of these parts.
+        parts: Their names.
+
+    Returns:
+        The old record with the new figures, and under `renewed` the machine and the
+        versions of each part that was run anew.
+
+    Raises:
+        ValueError: If they are of different benchmarks.
+    """
+    if old["name"] != new["name"]:
+        raise ValueError(
+            f"the record is of {old['name']!r}, but the run of {new['name']!r}."
+        )
+    both = {
+        key: old[key] | new[key] for key in ("figures", "better", "goals", "samples")
+    }
+    source = {key: new[key] for key in ("hardware", "versions")}
+    return (
+        old | both | {"renewed": old.get("renewed", {}) | dict.fromkeys(parts, source)}
+    )
 
 
 def hardware() -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 Four parts, each with a count: `malformed_inputs` go through the command line and must
 be refused; `kills` end calibrations, and half as many sweeps, at random moments, which
-must go on to the same results; `honesty` checks equilibria of random bodies by another
-assembly; `leaks` calibrates over and over in one process. All are drawn from one seed.
+must go on to the same results; `honesty` checks equilibria of random bodies by FElupe;
+`leaks` calibrates over and over in one process. All are drawn from one seed.
 `run reliability --count kills=6` does one part, and six of it.
 """
 

@@ -10,48 +10,47 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from softcal_jax._compilation_cache import use_compilation_cache
-from softcal_jax.actuators import Cable, Chamber, Guide, Motor
-from softcal_jax.bodies import Pose, RigidBody
-from softcal_jax.calibration import (
-    calibrate,
-    profile_intervals,
-    simulated_measurements,
-    synthetic_measurements,
-)
-from softcal_jax.configurations import (
-    ActuatorDisplacement,
-    BodyFrame,
-    Configuration,
-    EdgeForce,
-    ImposedDisplacement,
-    ImposedForce,
-    Markers,
-    Support,
-    read_markers,
-    read_poses,
-    register,
-)
-from softcal_jax.control import solve_inverse
-from softcal_jax.equilibrium import build_model, solve_equilibrium
-from softcal_jax.fields import (
-    ControlPointParameters,
-    ControlPoints,
-    Parameter,
-    ParameterSpace,
-)
-from softcal_jax.identifiability import assess, identify, rank_configurations
-from softcal_jax.layouts import compare_laws
-from softcal_jax.materials import (
-    Corotational,
-    Fibre,
-    Isotropic,
-    NeoHookean,
-    ReducedTransverseIsotropic,
-)
-from softcal_jax.mesh import beam, read_mesh, select_nodes
-
 if TYPE_CHECKING:
+    from softcal_jax._compilation_cache import use_compilation_cache
+    from softcal_jax.actuators import Cable, Chamber, Guide, Motor
+    from softcal_jax.bodies import Pose, RigidBody
+    from softcal_jax.calibration import (
+        calibrate,
+        profile_intervals,
+        simulated_measurements,
+        synthetic_measurements,
+    )
+    from softcal_jax.configurations import (
+        ActuatorDisplacement,
+        BodyFrame,
+        Configuration,
+        EdgeForce,
+        ImposedDisplacement,
+        ImposedForce,
+        Markers,
+        Support,
+        read_markers,
+        read_poses,
+        register,
+    )
+    from softcal_jax.control import solve_inverse
+    from softcal_jax.equilibrium import build_model, solve_equilibrium
+    from softcal_jax.fields import (
+        ControlPointParameters,
+        ControlPoints,
+        Parameter,
+        ParameterSpace,
+    )
+    from softcal_jax.identifiability import assess, identify, rank_configurations
+    from softcal_jax.layouts import compare_laws
+    from softcal_jax.materials import (
+        Corotational,
+        Fibre,
+        Isotropic,
+        NeoHookean,
+        ReducedTransverseIsotropic,
+    )
+    from softcal_jax.mesh import beam, read_mesh, select_nodes
     from softcal_jax.project import load_project
     from softcal_jax.report import (
         export_icesl,
@@ -63,15 +62,56 @@ if TYPE_CHECKING:
 
 __version__ = version("softcal-jax")
 
-_ON_DEMAND = {
+_HOMES = {
+    "ActuatorDisplacement": "softcal_jax.configurations",
+    "BodyFrame": "softcal_jax.configurations",
+    "Cable": "softcal_jax.actuators",
+    "Chamber": "softcal_jax.actuators",
+    "Configuration": "softcal_jax.configurations",
+    "ControlPointParameters": "softcal_jax.fields",
+    "ControlPoints": "softcal_jax.fields",
+    "Corotational": "softcal_jax.materials",
+    "EdgeForce": "softcal_jax.configurations",
+    "Fibre": "softcal_jax.materials",
+    "Guide": "softcal_jax.actuators",
+    "ImposedDisplacement": "softcal_jax.configurations",
+    "ImposedForce": "softcal_jax.configurations",
+    "Isotropic": "softcal_jax.materials",
+    "Markers": "softcal_jax.configurations",
+    "Motor": "softcal_jax.actuators",
+    "NeoHookean": "softcal_jax.materials",
+    "Parameter": "softcal_jax.fields",
+    "ParameterSpace": "softcal_jax.fields",
+    "Pose": "softcal_jax.bodies",
+    "ReducedTransverseIsotropic": "softcal_jax.materials",
+    "RigidBody": "softcal_jax.bodies",
+    "Support": "softcal_jax.configurations",
+    "assess": "softcal_jax.identifiability",
+    "beam": "softcal_jax.mesh",
+    "build_model": "softcal_jax.equilibrium",
+    "calibrate": "softcal_jax.calibration",
+    "compare_laws": "softcal_jax.layouts",
     "export_icesl": "softcal_jax.report",
     "export_inp": "softcal_jax.report",
     "export_sofa": "softcal_jax.sofa",
+    "identify": "softcal_jax.identifiability",
     "load_project": "softcal_jax.project",
     "load_result": "softcal_jax.report",
+    "profile_intervals": "softcal_jax.calibration",
+    "rank_configurations": "softcal_jax.identifiability",
+    "read_markers": "softcal_jax.configurations",
+    "read_mesh": "softcal_jax.mesh",
+    "read_poses": "softcal_jax.configurations",
+    "register": "softcal_jax.configurations",
+    "select_nodes": "softcal_jax.mesh",
+    "simulated_measurements": "softcal_jax.calibration",
+    "solve_equilibrium": "softcal_jax.equilibrium",
+    "solve_inverse": "softcal_jax.control",
+    "synthetic_measurements": "softcal_jax.calibration",
+    "use_compilation_cache": "softcal_jax._compilation_cache",
     "write_results": "softcal_jax.report",
 }
-"""Names that are imported on first use, since their packages take long to load."""
+"""Where each name is from; it is imported on first use, as that takes seconds."""
 
 __all__ = [
     "ActuatorDisplacement",
@@ -125,10 +165,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in _ON_DEMAND:
-        return getattr(import_module(_ON_DEMAND[name]), name)
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_ON_DEMAND})
+    return sorted({*globals(), *_HOMES})

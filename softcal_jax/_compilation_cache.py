@@ -16,6 +16,8 @@ from pathlib import Path
 import jax
 import platformdirs
 
+from softcal_jax._warnings import SoftcalWarning
+
 LARGEST = 2_000_000_000
 """Size of the folder above which the least recently used programs go [bytes]."""
 
@@ -26,7 +28,7 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 """Bits of a mode that let group or others write."""
 
 
-class CompilationCacheWarning(UserWarning):
+class CompilationCacheWarning(SoftcalWarning):
     """Compiled programs are not kept."""
 
 

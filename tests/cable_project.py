@@ -1,4 +1,4 @@
-"""The cable-driven beam of `project/cable_beam`, by the Python API, and its recordings.
+"""The ready-made cable beam, by the Python API, and its recordings.
 
 The tracker's readings are equilibria of the same beam with another law, twice the cells
 along and E = 400 kPa, five readings of each pose with 0.1 mm and 0.1 degrees of noise:
@@ -6,15 +6,14 @@ along and E = 400 kPa, five readings of each pose with 0.1 mm and 0.1 degrees of
     python tests/cable_project.py
 """
 
-from pathlib import Path
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import softcal_jax as sc
 from softcal_jax.calibration import simulated_measurements
+from softcal_jax.robots import ready_made_path
 
-FOLDER = Path(__file__).parent / "project" / "cable_beam"
+FOLDER = ready_made_path("cable-beam").parent
 E_TRUE, N_READINGS = 400e3, 5
 BASE = sc.Pose([-0.2, 0.05, 0.0], [0.0, 0.0, np.pi / 2])
 POINT = np.array([0.105, 0.01, 0.01])

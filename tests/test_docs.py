@@ -83,7 +83,7 @@ def test_every_command_has_its_help():
     page = (DOCS / "reference/commands.md").read_text()
     shown = set(re.findall(r"^```\{help\}(?: (.+))?$", page, re.M))
     named = lambda command: set(
-        re.findall(r"(?m)^ {4}(\w+(?: show)?)(?: |$)", help_text(command))
+        re.findall(r"(?m)^ {4}([a-z]\w*(?: show)?)(?: |$)", help_text(command))
     )
     exports = {f"export {kind}" for kind in named("export")}
     assert len(exports) == 3

@@ -12,6 +12,7 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
+    {"_warnings"},
     {
         *("_compilation_cache", "_limits", "_machine", "_names", "_places"),
         *("_process", "_results", "_text", "_typing", "_units"),
@@ -35,12 +36,13 @@ LAYERS = [
     {"plotting"},
     {"project"},
     {"report", "sweeps"},
+    {"proposal"},
     {"sofa"},
     {"cli"},
     {"__main__"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-SHARED = LAYERS[0]
+SHARED = LAYERS[0] | LAYERS[1]
 
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 

@@ -1,7 +1,7 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
 from softcal_jax.calibration._agreement import RecordingEstimate
-from softcal_jax.calibration._begin import EquilibriumProgress
+from softcal_jax.calibration._begin import EquilibriumProgress, told_of_lane
 from softcal_jax.calibration._budget import (
     MESH,
     NOISE,
@@ -28,7 +28,7 @@ from softcal_jax.calibration._configuration_result import (
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._lanes import simulate
+from softcal_jax.calibration._lanes import equilibria, simulate
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     correlated_noise,
@@ -67,16 +67,18 @@ from softcal_jax.calibration._state import (
     CalibrationState,
     initial_state,
 )
-from softcal_jax.calibration._step import KKT_TOLERANCE, propose
+from softcal_jax.calibration._step import FLAT, KKT_TOLERANCE, SMALLEST_FALL, propose
 from softcal_jax.calibration._uncertainty import EXACT, Uncertainty, uncertainty
 
 __all__ = [
     "EXACT",
+    "FLAT",
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
     "LEVEL",
     "MESH",
     "NOISE",
+    "SMALLEST_FALL",
     "CalibrationProblem",
     "CalibrationResult",
     "CalibrationSettings",
@@ -119,6 +121,7 @@ __all__ = [
     "correlated_noise",
     "default_starts",
     "descend",
+    "equilibria",
     "evaluate",
     "images_of",
     "initial_state",
@@ -134,6 +137,7 @@ __all__ = [
     "simulated_measurements",
     "simulation_result",
     "synthetic_measurements",
+    "told_of_lane",
     "uncertainty",
     "unknown_causes",
     "whitened",

@@ -18,6 +18,7 @@ from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._lanes import STEPS_BETWEEN, OfLane, step_by_step
 from softcal_jax.calibration._problem import CalibrationProblem, with_solver
 from softcal_jax.calibration._runs import admissible
 from softcal_jax.configurations import ConfigurationArrays
@@ -37,9 +38,6 @@ STIFFER = 2.0
 
 MOST_RAISES = 20
 """Most raises, a factor of a million in all."""
-
-STEPS_BETWEEN = 2
-"""Newton iterations of a configuration between two reports."""
 
 
 class EquilibriumProgress(NamedTuple):
@@ -69,9 +67,6 @@ class EquilibriumProgress(NamedTuple):
 
 
 Told = Callable[[EquilibriumProgress], None]
-
-OfLane = Callable[[int, float, int], None]
-"""Told the index of a configuration, the share of its load, and its iterations."""
 
 
 class Beginning(NamedTuple):
@@ -183,33 +178,22 @@ def _before_first_step(
 def _step_by_step(
     evaluate: Evaluator, z: Float[Array, " n_p"], told: OfLane
 ) -> Job[EquilibriumSolution]:
-    """Solve the equilibria a few iterations at a time, and report in between.
-
-    With rigid bodies each starts from the one before, as in `solve_from_rest`.
-    """
+    """Solve the equilibria of the configurations as `step_by_step` does."""
     problem = evaluate.shared
-    guess = jnp.zeros((problem.model.n_points, 3))
-    n_c = len(evaluate.lanes)
-    each = [[c] for c in range(n_c)]
-    groups = each if problem.model.mechanism.bodies.n_bodies > 0 else [range(n_c)]
-    found: dict[int, EquilibriumSolution] = {}
-    for group in groups:
-        lanes = {c: evaluate.lanes[c] for c in group}
-        states = {c: _before_first_step(problem, z, lanes[c], guess) for c in group}
-        while states:
-            under_way = tuple(states)
-            jobs = [(z, lanes[c], states[c], STEPS_BETWEEN) for c in under_way]
-            key = program_key("first_equilibria", problem, jobs[0])
-            ends = yield Batch(partial(_some_steps, problem), jobs, key)
-            for c, (state, solution) in zip(under_way, ends, strict=True):
-                told(c, float(state.load_ok), int(state.step))
-                states[c], found[c] = state, solution
-                if bool(state.done) or int(state.step) >= problem.newton.max_steps:
-                    del states[c]
-        last = found[group[-1]]
-        guess = jnp.where(last.converged, last.displacement, guess)
-    solutions = [found[c] for c in range(n_c)]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *solutions)
+
+    def go_on(pairs):
+        jobs = [(z, lane, state, STEPS_BETWEEN) for lane, state in pairs]
+        key = program_key("first_equilibria", problem, jobs[0])
+        return Batch(partial(_some_steps, problem), jobs, key)
+
+    return step_by_step(
+        problem.model,
+        evaluate.lanes,
+        partial(_before_first_step, problem, z),
+        go_on,
+        max_steps=problem.newton.max_steps,
+        told=told,
+    )
 
 
 def _some_steps(problem: CalibrationProblem, solver, lane):
@@ -224,8 +208,11 @@ def _with_names(
     told: Told | None, names: tuple[str, ...], factor: float
 ) -> OfLane | None:
     """Return the callback of an evaluator, which knows indices alone."""
-    if told is None:
-        return None
+    return None if told is None else told_of_lane(told, names, factor)
+
+
+def told_of_lane(told: Told, names: Sequence[str], factor: float = 1.0) -> OfLane:
+    """Return a callback for the indices of configurations with these names."""
     return lambda c, load, steps: told(
         EquilibriumProgress(names[c], load, steps, factor)
     )

@@ -12,6 +12,7 @@ import numpy as np
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._lanes import (
+    OfLane,
     as_guess,
     each_lane,
     lane_of,
@@ -248,11 +249,11 @@ class Evaluator:
         return _stacked(self.numbered, z, found)
 
     def simulated(
-        self, z: Float[Array, " n_p"]
+        self, z: Float[Array, " n_p"], told: OfLane = lambda *_: None
     ) -> Job[tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]]:
-        """Compute equilibria and effector coordinates from rest."""
+        """Compute equilibria and effector coordinates from rest; `told` of each."""
         posed = _posed(self.numbered.with_noise(None), z)
-        return (yield from simulate_lanes(*posed, self.problem.newton))
+        return (yield from simulate_lanes(*posed, self.problem.newton, told=told))
 
     def from_rest(self, z: Float[Array, " n_p"]) -> Job[Evaluation]:
         """Evaluate without a guess from another evaluation, see `solve_from_rest`."""

@@ -17,6 +17,9 @@ from softcal_jax.equilibrium import (
     Job,
     Model,
     NewtonSettings,
+    Workers,
+    begin_newton,
+    continue_newton,
     effector_values,
     program_key,
     solve_equilibrium,
@@ -24,6 +27,12 @@ from softcal_jax.equilibrium import (
 )
 
 T = TypeVar("T")
+
+STEPS_BETWEEN = 2
+"""Newton iterations of a configuration between two reports."""
+
+OfLane = Callable[[int, float, int], None]
+"""Told the index of a configuration, the share of its load, and its iterations."""
 
 
 def lane_of(batch: T, index: int | Int[HostArray, " n"]) -> T:
@@ -33,7 +42,10 @@ def lane_of(batch: T, index: int | Int[HostArray, " n"]) -> T:
 
 
 def each_lane(
-    function: Callable[..., T], shared: tuple[Any, ...], lanes: Sequence[Any]
+    function: Callable[..., T],
+    shared: tuple[Any, ...],
+    lanes: Sequence[Any],
+    told: Callable[[int, T], None] = lambda *_: None,
 ) -> Job[list[T]]:
     """Call a compiled function for all lanes, which share the cores.
 
@@ -41,15 +53,20 @@ def each_lane(
         function: Takes what is shared and the values of a lane.
         shared: What all lanes share, without names, the model first.
         lanes: Of one shape each.
+        told: Called with the index of a lane and its value once it is there, in the
+            thread that computed it.
     """
     model, *others = shared
 
-    def call(solver, lane):
+    def call(solver, numbered):
+        index, lane = numbered
         own = eqx.tree_at(lambda m: m.solver, model, solver)
-        return jax.block_until_ready(function(own, *others, *lane))
+        found = jax.block_until_ready(function(own, *others, *lane))
+        told(index, found)
+        return found
 
     key = program_key(function.__name__, shared, lanes[0])
-    return (yield Batch(call, lanes, key))
+    return (yield Batch(call, list(enumerate(lanes)), key))
 
 
 def simulate(
@@ -93,24 +110,136 @@ def simulate_lanes(
     configurations: ConfigurationArrays,
     newton: NewtonSettings,
     guess: Float[Array, "n_c n_points 3"] | None = None,
+    told: OfLane = lambda *_: None,
 ) -> Job[tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]]:
     """Simulate as `simulate` does, with configurations as lanes of one program.
 
-    It is compiled once for any number of them, and the lanes share the cores.
+    It is compiled once for any number of them, and the lanes share the cores. `told` is
+    called at the end of each.
     """
+
+    def ended(first: int, index: int, found) -> None:
+        own = found[0]
+        told(first + index, float(own.load_reached), int(own.steps))
+
     lanes = [lane_of(configurations, c) for c in range(len(configurations.gravity))]
     each = partial(each_lane, _simulate_lane, (model, newton.as_arrays()))
     start = jax.device_put(np.zeros((model.n_points, 3)))
     if guess is None and model.mechanism.bodies.n_bodies > 0:
         found = []
-        for lane in lanes:
-            found += yield from each([(lane, start)])
+        for c, lane in enumerate(lanes):
+            found += yield from each([(lane, start)], partial(ended, c))
             (last, _) = found[-1]
             start = jnp.where(last.converged, last.displacement, start)
     else:
         starts = [start] * len(lanes) if guess is None else guess
-        found = yield from each(list(zip(lanes, starts, strict=True)))
+        every = list(zip(lanes, starts, strict=True))
+        found = yield from each(every, partial(ended, 0))
     return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *found))
+
+
+def step_by_step(
+    model: Model,
+    lanes: Sequence[ConfigurationArrays],
+    begin: Callable[[ConfigurationArrays, Float[Array, "n_points 3"]], Any],
+    go_on: Callable[[Sequence[tuple[ConfigurationArrays, Any]]], Batch],
+    *,
+    max_steps: int | Int[Array | HostArray, ""],
+    told: OfLane,
+) -> Job[EquilibriumSolution]:
+    """Solve equilibria a few iterations at a time, and report in between.
+
+    With rigid bodies each starts from the one before, as in `solve_from_rest`.
+
+    Args:
+        model: The body.
+        lanes: One per configuration.
+        begin: Returns the state of Newton's method at a guess [m].
+        go_on: Batch of some iterations more, from configurations and their states to
+            states and solutions.
+        max_steps: Iterations after which a configuration is given up.
+        told: Called after these iterations.
+    """
+    guess, n_c = jnp.zeros((model.n_points, 3)), len(lanes)
+    each = [[c] for c in range(n_c)]
+    groups = each if model.mechanism.bodies.n_bodies > 0 else [range(n_c)]
+    found: dict[int, EquilibriumSolution] = {}
+    for group in groups:
+        states = {c: begin(lanes[c], guess) for c in group}
+        while states:
+            under_way = tuple(states)
+            ends = yield go_on([(lanes[c], states[c]) for c in under_way])
+            for c, (state, solution) in zip(under_way, ends, strict=True):
+                told(c, float(state.load_ok), int(state.step))
+                states[c], found[c] = state, solution
+                if bool(state.done) or int(state.step) >= max_steps:
+                    del states[c]
+        last = found[group[-1]]
+        guess = jnp.where(last.converged, last.displacement, guess)
+    solutions = [found[c] for c in range(n_c)]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *solutions)
+
+
+@eqx.filter_jit
+def _begin_lane(
+    model: Model,
+    newton: NewtonSettings,
+    configuration: ConfigurationArrays,
+    guess: Float[Array, "n_points 3"],
+):
+    return begin_newton(model, configuration, guess, newton)
+
+
+@eqx.filter_jit
+def _go_on_lane(
+    model: Model,
+    newton: NewtonSettings,
+    configuration: ConfigurationArrays,
+    state: Any,
+    steps: Int[Array, ""],
+):
+    return continue_newton(model, configuration, state, steps, newton)
+
+
+def equilibria(
+    model: Model,
+    configurations: ConfigurationArrays,
+    newton: NewtonSettings,
+    told: OfLane = lambda *_: None,
+) -> EquilibriumSolution:
+    """Solve the equilibria of all configurations from rest, on all cores.
+
+    Args:
+        model: The body, with its parameters set.
+        configurations: One lane per configuration.
+        newton: Settings of the equilibrium.
+        told: Called after every few iterations.
+    """
+    lanes = [lane_of(configurations, c) for c in range(len(configurations.gravity))]
+    shared = model, newton.as_arrays()
+    steps = jnp.asarray(STEPS_BETWEEN)
+
+    def call(solver, lane):
+        own = eqx.tree_at(lambda m: m.solver, model, solver)
+        configuration, state = lane
+        return jax.block_until_ready(
+            _go_on_lane(own, shared[1], configuration, state, steps)
+        )
+
+    def go_on(pairs):
+        key = program_key("equilibria", shared, pairs[0])
+        return Batch(call, pairs, key)
+
+    job = step_by_step(
+        model,
+        lanes,
+        partial(_begin_lane, *shared),
+        go_on,
+        max_steps=newton.max_steps,
+        told=told,
+    )
+    with Workers(model, len(lanes)) as workers:
+        return workers.end_of(job)
 
 
 def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:

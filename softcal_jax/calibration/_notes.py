@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._problem import CalibrationProblem, n_measured
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
@@ -25,7 +26,7 @@ ROUGH_SHARE = 0.1
 """The same for a parameter on a linear scale, relative to its range [-]."""
 
 
-class CalibrationWarning(UserWarning):
+class CalibrationWarning(SoftcalWarning):
     """Something about a calibration that its user should know."""
 
 

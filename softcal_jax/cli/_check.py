@@ -1,15 +1,16 @@
 """`softcal check`: what a project file says, in words and a picture, unsolved."""
 
 import argparse
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal_jax.cli._shared import (
+    BAD_INPUT,
     OK,
     Display,
+    Stop,
+    add_output,
     add_path,
     bad_input,
     check_new,
@@ -34,13 +35,20 @@ exit codes: 0 read, whatever it warns of, 2 bad input
 
 def check(args: argparse.Namespace, show: Display) -> int:
     """Say what a project file describes, and draw it; nothing is solved."""
-    picture = args.output or args.project.with_name(f"{args.project.stem}_check.png")
+    name = f"{args.project.stem}_check.{args.pictures}"
+    picture = args.output or args.project.with_name(name)
+    if picture.suffix.lower() not in (".png", ".svg"):
+        raise Stop(
+            BAD_INPUT,
+            f"error: {picture} ends in {picture.suffix!r}; expected a picture, .png or "
+            ".svg.",
+        )
     if not args.no_pictures and not _is_own(picture):
         check_new(picture, force=args.force)
-    with _counted() as doubts:
-        project = load(args.project, show, solve=False)
+    project = load(args.project, show, solve=False)
+    doubts = show.warnings
     from softcal_jax.project import quantities_as_read
-    from softcal_jax.report import outline
+    from softcal_jax.report import outline, roles_of
 
     above = ""
     if doubts:
@@ -48,7 +56,9 @@ def check(args: argparse.Namespace, show: Display) -> int:
         above = f", with the {'warning' if n == 1 else f'{n} warnings'} above"
     show.line(f"Nothing was solved; the project reads as follows{above}.")
     with bad_input():
-        for line in outline(project, quantities_as_read(args.project)):
+        quantities = quantities_as_read(args.project)
+        lines = list(outline(project, quantities))
+        for line in lines:
             show.line(line)
         show.lap("outline")
         if not args.no_pictures:
@@ -58,22 +68,29 @@ def check(args: argparse.Namespace, show: Display) -> int:
     show.line()
     if not args.no_pictures:
         show.line(f"Picture in {picture}.")
+    show.document(
+        {
+            "name": project.name,
+            "nodes": project.model.mesh.n_nodes,
+            "tets": project.model.mesh.n_tets,
+            "configurations": roles_of(project),
+            "parameters": [q.name for q in project.parameters],
+            "quantities": [
+                {
+                    "key": own.key,
+                    "typed": own.typed,
+                    "values": list(own.values),
+                    "unit": own.unit,
+                }
+                for own in quantities
+            ],
+            "warnings": list(doubts),
+            "outline": lines,
+            "picture": None if args.no_pictures else str(picture),
+        }
+    )
     show.times()
     return OK
-
-
-@contextmanager
-def _counted() -> Iterator[list[str]]:
-    """Count the warnings that are shown, as they are shown."""
-    with warnings.catch_warnings():
-        before, found = warnings.showwarning, []
-
-        def counting(message, *where, **more) -> None:
-            found.append(str(message))
-            before(message, *where, **more)
-
-        warnings.showwarning = counting
-        yield found
 
 
 def _is_own(picture: Path) -> bool:
@@ -82,6 +99,8 @@ def _is_own(picture: Path) -> bool:
         return False
     from PIL import Image, UnidentifiedImageError
 
+    if picture.suffix.lower() == ".svg":
+        return _MARK.encode() in picture.read_bytes()[:4000]
     try:
         with Image.open(picture) as image:
             return image.info.get("Software") == _MARK
@@ -110,7 +129,7 @@ def _draw(project: "Project", picture: Path) -> None:
         title=project.name,
         subtitle=f"As the file describes it, at rest; nothing was solved.{more}",
         control_points=np.vstack(points) if points else None,
-        metadata={"Software": _MARK},
+        software=_MARK,
     )
 
 
@@ -130,10 +149,9 @@ configuration. Nothing is solved, so it takes seconds.""",
         formatter_class=raw,
     )
     add_path(command, "project", "PROJECT.toml", "the project file")
-    where = "the picture (default: PROJECT_check.png, beside the project file)"
-    add_path(command, "--output", "FILE.png", where)
-    text = "write no picture"
-    command.add_argument("--no-pictures", action="store_true", help=text)
+    where = "the picture, .png or .svg (default: PROJECT_check.png, beside the project)"
+    add_path(command, "--output", "FILE", where)
+    add_output(command, pictures=True)
     again = "replace a picture that is not of an earlier check"
     command.add_argument("--force", action="store_true", help=again)
     command.set_defaults(run=check)

@@ -2,7 +2,7 @@
 
 import argparse
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,14 +19,16 @@ from softcal_jax.cli._shared import (
     load,
     no_equilibrium,
 )
-from softcal_jax.cli._steps import step_lines
-from softcal_jax.cli._writing import checkpoint_stands, interruptible, write_results
+from softcal_jax.cli._steps import equilibrium_lines, step_lines
+from softcal_jax.cli._writing import (
+    checkpoint_stands,
+    interruptible,
+    pictures_with_a_bar,
+    write_results,
+)
 
 if TYPE_CHECKING:
-    from softcal_jax.calibration import (
-        CalibrationResult,
-        EquilibriumProgress,
-    )
+    from softcal_jax.calibration import CalibrationResult
     from softcal_jax.configurations import Configuration
     from softcal_jax.identifiability import Assessment, Identifiability, Ranking
     from softcal_jax.project import Project
@@ -52,6 +54,7 @@ def demo(args: argparse.Namespace, show: Display) -> int:
         args.write.mkdir(parents=True, exist_ok=True)
         for name in names:
             shutil.copyfile(source / name, args.write / name)
+    show.document({"directory": str(args.write), "files": names})
     show.line(f"Wrote {', '.join(names)} to {args.write}. To calibrate it:")
     show.line(f"  softcal calibrate {args.write / 'project.toml'} -o results")
     return OK
@@ -68,17 +71,18 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
         project.check_calibration()
     for role, group in (("fit", project.calibration), ("predict", project.validation)):
         if group:
-            show.line(f"{role}: {_names(group)}")
+            show.note(f"{role}: {_names(group)}")
     if project.registrations:
         rms = {name: 1e3 * found.rms for name, found in project.registrations.items()}
         listed = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rms.items())
-        show.line(f"camera frame to mesh frame, rms left at the markers: {listed}")
+        show.note(f"camera frame to mesh frame, rms left at the markers: {listed}")
     early: list[bool] = []
 
     def write(
         result: "CalibrationResult", own: "Assessment", where: Path, force: bool
     ) -> Path:
         more = {"traces": project.traces, **_options(project, show, force=force)}
+        more |= pictures_with_a_bar(args, show)
         return report.write_results(result, where, assessment=own, **more)
 
     def profiling(result: "CalibrationResult") -> None:
@@ -91,18 +95,18 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
             write(result, assess(result), args.output, args.force)
             early.append(True)
         except OSError as error:
-            show.line(f"warning: {error}")
+            show.warning(str(error))
             early.append(False)
         show.lap("results and pictures")
         show.now("intervals by profile likelihood")
 
-    show.now("first equilibrium (compiling)")
+    show.now("first equilibrium")
     with interruptible(args), bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(
             checkpoint=args.checkpoint,
             progress=step_lines(project, show),
-            search_progress=lambda search: show.line(f"search   {search}"),
-            equilibrium_progress=_equilibrium_lines(show),
+            search_progress=lambda search: show.note(f"search   {search}"),
+            equilibrium_progress=equilibrium_lines(show),
             profiling=profiling,
         )
     if early:
@@ -115,7 +119,8 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     _print_held_out(result, show)
     with interruptible(args):
         force = args.force or any(early)
-        write_results(partial(write, result, assessment), args, show, force=force)
+        own = partial(write, result, assessment)
+        write_results(own, args, show, index="result.json", force=force)
     _stop_unless_finished(result, args)
     if not assessment.identified:
         show.line("Take the values with care: " + " ".join(assessment.reasons))
@@ -148,9 +153,9 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     from softcal_jax.equilibrium import check_converged
 
     project = load(args.project, show)
-    show.now(f"equilibrium of {_names(project.configurations)} (compiling)")
+    show.now(f"equilibrium of {_names(project.configurations)}")
     with Clock() as clock:
-        solution = project.simulate()
+        solution = project.simulate(progress=equilibrium_lines(show))
     show.lap("solve", compiling=clock.seconds["compile"])
     with bad_input():
         result = simulation_result(project.model, project.configurations, solution)
@@ -159,9 +164,10 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
 
     def write(where: Path, force: bool) -> Path:
         more = {"traces": project.traces, **_options(project, show, force=force)}
+        more |= pictures_with_a_bar(args, show)
         return report.write_simulation(result, where, **more)
 
-    write_results(write, args, show, force=args.force)
+    write_results(write, args, show, index="simulation.json", force=args.force)
     with no_equilibrium("The results hold the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
     return OK
@@ -172,6 +178,7 @@ def identify(args: argparse.Namespace, show: Display) -> int:
     if args.output is not None:
         check_folder(args)
     from softcal_jax import report
+    from softcal_jax.export import outlook_dict
 
     project = load(args.project, show)
     with bad_input():
@@ -179,14 +186,16 @@ def identify(args: argparse.Namespace, show: Display) -> int:
     found = ranking = None
     with bad_input(), no_equilibrium("Nothing was written."):
         if project.calibration:
-            show.now(f"what {_names(project.calibration)} would tell (compiling)")
-            found = project.identify()
+            show.now(f"what {_names(project.calibration)} would tell")
+            found = project.identify(progress=equilibrium_lines(show))
         if project.candidates:
-            show.now(f"what {_names(project.candidates)} would add (compiling)")
-            ranking = project.rank_candidates()
+            show.now(f"what {_names(project.candidates)} would add")
+            ranking = project.rank_candidates(progress=equilibrium_lines(show))
     show.lap("solve")
     _print_outlook(project, found, ranking, show)
     if args.output is None:
+        laps = {"name": project.name, "timing_s": dict(show.laps)}
+        show.document(outlook_dict(found, ranking, **laps))
         show.times()
         return OK
 
@@ -194,7 +203,7 @@ def identify(args: argparse.Namespace, show: Display) -> int:
         more = _options(project, show, force=force)
         return report.write_identifiability(found, ranking, where, **more)
 
-    write_results(write, args, show, force=args.force)
+    write_results(write, args, show, index="identifiability.json", force=args.force)
     return OK
 
 
@@ -226,25 +235,6 @@ def _options(project: "Project", show: Display, *, force: bool) -> dict[str, Any
 
 def _names(group: "Sequence[Configuration]") -> str:
     return ", ".join(c.name for c in group)
-
-
-def _equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":
-    """Return a callback that shows how far the first equilibria are.
-
-    A line stays where the moduli of the start are raised.
-    """
-    raised = 1.0
-
-    def progress(now: "EquilibriumProgress") -> None:
-        nonlocal raised
-        if now.stiffer > raised:
-            raised = now.stiffer
-            show.line(
-                f"no equilibrium yet: moduli raised to {raised:g} times the start"
-            )
-        show.now(str(now), log=False)
-
-    return progress
 
 
 def _print_held_out(result: "CalibrationResult", show: Display) -> None:

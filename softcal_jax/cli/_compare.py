@@ -9,6 +9,7 @@ from softcal_jax.cli._shared import (
     OK,
     Display,
     Stop,
+    add_output,
     add_path,
     bad_input,
     check_folder,
@@ -32,11 +33,12 @@ def compare(args: argparse.Namespace, show: Display) -> int:
     if args.output is not None:
         check_folder(args)
     from softcal_jax import report
+    from softcal_jax.export import comparison_dict
     from softcal_jax.project import compare_projects
 
     projects = [load(path, show) for path in args.projects]
     n = sum(len(project.calibration) + 1 for project in projects)
-    show.line(f"{n} fits, each of all configurations but one, or of all")
+    show.note(f"{n} fits, each of all configurations but one, or of all")
     with bad_input(), no_equilibrium("Nothing was written."):
         comparison = compare_projects(
             projects, progress=lambda name: show.now(f"fits of {name}")
@@ -45,6 +47,7 @@ def compare(args: argparse.Namespace, show: Display) -> int:
     show.line()
     show.line(str(comparison))
     if args.output is None:
+        show.document(comparison_dict(comparison, timing_s=dict(show.laps)))
         show.times()
     else:
 
@@ -54,7 +57,7 @@ def compare(args: argparse.Namespace, show: Display) -> int:
                 comparison, where, force=force, timing_s=laps
             )
 
-        write_results(write, args, show, force=args.force)
+        write_results(write, args, show, index="comparison.json", force=args.force)
     if comparison.best is None:
         raise Stop(NOT_CONVERGED, "no model predicts every configuration.")
     return OK
@@ -81,4 +84,5 @@ The files have the same configurations with the same measured values, and differ
     add_path(command, "--output", "DIR", "folder for the results")
     again = "replace earlier results in that folder"
     command.add_argument("--force", action="store_true", help=again)
+    add_output(command)
     command.set_defaults(run=compare)

@@ -12,6 +12,7 @@ from softcal_jax.cli._shared import (
     OK,
     Display,
     Stop,
+    add_output,
     add_path,
     bad_input,
     check_new,
@@ -156,6 +157,7 @@ def _add_format(
     add_path(command, "--project", "PROJECT.toml", "the project file, if it was moved")
     again = "replace what is there"
     command.add_argument("--force", action="store_true", help=again)
+    add_output(command)
     run = partial(_export, write=write, designed=designed)
     command.set_defaults(run=run)
     return command
@@ -193,5 +195,6 @@ def _export(
     for note in notes:
         show.line(f"Note: {note}")
     show.line(f"Wrote {output}.")
+    show.document({"output": str(output), "notes": list(notes)})
     show.times()
     return OK

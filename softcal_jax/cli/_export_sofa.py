@@ -5,6 +5,7 @@ import argparse
 from softcal_jax.cli._shared import (
     OK,
     Display,
+    add_output,
     add_path,
     bad_input,
     check_folder,
@@ -47,6 +48,7 @@ def add_sofa(formats: "argparse._SubParsersAction") -> None:
         sofa.add_argument(option, choices=known, default=known[0], help=text)
     again = "replace an earlier scene in that folder"
     sofa.add_argument("--force", action="store_true", help=again)
+    add_output(sofa)
     sofa.set_defaults(run=_export)
 
 
@@ -61,7 +63,7 @@ def _export(args: argparse.Namespace, show: Display) -> int:
     with bad_input():
         result = load_result(args.results, project=args.project)
     show.lap("reading")
-    show.now("calibrating the model of SOFA (compiling)")
+    show.now("calibrating the model of SOFA")
     with bad_input(), no_equilibrium("Nothing was written."):
         found = export_sofa(
             result,
@@ -77,5 +79,6 @@ def _export(args: argparse.Namespace, show: Display) -> int:
     show.line()
     show.line(str(found))
     show.line(f"Wrote {args.output}; README.md there says how to run it.")
+    show.document({"output": str(args.output), "said": str(found)})
     show.times()
     return OK

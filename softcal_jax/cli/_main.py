@@ -1,26 +1,34 @@
 """Arguments of the command line, and the end of every command."""
 
 import argparse
+import atexit
+import gc
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext, redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
+
+import shtab
 
 from softcal_jax.cli._check import add_check
 from softcal_jax.cli._commands import calibrate, demo, identify, simulate
 from softcal_jax.cli._compare import add_compare
+from softcal_jax.cli._compiling import silence
 from softcal_jax.cli._console import (
     PlainConsole,
     PlainParser,
     escape_what_cannot_be_encoded,
 )
+from softcal_jax.cli._display import Display
 from softcal_jax.cli._export import add_export
 from softcal_jax.cli._mesh import add_mesh
+from softcal_jax.cli._new import add_new
 from softcal_jax.cli._shared import (
     INTERRUPTED,
-    Display,
     Stop,
+    add_output,
     add_path,
     sigterm_as_ctrl_c,
     warnings_as_lines,
@@ -34,7 +42,8 @@ Calibrate the finite-element model of a soft robot from a few measured poses."""
 _EXAMPLES = """\
 examples:
   softcal demo                            calibrate a real silicone beam
-  softcal demo --write my_robot           its project file and data, to start from
+  softcal new my_robot --robot beam       a ready-made robot, to start from
+  softcal new my_robot --model body.step  a project for your own mesh or CAD model
   softcal check my_robot/project.toml     what it says, drawn, before any solve
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
@@ -48,8 +57,14 @@ examples:
   softcal sweep show sweep.sqlite         what they found
   softcal tags -o tags.pdf                tags to print and photograph
 
-exit codes: 0 done (what to doubt is said last), 1 not converged or no equilibrium,
-2 bad input
+exit codes:
+    0  done: what was asked for is written, the numbers are those of a converged solve,
+       and what to doubt about them is said last
+    1  not converged, or no equilibrium: do not use the values; what was found is
+       written, marked as such, where the command says so
+    2  bad input: an argument, a file or what it says; nothing was solved or written,
+       unless the message says so
+  130  interrupted by Ctrl-C or SIGTERM; the message says what stands
 """
 
 _IDENTIFY = """\
@@ -70,14 +85,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     # The start of the process will not do: a shell may have run in it before.
     begin = time.time() - (time.process_time() if argv is None else 0.0)
+    if argv is None:
+        _collect_rarely()
     escape_what_cannot_be_encoded()
     words = list(sys.argv[1:] if argv is None else argv)
     if words[:2] == ["sweep", "show"]:  # one command for the parser
         words[:2] = ["sweep show"]
     args = _parser().parse_args(words)
-    display = Display(begin)
+    silence()
+    display = Display(
+        begin,
+        quiet=getattr(args, "quiet", False),
+        as_json=getattr(args, "json", False),
+    )
+    # What other packages print is no JSON.
+    out = redirect_stdout(sys.stderr) if display.as_json else nullcontext()
     try:
-        with sigterm_as_ctrl_c(), display:
+        with sigterm_as_ctrl_c(), out, display:
             display.now("importing", log=False)
             with warnings_as_lines(display):
                 return args.run(args, display)
@@ -85,9 +109,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         text, code = str(stop), stop.code
     except KeyboardInterrupt:
         text, code = "interrupted; nothing was written.", INTERRUPTED
+    display.failure(text, code)
     errors = PlainConsole(stderr=True)
     errors.print(text, markup=False, highlight=False, soft_wrap=True)
     return code
+
+
+def _collect_rarely() -> None:
+    """Let the process search for garbage rarely, and not when it ends.
+
+    Imports allocate much and leave no garbage; searching them again and again takes a
+    third of the time of a command that does not compute.
+    """
+    gc.set_threshold(100_000, 20, 100)
+    atexit.register(gc.freeze)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -97,6 +132,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--version", action="version", version=f"softcal {version('softcal-jax')}"
+    )
+    shtab.add_argument_to(
+        parser,
+        ["--print-completion"],
+        help="print a script that completes commands and options in this shell",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -163,6 +203,8 @@ ranked by what measuring them as well would add.""",
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
         command.add_argument("--force", action="store_true", help=again)
+        add_output(command, pictures=command is not outlook)
+    add_new(commands, raw)
     add_check(commands, raw)
     add_mesh(commands, raw)
     add_compare(commands, raw)

@@ -10,6 +10,7 @@ from softcal_jax.cli._shared import (
     OK,
     Display,
     Stop,
+    add_output,
     add_path,
     bad_input,
     check_new,
@@ -48,6 +49,7 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
     """Write the mesh of a CAD model, a project or another mesh file, and draw it."""
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
+    from softcal_jax.report import mesh_lines
 
     if args.output.suffix.lower() != ".msh":
         raise Stop(
@@ -55,8 +57,9 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
             f"error: {args.output} ends in {args.output.suffix!r}; expected a name that"
             " ends in .msh, like finger.msh.",
         )
-    picture = args.output.with_suffix(".png")
-    check_new(args.output, picture, force=args.force)
+    picture = args.output.with_suffix(f".{args.pictures}")
+    written = [args.output] if args.no_pictures else [args.output, picture]
+    check_new(*written, force=args.force)
     show.lap("import")
     show.now(f"meshing {args.model.name}")
     with bad_input():
@@ -66,14 +69,24 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
             raise ValueError(str(error)) from error
         show.lap("mesh")
         write_mesh(made, args.output, length_unit=_UNIT)
-        show.now("drawing")
-        plot_groups(made, picture, title=args.model.name)
-    show.lap("picture")
-    show.line(f"softcal {version('softcal-jax')}: {args.model.name}")
-    for line in _described(made):
+        if not args.no_pictures:
+            show.now("drawing")
+            plot_groups(made, picture, title=args.model.name)
+            show.lap("picture")
+    show.note(f"softcal {version('softcal-jax')}: {args.model.name}")
+    for line in mesh_lines(made):
         show.line(line)
-    show.line(
-        f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}), picture in {picture}."
+    drawn = "" if args.no_pictures else f", picture in {picture}"
+    show.line(f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}){drawn}.")
+    show.document(
+        {
+            "nodes": made.n_nodes,
+            "tets": made.n_tets,
+            "surface_groups": list(made.surface_groups),
+            "tet_groups": list(made.tet_groups),
+            "node_groups": list(made.node_groups),
+            "files": [str(path) for path in written],
+        }
     )
     show.times()
     return OK
@@ -108,47 +121,6 @@ def _made(args: argparse.Namespace) -> "TetMesh":
     return load_mesh(args.model)
 
 
-def _described(made: "TetMesh") -> list[str]:
-    """Describe the mesh and its groups, with a point on each surface."""
-    import numpy as np
-
-    from softcal_jax.export import readable_values
-    from softcal_jax.mesh import face_shares, volumes
-
-    corners = made.points[made.tets[:, :4]]
-    edges = np.linalg.norm(corners[:, [1, 2, 3]] - corners[:, :1], axis=2)
-    kind = "quadratic" if made.order == 2 else "linear"
-    lines = [
-        f"{made.n_nodes} nodes, {made.n_tets} {kind} tets, edges of "
-        f"{readable_values([float(edges.mean())], 'm', digits=3)} in the mean, volume "
-        f"{readable_values([float(volumes(made).sum())], 'm3')}"
-    ]
-    width = max(
-        map(len, [*made.surface_groups, *made.tet_groups, *made.node_groups, ""])
-    )
-    for name, faces in made.surface_groups.items():
-        centres = made.points[faces[:, :3]].mean(axis=1)
-        areas = face_shares(made, faces).sum(axis=1)
-        mean = np.average(centres, axis=0, weights=areas)
-        point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
-        lines.append(
-            f"  {name:<{width}}  {1e6 * areas.sum():.1f} mm2, a point on it: "
-            f"{_in_mm(point)}"
-        )
-    for name, tets in made.tet_groups.items():
-        own = readable_values([float(volumes(made)[tets].sum())], "m3")
-        lines.append(f"  {name:<{width}}  {len(tets)} tets, {own}")
-    for name, nodes in made.node_groups.items():
-        if name not in made.surface_groups and name not in made.tet_groups:
-            lines.append(f"  {name:<{width}}  {len(nodes)} nodes")
-    return lines
-
-
-def _in_mm(point) -> str:
-    """Write a point as a project file does."""
-    return '"(' + ", ".join(f"{1e3 * x:.4g}" for x in point) + f') {_UNIT}"'
-
-
 def add_mesh(commands: "argparse._SubParsersAction", raw: Callable) -> None:
     """Add the command to the parser."""
     command = commands.add_parser(
@@ -170,4 +142,5 @@ are seen before anything is computed; with another mesh file, the groups of that
     command.add_argument("--length-unit", metavar="UNIT", help=unit)
     again = "replace earlier files"
     command.add_argument("--force", action="store_true", help=again)
+    add_output(command, pictures=True)
     command.set_defaults(run=mesh)

@@ -4,7 +4,6 @@ import argparse
 import signal
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,11 +11,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import RenderableType
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+import shtab
 
 from softcal_jax._text import escaped
-from softcal_jax.cli._console import PlainConsole
+from softcal_jax._warnings import SoftcalWarning
+from softcal_jax.cli._display import Display
 
 if TYPE_CHECKING:
     from softcal_jax.project import Project
@@ -31,74 +30,6 @@ class Stop(Exception):
     def __init__(self, code: int, text: str):
         super().__init__(text)
         self.code = code
-
-
-class Display:
-    """Lines for what is done; on a terminal, a spinner for what is under way.
-
-    Attributes:
-        laps: Wall time of the parts so far [s].
-    """
-
-    def __init__(self, begin: float):
-        self.console = PlainConsole(file=sys.stdout)
-        self.begin = self.last = begin
-        self.laps: dict[str, float] = {}
-        self.progress = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            TimeElapsedColumn(),
-            console=self.console,
-            transient=True,
-            disable=not self.console.is_terminal,
-        )
-
-    def __enter__(self) -> "Display":
-        self.progress.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.progress.stop()
-
-    def now(self, what: str, *, log: bool = True) -> None:
-        """Say what begins; in a log, only if `log` is set."""
-        if self.progress.disable:
-            if log:
-                self.line(f"{what} ...")
-            return
-        for task in self.progress.task_ids:
-            self.progress.remove_task(task)
-        self.progress.add_task(what, total=None)
-
-    def line(self, text: RenderableType = "") -> None:
-        """Print a line that stays."""
-        if isinstance(text, str):
-            self.console.print(text, markup=False, highlight=False, soft_wrap=True)
-        else:
-            self.console.print(text)
-
-    def lap(self, name: str, *, compiling: float | None = None) -> None:
-        """End a part of the run, and record its wall time.
-
-        The time that it was compiling is recorded as a part of its own, before it [s].
-        """
-        now = time.time()
-        if compiling is not None:
-            self.laps["compile"] = compiling
-        self.laps[name] = now - self.last - (compiling or 0.0)
-        self.last = now
-
-    def times(self) -> None:
-        """Print how long the parts took."""
-        parts = ", ".join(f"{name} {s:.1f} s" for name, s in self.laps.items())
-        self.line(f"Time: {parts}; {time.time() - self.begin:.1f} s in all.")
-
-    def results(self, where: Path) -> None:
-        """Print what was written where, and how long the parts took."""
-        files = sorted(p.name for p in where.iterdir())
-        self.line(f"Results in {where}: {', '.join(files)}")
-        self.line(f"Open {where / 'report.html'} in a browser to read them.")
-        self.times()
 
 
 @contextmanager
@@ -116,39 +47,25 @@ def sigterm_as_ctrl_c() -> Iterator[None]:
 
 @contextmanager
 def warnings_as_lines(show: Display) -> Iterator[None]:
-    """Show the package's own warnings as lines, without file and line of code."""
-    from softcal_jax._compilation_cache import (
-        CompilationCacheWarning,
-        throw_away_damaged,
-    )
-    from softcal_jax.calibration import CalibrationWarning
-    from softcal_jax.configurations import TrackerWarning
-    from softcal_jax.mesh import MeshWarning
-    from softcal_jax.project import ProjectWarning
-    from softcal_jax.report import PictureWarning, ResultWarning
+    """Show the package's own warnings as lines, without file and line of code.
 
-    own = (
-        CalibrationWarning,
-        CompilationCacheWarning,
-        MeshWarning,
-        ProjectWarning,
-        PictureWarning,
-        ResultWarning,
-        TrackerWarning,
-    )
+    Those of other packages are for developers: they are shown only where Python was
+    asked for warnings, with -W or PYTHONWARNINGS.
+    """
+    from softcal_jax._compilation_cache import throw_away_damaged
+
     with warnings.catch_warnings():
         plain = warnings.showwarning
 
         def line(message, category, *where, **more):
             mended = throw_away_damaged(str(message))
-            if issubclass(category, own) or mended:
-                show.line(f"warning: {mended or message}")
-            else:
+            if issubclass(category, SoftcalWarning) or mended:
+                show.warning(mended or str(message))
+            elif sys.warnoptions:
                 plain(escaped(str(message)), category, *where, **more)
 
         warnings.showwarning = line
-        for category in own:
-            warnings.simplefilter("always", category)
+        warnings.simplefilter("always", SoftcalWarning)
         yield
 
 
@@ -157,7 +74,27 @@ def add_path(
 ) -> None:
     """Add an argument that is a path; `--output` is also `-o`."""
     names = ["-o", name] if name == "--output" else [name]
-    parser.add_argument(*names, metavar=metavar, type=Path, help=text, **more)
+    added = parser.add_argument(*names, metavar=metavar, type=Path, help=text, **more)
+    folder = metavar == "DIR"
+    added.complete = (  # pyright: ignore[reportAttributeAccessIssue]
+        shtab.DIRECTORY if folder else shtab.FILE
+    )
+
+
+def add_output(command: argparse.ArgumentParser, *, pictures: bool = False) -> None:
+    """Add the options on what is shown, and on `pictures` where some are written."""
+    text = "no progress: only the result, warnings and errors"
+    command.add_argument("--quiet", "-q", action="store_true", help=text)
+    text = "the result as JSON on standard output; all else goes to standard error"
+    command.add_argument("--json", action="store_true", help=text)
+    if pictures:
+        which = command.add_mutually_exclusive_group()
+        text = "write no pictures"
+        which.add_argument("--no-pictures", action="store_true", help=text)
+        text = "format of the pictures: png (default) or svg, for print"
+        which.add_argument(
+            "--pictures", choices=["png", "svg"], default="png", help=text
+        )
 
 
 def check_folder(args: argparse.Namespace) -> None:
@@ -201,6 +138,7 @@ def start_computing(show: Display) -> None:
 
     jax.config.update("jax_enable_x64", True)
     use_compilation_cache()
+    show.compiling.start()
     show.lap("import")
 
 
@@ -214,10 +152,10 @@ def load(path: Path, show: Display, *, solve: bool = True) -> "Project":
     with bad_input():
         project = load_project(path, solve=solve)
     show.lap("reading")
-    show.line(f"softcal {version('softcal-jax')}: {project.name}")
+    show.note(f"softcal {version('softcal-jax')}: {project.name}")
     model = project.model
     solver = f", solver {model.solver.name}" if solve else ""
-    show.line(f"{model_words(model)}{solver}")
+    show.note(f"{model_words(model)}{solver}")
     return project
 
 

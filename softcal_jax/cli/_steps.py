@@ -1,12 +1,12 @@
-"""A line for each step of a calibration, with its values in readable units."""
+"""Lines for the steps of a calibration, and for equilibria under way."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from softcal_jax.cli._shared import Display
+from softcal_jax.cli._display import Display
 
 if TYPE_CHECKING:
-    from softcal_jax.calibration import HistoryEntry
+    from softcal_jax.calibration import EquilibriumProgress, HistoryEntry
     from softcal_jax.fields import Parameter
     from softcal_jax.project import Project
 
@@ -35,14 +35,34 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
             before["noise"] = entry.noise_level
             note += "   (noise estimated anew)"
         what = f"step {entry.step}" if entry.step else "start"
-        show.line(f"{what:<8} {misfit(entry)}   {moved}   {values}{note}")
+        show.note(f"{what:<8} {misfit(entry)}   {moved}   {values}{note}")
         last = entry.step == project.settings.max_steps
         finished = last or (entry.step > 0 and size <= project.settings.tol)
         if finished and project.validation:
             names = ", ".join(c.name for c in project.validation)
             show.now(f"predicting {names}")
         else:
-            show.now(f"step {entry.step + 1}", log=False)
+            more = f" of at most {project.settings.max_steps}"
+            show.now(f"step {entry.step + 1}{more}", log=False)
+
+    return progress
+
+
+def equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":
+    """Return a callback that shows how far the first equilibria are.
+
+    A line stays where the moduli of the start are raised.
+    """
+    raised = 1.0
+
+    def progress(now: "EquilibriumProgress") -> None:
+        nonlocal raised
+        if now.stiffer > raised:
+            raised = now.stiffer
+            show.note(
+                f"no equilibrium yet: moduli raised to {raised:g} times the start"
+            )
+        show.now(str(now), log=False)
 
     return progress
 

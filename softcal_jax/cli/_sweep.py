@@ -3,7 +3,7 @@
 import argparse
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from softcal_jax.cli._shared import (
     BAD_INPUT,
@@ -12,15 +12,19 @@ from softcal_jax.cli._shared import (
     OK,
     Display,
     Stop,
+    add_output,
     add_path,
     bad_input,
 )
 
 if TYPE_CHECKING:
-    from softcal_jax.sweeps import Progress
+    from softcal_jax.sweeps import Progress, TrialRow
 
 QUIET_S = 30.0
-"""Shortest time between lines of progress in a log [s]."""
+"""Shortest time between lines on the progress of a sweep in a log [s]."""
+
+MOST_SHOWN = 4
+"""Most figures of a trial in its line; its row holds all."""
 
 _SWEEP = """\
 A sweep file names a project file and the axes of the sweep:
@@ -37,7 +41,10 @@ A sweep file names a project file and the axes of the sweep:
 Each trial is a row of an SQLite file as soon as it has ended. A sweep that was stopped
 or killed goes on when the same command is given again.
 
-exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input
+With --json each trial that ends is one line of JSON.
+
+exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input,
+130 interrupted: the rows so far stand
 """
 
 _SHOW = """\
@@ -101,7 +108,7 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
 
 
 def _progress_lines(show: Display):
-    """Return a callback that prints failures at once, and progress now and then."""
+    """Return a callback that prints each trial as it ends, and progress at times."""
     last = -QUIET_S
 
     def progress(now: "Progress") -> None:
@@ -109,22 +116,44 @@ def _progress_lines(show: Display):
         row = now.row
         if row is None:
             done = f", {now.before} of them before" if now.before else ""
-            show.line(f"{now.total} trials{done}")
-        elif row.state == "failed":
-            point = ", ".join(f"{axis} = {value}" for axis, value in row.point.items())
-            show.line(f"failed: {point}: {row.reason.splitlines()[0]}")
+            show.note(f"{now.total} trials{done}")
+        else:
+            show.row(_row_dict(row))
+            show.note(_row_line(row))
         if now.ended == now.total:
             return
         tick = time.monotonic()
         if row is None:
             last = tick
-            show.now(f"{now}, the first trial compiles", log=False)
+            text = f"{now}, the first trial compiles"
+            show.now(text, log=False, count=(now.ended, now.total))
             return
         due = tick - last >= QUIET_S
         last = tick if due else last
-        show.now(str(now), log=due)
+        show.now(str(now), log=due, count=(now.ended, now.total))
 
     return progress
+
+
+def _row_dict(row: "TrialRow") -> dict[str, Any]:
+    """Return a row as one line of JSON holds it."""
+    keys = ("state", "reason", "notes", "seconds", "compile_seconds", "worker", "ended")
+    own = {key: getattr(row, key) for key in keys}
+    return {"point": dict(row.point), "figures": dict(row.figures), **own}
+
+
+def _row_line(row: "TrialRow") -> str:
+    """Write how a trial ended: where it is, what it found, or why it found nothing."""
+    point = ", ".join(f"{axis} = {value}" for axis, value in row.point.items())
+    if row.state == "failed":
+        return f"failed: {point}: {row.reason.splitlines()[0]}"
+    shown = [
+        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in row.figures.items()
+        if value is not None
+    ]
+    found = ", ".join(shown[:MOST_SHOWN])
+    return f"{row.state}: {point}: {found} ({row.seconds:.1f} s)"
 
 
 def show_sweep(args: argparse.Namespace, show: Display) -> int:
@@ -134,6 +163,7 @@ def show_sweep(args: argparse.Namespace, show: Display) -> int:
     with bad_input():
         result = read_sweep(args.database)
         width, chosen = show.console.width, {"by": args.by, "figures": args.figure}
+        show.document({"name": result.name, "rows": [*map(_row_dict, result.rows)]})
         show.line(sweep_table(result, **chosen, every=args.all, width=width))
         if args.csv is not None:
             write_sweep_csv(result, args.csv)
@@ -168,6 +198,7 @@ def add_sweep(commands: "argparse._SubParsersAction", raw: Callable) -> None:
     run.add_argument(
         "--retry-failed", action="store_true", help="try again what failed before"
     )
+    add_output(run)
     run.set_defaults(run=sweep)
 
     table = commands.add_parser(
@@ -184,6 +215,7 @@ def add_sweep(commands: "argparse._SubParsersAction", raw: Callable) -> None:
     ):
         table.add_argument(flag, metavar=metavar, action="append", help=what)
     table.add_argument("--all", action="store_true", help="one line per trial")
-    add_path(table, "--plot", "FILE.png", "draw a picture")
+    add_path(table, "--plot", "FILE", "draw a picture, .png or .svg")
     add_path(table, "--csv", "FILE.csv", "write one line per trial, in SI")
+    add_output(table)
     table.set_defaults(run=show_sweep)

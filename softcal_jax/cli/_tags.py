@@ -8,6 +8,7 @@ from softcal_jax.cli._shared import (
     OK,
     Display,
     Stop,
+    add_output,
     add_path,
     bad_input,
     check_new,
@@ -47,6 +48,8 @@ def tags(args: argparse.Namespace, show: Display) -> int:
         except ImportError as error:
             raise Stop(BAD_INPUT, f"error: {error}") from error
     last = args.first + args.count - 1
+    about = {"tags": [*range(args.first, last + 1)], "pages": n}
+    show.document({"file": str(args.output), **about})
     show.line(
         f"Wrote tags {args.first} to {last} of {1e3 * size:g} mm and the board to "
         f"{args.output}: {n} pages. Print them at 100 %."
@@ -74,4 +77,5 @@ def add_tags(commands: "argparse._SubParsersAction", raw: Callable) -> None:
     parser.add_argument("--paper", default="a4", choices=["a4", "letter"], help=text)
     text = "replace a file that is there"
     parser.add_argument("--force", action="store_true", help=text)
+    add_output(parser)
     parser.set_defaults(run=tags)

@@ -1,27 +1,30 @@
 """Writing what was found, so that an interruption or a full disk does not lose it."""
 
 import argparse
+import json
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from softcal_jax._places import cause
-from softcal_jax.cli._shared import BAD_INPUT, INTERRUPTED, Display, Stop, bad_input
+from softcal_jax.cli._display import Display
+from softcal_jax.cli._shared import BAD_INPUT, INTERRUPTED, Stop, bad_input
 
 Write = Callable[[Path, bool], Path]
 """Writes results to a folder, over earlier ones if the flag is set."""
 
 
 def write_results(
-    write: Write, args: argparse.Namespace, show: Display, *, force: bool
+    write: Write, args: argparse.Namespace, show: Display, *, index: str, force: bool
 ) -> None:
-    """Write what is printed already, and say where it is.
+    """Write what is printed already, and say where it is, or print its `index`.
 
     Where its folder cannot be written any more, as on a full disk, it goes to a
     temporary one, and the command ends with a message.
     """
-    show.now("writing results and pictures")
+    show.now("writing results")
     with bad_input():
         try:
             where = write(args.output, force)
@@ -29,7 +32,17 @@ def write_results(
             more = f"{_elsewhere(write)} {checkpoint_stands(args)}".strip()
             raise Stop(BAD_INPUT, f"error: {error}\n{more}") from error
     show.lap("results and pictures")
+    if show.as_json:
+        show.document(json.loads((where / index).read_text(encoding="utf-8")))
     show.results(where)
+
+
+def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, Any]:
+    """Return what results are written with: which pictures, and how they are told."""
+    told = lambda done, total: show.now(
+        "drawing pictures", log=False, count=(done, total)
+    )
+    return {"pictures": None if args.no_pictures else args.pictures, "told": told}
 
 
 def _elsewhere(write: Write) -> str:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._names import METRES, unknown_name
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations._csv_table import (
     CsvTable,
     check_length_unit,
@@ -27,7 +28,7 @@ _UNIT_LENGTH = 1e-3
 """Largest error of a quaternion's length, more than rounding to four digits gives."""
 
 
-class TrackerWarning(UserWarning):
+class TrackerWarning(SoftcalWarning):
     """Something in a tracker's file that is probably a mistake."""
 
 

@@ -19,7 +19,16 @@ from softcal_jax.control._problem import (
 )
 from softcal_jax.control._qp import step_in_levels
 from softcal_jax.control._result import OUTCOMES, StepRecord
-from softcal_jax.control._step import ROUNDING, Arrival, Decision, Trial, arrive, decide
+from softcal_jax.control._step import (
+    ROUNDING,
+    Arrival,
+    Decision,
+    Reached,
+    Trial,
+    decide,
+    differentiate,
+    reach,
+)
 
 PATIENCE = 3
 """Steps in a row of an exploring descent of which some must come closer."""
@@ -51,14 +60,14 @@ class Descent(NamedTuple):
         return self.outcome is not None and bool(self.outcome == OUTCOMES.met)
 
 
-def arrival(
+def reached(
     command: Command,
     value: Float[Array | HostArray, " n_a"],
     guess: Float[Array | HostArray, "n_points 3"],
-) -> Arrival:
+) -> Reached:
     """Solve for the equilibrium at inputs, which are clipped to their limits."""
     box = command.box()
-    found = arrive(
+    return reach(
         command.model,
         command.lane,
         jnp.asarray(box),
@@ -66,14 +75,19 @@ def arrival(
         jnp.asarray(guess),
         command.settings.newton.as_arrays(),
     )
+
+
+def differentiated(command: Command, there: Reached) -> Arrival:
+    """Add the derivatives to an equilibrium."""
+    found = differentiate(command.model, command.lane, there)
     return found._replace(value=np.asarray(found.value))
 
 
-def moved(command: Command, here: Arrival, change: Float[HostArray, " n_a"]) -> Arrival:
+def moved(command: Command, here: Arrival, change: Float[HostArray, " n_a"]) -> Reached:
     """Solve for the equilibrium after a change of the inputs, from its prediction."""
     motion = np.tensordot(change, here.compliance.displacement, axes=1)
     guess = np.asarray(here.solution.displacement) + motion
-    return arrival(command, here.value + change, guess)
+    return reached(command, here.value + change, guess)
 
 
 def begin(command: Command, here: Arrival) -> Descent:
@@ -111,10 +125,16 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
         qp = step_in_levels(levels, linear.rows, jnp.asarray(decision.step_bound))
         there = moved(command, here, np.asarray(qp.lambda_p) * linear.scale)
         trial = _trial(command, linear, qp, there, decision)
-        decision = decide(trial, decision, settings)
+        before, decision = decision, decide(trial, decision, settings)
         if decision.accepted:
-            here = there
-            linear = linearise(command, here.value, here.compliance)
+            arrived = differentiated(command, there)
+            if arrived.stands:
+                here = arrived
+                linear = linearise(command, here.value, here.compliance)
+            else:
+                # A singular equilibrium counts as none: no step leads on from it.
+                trial = trial._replace(tried=np.full_like(trial.tried, np.inf))
+                decision = decide(trial, before, settings)
         violation, *costs = parts(linear.rows.b, linear.error)
         records.append(
             StepRecord(
@@ -144,7 +164,7 @@ def _trial(
     command: Command,
     linear: Linear,
     qp: QPStep,
-    there: Arrival,
+    there: Reached,
     before: Decision,
 ) -> Trial:
     """Compare the parts before a step with what was expected and what came of it."""
@@ -152,10 +172,9 @@ def _trial(
     change = linear.W @ step
     now = parts(rows.b, error)
     tried = np.full_like(now, np.inf)
-    if there.stands:
-        state = there.compliance.state
-        room = follow_room(command, state, linear.length)
-        tried = parts(room, level_errors(command, state, linear.energy))
+    if bool(there.solution.converged):
+        room = follow_room(command, there.state, linear.length)
+        tried = parts(room, level_errors(command, there.state, linear.energy))
     weight = before.penalty[1:, None]
     lengths = np.sum(weight * change**2) * np.sum(weight * error**2)
     length = np.sqrt(max(lengths, np.finfo(float).tiny))

@@ -11,7 +11,14 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.control._descent import Descent, arrival, begin, descend, moved
+from softcal_jax.control._descent import (
+    Descent,
+    begin,
+    descend,
+    differentiated,
+    moved,
+    reached,
+)
 from softcal_jax.control._problem import Command, parts
 from softcal_jax.control._result import Attempt
 from softcal_jax.control._step import ROUNDING, Arrival
@@ -50,7 +57,9 @@ def search(command: Command, guess: Float[HostArray, "n_points 3"]) -> Found:
     does, the best and the one from the start itself are taken to their ends, and the
     better one counts.
     """
-    first = begin(command, arrival(command, command.start, guess))
+    first = begin(
+        command, differentiated(command, reached(command, command.start, guess))
+    )
     if first.linear is None:
         return Found(first, ())
     tried: list[Descent] = []
@@ -146,7 +155,8 @@ def _driven(
     for pieces in (1, PIECES):
         here = first
         for left in range(pieces, 0, -1):
-            here = moved(command, here, (value - here.value) / left)
+            there = moved(command, here, (value - here.value) / left)
+            here = differentiated(command, there)
             if not here.stands:
                 break
         else:

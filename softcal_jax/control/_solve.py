@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import (
     Configuration,
     configuration_lanes,
@@ -31,7 +32,7 @@ from softcal_jax.control._step import ControlSettings
 from softcal_jax.equilibrium import Model
 
 
-class ControlWarning(UserWarning):
+class ControlWarning(SoftcalWarning):
     """A goal that is probably a mistake."""
 
 

@@ -12,6 +12,7 @@ from softcal_jax.calibration import KKT_TOLERANCE
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.control._compliance import (
     ActuatorCompliance,
+    ActuatorState,
     actuator_compliance,
     actuator_state,
     with_inputs,
@@ -74,11 +75,16 @@ class ControlSettings(Module):
             raise ValueError(f"epsilon must not be negative, got {self.epsilon}.")
 
 
-class Arrival(NamedTuple):
-    """The equilibrium at some inputs, with slack cables wound up, and its derivatives.
+class Reached(NamedTuple):
+    """The equilibrium at some inputs, with slack cables wound up, and what it reads."""
 
-    They are nan where there is no equilibrium.
-    """
+    value: Float[Array | HostArray, " n_a"]
+    solution: EquilibriumSolution
+    state: ActuatorState
+
+
+class Arrival(NamedTuple):
+    """An equilibrium with its derivatives, which are nan where there is none."""
 
     value: Float[Array | HostArray, " n_a"]
     solution: EquilibriumSolution
@@ -91,29 +97,41 @@ class Arrival(NamedTuple):
 
 
 @eqx.filter_jit
-def arrive(
+def reach(
     model: Model,
     configuration: ConfigurationArrays,
     box: Float[Array, "2 n_a"],
     value: Float[Array, " n_a"],
     guess: Float[Array, "n_points 3"],
     newton: NewtonSettings,
-) -> Arrival:
-    """Solve for the equilibrium, wind up slack cables, and differentiate there.
+) -> Reached:
+    """Solve for the equilibrium and wind up slack cables.
 
     Winding them up until they are just taut does not change the equilibrium, but a
     slack cable has no effect on the robot and so no derivative, whereas a taut one has.
     """
     configuration = with_inputs(configuration, value)
     solution = solve_equilibrium(model, configuration, guess=guess, settings=newton)
-    delta_a = actuator_state(model, configuration, solution).displacements
+    state = actuator_state(model, configuration, solution)
     cable = jnp.asarray(model.mechanism.actuators.unilateral)
     cable = cable & jnp.asarray(configuration.actuation.by_displacement)
     lower, upper = box
-    wound = jnp.maximum(value, jnp.minimum(delta_a, upper))
+    wound = jnp.maximum(value, jnp.minimum(state.displacements, upper))
     value = jnp.where(cable & (upper > lower), wound, value)
-    configuration = with_inputs(configuration, value)
-    return Arrival(value, solution, actuator_compliance(model, configuration, solution))
+    return Reached(value, solution, state)
+
+
+@eqx.filter_jit
+def differentiate(
+    model: Model, configuration: ConfigurationArrays, there: Reached
+) -> Arrival:
+    """Differentiate an equilibrium by its inputs.
+
+    This takes a factorization of its own, so a step that was refused goes without.
+    """
+    configuration = with_inputs(configuration, jnp.asarray(there.value))
+    compliance = actuator_compliance(model, configuration, there.solution)
+    return Arrival(there.value, there.solution, compliance)
 
 
 class Trial(NamedTuple):

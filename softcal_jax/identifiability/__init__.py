@@ -24,6 +24,7 @@ from softcal_jax.identifiability._spread import (
     Spread,
     Verdict,
 )
+from softcal_jax.identifiability._verdict import RunVerdict, Tone, end_of, verdict_of
 
 __all__ = [
     "IDENTIFIABLE_UP_TO",
@@ -36,16 +37,20 @@ __all__ = [
     "ParameterOutlook",
     "Prediction",
     "Ranking",
+    "RunVerdict",
     "Spread",
     "Tabulated",
+    "Tone",
     "Unranked",
     "Verdict",
     "assess",
     "conditioning",
+    "end_of",
     "identifiability",
     "identify",
     "percent",
     "predict_spread",
     "rank_configurations",
     "table",
+    "verdict_of",
 ]

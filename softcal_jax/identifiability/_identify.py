@@ -1,6 +1,6 @@
 """Judge which parameters the data can determine, before or after a calibration."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -13,11 +13,13 @@ from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
+    EquilibriumProgress,
     Evaluator,
     as_sequence,
     check_references,
     considered_errors,
     correlated_noise,
+    told_of_lane,
     unknown_causes,
     whitened,
 )
@@ -175,6 +177,7 @@ def identify(
     newton: NewtonSettings | None = None,
     uncertain: Uncertain | None = None,
     precision: float = PRECISION,
+    progress: Callable[[EquilibriumProgress], None] = lambda _: None,
 ) -> Identifiability:
     """Predict what markers in these configurations would tell, before measuring.
 
@@ -193,6 +196,7 @@ def identify(
         uncertain: How well everything is known that is not calibrated; the defaults of
             `Uncertain` by default.
         precision: Standard error that is asked for, relative to the value [-].
+        progress: Called at the end of each equilibrium, from the thread that found it.
 
     Raises:
         ValueError: If an input is wrong.
@@ -208,6 +212,7 @@ def identify(
         noise=noise,
         newton=newton,
         uncertain=uncertain,
+        progress=progress,
     )
     n_p = len(found.space.names)
     none = np.zeros((0, n_p))
@@ -276,6 +281,7 @@ def survey(
     newton: NewtonSettings | None = None,
     uncertain: Uncertain | None = None,
     required: int | None = None,
+    progress: Callable[[EquilibriumProgress], None] = lambda _: None,
 ) -> Survey:
     """Solve configurations at one value of the parameters and differentiate them.
 
@@ -304,7 +310,9 @@ def survey(
     evaluator, names = Evaluator(problem), tuple(c.name for c in configurations)
     required = len(names) if required is None else required
     with Workers(model, len(names)) as workers:
-        solution, moved = workers.end_of(evaluator.simulated(z))
+        solution, moved = workers.end_of(
+            evaluator.simulated(z, told_of_lane(progress, names))
+        )
         if required:
             there = jax.tree.map(lambda leaf: leaf[:required], solution)
             check_converged(there, names)

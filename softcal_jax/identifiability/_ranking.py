@@ -1,6 +1,6 @@
 """Rank configurations that might be measured next."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
-from softcal_jax.calibration import as_sequence
+from softcal_jax.calibration import EquilibriumProgress, as_sequence
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, Uncertain, asked_errors
@@ -178,6 +178,7 @@ def rank_configurations(
     newton: NewtonSettings | None = None,
     uncertain: Uncertain | None = None,
     precision: float = PRECISION,
+    progress: Callable[[EquilibriumProgress], None] = lambda _: None,
 ) -> Ranking:
     """Rank candidate configurations by what they would tell, before measuring.
 
@@ -203,6 +204,7 @@ def rank_configurations(
         uncertain: How well everything is known that is not calibrated; the defaults of
             `Uncertain` by default.
         precision: Standard error that is asked for, relative to the value [-].
+        progress: Called at the end of each equilibrium, from the thread that found it.
 
     Returns:
         The candidates, the best first. Those without an equilibrium at these values or
@@ -224,6 +226,7 @@ def rank_configurations(
         newton=newton,
         uncertain=uncertain,
         required=len(known),
+        progress=progress,
     )
     asked = asked_errors(found.space, found.z, precision)
     measured = found.sensed[: len(known)]

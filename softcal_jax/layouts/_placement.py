@@ -8,6 +8,7 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import ControlPoints
@@ -38,7 +39,7 @@ percent, through the strain around them.
 """
 
 
-class LayoutWarning(UserWarning):
+class LayoutWarning(SoftcalWarning):
     """More control points were asked for than the data can tell apart."""
 
 

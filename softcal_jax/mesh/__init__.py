@@ -31,6 +31,7 @@ from softcal_jax.mesh._topology import (
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
+from softcal_jax.mesh._unit_guess import guess_length_unit
 from softcal_jax.mesh._voxels import Filling, Grid, fill
 from softcal_jax.mesh._writing import write_mesh
 
@@ -56,6 +57,7 @@ __all__ = [
     "face_shares",
     "fill",
     "finer",
+    "guess_length_unit",
     "locate",
     "merge",
     "mesh_cad",

@@ -137,7 +137,8 @@ def _disconnected(mesh: TetMesh, table: FaceTable, linked) -> Iterator[str]:
     remedy = (
         f"{len(pairs)} pairs of nodes coincide: merge them"
         if len(pairs)
-        else "Join them, keep one, or link them by a rigid body"
+        else "Join them, keep one, or link them by a rigid body and read the file with "
+        'parts = "linked"'
     )
     yield (
         f"it is disconnected: {n_parts} parts of {listed} tets that share no face. "

@@ -18,6 +18,7 @@ from softcal_jax._files import check_file
 from softcal_jax._limits import LimitError
 from softcal_jax._text import escaped
 from softcal_jax._typing import HostArray
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.mesh._inp import check_inp, mend_inp_sets
 from softcal_jax.mesh._packed import bounded_unpacking
 
@@ -31,7 +32,7 @@ FORMATS = {
 """Formats that `read_mesh` is tested with, and meshio's names of them."""
 
 
-class MeshWarning(UserWarning):
+class MeshWarning(SoftcalWarning):
     """A mesh file was read, but not all of its content was used."""
 
 

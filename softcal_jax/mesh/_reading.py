@@ -34,6 +34,7 @@ def read_mesh(
     length_unit: str,
     order: int | None = None,
     unused: str = "error",
+    parts: str = "one",
 ) -> TetMesh:
     """Read the tets and the named groups of a mesh file, and check them.
 
@@ -49,6 +50,8 @@ def read_mesh(
         length_unit: Unit of its coordinates: "m", "cm", "mm", "um" or "inch".
         order: 1 or 2 to convert to that order; None keeps the order of the file.
         unused: What to do with nodes that no cell uses: "error" or "drop".
+        parts: "one" refuses parts that share no face; "linked" leaves that to
+            `build_model`, which knows the rigid bodies that link them.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -66,12 +69,15 @@ def read_mesh(
         raise ValueError(f"order must be 1, 2 or None, got {order}.")
     if unused not in ("error", "drop"):
         raise unknown_name("choice for unused nodes", unused, ("error", "drop"))
+    if parts not in ("one", "linked"):
+        raise unknown_name("choice for parts", parts, ("one", "linked"))
     path = Path(path)
     notes: list[str] = []
     raw = read_raw(path, notes)
     try:
         mesh = _build(path, raw, METRES[length_unit], unused, notes)
-        check_mesh(mesh)
+        together = [np.arange(mesh.n_nodes)] if parts == "linked" else []
+        check_mesh(mesh, linked=together)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     if mesh.size > _LARGE or (mesh.size < _SMALL and length_unit != "um"):

@@ -1,5 +1,6 @@
 """Faces, edges, areas and volumes of the tets."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -47,11 +48,22 @@ class FaceTable(NamedTuple):
 
 def face_table(tets: Int[HostArray, "n_tets n_en"]) -> FaceTable:
     """Give the faces in `tet_faces` order an index that shared faces have in common."""
-    corners = np.sort(tet_faces(tets[:, :4]), axis=1)
+    corners = np.ascontiguousarray(tets[:, :4], np.int64)
+    return _face_table(corners.tobytes())
+
+
+@lru_cache(maxsize=4)
+def _face_table(content: bytes) -> FaceTable:
+    """Sort the faces of a mesh once: every marker and group asks for them again."""
+    tets = np.frombuffer(content, np.int64).reshape(-1, 4)
+    corners = np.sort(tet_faces(tets), axis=1)
     _, inverse, counts = np.unique(
         corners, axis=0, return_inverse=True, return_counts=True
     )
-    return FaceTable(inverse.ravel(), counts)
+    table = FaceTable(inverse.ravel(), counts)
+    for array in table:
+        array.flags.writeable = False  # all callers share it
+    return table
 
 
 def boundary_face_indices(tets: Int[HostArray, "n_tets n_en"]) -> HostArray:

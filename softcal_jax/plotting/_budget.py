@@ -8,11 +8,11 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import NOISE, CalibrationResult
 from softcal_jax.plotting._colours import FAINT, SERIES, TEXT
+from softcal_jax.plotting._save import DPI, save
 
 if TYPE_CHECKING:
     import matplotlib.figure
 
-_DPI = 100
 _HATCHES = ("", "//", "..")
 """Patterns that tell causes of the same colour apart."""
 
@@ -24,10 +24,10 @@ def plot_budget(
 
     Args:
         result: The calibration.
-        path: PNG file, 1200 pixels wide.
+        path: PNG file, 1200 pixels wide, or SVG file.
         name: Name of the calibration.
     """
-    budget_figure(result, name).savefig(path, dpi=_DPI, format="png")
+    save(budget_figure(result, name), path)
 
 
 def budget_figure(result: CalibrationResult, name: str) -> "matplotlib.figure.Figure":
@@ -36,7 +36,7 @@ def budget_figure(result: CalibrationResult, name: str) -> "matplotlib.figure.Fi
 
     n_p = len(result.parameters)
     height = 2.4 + 0.55 * n_p
-    figure = Figure(figsize=(12.0, height), dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(12.0, height), dpi=DPI, layout="constrained")
     axes = figure.subplots()
     rows, left = np.arange(n_p), np.zeros(n_p)
     for k, (cause, share) in enumerate(budget_shares(result).items()):

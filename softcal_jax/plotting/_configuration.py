@@ -18,6 +18,7 @@ from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting import _robot as robots
 from softcal_jax.plotting._robot import SensorFrame
+from softcal_jax.plotting._save import DPI, save
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._setup import draw_setup, load_points, setup_handles
 from softcal_jax.plotting._view import choose_view
@@ -25,7 +26,6 @@ from softcal_jax.plotting._view import choose_view
 if TYPE_CHECKING:
     import matplotlib.axes
 
-_DPI = 100
 _WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130
 """Whole width, and sizes of colour scale, title and legend [pixels]."""
 _LOWEST, _HIGHEST = 420, 900
@@ -46,7 +46,7 @@ def render_configuration(
     Args:
         model: The model.
         result: The configuration, calibrated or simulated.
-        path: PNG file.
+        path: PNG or SVG file.
         converged: Whether the calibration converged; if not, the picture says so.
 
     Raises:
@@ -117,7 +117,7 @@ def render_body(
     Args:
         model: The model.
         displacement: Nodal displacement [m].
-        path: PNG file.
+        path: PNG or SVG file.
         title: First line.
         subtitle: Second line.
         measured: Measured marker positions; rows with a NaN are left out [m].
@@ -155,7 +155,7 @@ def render_body(
 
     top = _TOP + (annotations.WARNING_HEIGHT if warning else 0)
     total = height + top + _BOTTOM
-    figure = Figure(figsize=(_WIDTH / _DPI, total / _DPI), dpi=_DPI, facecolor="white")
+    figure = Figure(figsize=(_WIDTH / DPI, total / DPI), dpi=DPI, facecolor="white")
 
     def axes(left, bottom, width, height) -> "matplotlib.axes.Axes":
         """Add axes at a place in pixels, from the lower left corner."""
@@ -187,7 +187,7 @@ def render_body(
         sensors=len(sensors) > 0,
     )
     annotations.draw_legend(figure, names, 62 / total, setup_handles(setup) + drawn)
-    figure.savefig(path, dpi=_DPI, format="png")
+    save(figure, path)
 
 
 def _fit_body(w: float, h: float, width: int) -> tuple[float, int]:

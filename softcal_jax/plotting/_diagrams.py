@@ -11,16 +11,16 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ParameterEstimate
-from softcal_jax.export import readable_unit
-from softcal_jax.identifiability import assess
+from softcal_jax.export import Readable, readable_unit
+from softcal_jax.identifiability import assess, end_of, verdict_of
 from softcal_jax.plotting._annotations import draw_name
-from softcal_jax.plotting._colours import BAD, DOUBTFUL, FAINT, GOOD, SERIES, TEXT
+from softcal_jax.plotting._colours import BAD, COLOUR_OF, FAINT, SERIES, TEXT
+from softcal_jax.plotting._save import DPI, save
 
 if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
-_DPI = 100
 _TITLE_WIDTH = 85
 """Characters of a line of the reasons below the title."""
 
@@ -41,11 +41,11 @@ def plot_convergence(
 
     Args:
         result: The calibration.
-        path: PNG file, 1200 pixels wide.
+        path: PNG file, 1200 pixels wide, or SVG file.
         name: Name of the calibration.
     """
     figure = convergence_figure(result, name)
-    figure.savefig(path, dpi=_DPI, format="png")
+    save(figure, path)
 
 
 def convergence_figure(
@@ -57,7 +57,7 @@ def convergence_figure(
 
     units = list(dict.fromkeys(parameter.unit for parameter in result.parameters))
     n = 2 + len(units)
-    figure = Figure(figsize=(12.0, 1.2 + 3.0 * n), dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(12.0, 1.2 + 3.0 * n), dpi=DPI, layout="constrained")
     panels = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
     _plot_rms(panels[0], result)
     _plot_step(panels[1], result)
@@ -76,19 +76,15 @@ def convergence_figure(
         _finish(axes)
     panels[-1].set_xlabel("step", fontsize=14)
     panels[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
-    steps = len(result.history) - 1
-    text, colour = f"{name}: converged in {steps} step{'s' * (steps != 1)}", GOOD
-    found = assess(result)
-    if not found.identified:
-        text, colour = f"{text}, but take the values with care", DOUBTFUL
+    verdict = verdict_of(result, assess(result))
+    colour = COLOUR_OF[verdict.tone]
     if not result.converged:
-        text = f"{name}: NOT converged after {steps} steps, do not use these values"
-        colour = BAD
         figure.set_facecolor("#fdecea")
-    figure.suptitle(text, fontsize=19, weight="bold", color=colour, parse_math=False)
-    if result.converged and found.reasons:
-        lines = [line for own in found.reasons for line in wrap(own, _TITLE_WIDTH)]
-        style = {"fontsize": 13, "color": DOUBTFUL, "loc": "left"}
+    text = "\n".join([name, verdict.sentence])
+    figure.suptitle(text, fontsize=17, weight="bold", color=colour, parse_math=False)
+    if verdict.reasons:
+        lines = [line for own in verdict.reasons for line in wrap(own, _TITLE_WIDTH)]
+        style = {"fontsize": 13, "color": colour, "loc": "left"}
         panels[0].set_title("\n".join(lines), **style, parse_math=False)
         figure.set_figheight(figure.get_figheight() + _LINE * len(lines))
     figure.get_layout_engine().set(h_pad=0.12, w_pad=0.12)  # pyright: ignore
@@ -136,7 +132,11 @@ def _plot_step(axes: "matplotlib.axes.Axes", result: CalibrationResult) -> None:
     sizes = [max(*np.abs(entry.lambda_p), 1e-16) for entry in history]
     axes.semilogy([e.step for e in history], sizes, "o-", color=SERIES[0], lw=2, ms=7)
     tol = result.settings.tol
+    if not history:  # the tolerance alone spans no axis
+        axes.set_ylim(0.1 * tol, 1.0)
     axes.axhline(tol, color=FAINT, ls="--", lw=1.8, label=f"tolerance {tol:g}")
+    style = {"fontsize": 13, "color": TEXT, "loc": "left"}
+    axes.set_title(end_of(result), **style, parse_math=False)
     axes.minorticks_off()
     axes.set_ylabel(r"largest $|\lambda_p|$ [-]")
 
@@ -169,8 +169,33 @@ def _plot_parameters(
         style = {"color": SERIES[i % len(SERIES)], "label": label if named else None}
         series = shown.factor * np.array(values[parameter.name])
         axes.plot(steps, series, "o-", **style, **size)
+    if named:
+        drawn = [shown.factor * v for own in values.values() for v in own]
+        _draw_bounds(axes, parameters, drawn, shown)
     what = parameters[0].name if len(parameters) == 1 else "parameters"
     axes.set_ylabel(f"{what} [{shown.unit or '-'}]", parse_math=False)
+
+
+def _draw_bounds(
+    axes: "matplotlib.axes.Axes",
+    parameters: list[ParameterEstimate],
+    values: Sequence[float],
+    shown: Readable,
+) -> None:
+    """Draw the bounds that lie near the values, and name all of them."""
+    span = max(values) - min(values) or 0.1 * abs(max(values)) or 1.0
+    low, high = min(values) - 0.05 * span, max(values) + 0.05 * span
+    for i, parameter in enumerate(parameters):
+        bounds = [shown.factor * parameter.lower, shown.factor * parameter.upper]
+        ends = f"{bounds[0]:.4g} to {bounds[1]:.4g} {shown.unit}".rstrip()
+        label = f"bounds of {parameter.name}: {ends}"
+        # One that is far away would leave no room for the values.
+        near = [b for b in bounds if low <= b <= high]
+        look = {"color": SERIES[i % len(SERIES)], "ls": "-.", "lw": 1.5}
+        for bound in near:
+            axes.axhline(bound, **look)
+        axes.plot([], [], label=label, **look)
+    axes.set_ylim(low, high)
 
 
 def plot_trials(
@@ -188,7 +213,7 @@ def plot_trials(
     Args:
         columns: Values of the trials on each axis, by its name.
         figures: Results of the trials, by the label of the figure; nan is not drawn.
-        path: PNG file.
+        path: PNG or SVG file.
         title: Title of the picture.
         left_out: Which trials are not drawn, and why; printed below the title.
 
@@ -202,7 +227,7 @@ def plot_trials(
         raise ValueError("there is nothing to draw: no trial has converged yet.")
     n_rows, n_columns = shape = len(figures), len(columns)
     size = (max(8.0, 2.0 + 5.0 * n_columns), 1.2 + 3.0 * n_rows)
-    drawing = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    drawing = Figure(figsize=size, dpi=DPI, layout="constrained")
     panels = drawing.subplots(*shape, sharex="col", sharey="row", squeeze=False)
     for row, (label, values) in zip(panels, figures.items(), strict=True):
         for axes, where in zip(row, columns.values(), strict=True):
@@ -218,7 +243,7 @@ def plot_trials(
         bar = Line2D([], [], color=SERIES[1], lw=2.5, label="mean")
         drawing.legend(handles=[bar], loc="upper right", fontsize=13, frameon=False)
     drawing.get_layout_engine().set(h_pad=0.1, w_pad=0.1)  # pyright: ignore
-    drawing.savefig(path, dpi=_DPI, format="png")
+    save(drawing, path)
 
 
 def _draw(axes: "matplotlib.axes.Axes", where: Sequence[Any], values: Any) -> None:

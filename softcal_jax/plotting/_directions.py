@@ -10,12 +10,12 @@ from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, boundary_faces, boundary_tets
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
+from softcal_jax.plotting._save import DPI, save
 from softcal_jax.plotting._view import View, choose_view
 
 if TYPE_CHECKING:
     import matplotlib.axes
 
-_DPI = 100
 _SIZE, _TOP, _BOTTOM = 900, 110, 120
 """Longer side of the body, and heights above and below it [pixels]."""
 
@@ -62,7 +62,7 @@ def plot_directions(
         mesh: The mesh [m].
         families: Name of each family of fibres, and its unit vector in each tet [-], as
             `np.transpose(fibre.direction())` gives it.
-        path: PNG file.
+        path: PNG or SVG file.
         where: Tets that have fibres; all by default.
         title: Title of the picture.
 
@@ -87,7 +87,7 @@ def plot_directions(
     extent = _MARGIN * np.array([view.width, view.height])
     width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).round()
     total = height + _TOP + _BOTTOM
-    figure = Figure(figsize=(width / _DPI, total / _DPI), dpi=_DPI, facecolor="white")
+    figure = Figure(figsize=(width / DPI, total / DPI), dpi=DPI, facecolor="white")
 
     def axes(left, bottom, right, top) -> "matplotlib.axes.Axes":
         """Add axes at a place in pixels, from the lower left corner."""
@@ -107,7 +107,7 @@ def plot_directions(
     annotations.draw_triad(axes(10, 5, _BOTTOM - 5, _BOTTOM - 10), view)
     bar = axes(width - 270, 20, width - 20, 90)
     annotations.draw_length_scale(bar, 250 * scale)
-    figure.savefig(path, dpi=_DPI, format="png")
+    save(figure, path)
 
 
 def _colours_of(families: Iterable[str]) -> list[str]:

@@ -9,12 +9,12 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.mesh import TetMesh
 from softcal_jax.plotting._colours import FAINT, OUTLINE, TEXT
+from softcal_jax.plotting._save import DPI, save
 
 if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
-_DPI = 100
 _WIDTH = 14.0
 """Width of the figure [inches]."""
 
@@ -44,7 +44,7 @@ def plot_fibres(
     Args:
         mesh: The mesh [m].
         panels: Title of each panel, and the angle of each tet [rad].
-        path: PNG file, 1400 pixels wide.
+        path: PNG file, 1400 pixels wide, or SVG file.
         plane: Print plane, which is the plane of the picture.
         control_points: Positions to mark in every panel [m].
         title: Title of the figure.
@@ -53,7 +53,7 @@ def plot_fibres(
         ValueError: If there is no panel, or a panel lacks one angle per tet.
     """
     figure = fibre_figure(mesh, panels, plane, control_points, title)
-    figure.savefig(path, dpi=_DPI, format="png")
+    save(figure, path)
 
 
 def fibre_figure(
@@ -92,7 +92,7 @@ def fibre_figure(
     in_column = 1 if in_row > 1 else len(panels)
     height = (_WIDTH - _SIDE) / in_row * extent[1] / extent[0]
     size = (_WIDTH, in_column * (min(height, 8.0) + 0.75) + 0.9)
-    figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
     axes = figure.subplots(in_column, in_row, squeeze=False).ravel()
     for panel, (name, theta) in zip(axes, panels.items(), strict=True):
         _draw_layer(panel, corners, theta[layer], colours)

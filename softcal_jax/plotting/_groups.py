@@ -10,6 +10,7 @@ from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces, boundary_tets
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
+from softcal_jax.plotting._save import DPI, save
 from softcal_jax.plotting._view import View, choose_view
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 Colour = tuple[float, float, float]
 
-_DPI = 100
 _SIZE, _TOP, _BOTTOM, _HEADING = 800, 90, 120, 40
 """Longer side of a panel, heights above and below all, and of a heading [pixels]."""
 
@@ -80,7 +80,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
 
     Args:
         mesh: The mesh [m].
-        path: PNG file.
+        path: PNG or SVG file.
         title: Title of the picture.
     """
     from matplotlib.figure import Figure
@@ -104,7 +104,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     legend = _ENTRY[1] * -(-len(groups) // per_row)
     size = np.array([_COLUMNS * frame.width, rows * (frame.height + _HEADING)])
     size[1] += _TOP + legend + _BOTTOM
-    figure = Figure(figsize=tuple(size / _DPI), dpi=_DPI, facecolor="white")
+    figure = Figure(figsize=tuple(size / DPI), dpi=DPI, facecolor="white")
 
     def axes(left, bottom, wide, high) -> "matplotlib.axes.Axes":
         """Add axes at a place in pixels, from the lower left corner."""
@@ -134,7 +134,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     _draw_legend(figure, names, colours, per_row, (_BOTTOM + 0.5 * legend) / size[1])
     annotations.draw_triad(axes(10, 5, _BOTTOM - 10, _BOTTOM - 10), front)
     annotations.draw_length_scale(axes(size[0] - 270, 20, 250, 70), 250 * frame.scale)
-    figure.savefig(path, dpi=_DPI, format="png")
+    save(figure, path)
 
 
 def _panels(mesh: TetMesh) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]:

@@ -25,6 +25,7 @@ from softcal_jax.plotting import _robot as robots
 from softcal_jax.plotting._colours import FIBRE, MEASURED, RIGID, SIMULATED, TEXT
 from softcal_jax.plotting._rest import rest_image
 from softcal_jax.plotting._robot import RobotPicture, SensorFrame
+from softcal_jax.plotting._save import DPI, save
 from softcal_jax.plotting._setup import draw_setup, load_points, setup_handles
 from softcal_jax.plotting._view import View, choose_view
 
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 MOST_PANELS = 6
 """Most configurations that are drawn; the others are counted."""
 
-_DPI = 100
 _WIDTH, _TOP, _BOTTOM, _HEADING = 1600, 110, 140, 44
 """Whole width, and heights of title, legend and the heading of a panel [pixels]."""
 _LOWEST, _HIGHEST, _PAGE = 330, 820, 1100
@@ -75,7 +75,7 @@ def plot_plan(
     title: str,
     subtitle: str = "",
     control_points: Float[HostArray, "n_cp 3"] | None = None,
-    metadata: Mapping[str, str] | None = None,
+    software: str = "softcal_jax",
 ) -> None:
     """Draw the body at rest with all that acts on it and is measured, unsolved.
 
@@ -88,11 +88,11 @@ def plot_plan(
         model: The model.
         headings: What stands above each configuration, by its name.
         configurations: The configurations; the first `MOST_PANELS` are drawn.
-        path: PNG file, 1600 pixels wide.
+        path: PNG file, 1600 pixels wide, or SVG file.
         title: First line.
         subtitle: Second line.
         control_points: Control points, numbered from 1 [m].
-        metadata: Texts to be kept in the file.
+        software: What drew it, which is kept in the file.
     """
     from matplotlib.figure import Figure
 
@@ -111,7 +111,7 @@ def plot_plan(
     width = _WIDTH // columns
     pixels = rest_image(mesh, view, size=(width, height), scale=scale)
     total = _TOP + rows * (height + _HEADING) + _BOTTOM
-    figure = Figure(figsize=(_WIDTH / _DPI, total / _DPI), dpi=_DPI, facecolor="white")
+    figure = Figure(figsize=(_WIDTH / DPI, total / DPI), dpi=DPI, facecolor="white")
 
     def axes(left, bottom, wide, high) -> "matplotlib.axes.Axes":
         """Add axes at a place in pixels, from the lower left corner."""
@@ -140,7 +140,7 @@ def plot_plan(
     extra = {"fibre": fibres is not None, "control point": control_points is not None}
     drawn += [what for what, there in extra.items() if there]
     _draw_legend(figure, list(dict.fromkeys(drawn)), 70 / total)
-    figure.savefig(path, dpi=_DPI, format="png", metadata=dict(metadata or {}))
+    save(figure, path, software=software)
 
 
 class _Grid(NamedTuple):

@@ -8,12 +8,12 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Recording, Traces
 from softcal_jax.plotting._colours import FAINT, SERIES, TEXT
+from softcal_jax.plotting._save import DPI, save
 
 if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
-_DPI = 100
 _WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")
 """Colours of the windows, light enough for the lines above them."""
 
@@ -35,10 +35,10 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
 
     Args:
         traces: The recording, and what was used of it.
-        path: PNG file, 1200 pixels wide.
+        path: PNG file, 1200 pixels wide, or SVG file.
         name: Name of the configuration.
     """
-    traces_figure(traces, name).savefig(path, dpi=_DPI, format="png")
+    save(traces_figure(traces, name), path)
 
 
 def traces_figure(traces: Traces, name: str) -> "matplotlib.figure.Figure":
@@ -47,7 +47,7 @@ def traces_figure(traces: Traces, name: str) -> "matplotlib.figure.Figure":
 
     recording, windows = traces.recording, _distinct(traces)
     shape = (1 + len(windows), 1)
-    figure = Figure((12.0, 1.2 + 3.2 * shape[0]), dpi=_DPI, layout="constrained")
+    figure = Figure((12.0, 1.2 + 3.2 * shape[0]), dpi=DPI, layout="constrained")
     panels = figure.subplots(*shape, squeeze=False)[:, 0]
     _draw(panels[0], traces, _first_seen(recording))
     panels[0].set_ylabel("distance from\nthe first frame [mm]")

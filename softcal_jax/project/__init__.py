@@ -2,6 +2,7 @@
 
 from softcal_jax.project._as_read import QuantityAsRead, quantities_as_read
 from softcal_jax.project._compare import compare_projects
+from softcal_jax.project._guesses import CHANGE, Guess, guesses_left
 from softcal_jax.project._load import load_mesh, load_project
 from softcal_jax.project._plausibility import ProjectWarning
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion
@@ -12,6 +13,8 @@ from softcal_jax.project._table import Integer, Table
 from softcal_jax.project._toml import read_toml
 
 __all__ = [
+    "CHANGE",
+    "Guess",
     "Integer",
     "Project",
     "ProjectError",
@@ -20,6 +23,7 @@ __all__ = [
     "Table",
     "at",
     "compare_projects",
+    "guesses_left",
     "load_mesh",
     "load_project",
     "one_by_one",

@@ -9,9 +9,13 @@ from softcal_jax._module import one_line
 from softcal_jax.project._problems import key_path
 from softcal_jax.project._quantities import recognised
 from softcal_jax.project._toml import Keys, read_toml
+from softcal_jax.project._windows import WindowTable
 
 _NAMES = ("name", "displacement_from", "recording")
 """Keys of names, which may look like quantities: a pose "350 mbar"."""
+
+_WINDOW = WindowTable.model_fields
+"""Keys of a window of time; a `select` without them names cells of a table."""
 
 
 class QuantityAsRead(NamedTuple):
@@ -65,8 +69,9 @@ def quantities_as_read(path: str | os.PathLike[str]) -> tuple[QuantityAsRead, ..
 def _texts(keys: Keys, value: Any) -> Iterator[tuple[Keys, str]]:
     """Walk through tables and lists to their texts, except names."""
     if isinstance(value, dict):
+        rows = bool(keys) and keys[-1] == "select" and not {*value} & {*_WINDOW}
         for key, inner in value.items():
-            if key not in _NAMES:
+            if key not in _NAMES and not rows:
                 yield from _texts((*keys, key), inner)
     elif isinstance(value, list):
         for number, inner in enumerate(value):

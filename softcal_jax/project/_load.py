@@ -20,6 +20,7 @@ from softcal_jax.fields import check_parameters
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Built, build_configuration
 from softcal_jax.project._effectors import build_effectors
+from softcal_jax.project._guesses import CHANGE, guesses_left
 from softcal_jax.project._parameters import build_space
 from softcal_jax.project._photos import PhotosTable
 from softcal_jax.project._plausibility import ProjectWarning, implausible
@@ -61,7 +62,7 @@ def load_project(
 
     Warns:
         ProjectWarning: If a density, gravity, load or measured point is hard to
-            believe.
+            believe, or the file has guesses of `softcal new` that are not confirmed.
     """
     check_process()
     path = Path(path)
@@ -87,7 +88,17 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
 
 
 def _warn(project: Project) -> None:
-    """Warn of numbers that are probably a slip of a unit."""
+    """Warn of guesses, and of numbers that are probably a slip of a unit."""
+    guesses = guesses_left(project.path)
+    if guesses:
+        n = len(guesses)
+        many = f"{n} lines hold a guess" if n > 1 else "one line holds a guess"
+        text = (
+            f"{project.path}: {many} that nobody has confirmed, of `softcal new`: what "
+            f'is found with them means little. They have a remark "{CHANGE}..."; '
+            "`softcal check` lists them."
+        )
+        warnings.warn(text, ProjectWarning, stacklevel=3)
     posed = {f"configurations.{c.name}": c for c in project.configurations}
     posed |= {f"candidates.{c.name}": c for c in project.candidates}
     for line in implausible(project.model, posed):

@@ -59,6 +59,7 @@ class MeshFileTable(_MeshTable):
     file: str = Field(description='a mesh file: "robot.msh"')
     length_unit: LengthUnit = Field(description='the length unit of the file: "mm"')
     unused_nodes: Literal["error", "drop"] = "error"
+    parts: Literal["one", "linked"] = "one"
 
     def build(self, folder: Path) -> TetMesh:
         """Read the mesh; its path is relative to `folder`."""
@@ -67,6 +68,7 @@ class MeshFileTable(_MeshTable):
             length_unit=self.length_unit,
             order=self.order,
             unused=self.unused_nodes,
+            parts=self.parts,
         )
 
     def files(self, folder: Path) -> tuple[Path, ...]:

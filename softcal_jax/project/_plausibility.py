@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._units import readable_values
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
     Configuration,
@@ -29,7 +30,7 @@ WEIGHTS = 200.0
 """Dead load over the weight of the robot from which a soft one would be flat [-]."""
 
 
-class ProjectWarning(UserWarning):
+class ProjectWarning(SoftcalWarning):
     """A number of a project file that is probably a mistake."""
 
 

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-import equinox as eqx
-
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
@@ -18,6 +16,8 @@ from softcal_jax.calibration import (
     ProjectSource,
     SearchProgress,
     calibrate,
+    equilibria,
+    told_of_lane,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -25,12 +25,7 @@ from softcal_jax.configurations import (
     Traces,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import (
-    EquilibriumSolution,
-    Model,
-    NewtonSettings,
-    solve_from_rest,
-)
+from softcal_jax.equilibrium import EquilibriumSolution, Model, NewtonSettings
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.identifiability import (
     Identifiability,
@@ -217,10 +212,15 @@ class Project(Module):
         if problems:
             raise one_by_one(self.path, problems)
 
-    def identify(self) -> Identifiability:
+    def identify(
+        self, *, progress: Callable[[EquilibriumProgress], None] = lambda _: None
+    ) -> Identifiability:
         """Judge what the calibration configurations would tell, measured or not.
 
         The verdict is at the start values, with the stated noise of all effectors.
+
+        Args:
+            progress: Called at the end of each equilibrium.
 
         Raises:
             ProjectError: If there are no parameters, configurations or markers.
@@ -235,10 +235,16 @@ class Project(Module):
             newton=self.newton,
             uncertain=self.uncertain,
             precision=self.precision,
+            progress=progress,
         )
 
-    def rank_candidates(self) -> Ranking:
+    def rank_candidates(
+        self, *, progress: Callable[[EquilibriumProgress], None] = lambda _: None
+    ) -> Ranking:
         """Rank the candidates, best first, by what they add to the configurations.
+
+        Args:
+            progress: Called at the end of each equilibrium.
 
         Raises:
             ProjectError: If there are no parameters, candidates or markers.
@@ -258,6 +264,7 @@ class Project(Module):
             newton=self.newton,
             uncertain=self.uncertain,
             precision=self.precision,
+            progress=progress,
         )
 
     def check_simulation(self) -> None:
@@ -272,10 +279,15 @@ class Project(Module):
                 "[[configurations]]."
             )
 
-    def simulate(self) -> EquilibriumSolution:
+    def simulate(
+        self, *, progress: Callable[[EquilibriumProgress], None] = lambda _: None
+    ) -> EquilibriumSolution:
         """Solve the equilibria of all `configurations`, a lane each, at the start.
 
         `check_converged` raises where one has no equilibrium.
+
+        Args:
+            progress: Called while they are solved.
 
         Raises:
             ProjectError: If there are no configurations.
@@ -283,7 +295,5 @@ class Project(Module):
         self.check_simulation()
         mesh, mechanism = self.model.mesh, self.model.mechanism
         lanes = configuration_arrays(mesh, self.configurations, mechanism)
-        return _solve_from_rest(self.model, lanes, self.newton.as_arrays())
-
-
-_solve_from_rest = eqx.filter_jit(solve_from_rest)
+        told = told_of_lane(progress, [c.name for c in self.configurations])
+        return equilibria(self.model, lanes, self.newton, told)

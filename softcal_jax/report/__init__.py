@@ -8,6 +8,7 @@ from softcal_jax.report._load import (
     ResultWarning,
     load_result,
 )
+from softcal_jax.report._mesh_lines import mesh_lines
 from softcal_jax.report._notebook import notebook_html
 from softcal_jax.report._outline import control_point_sets, outline, roles_of
 from softcal_jax.report._tables import simulation_table, summary_table
@@ -29,6 +30,7 @@ __all__ = [
     "export_inp",
     "held_out_sentences",
     "load_result",
+    "mesh_lines",
     "model_words",
     "notebook_html",
     "outline",

@@ -13,8 +13,8 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_unit
-from softcal_jax.identifiability import Assessment, Identifiability, percent
-from softcal_jax.report._description import Cell, Table, Tone, Verdict, described
+from softcal_jax.identifiability import Assessment, Identifiability, Tone, percent
+from softcal_jax.report._description import Cell, Table, described
 
 MOST_DIRECTIONS = 6
 """Most blind directions that are listed; the others are only counted."""
@@ -31,20 +31,6 @@ TONES: dict[str, Tone] = {
     "not identifiable": "bad",
 }
 """How the verdicts on what data tell are meant."""
-
-
-def verdict_of(result: CalibrationResult, found: Assessment) -> Verdict:
-    """Say in one sentence whether the values of a calibration can be used."""
-    steps = len(result.history) - 1
-    taken = f"{steps} step{'s' * (steps != 1)}"
-    if not result.converged:
-        text = f"NOT CONVERGED after {taken}: do not use these values."
-        return Verdict(text, "bad")
-    if found.identified:
-        text = f"Converged in {taken}, and nothing speaks against the values."
-        return Verdict(text, "good")
-    text = f"Converged in {taken}, but take the values with care:"
-    return Verdict(text, "doubtful", found.reasons)
 
 
 def model_words(model: Model) -> str:

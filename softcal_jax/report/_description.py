@@ -1,10 +1,9 @@
 """Results as tables and sentences, which a terminal and a page show alike."""
 
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-Tone = Literal["plain", "strong", "good", "doubtful", "bad"]
-"""How a text is meant; its words must say so too, as colours are not seen by all."""
+from softcal_jax.identifiability import Tone
 
 _WORDS = {"role", "effector", "actuator", "rigid body", "state", "of", "file"}
 _WORDS |= {"outcome", "verdict", "standard error over the value", "kind", "SHA-256"}
@@ -39,20 +38,6 @@ class Table(NamedTuple):
     def holds_words(self, column: int) -> bool:
         """Whether a column holds words, which are aligned on the left."""
         return column == 0 or self.columns[column] in _WORDS
-
-
-class Verdict(NamedTuple):
-    """What may be said of a run, first of all.
-
-    Attributes:
-        sentence: The verdict; it ends with a colon where reasons follow.
-        tone: How it is meant.
-        reasons: What there is to doubt, one sentence each.
-    """
-
-    sentence: str
-    tone: Tone
-    reasons: tuple[str, ...] = ()
 
 
 def described(

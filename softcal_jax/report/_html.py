@@ -2,6 +2,7 @@
 
 import base64
 import html
+import re
 import struct
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +12,8 @@ from typing import NamedTuple
 
 from softcal_jax._machine import installed_version
 from softcal_jax._text import escaped
-from softcal_jax.report._description import Table, Verdict
+from softcal_jax.identifiability import RunVerdict
+from softcal_jax.report._description import Table
 
 MOST_PICTURES = 3_400_000
 """Most bytes of pictures in one page; the others stay beside it.
@@ -114,12 +116,18 @@ def _wide(title: str, *content: Html) -> Html:
 
 
 def picture(path: Path, alt: str) -> Html:
-    """Write a PNG file into the page."""
+    """Write a PNG or SVG file into the page, as an image, which runs no scripts."""
     content = path.read_bytes()
-    width, height = struct.unpack(">II", content[16:24])
+    if path.suffix == ".svg":
+        kind = "svg+xml"
+        sizes = re.findall(rb'<svg [^>]*?viewBox="0 0 (\S+) (\S+)"', content[:4000])
+        width, height = (round(float(size)) for size in sizes[0])
+    else:
+        kind = "png"
+        width, height = struct.unpack(">II", content[16:24])
     return node(
         "img",
-        src=f"data:image/png;base64,{base64.b64encode(content).decode()}",
+        src=f"data:image/{kind};base64,{base64.b64encode(content).decode()}",
         alt=alt,
         width=str(width),
         height=str(height),
@@ -133,7 +141,12 @@ def figure(content: Html, caption: str, *, title: str = "") -> Html:
 
 
 def page(
-    name: str, kind: str, verdict: Verdict, sections: Sequence[Section], *, index: str
+    name: str,
+    kind: str,
+    verdict: RunVerdict,
+    sections: Sequence[Section],
+    *,
+    index: str,
 ) -> str:
     """Write a whole page.
 
@@ -175,7 +188,7 @@ def page(
     return f"<!DOCTYPE html>\n{node('html', head, body, lang='en')}\n"
 
 
-def output(verdict: Verdict, content: Iterable[Html]) -> Html:
+def output(verdict: RunVerdict, content: Iterable[Html]) -> Html:
     """Write what a cell of a notebook shows: a verdict and what follows from it.
 
     It looks as in a page, whatever the notebook's own style is.
@@ -190,12 +203,12 @@ def _style() -> Html:
     return Html(files("softcal_jax.report").joinpath("page.css").read_text("utf-8"))
 
 
-def verdict_html(verdict: Verdict) -> Html:
+def verdict_html(verdict: RunVerdict) -> Html:
     reasons = [bullets(verdict.reasons)] if verdict.reasons else []
     sentence = node("p", node("strong", verdict.sentence))
     return node(
         "section",
-        node("h2", "Verdict"),
+        node("h2", "RunVerdict"),
         sentence,
         *reasons,
         class_=f"verdict {verdict.tone}",

@@ -16,6 +16,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -37,7 +38,7 @@ class ResultError(ValueError):
     """A result cannot be loaded; the text says which file is in the way, and why."""
 
 
-class ResultWarning(UserWarning):
+class ResultWarning(SoftcalWarning):
     """A result was loaded whose values should not be used as they are."""
 
 

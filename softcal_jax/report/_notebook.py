@@ -8,17 +8,24 @@ import numpy as np
 from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.export import readable_values
-from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
+from softcal_jax.identifiability import (
+    Assessment,
+    Identifiability,
+    Ranking,
+    RunVerdict,
+    Tone,
+    assess,
+    verdict_of,
+)
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.report._calibration import (
     TONES,
     error_tables,
     held_out_sentences,
     parameter_table,
-    verdict_of,
 )
 from softcal_jax.report._charts import budget_chart, error_chart, goal_chart
-from softcal_jax.report._description import Cell, Table, Tone, Verdict, described
+from softcal_jax.report._description import Cell, Table, described
 from softcal_jax.report._html import Html, bullets, node, output, table_html
 from softcal_jax.report._outlook_pages import next_html, outlook_sections, texts_html
 from softcal_jax.report._tables import simulation_tables
@@ -61,13 +68,13 @@ def _assessment(found: Assessment) -> Html:
     content = _outlook(found.identifiability)
     if found.prediction:
         content.append(node("p", found.prediction))
-    headline = Verdict(found.headline, tone, found.reasons)
+    headline = RunVerdict(found.headline, tone, found.reasons)
     return output(headline, [node("p", found.identifiability.headline), *content])
 
 
 @notebook_html.register
 def _identifiability(found: Identifiability) -> Html:
-    return output(Verdict(found.headline, TONES[found.verdict]), _outlook(found))
+    return output(RunVerdict(found.headline, TONES[found.verdict]), _outlook(found))
 
 
 def _outlook(found: Identifiability) -> list[Html]:
@@ -79,12 +86,12 @@ def _outlook(found: Identifiability) -> list[Html]:
 @notebook_html.register
 def _ranking(ranking: Ranking) -> Html:
     _, *content = next_html(None, ranking)  # the first says what the verdict says
-    return output(Verdict(ranking.headline, "plain"), content)
+    return output(RunVerdict(ranking.headline, "plain"), content)
 
 
 @notebook_html.register
 def _simulation(result: SimulationResult) -> Html:
-    verdict = Verdict(result.headline, "good" if result.converged else "bad")
+    verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
     return output(verdict, map(table_html, simulation_tables(result)))
 
 
@@ -92,12 +99,12 @@ def _simulation(result: SimulationResult) -> Html:
 def _comparison(comparison: ModelComparison) -> Html:
     tone: Tone = "bad" if comparison.best is None else "plain"
     models = texts_html("Models", comparison.tabulated)
-    return output(Verdict(comparison.verdict, tone), [models])
+    return output(RunVerdict(comparison.verdict, tone), [models])
 
 
 @notebook_html.register
 def _inverse(result: InverseResult) -> Html:
-    verdict = Verdict(result.message, "good" if result.met else "doubtful")
+    verdict = RunVerdict(result.message, "good" if result.met else "doubtful")
     drawn = goal_chart([(fit.name, fit) for fit in result.goals], result.tol)
     limits = [bullets(result.active_limits)] if result.active_limits else []
     tables = map(table_html, (_goal_table(result.goals), _actuator_table(result)))
@@ -151,4 +158,4 @@ def _trajectory(result: TrajectoryResult) -> Html:
     drawn = goal_chart(goals, result.points[0].tol) if result.points else []
     tone: Tone = "doubtful" if missed else "good"
     content = [*drawn, table_html(described("Commands", columns, rows))]
-    return output(Verdict(result.headline, tone), content)
+    return output(RunVerdict(result.headline, tone), content)

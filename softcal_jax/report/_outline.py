@@ -23,7 +23,12 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_values
 from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, locate, node_indices, volumes
-from softcal_jax.project import Project, ProjectError, QuantityAsRead
+from softcal_jax.project import (
+    Project,
+    ProjectError,
+    QuantityAsRead,
+    guesses_left,
+)
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
 """Roles of configurations in words."""
@@ -67,11 +72,15 @@ def outline(
         quantities: Its quantities as they were typed.
 
     Yields:
-        Lines of text: mesh, unknowns and weight, bodies, actuators, markers and control
-        points with their distances from the mesh, configurations, what is measured,
-        parameters, quantities as read, and which commands the project suffices for.
+        Lines of text: guesses of `softcal new` that are left, mesh, unknowns and
+        weight, bodies, actuators, markers and control points with their distances from
+        the mesh, configurations, what is measured, parameters, quantities as read, and
+        which commands the project suffices for.
     """
     posed = (*project.configurations, *project.candidates)
+    guesses = guesses_left(project.path)
+    rows = [(f"line {own.line}", own.text, own.remark) for own in guesses]
+    yield from _section("Guesses, to be changed or confirmed", rows)
     lanes = configuration_lanes(project.model.mesh, posed, project.model.mechanism)
     weight = _mass(project.model) * STANDARD_GRAVITY
     yield from _section("Model", _model(project.model, posed, lanes, weight))

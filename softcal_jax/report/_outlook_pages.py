@@ -3,7 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softcal_jax.identifiability import Identifiability, Ranking, Tabulated, percent
+from softcal_jax.identifiability import (
+    Identifiability,
+    Ranking,
+    RunVerdict,
+    Tabulated,
+    Tone,
+    percent,
+)
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.report._calibration import (
     TONES,
@@ -11,7 +18,7 @@ from softcal_jax.report._calibration import (
     singular_value_table,
 )
 from softcal_jax.report._charts import outlook_chart
-from softcal_jax.report._description import Tone, Verdict, described
+from softcal_jax.report._description import described
 from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
 from softcal_jax.report._provenance import made_html
 
@@ -26,11 +33,11 @@ def identifiability_page(
         ranking: What candidates would add; None if there are none.
         data: The content of `identifiability.json`, with its files.
     """
-    verdict = Verdict("There is nothing to judge.", "plain")
+    verdict = RunVerdict("There is nothing to judge.", "plain")
     if found is not None:
-        verdict = Verdict(found.headline, TONES[found.verdict])
+        verdict = RunVerdict(found.headline, TONES[found.verdict])
     elif ranking is not None:
-        verdict = Verdict(ranking.headline, "plain")
+        verdict = RunVerdict(ranking.headline, "plain")
     sections = [
         Section("next", "What to measure next", next_html(found, ranking)),
         *([] if found is None else outlook_sections(found)),
@@ -121,7 +128,7 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
         Section("folds", "Held-out configurations", [table_html(held_out)]),
         Section("made", "Times and files", made_html(data)),
     ]
-    verdict = Verdict(comparison.verdict, tone)
+    verdict = RunVerdict(comparison.verdict, tone)
     index = "comparison.json"
     return page(data["name"], "Comparison of models", verdict, sections, index=index)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from softcal_jax.calibration import CalibrationResult, SimulationResult
-from softcal_jax.identifiability import Assessment
+from softcal_jax.identifiability import Assessment, RunVerdict, verdict_of
 from softcal_jax.report._calibration import (
     beyond_prior,
     blindness,
@@ -21,10 +21,8 @@ from softcal_jax.report._calibration import (
     outlook_table,
     parameter_table,
     singular_value_table,
-    verdict_of,
 )
 from softcal_jax.report._charts import budget_chart, course_charts, error_chart
-from softcal_jax.report._description import Verdict
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
@@ -41,6 +39,9 @@ from softcal_jax.report._outline import ROLES
 from softcal_jax.report._provenance import made_html, repeat_html
 from softcal_jax.report._robot import robot_tables
 from softcal_jax.report._tables import simulation_tables
+
+PICTURES = (".png", ".svg")
+"""Endings of pictures."""
 
 REPORT = "report.html"
 """Name of the page in a results folder."""
@@ -98,7 +99,7 @@ def simulation_page(
         Section("pictures", "Pictures", _pictures(data, folder)),
         Section("made", "Versions and times", made_html(data)),
     ]
-    verdict = Verdict(result.headline, "good" if result.converged else "bad")
+    verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
     return page(data["name"], "Simulation", verdict, sections, index="simulation.json")
 
 
@@ -182,7 +183,7 @@ def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
     """Show the pictures of the configurations, as many as a page should hold."""
     shown, left = [], MOST_PICTURES
     for own in data["configurations"]:
-        for name in (file for file in own["files"] if file.endswith(".png")):
+        for name in (file for file in own["files"] if file.endswith(PICTURES)):
             path = folder / name
             caption = _seen(own, name)
             left -= path.stat().st_size
@@ -197,7 +198,7 @@ def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
 
 def _seen(own: Mapping[str, Any], file: str) -> str:
     """Say what the picture of a configuration shows."""
-    if file.endswith("_recording.png"):
+    if Path(file).stem.endswith("_recording"):
         return f"{own['name']}: the recording of the markers over time"
     role = ROLES.get(own.get("role", ""), "simulated")
     text = f"{own['name']} ({role}): the deformed body, coloured by displacement"

@@ -16,6 +16,7 @@ _KINDS = {
     ".vtu": "for ParaView",
     ".pvd": "all configurations for ParaView",
     ".png": "picture",
+    ".svg": "picture",
     ".csv": "table",
     ".txt": "text",
     ".html": "this page",

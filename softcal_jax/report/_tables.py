@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 from softcal_jax.calibration import CalibrationResult, SimulationResult
-from softcal_jax.identifiability import Assessment, assess
+from softcal_jax.identifiability import Assessment, Tone, assess, verdict_of
 from softcal_jax.report._calibration import (
     beyond_prior,
     blindness,
@@ -16,9 +16,8 @@ from softcal_jax.report._calibration import (
     outlook_table,
     outlook_tone,
     parameter_table,
-    verdict_of,
 )
-from softcal_jax.report._description import Cell, Table, Tone, described
+from softcal_jax.report._description import Cell, Table, described
 from softcal_jax.report._robot import robot_tables
 
 if TYPE_CHECKING:

@@ -2,9 +2,11 @@
 
 import warnings
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.configurations import Traces
 from softcal_jax.export import (
@@ -39,8 +41,29 @@ COLLECTION = "configurations.pvd"
 """All configurations at once, for ParaView."""
 
 
-class PictureWarning(UserWarning):
+Picture = Literal["png", "svg"]
+"""Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
+
+Told = Callable[[int, int], None]
+"""Told how many pictures are drawn, of how many."""
+
+
+class PictureWarning(SoftcalWarning):
     """Results were written, but without the pictures of the body."""
+
+
+class Drawn(NamedTuple):
+    """What is drawn.
+
+    Attributes:
+        suffix: Format of the pictures; None for no picture.
+        traces: Recordings of markers by configuration.
+        told: Called before the first picture and after each.
+    """
+
+    suffix: Picture | None
+    traces: Mapping[str, Traces]
+    told: Told
 
 
 def write_results(
@@ -52,6 +75,8 @@ def write_results(
     assessment: Assessment | None = None,
     timing_s: Mapping[str, float] | None = None,
     traces: Mapping[str, Traces] | None = None,
+    pictures: Picture | None = "png",
+    told: Told = lambda *_: None,
 ) -> Path:
     """Write a calibration to a folder, whole or not at all.
 
@@ -60,7 +85,8 @@ def write_results(
     `convergence.png`, `budget.png` and, for each configuration, a .vtu for ParaView and
     a .png; `configurations.pvd` opens all .vtu at once. For a robot with other
     effectors, rigid bodies or actuators there are `effectors.csv` and `robot.csv`, too;
-    of a recording of markers over time a picture that ends with `_recording.png`. A
+    of a recording of markers over time a picture that ends with `_recording.png`. With
+    `pictures="svg"` all pictures end in .svg, and with None there are none. A
     calibration that did not converge is written too, marked as such. A configuration
     without an equilibrium has neither .vtu nor .png.
 
@@ -72,6 +98,8 @@ def write_results(
         assessment: Assessment of the calibration, if known already.
         timing_s: Wall time of further parts, added to those of the result [s].
         traces: Recordings of markers by configuration, as in a `Project`.
+        pictures: Format of the pictures, "png" or "svg"; None writes none.
+        told: Called with how many pictures are drawn, of how many.
 
     Returns:
         The folder.
@@ -90,7 +118,7 @@ def write_results(
         "result.json",
         page=lambda data, folder: calibration_page(result, found, data, folder),
         force=force,
-        traces=traces or {},
+        drawn=Drawn(pictures, traces or {}, told),
     )
 
 
@@ -102,6 +130,8 @@ def write_simulation(
     force: bool = False,
     timing_s: Mapping[str, float] | None = None,
     traces: Mapping[str, Traces] | None = None,
+    pictures: Picture | None = "png",
+    told: Told = lambda *_: None,
 ) -> Path:
     """Write a forward simulation to a folder, whole or not at all.
 
@@ -119,7 +149,7 @@ def write_simulation(
         "simulation.json",
         page=lambda data, folder: simulation_page(result, data, folder),
         force=force,
-        traces=traces or {},
+        drawn=Drawn(pictures, traces or {}, told),
     )
 
 
@@ -212,31 +242,35 @@ def _write(
     *,
     page: Page,
     force: bool,
-    traces: Mapping[str, Traces],
+    drawn: Drawn,
 ) -> Path:
     """Write all files, and last the index, which lists them."""
-    problem = rendering_problem()
+    problem = None if drawn.suffix is None else rendering_problem()
     if problem is not None:  # warn before the work is done
         warnings.warn(problem, PictureWarning, stacklevel=3)
     with results_folder(directory, force=force) as folder:
-        files = _write_tables(folder, result, data["name"])
-        pictures = problem is None
-        files += _write_bodies(folder, result, data, traces, pictures=pictures)
+        files = _write_tables(folder, result)
+        files += _write_bodies(folder, result, data)
+        of_all, of_each = _pictures(result, data, drawn, bodies=problem is None)
+        draw = [*of_all.items(), *(file for own in of_each for file in own.items())]
+        drawn.told(0, len(draw))
+        for done, (file, plot) in enumerate(draw, start=1):
+            plot(folder / file)
+            drawn.told(done, len(draw))
+        for entry, own in zip(data["configurations"], of_each, strict=True):
+            entry["files"] += own
+            files += entry["files"]
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
-        data["files"] = [REPORT, *files]
+        data["files"] = [REPORT, *of_all, *files]
         (folder / REPORT).write_text(page(data, folder), encoding="utf-8")
         write_json(folder / index, data)
     return directory
 
 
-def _write_tables(folder: Path, result: Result, name: str) -> list[str]:
-    """Write what shows all configurations, and return the names of the files."""
+def _write_tables(folder: Path, result: Result) -> list[str]:
+    """Write the values of all configurations, and return the names of the files."""
     shown = result.configurations
     files = []
-    if isinstance(result, CalibrationResult):
-        plot_convergence(result, folder / "convergence.png", name=name)
-        plot_budget(result, folder / "budget.png", name=name)
-        files += ["convergence.png", "budget.png"]
     if any(fit.points for fit in shown):
         write_markers_csv(folder / "markers.csv", shown)
         files.append("markers.csv")
@@ -249,29 +283,16 @@ def _write_tables(folder: Path, result: Result, name: str) -> list[str]:
     return files
 
 
-def _write_bodies(
-    folder: Path,
-    result: Result,
-    data: dict[str, Any],
-    traces: Mapping[str, Traces],
-    *,
-    pictures: bool,
-) -> list[str]:
-    """Write .vtu and .png of every equilibrium, and list them in its entry of `data`.
-
-    The pictures of a calibration that did not converge say so.
-    """
+def _write_bodies(folder: Path, result: Result, data: dict[str, Any]) -> list[str]:
+    """Write .vtu of every equilibrium, and list them in its entry of `data`."""
     model, shown = result.model, result.configurations
-    trusted, errors = True, None
+    errors = None
     if isinstance(result, CalibrationResult):
-        trusted, own = result.converged, (result.space, result.z)
-        errors = field_standard_errors(model, *own, result.budget.covariance)
-    stems = file_stems([own.name for own in shown])
+        own = result.space, result.z, result.budget.covariance
+        errors = field_standard_errors(model, *own)
+    bodies, stems = [], file_stems([own.name for own in shown])
     for own, entry, stem in zip(shown, data["configurations"], stems, strict=True):
         files = entry["files"] = []
-        if own.name in traces:
-            files.append(f"{stem}_recording.png")
-            plot_traces(traces[own.name], folder / files[-1], name=own.name)
         if not own.converged:
             continue
         files.append(f"{stem}.vtu")
@@ -279,12 +300,44 @@ def _write_bodies(
         if own.robot is not None:
             files.append(f"{stem}_robot.vtu")
             write_robot_vtu(folder / files[-1], model, own.robot)
-        if pictures:
-            files.append(f"{stem}.png")
-            render_configuration(model, own, folder / files[-1], converged=trusted)
-    of_each = [entry["files"] for entry in data["configurations"] if entry["files"]]
-    if not of_each:
+        bodies.append(list(files))
+    if not bodies:
         return []
-    bodies = [[file for file in own if file.endswith(".vtu")] for own in of_each]
     write_pvd(folder / COLLECTION, bodies)
-    return [COLLECTION, *(file for own in of_each for file in own)]
+    return [COLLECTION]
+
+
+Plots = dict[str, Callable[[Path], None]]
+"""What draws a picture, by the name of its file."""
+
+
+def _pictures(
+    result: Result, data: Mapping[str, Any], drawn: Drawn, *, bodies: bool
+) -> tuple[Plots, list[Plots]]:
+    """Return the pictures of all configurations together, and those of each.
+
+    Those of a calibration that did not converge say so.
+    """
+    shown, suffix, name = result.configurations, drawn.suffix, data["name"]
+    if suffix is None:
+        return {}, [{} for _ in shown]
+    of_all: Plots = {}
+    trusted = True
+    if isinstance(result, CalibrationResult):
+        trusted = result.converged
+        of_all[f"convergence.{suffix}"] = partial(plot_convergence, result, name=name)
+        of_all[f"budget.{suffix}"] = partial(plot_budget, result, name=name)
+    of_each: list[Plots] = []
+    for own, stem in zip(shown, file_stems([own.name for own in shown]), strict=True):
+        plots: Plots = {}
+        if own.name in drawn.traces:
+            of = drawn.traces[own.name]
+            plots[f"{stem}_recording.{suffix}"] = partial(
+                plot_traces, of, name=own.name
+            )
+        if own.converged and bodies:
+            plots[f"{stem}.{suffix}"] = partial(
+                render_configuration, result.model, own, converged=trusted
+            )
+        of_each.append(plots)
+    return of_all, of_each

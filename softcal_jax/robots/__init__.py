@@ -1,7 +1,6 @@
-"""Ready-made robots, with the data they were measured with."""
+"""Ready-made robots, with the data they are calibrated to."""
 
 from softcal_jax.robots._anisotropic_beam import AnisotropicBeam, anisotropic_beam
-from softcal_jax.robots._measured import pneumatic_arm_path, silicone_beam_path
 from softcal_jax.robots._parallel_robot import (
     CALIBRATION_ANGLES,
     PRIOR,
@@ -18,10 +17,17 @@ from softcal_jax.robots._printed_robot import (
     printed_robot,
     read_poses_of,
 )
+from softcal_jax.robots._ready_made import (
+    READY_MADE,
+    pneumatic_arm_path,
+    ready_made_path,
+    silicone_beam_path,
+)
 
 __all__ = [
     "CALIBRATION_ANGLES",
     "PRIOR",
+    "READY_MADE",
     "SETUP",
     "VALIDATION_ANGLES",
     "AnisotropicBeam",
@@ -36,5 +42,6 @@ __all__ = [
     "pose",
     "printed_robot",
     "read_poses_of",
+    "ready_made_path",
     "silicone_beam_path",
 ]

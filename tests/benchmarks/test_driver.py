@@ -254,3 +254,25 @@ def test_run_all_goes_on_after_a_failure(package, tmp_path, monkeypatch, capfd):
 def test_run_takes_one_or_all(package, capsys, argv):
     assert call(package, *argv) == 2
     assert "name one benchmark, or give --all" in capsys.readouterr().err
+
+
+def test_a_part_is_renewed_in_a_record(package, tmp_path, monkeypatch, capsys):
+    """The rest of the record stays, and it says what the part was run with."""
+    module = importlib.import_module("fake_benchmarks.nothing")
+    monkeypatch.setattr(module, "COUNTS", {"part": 1}, raising=False)
+    path, words = tmp_path / "nothing.json", ("--output", tmp_path / "out")
+    assert call(package, "run", "nothing", "--json", path, *words) == 0
+    before = json.loads(path.read_text())
+    before["figures"] |= {"n": 7, "of_another_part": 1}
+    before["versions"]["commit"] = "earlier"
+    path.write_text(json.dumps(before))
+    again = ("run", "nothing", "--renew", "--json", path, *words)
+    assert call(package, *again) == 2
+    assert "--renew needs --count" in capsys.readouterr().err
+    assert call(package, *again, "--count", "part=2") == 0
+    after = json.loads(path.read_text())
+    assert after["figures"] == before["figures"] | {"n": 3}
+    assert after["versions"]["commit"] == "earlier"
+    assert after["renewed"]["part"]["versions"]["commit"] != "earlier"
+    path.write_text(json.dumps(before | {"name": "other"}))
+    assert call(package, *again, "--count", "part=2") == 2

@@ -64,6 +64,7 @@ class Adjoint(AbstractAdjointPeer):
         return Response(self.solve(pose, fields), pull)
 
 
+@pytest.mark.slow  # programs of a peer's job that no other test needs
 def test_rows_of_the_fields_are_their_derivative(job):
     z, h = job.start, 1e-5
     for i, unit in enumerate(np.eye(len(z))):
@@ -91,6 +92,7 @@ def test_poses_are_plain_arrays(job):
     np.testing.assert_allclose(u[pose.marker], pose.measured, rtol=1e-9)
 
 
+@pytest.mark.slow  # programs of a peer's job that no other test needs
 def test_our_gradient_is_that_of_the_error(job):
     z, h, pose = job.start, 1e-4, job.poses[1]
 

@@ -16,14 +16,14 @@ from benchmarks._malformed_inputs import faults
 from benchmarks._malformed_run import names
 from softcal_jax.equilibrium import internal_force, solve_equilibrium
 
+MEAN = "mean-dilatation"
+
 
 def stretch(law, s, **constants):
-    """Stress P_11 of a law at the principal stretches s, by the oracle."""
-    c = {name: np.full((1, 1, 1, 1), value) for name, value in constants.items()}
-    F = np.diag(s)[None, None]
-    J = np.linalg.det(F)[..., None, None]
-    G = np.linalg.inv(F).transpose(0, 1, 3, 2)
-    return _oracle.STRESSES[law](F, J, G, c)[0, 0]
+    """Stress P [Pa] of a law at the principal stretches s, by the oracle."""
+    c = {name: np.full(1, value) for name, value in constants.items()}
+    F = np.diag(s)[:, :, None, None]
+    return _oracle.LAWS[law](c).gradient([F, None])[0][:, :, 0, 0]
 
 
 def test_the_oracles_rubbers_keep_to_their_closed_forms():
@@ -66,6 +66,21 @@ def test_the_oracles_fibres_keep_to_hookes_law_by_its_constants():
         "transverse", 1.0 + e * np.array([1, -0.1, -0.3]), phi=np.pi / 2, **c
     )
     np.testing.assert_allclose(across, np.diag([2.0 * e, 0, 0]), rtol=1e-5, atol=1e-11)
+
+
+@pytest.mark.parametrize("law", ["transverse", "yeoh"])
+def test_the_oracles_tangent_is_the_derivative_of_its_forces(law):
+    """With mean dilatation, whose pressures and volume ratios follow the nodes."""
+    (kind, _) = (k for k in BODIES if (k.law, k.formulation) == (law, MEAN))
+    body = draw(np.random.default_rng(1), kind).body
+    assembly, random = _oracle.Assembly(body), np.random.default_rng(2)
+    u, du = (0.1 * body.points @ random.normal(size=(3, 3)) for _ in "ab")
+    du += 1e-3 * random.normal(size=du.shape) * body.points
+    ends = [assembly.balance(u + h * du).internal for h in (1e-5, -1e-5)]
+    slope = (ends[0] - ends[1]) / 2e-5
+    along = assembly.tangent(u) @ du.ravel()
+    atol = 1e-7 * np.abs(slope).max()
+    np.testing.assert_allclose(along, slope.ravel(), rtol=0, atol=atol)
 
 
 @pytest.mark.slow  # a program for each kind of element
@@ -119,6 +134,16 @@ def test_an_unstable_state_is_found(solved):
     constants = drawn.body.constants | {"E": -drawn.body.constants["E"]}
     wrong = drawn._replace(body=drawn.body._replace(constants=constants))
     assert any("eigenvalue" in text for text in judge(wrong, solution).violations)
+
+
+def test_a_state_without_forces_is_found(solved):
+    """Beyond its limit a Gent rubber has none, and nan is below every bound."""
+    drawn, solution = solved
+    E, nu = drawn.body.constants["E"], drawn.body.constants["nu"]
+    gent = {"mu": E, "J_m": np.full_like(E, 1e-30), "nu": nu}
+    wrong = drawn._replace(body=drawn.body._replace(law="gent", constants=gent))
+    (text,) = judge(wrong, solution).violations
+    assert text == "the law has no forces at this displacement"
 
 
 def test_there_are_thirty_kinds_of_bad_input():

@@ -31,7 +31,7 @@ def test_windows_count_from_the_step(tmp_path):
 
 
 def test_frames_that_do_not_see_a_marker_are_left_out(tmp_path):
-    residuals = np.zeros((40, 2))
+    residuals = np.full((40, 2), 2.0)  # mm, of markers that were seen
     residuals[30, 1] = residuals[:, 0] = -1.0
     path = write_recording(tmp_path / "a.c3d", motion(), residuals=residuals)
     recording = read_c3d(path)

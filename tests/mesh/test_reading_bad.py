@@ -4,6 +4,7 @@ import meshio
 import numpy as np
 import pytest
 
+import softcal_jax as sc
 from softcal_jax.mesh import beam, read_mesh
 
 BEAM = beam(0.1, 0.02, 0.03, (3, 2, 1))
@@ -145,6 +146,13 @@ def test_disconnected(tmp_path):
     path = _write(tmp_path, points, [("tetra", tets)])
     with pytest.raises(ValueError, match="disconnected: 2 parts of 36, 36 tets"):
         read_mesh(path, length_unit="m")
+    with pytest.raises(ValueError, match="unknown choice for parts 'two'"):
+        read_mesh(path, length_unit="m", parts="two")
+    # A rigid body may link them: that is for the model to know.
+    linked = read_mesh(path, length_unit="m", parts="linked")
+    assert linked.n_tets == 2 * BEAM.n_tets
+    with pytest.raises(ValueError, match="disconnected: 2 parts"):
+        sc.build_model(linked, sc.NeoHookean(1e5, 0.3), density=1000.0)
 
 
 def test_nan(tmp_path):

@@ -1,11 +1,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from export.handmade import make_result
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from softcal_jax.calibration import ParameterEstimate
+from softcal_jax.identifiability import end_of
 from softcal_jax.plotting import plot_convergence
 from softcal_jax.plotting._colours import BAD, DOUBTFUL, GOOD
 from softcal_jax.plotting._diagrams import convergence_figure
@@ -39,9 +41,9 @@ def test_what_is_drawn():
     np.testing.assert_allclose(drawn(step, 2).get_ydata(), 1e-6)
     np.testing.assert_allclose(drawn(E, 5).get_ydata(), [200, 210, 220, 230, 240])
     assert E.get_ylabel() == "E [kPa]"
-    assert texts(E) == ["E = 240.0 ± 6.0 kPa"]
+    assert texts(E)[0] == "E = 240.0 ± 6.0 kPa"
     assert nu.get_ylabel() == "nu [-]"
-    assert texts(nu) == ["nu = 0.44 (on a bound)"]
+    assert texts(nu)[0] == "nu = 0.44 (on a bound)"
     assert nu.get_xlabel() == "step"
 
 
@@ -62,14 +64,15 @@ def test_a_converged_run_says_so():
     result = make_result()
     sound = tuple(replace(p, at_bound=False) for p in result.parameters)
     figure = convergence_figure(replace(result, parameters=sound), "beam $1$")
-    assert figure.get_suptitle() == "beam $1$: converged in 4 steps"
+    said = "Converged in 4 steps, and nothing speaks against the values."
+    assert figure.get_suptitle() == f"beam $1$\n{said}"
     assert figure._suptitle.get_color() == GOOD
     assert to_rgb(figure.get_facecolor()) == (1.0, 1.0, 1.0)
 
 
 def test_a_converged_run_with_a_parameter_on_its_bound_is_not_green():
     figure = convergence_figure(make_result(), "beam")
-    title = "beam: converged in 4 steps, but take the values with care"
+    title = "beam\nConverged in 4 steps, but take the values with care:"
     assert figure.get_suptitle() == title
     assert figure._suptitle.get_color() == DOUBTFUL
     reasons = figure.axes[0].get_title(loc="left")
@@ -78,7 +81,7 @@ def test_a_converged_run_with_a_parameter_on_its_bound_is_not_green():
 
 def test_a_run_that_did_not_converge_never_looks_good():
     figure = convergence_figure(make_result(converged=False), "beam")
-    title = "beam: NOT converged after 4 steps, do not use these values"
+    title = "beam\nNOT CONVERGED after 4 steps: do not use these values."
     assert figure.get_suptitle() == title
     assert figure._suptitle.get_color() == BAD
     assert to_rgb(figure.get_facecolor()) != (1.0, 1.0, 1.0)
@@ -123,3 +126,50 @@ def test_a_step_without_a_logarithm_can_be_drawn(tmp_path):
     )
     plot_convergence(make_result(history=history), tmp_path / "c.png")
     assert (tmp_path / "c.png").stat().st_size > 10_000
+
+
+def ended(**changes):
+    result = make_result(**{k: v for k, v in changes.items() if k != "size"})
+    if "size" in changes:
+        *before, last = result.history
+        small = replace(last, lambda_p=(changes["size"],) * len(last.lambda_p))
+        result = replace(result, history=(*before, small))
+    return end_of(result)
+
+
+def test_the_criterion_that_ended_the_fit_is_named():
+    """Also where the last step stands above the tolerance, as nothing was to gain."""
+    assert ended() == "The fit ended as |lambda_p| = 1.0e-08 is below 1e-06."
+    assert "|lambda_p| = 1.5e-06, would lower the cost by less than" in ended(
+        size=1.5e-6
+    )
+    assert "steps were refused and the cost is flat" in ended(rejected=(4,))
+    assert "every step was refused" in ended(converged=False, rejected=(4,))
+    _, step, *_ = convergence_figure(make_result(), "beam").axes
+    assert step.get_title(loc="left") == ended()
+
+
+def test_bounds_are_named_and_drawn_where_they_are_near():
+    *_, E, nu = convergence_figure(make_result(), "beam").axes
+    q = {p.name: p for p in make_result().parameters}
+    for axes, name, factor in ((E, "E", 1e-3), (nu, "nu", 1.0)):
+        low, high = (factor * b for b in (q[name].lower, q[name].upper))
+        unit = " kPa" if name == "E" else ""
+        assert f"bounds of {name}: {low:.4g} to {high:.4g}{unit}" in texts(axes)
+        drawn = [line.get_ydata()[0] for line in axes.lines if len(line.get_xdata())]
+        bottom, top = axes.get_ylim()
+        for bound in (low, high):
+            near = bottom <= bound <= top
+            assert bool(np.isclose(drawn, bound).any()) >= near
+        assert bottom <= min(drawn)
+
+
+def test_a_figure_is_written_as_svg(tmp_path):
+    plot_convergence(make_result(), tmp_path / "c.svg")
+    text = (tmp_path / "c.svg").read_text()
+    assert text.startswith("<?xml")
+    assert "<svg " in text
+    plot_convergence(make_result(), tmp_path / "d.svg")
+    assert (tmp_path / "d.svg").read_text() == text
+    with pytest.raises(ValueError, match=r"ends in '\.gif'; expected a picture"):
+        plot_convergence(make_result(), tmp_path / "c.gif")

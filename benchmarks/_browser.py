@@ -1,0 +1,168 @@
+"""A page in headless Chromium: what it asks the network for, and what goes wrong."""
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from select import select
+from typing import Any, NamedTuple
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+"""Names of the browser."""
+
+LONGEST_S, SETTLED_S = 60.0, 2.0
+"""Time for a page to load, and after which nothing more is expected of it [s]."""
+
+
+class NoBrowser(RuntimeError):
+    """There is no Chromium on this machine."""
+
+
+class Visit(NamedTuple):
+    """What a page did while it loaded.
+
+    Attributes:
+        requests: Addresses that it asked for, besides its own and those within it.
+        errors: Errors of its console, uncaught ones too.
+    """
+
+    requests: tuple[str, ...]
+    errors: tuple[str, ...]
+
+
+def browser() -> str:
+    """Path of the browser.
+
+    Raises:
+        NoBrowser: If there is none.
+    """
+    found = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    if found is None:
+        raise NoBrowser(
+            f"this needs one of {', '.join(PROGRAMS)}: apt-get install chromium"
+        )
+    return found
+
+
+def visit(page: Path) -> Visit:
+    """Open a page from disk and wait until it has settled.
+
+    Args:
+        page: An HTML file.
+
+    Raises:
+        NoBrowser: If there is no browser.
+        RuntimeError: If it does not load the page.
+    """
+    address = page.resolve().as_uri()
+    requests, errors = [], []
+    with _started(browser()) as chromium:
+        target = chromium.call("Target.createTarget", url="about:blank")["targetId"]
+        attach = {"targetId": target, "flatten": True}
+        session = chromium.call("Target.attachToTarget", **attach)["sessionId"]
+        for domain in ("Network", "Runtime", "Log", "Page"):
+            chromium.call(f"{domain}.enable", session=session)
+        told = chromium.call("Page.navigate", session=session, url=address)
+        if "errorText" in told:
+            raise RuntimeError(f"{address}: {told['errorText']}")
+        for event, about in chromium.events():
+            if event == "Network.requestWillBeSent":
+                url = about["request"]["url"]
+                if url != address and not url.startswith(("data:", "blob:")):
+                    requests.append(url)
+            elif event == "Runtime.exceptionThrown":
+                errors.append(about["exceptionDetails"]["text"])
+            elif event == "Runtime.consoleAPICalled" and about["type"] == "error":
+                values = (str(own.get("value", own)) for own in about["args"])
+                errors.append(" ".join(values))
+            elif event == "Log.entryAdded" and about["entry"]["level"] == "error":
+                errors.append(about["entry"]["text"])
+    return Visit(tuple(requests), tuple(errors))
+
+
+class _Chromium:
+    """The DevTools protocol over pipes: one JSON text after the other, ended by NUL."""
+
+    def __init__(self, to: int, back: int):
+        self._to, self._back = to, back
+        self._n, self._buffer = 0, b""
+        self._waiting: list[dict[str, Any]] = []
+
+    def call(self, method: str, *, session: str | None = None, **about: Any) -> Any:
+        """Call a method and return its result; events wait meanwhile."""
+        self._n += 1
+        message = {"id": self._n, "method": method, "params": about}
+        message |= {"sessionId": session} if session else {}
+        os.write(self._to, json.dumps(message).encode() + b"\0")
+        deadline = time.monotonic() + LONGEST_S
+        while (told := self._next(deadline)) is not None:
+            if told.get("id") == self._n:
+                if "error" in told:
+                    raise RuntimeError(f"{method}: {told['error']}")
+                return told["result"]
+            self._waiting.append(told)
+        raise RuntimeError(f"Chromium did not answer {method} in {LONGEST_S:g} s.")
+
+    def events(self) -> Iterator[tuple[str, Mapping[str, Any]]]:
+        """Yield events until the page has loaded, and a while longer.
+
+        Raises:
+            RuntimeError: If it does not load.
+        """
+        deadline, loaded = time.monotonic() + LONGEST_S, False
+        while True:
+            told = self._waiting.pop(0) if self._waiting else self._next(deadline)
+            if told is None:
+                if loaded:
+                    return
+                raise RuntimeError(f"the page did not load in {LONGEST_S:g} s.")
+            if told.get("method") == "Page.loadEventFired":
+                deadline, loaded = time.monotonic() + SETTLED_S, True
+            if "method" in told:
+                yield told["method"], told["params"]
+
+    def _next(self, deadline: float) -> dict[str, Any] | None:
+        """Read a message; None if there is none before the deadline."""
+        while b"\0" not in self._buffer:
+            left = deadline - time.monotonic()
+            if left <= 0.0 or not select([self._back], [], [], left)[0]:
+                return None
+            read = os.read(self._back, 1 << 16)
+            if not read:
+                raise RuntimeError("Chromium ended.")
+            self._buffer += read
+        text, _, self._buffer = self._buffer.partition(b"\0")
+        return json.loads(text)
+
+
+@contextmanager
+def _started(program: str) -> Iterator[_Chromium]:
+    """Start Chromium with a profile of its own, and end it."""
+    inner_read, to = os.pipe()
+    back, inner_write = os.pipe()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        # It reads from descriptor 3 and writes to 4.
+        command = f'exec "$0" "$@" 3<&{inner_read} 4>&{inner_write}'
+        options = ["--headless=new", "--no-sandbox", "--disable-gpu-sandbox"]
+        options += ["--remote-debugging-pipe", f"--user-data-dir={profile}"]
+        options += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        process = subprocess.Popen(
+            ["bash", "-c", command, program, *options],
+            pass_fds=(inner_read, inner_write),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(inner_read)
+        os.close(inner_write)
+        try:
+            yield _Chromium(to, back)
+        finally:
+            process.terminate()
+            process.wait()
+            os.close(to)
+            os.close(back)

@@ -1,0 +1,199 @@
+"""What a command says while it runs: lines, what is under way, and JSON."""
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+from rich.console import RenderableType
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task
+from rich.text import Text
+
+from softcal_jax.cli._compiling import Compiling
+from softcal_jax.cli._console import PlainConsole
+
+FIRST_S, LONGEST_S = 2.0, 30.0
+"""Silence after which a log says what is under way, first and at most [s].
+
+It doubles from one such line to the next.
+"""
+
+
+class Display:
+    """Lines for what is done; on a terminal, a moving line for what is under way.
+
+    In a log (a file, a pipe) that line becomes a plain one after some silence. All go
+    to standard output; with `as_json` to standard error, and standard output holds
+    JSON alone.
+
+    Attributes:
+        laps: Wall time of the parts so far [s].
+        warnings: Warnings that were shown.
+        compiling: What JAX compiles.
+    """
+
+    def __init__(self, begin: float, *, quiet: bool = False, as_json: bool = False):
+        """Choose what is shown.
+
+        Args:
+            begin: When the command began, as of `time.time` [s].
+            quiet: Show the result, warnings and errors only.
+            as_json: Print JSON for programs.
+        """
+        self._out = sys.stdout
+        file = sys.stderr if as_json else sys.stdout
+        self.console = PlainConsole(file=file)
+        self.quiet, self.as_json = quiet, as_json
+        self.begin = self.last = begin
+        self.laps: dict[str, float] = {}
+        self.warnings: list[str] = []
+        self.compiling = Compiling()
+        # A console takes a file for a terminal where FORCE_COLOR is set.
+        self._moves = self.console.is_interactive and file.isatty() and not quiet
+        self.progress = Progress(
+            SpinnerColumn(),
+            _UnderWay(self.compiling),
+            _BarWhereCounted(bar_width=30),
+            _Elapsed(begin),
+            console=self.console,
+            transient=True,
+            disable=not self._moves,
+            redirect_stdout=not as_json,
+        )
+        self._task = self.progress.add_task("", total=None)
+        self._what, self._said, self._printed = "", time.monotonic(), False
+        self._over = threading.Event()
+        self._beats = threading.Thread(target=self._beat, daemon=True)
+
+    def __enter__(self) -> "Display":
+        self.progress.start()
+        if not self._moves and not self.quiet:
+            self._beats.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self.progress.stop()
+        self.compiling.stop()
+        if self._beats.is_alive():
+            self._beats.join()
+
+    def now(
+        self, what: str, *, log: bool = True, count: tuple[int, int] | None = None
+    ) -> None:
+        """Say what begins; in a log at once if `log` is set, else after some silence.
+
+        `count` is how many parts of it are done, of how many, for a bar.
+        """
+        done, total = count or (0, None)
+        self._what = f"{what} ({done} of {total})" if count else what
+        self.progress.reset(
+            self._task, description=what, completed=done, total=total, start=True
+        )
+        if log and not self._moves:
+            self.note(f"{what} ...")
+
+    def note(self, text: RenderableType = "") -> None:
+        """Print a line on what is read or done, which `quiet` leaves out."""
+        if not self.quiet:
+            self.line(text)
+
+    def line(self, text: RenderableType = "") -> None:
+        """Print a line of the result."""
+        self._said = time.monotonic()
+        if isinstance(text, str):
+            self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        else:
+            self.console.print(text)
+
+    def warning(self, text: str) -> None:
+        """Print a warning."""
+        self.warnings.append(text)
+        self.line(f"warning: {text}")
+
+    def document(self, content: Mapping[str, Any]) -> None:
+        """Print a result as JSON, if that is asked for."""
+        if self.as_json:
+            self._print_json(content, indent=2)
+
+    def row(self, content: Mapping[str, Any]) -> None:
+        """Print a part of a result as one line of JSON, if that is asked for."""
+        if self.as_json:
+            self._print_json(content)
+
+    def failure(self, text: str, code: int) -> None:
+        """Say in JSON why there is no result, unless some of it is there."""
+        if self.as_json and not self._printed:
+            self._print_json({"error": text, "exit_code": code}, indent=2)
+
+    def _print_json(self, content: Mapping[str, Any], **how: Any) -> None:
+        self._printed = True
+        text = json.dumps(content, allow_nan=False, **how)
+        print(text, file=self._out, flush=True)
+
+    def lap(self, name: str, *, compiling: float | None = None) -> None:
+        """End a part of the run, and record its wall time.
+
+        The time that it was compiling is recorded as a part of its own, before it [s].
+        """
+        now = time.time()
+        if compiling is not None:
+            self.laps["compile"] = compiling
+        self.laps[name] = now - self.last - (compiling or 0.0)
+        self.last = now
+
+    def times(self) -> None:
+        """Print how long the parts took."""
+        parts = ", ".join(f"{name} {s:.1f} s" for name, s in self.laps.items())
+        self.note(f"Time: {parts}; {time.time() - self.begin:.1f} s in all.")
+
+    def results(self, where: Path) -> None:
+        """Print what was written where, and how long the parts took."""
+        files = sorted(p.name for p in where.iterdir())
+        self.line(f"Results in {where}: {', '.join(files)}")
+        self.line(f"Open {where / 'report.html'} in a browser to read them.")
+        self.times()
+
+    def _beat(self) -> None:
+        """Say what is under way where nothing was said for long."""
+        silence = FIRST_S
+        while not self._over.wait(0.2):
+            if self._what and time.monotonic() - self._said >= silence:
+                silence = min(2.0 * silence, LONGEST_S)
+                words = ", ".join(filter(None, [self._what, self.compiling.words()]))
+                self.note(f"  {words}; {time.time() - self.begin:.0f} s so far")
+
+
+class _UnderWay(ProgressColumn):
+    """What is under way, and what is compiled for it."""
+
+    def __init__(self, compiling: Compiling):
+        super().__init__()
+        self._compiling = compiling
+
+    def render(self, task: Task) -> Text:
+        words = filter(None, [task.description, self._compiling.words()])
+        return Text(", ".join(words))
+
+
+class _BarWhereCounted(BarColumn):
+    """A bar where parts are counted, else nothing."""
+
+    def render(self, task: Task) -> Any:
+        return Text() if task.total is None else super().render(task)
+
+
+class _Elapsed(ProgressColumn):
+    """Time since the command began."""
+
+    def __init__(self, begin: float):
+        super().__init__()
+        self._begin = begin
+
+    def render(self, task: Task) -> Text:
+        seconds = timedelta(seconds=int(time.time() - self._begin))
+        return Text(str(seconds), style="progress.elapsed")

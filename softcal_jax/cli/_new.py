@@ -1,0 +1,177 @@
+"""`softcal new`: a commented project that runs, from a model or a ready-made robot."""
+
+import argparse
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from softcal_jax.cli._display import Display
+from softcal_jax.cli._shared import (
+    BAD_INPUT,
+    OK,
+    Stop,
+    add_output,
+    add_path,
+    bad_input,
+    quantity,
+    start_computing,
+)
+
+if TYPE_CHECKING:
+    from softcal_jax.proposal import Findings
+
+_NEW = """\
+examples:
+  softcal new finger --robot pneumatic-finger
+  softcal new finger --model finger.step --size "3 mm" --markers poses.csv
+  softcal new arm --model arm.msh --length-unit mm --markers 100mbar.c3d 200mbar.c3d
+
+exit codes: 0 written, 2 bad input
+"""
+
+
+def new(args: argparse.Namespace, show: Display) -> int:
+    """Write a project folder for a ready-made robot, or for a model."""
+    from softcal_jax.project import guesses_left
+
+    if (args.robot is None) == (args.model is None):
+        raise Stop(
+            BAD_INPUT,
+            "error: expected either --robot, a ready-made one, or --model, a file of "
+            "yours.",
+        )
+    with bad_input():
+        run = _proposed if args.robot is None else _ready_made
+        measured = run(args, show)
+    show.note("Next:")
+    project = args.folder / "project.toml"
+    show.note(f"  softcal check {project}")
+    show.note(f"  softcal identify {project}")
+    if measured:
+        show.note(f"  softcal calibrate {project} -o {args.folder / 'results'}")
+    show.document(
+        {
+            "project": str(project),
+            "files": sorted(str(path) for path in args.folder.iterdir()),
+            "guesses": [guess._asdict() for guess in guesses_left(project)],
+            "measured": measured,
+        }
+    )
+    return OK
+
+
+def _ready_made(args: argparse.Namespace, show: Display) -> bool:
+    """Copy a ready-made robot, and say what it is; its readings are there."""
+    from softcal_jax.proposal import write_ready_made
+
+    options = ("markers", "size", "length_unit")
+    for option in options:
+        if getattr(args, option):
+            raise ValueError(
+                f"--{option.replace('_', '-')} is for a model of your own; a "
+                "ready-made robot is complete. Leave it out."
+            )
+    files = write_ready_made(args.robot, args.folder)
+    show.line(f"Wrote {', '.join(files)} to {args.folder}.")
+    readme = (args.folder / "README.md").read_text(encoding="utf-8")
+    show.line(readme.splitlines()[0].removeprefix("# ") + ": see README.md there.")
+    return True
+
+
+def _proposed(args: argparse.Namespace, show: Display) -> bool:
+    """Write a project for a model; returns whether it has readings to calibrate to."""
+    from softcal_jax.project import CHANGE, guesses_left
+    from softcal_jax.proposal import propose_project
+
+    start_computing(show)
+    show.now(f"reading {args.model.name}")
+    size = None if args.size is None else quantity("--size", args.size, "m")
+    try:
+        made = propose_project(
+            args.model,
+            args.folder,
+            recordings=args.markers,
+            size=size,
+            length_unit=args.length_unit,
+        )
+    except ImportError as error:
+        raise ValueError(str(error)) from error
+    files = sorted(path.name for path in args.folder.iterdir())
+    show.line(f"Wrote {', '.join(files)} to {args.folder}.")
+    for line in _found(made.findings):
+        show.line(line)
+    many = len(guesses_left(made.path))
+    show.line(
+        f'{many} lines hold a guess, with a remark "{CHANGE}..." that says what is to '
+        "be changed or confirmed. `softcal check` lists them."
+    )
+    return made.findings.recorded is not None and not made.findings.own_frame
+
+
+def _found(found: "Findings") -> Iterator[str]:
+    """Say what a project was written from."""
+    import numpy as np
+
+    from softcal_jax.export import readable_values
+
+    body, recorded = found.body, found.recorded
+    sides = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(body.mesh.points, axis=0))
+    unit = f", if its unit is {body.unit}" if body.unit_guessed else ""
+    yield f"Body: {sides} mm{unit}; {body.mesh.n_tets} tets."
+    held = "by its name" if found.held.plane is None else "an end of the body"
+    yield f"Held: {found.held.group}, {held}."
+    for group, is_open in found.chambers.items():
+        rim = ", sealed at its rim" if is_open else ""
+        yield f"Chamber: {group}, by its name{rim}."
+    if recorded is None:
+        yield (
+            "Nothing measured yet: `softcal identify` and `softcal simulate` run, and "
+            "`softcal calibrate` once there are readings (`--markers` of this command)."
+        )
+        return
+    others = ", ".join(pose.name for pose in recorded.others)
+    yield f"Poses: {recorded.rest.name}, as the one at rest" + (
+        f", and {others}." if others else "; there is no other."
+    )
+    yield "Markers at rest, and how far from the mesh they were recorded:"
+    width = max(len(own.name) for own in found.markers)
+    for own in found.markers:
+        off = readable_values([own.distance], "m", digits=3)
+        yield f"  {own.name:<{width}}  {off if own.distance else 'in it'}"
+    if found.own_frame:
+        yield (
+            "That is too far for markers on this robot: the recording has a frame of "
+            "its own. `softcal calibrate` runs once the file says where the markers "
+            "are on the robot, and the remarks at [shared.measured] are followed."
+        )
+
+
+def add_new(commands: "argparse._SubParsersAction", raw: Callable) -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "new",
+        help="a commented project that runs, for your robot or a ready-made one",
+        description="""\
+Writes a new folder with a commented project file and all that it needs.
+
+With --robot, that is a ready-made robot: beam (measured), cable-beam, pneumatic-finger,
+parallel-robot (synthetic readings) or pneumatic-arm (measured).
+
+With --model, the project is for your own mesh or CAD model. Groups of the file are
+listed in it; the unit, what is held, loads and moduli are proposed where no file tells.
+Each such guess has a remark, to be changed or confirmed.""",
+        epilog=_NEW,
+        formatter_class=raw,
+    )
+    add_path(command, "folder", "DIR", "the folder, which must not be there")
+    text = "name of a ready-made robot"
+    command.add_argument("--robot", metavar="NAME", help=text)
+    text = "a mesh (.msh, .vtu, .inp, ...) or CAD model (.step, .stl)"
+    add_path(command, "--model", "FILE", text)
+    text = "a table of markers, or recordings over time (.c3d, ...), a pose in each"
+    add_path(command, "--markers", "FILE", text, nargs="+", default=[])
+    text = 'edges of the tets of a CAD model, like "3 mm" (default: a twentieth of it)'
+    command.add_argument("--size", metavar="LENGTH", help=text)
+    text = "unit of the model: m, cm, mm, um or inch (default: guessed by its size)"
+    command.add_argument("--length-unit", metavar="UNIT", help=text)
+    add_output(command)
+    command.set_defaults(run=new)

@@ -1,0 +1,44 @@
+"""Writing figures to files."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+DPI = 100
+"""Pixels per inch of figures and of the images within them."""
+
+_FORMATS = {".png": "png", ".svg": "svg"}
+
+
+def save(
+    figure: "matplotlib.figure.Figure",
+    path: str | Path,
+    *,
+    software: str = "softcal_jax",
+) -> None:
+    """Write a figure as PNG or SVG, whichever the name of the file ends in.
+
+    The same figure gives the same file: without a date, and with the same ids.
+
+    Args:
+        figure: The figure.
+        path: The file.
+        software: What drew it, which is kept in the file.
+
+    Raises:
+        ValueError: If the name ends in something else.
+    """
+    import matplotlib as mpl
+
+    own = _FORMATS.get(Path(path).suffix.lower())
+    if own is None:
+        raise ValueError(
+            f"{path} ends in {Path(path).suffix!r}; expected a picture, .png or .svg."
+        )
+    about = {"Software": software}
+    if own == "svg":
+        about = {"Creator": software, "Date": None}
+    with mpl.rc_context({"svg.hashsalt": "softcal_jax"}):
+        figure.savefig(path, dpi=DPI, format=own, metadata=about)

@@ -1,0 +1,52 @@
+"""Project files of ready-made robots, with their data beside them."""
+
+from importlib.resources import files
+from pathlib import Path
+
+from softcal_jax._names import unknown_name
+
+READY_MADE = {
+    "beam": "silicone_beam",
+    "cable-beam": "cable_beam",
+    "pneumatic-finger": "pneumatic_finger",
+    "pneumatic-arm": "pneumatic_arm",
+    "parallel-robot": "parallel_robot",
+}
+"""Folders of this package by the names that users know the robots by."""
+
+
+def ready_made_path(name: str) -> Path:
+    """Return the project file of a ready-made robot.
+
+    The readings of "beam" and "pneumatic-arm" were measured, those of "cable-beam",
+    "pneumatic-finger" and "parallel-robot" computed; README.md beside each says how.
+
+    Args:
+        name: A key of `READY_MADE`.
+
+    Raises:
+        ValueError: If there is no such robot; the text suggests the closest name.
+    """
+    if name not in READY_MADE:
+        raise unknown_name("robot", name, READY_MADE)
+    return Path(str(files("softcal_jax.robots"))) / READY_MADE[name] / "project.toml"
+
+
+def silicone_beam_path() -> Path:
+    """Return the project file of the clamped silicone beam of `softcal demo`.
+
+    Example:
+        Calibrate it::
+
+            project = load_project(silicone_beam_path())
+            result = project.calibrate()
+    """
+    return ready_made_path("beam")
+
+
+def pneumatic_arm_path() -> Path:
+    """Return the project file of the pneumatic arm of `softcal demo arm`.
+
+    Its recordings are .c3d files, which need ezc3d: pip install 'softcal-jax[mocap]'.
+    """
+    return ready_made_path("pneumatic-arm")

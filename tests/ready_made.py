@@ -1,0 +1,104 @@
+"""The data of ready-made robots that nobody measured: meshes and synthetic readings.
+
+    python tests/ready_made.py pneumatic_finger parallel_robot
+
+writes them into the package, beside the project files. `cable_project.py` does the same
+for the cable beam.
+"""
+
+import csv
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softcal_jax.calibration import simulated_measurements
+from softcal_jax.mesh import TetMesh, mesh_cad, to_linear, write_mesh
+from softcal_jax.project import load_project
+from softcal_jax.robots import (
+    parallel_robot,
+    printed_robot,
+    read_poses_of,
+    ready_made_path,
+)
+
+FINGER_E, FINGER_STD, FINGER_ABOVE = 320e3, 0.2e-3, 2.0
+"""Modulus [Pa] and noise [m] behind the readings; the cavity lies so high [mm]."""
+
+FINGER_POSES = ("rest", "20 kPa", "40 kPa", "30 kPa")
+
+ROBOT_SIZE, ROBOT_SEED, ROBOT_READINGS = 0.015, 0, 10
+"""Edges of the tets of the parallel robot [m]; its errors; readings of each pose."""
+
+
+def pneumatic_finger(folder: Path) -> None:
+    """CAD model, mesh, and the markers of a finer finger of the true modulus."""
+    from benchmarks._cad_models import write_finger
+
+    step = write_finger(folder / "finger.step", above=FINGER_ABOVE)
+    made = mesh_cad(step, size=4e-3, order=1)
+    write_mesh(made, folder / "finger.msh", length_unit="mm")
+    finer = {
+        "mesh": {"file": "finger.step", "size": "2.5 mm"},
+        "material.E": f"{FINGER_E} Pa",
+        "shared.measured": None,
+        **{f"configurations.{name}.measured": None for name in FINGER_POSES},
+    }
+    project = load_project(folder / "project.toml", changes=finer)
+    random = np.random.default_rng(0)
+    rows = []
+    for c in simulated_measurements(project.model, project.configurations):
+        seen = c.measured + FINGER_STD * random.standard_normal(c.measured.shape)
+        rows += [
+            [c.name, name, *(f"{1e3 * x:.3f}" for x in place)]
+            for name, place in zip(c.markers.names, seen, strict=True)
+        ]
+    _write(folder / "markers.csv", ["pose", "marker", "x_mm", "y_mm", "z_mm"], rows)
+
+
+def ordered_robot():
+    """The parallel robot of the packaged project file."""
+    std = {"std": 0.3e-3, "std_angle": math.radians(0.2)}
+    return parallel_robot(size=ROBOT_SIZE, **std)
+
+
+def parallel(folder: Path) -> None:
+    """The two sheets, and what a tracker reads of a printed robot."""
+    robot = ordered_robot()
+    mesh = to_linear(robot.model.mesh)
+    # A Gmsh file has one group of tets for each; those of the ends stay as nodes.
+    sheets = {name: mesh.tet_groups[name] for name in ("lower", "upper")}
+    mesh = TetMesh(mesh.points, mesh.tets, mesh.node_groups, {}, sheets)
+    write_mesh(mesh, folder / "sheets.msh", length_unit="mm")
+    printed = printed_robot(robot.geometry, seed=ROBOT_SEED, size=0.01)
+    poses = (*robot.configurations, *robot.validation)
+    measured = read_poses_of(printed, poses, seed=ROBOT_SEED, readings=ROBOT_READINGS)
+    middle = np.array([0.0, -robot.geometry.rod_pull, 0.0])
+    rows = []
+    for c in measured:
+        (rod,) = c.effectors
+        place = 1e3 * (middle + rod.measured.translation)
+        x, y, z, w = Rotation.from_matrix(rod.measured.matrix).as_quat()
+        turn = [f"{own:.6f}" for own in (w, x, y, z)]
+        rows.append([c.name, "rod", *(f"{own:.4f}" for own in place), *turn])
+    header = ["pose", "sensor", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"]
+    _write(folder / "tracker.csv", header, rows)
+
+
+def _write(path: Path, header, rows) -> None:
+    with path.open("w", newline="") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerows([header, *rows])
+
+
+MAKERS = {"pneumatic_finger": pneumatic_finger, "parallel_robot": parallel}
+
+if __name__ == "__main__":
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    sys.path.insert(0, str(Path(__file__).parents[1]))  # for the benchmarks
+    for name in sys.argv[1:] or MAKERS:
+        MAKERS[name](ready_made_path(name.replace("_", "-")).parent)

@@ -1,0 +1,183 @@
+"""What a command says while it runs, and what programs read of it."""
+
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import pytest
+from small_project import write_small_project
+
+from softcal_jax.cli import _display, main
+from softcal_jax.cli._compiling import Compiling
+from softcal_jax.cli._display import Display
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out"
+
+
+def test_a_log_says_what_is_under_way_in_plain_lines(monkeypatch, capsys):
+    """At growing intervals, with the time so far, and without carriage returns."""
+    monkeypatch.setattr(_display, "FIRST_S", 0.3)
+    with Display(time.time() - 60.0) as show:
+        show.now("equilibrium of droop: 40 % of the load", log=False, count=(2, 5))
+        time.sleep(1.6)
+    text, errors = capsys.readouterr()
+    assert errors == ""
+    lines = text.splitlines()
+    assert 1 <= len(lines) <= 3
+    pattern = r"  equilibrium of droop: 40 % of the load \(2 of 5\); 6\d s so far"
+    assert all(re.fullmatch(pattern, line) for line in lines)
+    assert not set("\r\x1b") & set(text)
+
+
+def test_quiet_leaves_progress_out_and_keeps_what_counts(monkeypatch, capsys):
+    monkeypatch.setattr(_display, "FIRST_S", 0.1)
+    with Display(time.time(), quiet=True) as show:
+        show.now("solving")
+        show.note("step 1")
+        show.warning("odd data")
+        show.line("E = 1 kPa")
+        time.sleep(0.5)
+    assert capsys.readouterr().out == "warning: odd data\nE = 1 kPa\n"
+    assert show.warnings == ["odd data"]
+
+
+def test_a_terminal_has_a_moving_line_with_a_bar(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setattr(sys, "stdout", terminal := Terminal())
+    with Display(time.time() - 61.0) as show:
+        show.now("drawing pictures", count=(1, 4))
+        show.progress.refresh()
+    text = terminal.getvalue()
+    assert "drawing pictures" in text
+    assert "\u2501" in text
+    assert "0:01:01" in text
+
+
+def test_forced_colours_move_nothing_in_a_file(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr(sys, "stdout", file := io.StringIO())
+    with Display(time.time()) as show:
+        show.now("solving")
+        time.sleep(0.2)
+    assert file.getvalue() == "solving ...\n"
+
+
+def test_compiling_is_told_while_it_lasts(monkeypatch):
+    """From its beginning: JAX only reports durations when they have passed."""
+    told = []
+    compiling = Compiling()
+    compiling.start()
+    try:
+
+        @jax.jit
+        def slow(x):
+            time.sleep(0.7)  # traced once
+            told.append(compiling.words())
+            return jnp.sin(x) + len(told)
+
+        slow(1.0)
+        slow(1.0)
+        assert compiling.words() == ""
+    finally:
+        compiling.stop()
+    (words,) = told
+    assert re.fullmatch(r"preparing a program, \d s", words)
+
+
+def test_a_program_from_the_disk_is_not_compiled(monkeypatch):
+    """The first run alone compiles, and is told so."""
+    compiling = Compiling()
+    monkeypatch.setattr("softcal_jax.cli._compiling.NOTICED_S", 0.0)
+    event = "/jax/core/compile/backend_compile_duration"
+    compiling._begins(event, 0.0)
+    assert compiling.words() == "compiling (first run only), 0 s"
+    compiling._found("/jax/compilation_cache/cache_hits")
+    assert compiling.words() == ""
+    compiling._ends(event, 0.1)
+    compiling._begins(event, 0.0)
+    assert compiling.words().startswith("compiling")
+    compiling._ends(event, 0.1)
+    assert compiling.words() == ""
+
+
+def test_json_of_a_calibration_is_its_result(tmp_path, out, capsys):
+    """Nothing else on standard output, and the pictures may stay away."""
+    path = write_small_project(tmp_path)
+    command = ["calibrate", str(path), "-o", str(out), "--json", "--no-pictures"]
+    assert main(command) == 0
+    text, errors = capsys.readouterr()
+    assert json.loads(text) == json.loads((out / "result.json").read_text())
+    assert "step 1 " in errors
+    assert not [*out.glob("*.png"), *out.glob("*.svg")]
+    assert (out / "report.html").is_file()
+    svg = ["simulate", str(path), "-o", str(out), "--force", "--quiet"]
+    assert main([*svg, "--pictures", "svg"]) == 0
+    said = capsys.readouterr().out
+    assert "reading" not in said
+    assert "weight" in said
+
+
+def test_json_of_an_error(tmp_path, out, capsys):
+    assert main(["simulate", str(tmp_path / "no"), "-o", str(out), "--json"]) == 2
+    text, errors = capsys.readouterr()
+    said = json.loads(text)
+    assert said["exit_code"] == 2
+    assert "no does not exist" in said["error"]
+    assert said["error"] in errors
+
+
+def test_json_of_identify_and_check(tmp_path, capsys):
+    path = str(write_small_project(tmp_path))
+    assert main(["identify", path, "--json", "-q"]) == 0
+    verdict = json.loads(capsys.readouterr().out)
+    assert verdict["identifiability"]["parameters"][0]["name"] == "E"
+    assert main(["check", path, "--json", "--no-pictures"]) == 0
+    read = json.loads(capsys.readouterr().out)
+    assert read["configurations"] == {"weight": "fitted", "pulled": "held out"}
+    assert read["parameters"] == ["E"]
+    assert read["picture"] is None
+
+
+def test_no_text_of_jax_or_xla_reaches_the_user(tmp_path):
+    """What they log for their developers; a developer can still ask for it."""
+    code = (
+        "import logging, os, sys; from softcal_jax.cli import _main\n"
+        "def run(args, show):\n"
+        "    import jax, warnings\n"
+        "    logging.getLogger('jax._src.xla_bridge').warning('of jax')\n"
+        "    warnings.warn('of jax', UserWarning)\n"
+        "    print(os.environ['TF_CPP_MIN_LOG_LEVEL'])\n"
+        "    return 0\n"
+        "assert 'jax' not in sys.modules\n"
+        "import softcal_jax.cli._tags as t; t.tags = run\n"
+        "sys.exit(_main.main(['tags', '-o', 'x']))"
+    )
+    clean = {k: v for k, v in os.environ.items() if k != "TF_CPP_MIN_LOG_LEVEL"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=clean
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion(shell, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["--print-completion", shell])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    for word in ("calibrate", "sweep", "no-pictures"):
+        assert word in text
