@@ -27,7 +27,7 @@ exclude_patterns = ["build", "_ext"]
 
 # Pages need no network: no widgets, no fonts, no scripts from elsewhere.
 nb_ipywidgets_js = {}
-nb_execution_mode = "off"  # the tests execute the notebooks
+nb_execution_mode = "off"  # shown with the outputs that are committed
 myst_enable_extensions = ["attrs_block", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 # With MathJax 3, which `sphinx-mathjax-offline` carries.

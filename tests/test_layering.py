@@ -17,7 +17,7 @@ LAYERS = [
         *("_compilation_cache", "_limits", "_machine", "_names", "_places"),
         *("_process", "_results", "_text", "_typing", "_units"),
     },
-    {"_files"},
+    {"_files", "_module"},
     {"elements"},
     {"mesh"},
     {"materials"},

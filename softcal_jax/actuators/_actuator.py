@@ -4,9 +4,9 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module, one_line
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.actuators._cliques import AbstractCliques
@@ -32,8 +32,10 @@ class Kind(NamedTuple):
     displacement_unit: str | None
     unilateral: bool = False
 
+    __repr__ = one_line
 
-class RestState(eqx.Module):
+
+class RestState(Module):
     """The mesh and the rigid bodies at rest, to which actuators are attached.
 
     Attributes:
@@ -94,7 +96,7 @@ class RestState(eqx.Module):
         return nodes, np.concatenate([[1.0 - along.sum()], along])
 
 
-class AbstractActuator(eqx.Module):
+class AbstractActuator(Module):
     """A part of the robot that drives it with a force lambda_a.
 
     Its displacement delta_a(x), zero at rest, may be imposed or measured, and

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import (
@@ -22,7 +23,7 @@ from softcal_jax.actuators._forces import Motor
 from softcal_jax.mesh import TetMesh
 
 
-class ActuatorArrays(eqx.Module):
+class ActuatorArrays(Module):
     """All actuators of a robot, as the solver uses them.
 
     Properties that select code paths, such as `unilateral`, stay static under `jit`.

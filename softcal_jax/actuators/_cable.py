@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
@@ -27,7 +28,7 @@ _IN_LINE = 1e-12
 """Sine of the angle at a guide below which it is only rounding."""
 
 
-class Guide(eqx.Module):
+class Guide(Module):
     """A point that a cable runs through, or ends at.
 
     Attributes:

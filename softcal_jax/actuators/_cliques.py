@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.mesh import Refinement
 
@@ -43,8 +44,10 @@ class ActuatorGeometry(NamedTuple):
     arrows: Float[HostArray, "n_markers 3"] = np.zeros((0, 3))
     point_owner: Int[HostArray, " n_markers"] = np.zeros(0, np.int32)
 
+    __repr__ = one_line
 
-class AbstractCliques(eqx.Module):
+
+class AbstractCliques(Module):
     """All cliques of one type, and the forces on their nodes.
 
     Arrays hold all cliques along their first axis; methods see a single clique, under

@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies._body import RigidBody
 from softcal_jax.mesh import Refinement, TetMesh, node_indices
 
 
-class BodyArrays(eqx.Module):
+class BodyArrays(Module):
     """The rigid bodies of a model.
 
     Each body adds four nodes to those of the mesh: the origin of its frame and the ends
@@ -181,7 +182,7 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
     return owner
 
 
-class BodyStateArrays(eqx.Module):
+class BodyStateArrays(Module):
     """States of the bodies in a configuration.
 
     Attributes:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray, Int
 
 Vector = Sequence[float] | Float[ArrayLike, "3"]
@@ -24,7 +25,7 @@ def check_vector(what: str, unit: str, value: HostArray) -> None:
         raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
 
 
-class Pose(eqx.Module):
+class Pose(Module):
     """Rigid motion X -> rotation @ (X - origin) + origin + translation.
 
     The origin is that of the moving frame; for a body `RigidBody.origin`.
@@ -85,7 +86,7 @@ def _as_array(
     return None if value is None else np.asarray(value, float)
 
 
-class RigidBody(eqx.Module):
+class RigidBody(Module):
     """Nodes of the mesh that move as one: a plate, a motor arm, the end of a branch.
 
     The coupling is exact: the body has six unknowns, its nodes have none of their own.
@@ -166,7 +167,7 @@ def hinge_axes(axis: Vector) -> Float[HostArray, "3 3"]:
     return np.stack([first, np.cross(third, first), third])
 
 
-class BodyState(eqx.Module):
+class BodyState(Module):
     """State of a rigid body in a configuration.
 
     Attributes:

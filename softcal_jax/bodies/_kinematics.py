@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
 from softcal_jax.bodies._body import KINDS
@@ -99,6 +100,8 @@ class Frames(NamedTuple):
     origin: Float[Array, "n_b 3"]
     rotation: Float[Array, "n_b 3 3"]
 
+    __repr__ = one_line
+
     def where(self, mask: Bool[Array, " n_b"], others: "Frames") -> "Frames":
         """Take those of some bodies, and other frames elsewhere."""
         return Frames(
@@ -149,6 +152,8 @@ class Mounted(NamedTuple):
     rotation: Float[Array, "n_b 3 3"]
     axes: Float[Array, "n_b 3 3"]
     arm: Float[Array, "n_b 3"]
+
+    __repr__ = one_line
 
 
 def mounted(

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable_unit
@@ -43,7 +44,7 @@ class Posed(NamedTuple):
     at: Evaluation
 
 
-class RecordingEstimate(eqx.Module):
+class RecordingEstimate(Module):
     """A parameter from one recording alone, to first order about the fit of all.
 
     Attributes:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable
@@ -53,6 +54,8 @@ class EquilibriumProgress(NamedTuple):
     load: float
     steps: int
     stiffer: float
+
+    __repr__ = one_line
 
     def __str__(self) -> str:
         """Write it in one line."""

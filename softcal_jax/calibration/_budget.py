@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._considered import Considered, considered
@@ -51,7 +52,7 @@ SMALL = 0.1
 """Share of the standard error below which a sentence leaves a cause out [-]."""
 
 
-class Cause(eqx.Module):
+class Cause(Module):
     """One reason why the parameters may be wrong.
 
     Attributes:
@@ -71,7 +72,7 @@ class Cause(eqx.Module):
         return np.sum(self.deviations**2, axis=1)
 
 
-class ErrorBudget(eqx.Module):
+class ErrorBudget(Module):
     """Standard errors of calibrated parameters, split by cause.
 
     Attributes:

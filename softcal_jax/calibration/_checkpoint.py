@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._places import cause, only_writer
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration._checkpoint_file import (
@@ -39,6 +40,8 @@ class Clock:
     Attributes:
         seconds: "compile" and "solve", after the context has ended [s].
     """
+
+    __repr__ = one_line
 
     def __init__(self):
         self.seconds: dict[str, float] = {}

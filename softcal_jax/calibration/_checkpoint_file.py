@@ -141,7 +141,7 @@ def fingerprint(
     kind = solver.name, solver.sparsity
     problem = eqx.tree_at(lambda p: p.model.solver, problem, kind)
     arrays, static = eqx.partition(problem, eqx.is_array_like)
-    text = repr((settings, search, jax.tree.flatten(static)))
+    text = eqx.tree_pformat((settings, search, static))  # not repr, which shortens
     return _digest(map(np.asarray, jax.tree.leaves(arrays)), text)
 
 

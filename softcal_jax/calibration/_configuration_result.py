@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
 
+from softcal_jax._module import Module, Result
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise, whitened
 from softcal_jax.calibration._uncertainty import UNLIKELY
@@ -33,7 +34,7 @@ Role = Literal["calibration", "validation", "simulation"]
 Misfit = Literal["worse than before", "unexplained"]
 
 
-class ConfigurationResult(eqx.Module):
+class ConfigurationResult(Module):
     """A configuration that was fitted, predicted, or only simulated.
 
     Attributes:
@@ -76,6 +77,11 @@ class ConfigurationResult(eqx.Module):
     W_ep: Float[HostArray, "n_rows 3 n_p"] | None = None
     columns: Float[HostArray, "n_coordinates n_columns"] | None = None
     posed: Configuration | None = None
+
+    def __str__(self) -> str:
+        """Write how far the markers are off before and after, in one line."""
+        before, after = 1e3 * self.rms_before, 1e3 * self.rms_after
+        return f"{self.name} ({self.role}): rms {before:.3f} to {after:.3f} mm"
 
     @property
     def points(self) -> tuple[EffectorRecord, ...]:
@@ -215,7 +221,7 @@ def _rms(errors: Sequence[Float[HostArray, "3"]] | HostArray) -> float:
     return float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
 
 
-class SimulationResult(eqx.Module):
+class SimulationResult(Result):
     """A forward simulation.
 
     Attributes:
@@ -230,6 +236,19 @@ class SimulationResult(eqx.Module):
     def converged(self) -> bool:
         """Whether every configuration has an equilibrium."""
         return all(result.converged for result in self.configurations)
+
+    @property
+    def headline(self) -> str:
+        """In how many configurations there is an equilibrium, in a sentence."""
+        n = len(self.configurations)
+        found = sum(result.converged for result in self.configurations)
+        if found < n:
+            return f"{found} of {n} configurations have an equilibrium."
+        every = "The configuration has" if n == 1 else f"All {n} configurations have"
+        return f"{every} an equilibrium."
+
+    def _words(self) -> str:
+        return self.headline
 
 
 def configuration_results(

@@ -11,9 +11,9 @@ falls slowly (Fletcher and Xu, IMA J. Numer. Anal. 7, 1987) and only if it predi
 last step better than Gauss-Newton.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float
 
 QUICK = 0.2
@@ -26,7 +26,7 @@ FLATTEST = 1e-8
 """Smallest curvature of the convex model, relative to the largest [-]."""
 
 
-class Curvature(eqx.Module):
+class Curvature(Module):
     """Second term of the Hessian in step coordinates, and whether a step uses it."""
 
     matrix: Float[Array, "n_p n_p"]

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._lanes import (
     OfLane,
@@ -41,7 +42,7 @@ from softcal_jax.sensitivity import (
 )
 
 
-class Evaluation(eqx.Module):
+class Evaluation(Module):
     """Equilibria, errors and compliances of all configurations at one z.
 
     Attributes:
@@ -195,6 +196,8 @@ class Evaluator:
         shared: What all lanes share, without configurations.
         lanes: The configurations.
     """
+
+    __repr__ = one_line
 
     def __init__(self, problem: CalibrationProblem):
         """Split the calibration into what all lanes share, and the lanes."""

@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable_unit
 from softcal_jax.fields import Parameter
@@ -25,7 +25,7 @@ class ProfileEnd(NamedTuple):
     why: IntervalEnd
 
 
-class ParameterInterval(eqx.Module):
+class ParameterInterval(Module):
     """Confidence interval of a calibrated parameter, in SI units.
 
     Attributes:

@@ -18,11 +18,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, overload
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration._references import attachments
 from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
@@ -42,7 +42,7 @@ FIRST_SHARE = 0.02
 AXES = "xyz"
 
 
-class CorrelatedNoise(eqx.Module):
+class CorrelatedNoise(Module):
     """Covariance of the stacked errors, for a batch of configurations.
 
     Attributes:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise, whitened
 from softcal_jax.configurations import ConfigurationArrays
@@ -19,7 +20,7 @@ from softcal_jax.fields import ParameterSpace, unnamed
 T = TypeVar("T")
 
 
-class CalibrationProblem(eqx.Module):
+class CalibrationProblem(Module):
     """Model, parameters and a batch of configurations that share them.
 
     Attributes:

@@ -14,9 +14,9 @@ of the analysis of variance.
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 
 BLIND = 1e-9
@@ -29,7 +29,7 @@ SAME = 1e-6
 """Difference of -2 l that says nothing about a component [-]."""
 
 
-class Residuals(eqx.Module):
+class Residuals(Module):
     """Errors of a fit and how they follow its parameters, in stated noise units [-].
 
     Attributes:

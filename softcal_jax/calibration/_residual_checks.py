@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import numpy as np
 from scipy.special import chdtrc
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._agreement import (
@@ -36,7 +36,7 @@ FAR = 0.25
 """Share of the motion by which a prediction may be off, where no std is stated [-]."""
 
 
-class LeftOut(eqx.Module):
+class LeftOut(Module):
     """A configuration as the others predict it, linearised at the optimum.
 
     Attributes:
@@ -59,7 +59,7 @@ class LeftOut(eqx.Module):
     by_scatter: float
 
 
-class ResidualChecks(eqx.Module):
+class ResidualChecks(Module):
     """What the residuals of a fit say about its model.
 
     Attributes:

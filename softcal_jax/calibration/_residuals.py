@@ -7,10 +7,10 @@ Applied Regression Analysis, 1998, sec. 2.1; Bates and Watts, Nonlinear Regressi
 Analysis, 1988, sec. 1.3.2)? And do the others predict a configuration?
 """
 
-import equinox as eqx
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration._noise import whitened
 from softcal_jax.calibration._reml import Residuals, basis
@@ -64,7 +64,7 @@ class LinearFit:
         return self._by_noise(own.r) - self._VW @ (self._C @ slope)
 
 
-class LackOfFit(eqx.Module):
+class LackOfFit(Module):
     """Scatter between configurations compared with that within them.
 
     Attributes:
@@ -143,7 +143,7 @@ def lack_of_fit(
     )
 
 
-class Prediction(eqx.Module):
+class Prediction(Module):
     """The errors of one configuration, as the others predict them.
 
     Attributes:

@@ -2,9 +2,9 @@
 
 import math
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module, Result
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate
@@ -31,7 +31,7 @@ That of a modulus known to 30 %, whose interval is symmetric in its logarithm.
 """
 
 
-class ParameterEstimate(eqx.Module):
+class ParameterEstimate(Module):
     """A calibrated parameter, in SI units.
 
     Attributes:
@@ -118,7 +118,7 @@ def parameter_estimates(
     )
 
 
-class HistoryEntry(eqx.Module):
+class HistoryEntry(Module):
     """One step of the outer loop.
 
     Attributes:
@@ -155,7 +155,7 @@ class HistoryEntry(eqx.Module):
         return f"step {self.step}: rms {1e3 * self.rms:.3f} mm, {values}{refused}"
 
 
-class Optimum(eqx.Module):
+class Optimum(Module):
     """A point at which converged runs end.
 
     Attributes:
@@ -170,7 +170,7 @@ class Optimum(eqx.Module):
     starts: tuple[int, ...]
 
 
-class MultiStartResult(eqx.Module):
+class MultiStartResult(Module):
     """Result of a search from many starts.
 
     Attributes:
@@ -239,7 +239,7 @@ class MultiStartResult(eqx.Module):
         return "\n".join(lines)
 
 
-class CalibrationResult(eqx.Module):
+class CalibrationResult(Result):
     """Outcome of a calibration.
 
     Attributes:
@@ -293,10 +293,18 @@ class CalibrationResult(eqx.Module):
         """Confidence intervals of the parameters; empty if none were asked for."""
         return tuple(p.interval for p in self.parameters if p.interval is not None)
 
+    @property
+    def _end(self) -> str:
+        """How it ended."""
+        verdict = "converged" if self.converged else "NOT CONVERGED"
+        return f"{verdict} in {len(self.history) - 1} steps"
+
+    def _words(self) -> str:
+        return ", ".join([self._end, *(f"{p.name} = {p}" for p in self.parameters)])
+
     def __str__(self) -> str:
         """Write the parameters, the fits and the notes, in a few lines."""
-        verdict = "converged" if self.converged else "NOT CONVERGED"
-        lines = [f"Calibration {verdict} in {len(self.history) - 1} steps."]
+        lines = [f"Calibration {self._end}."]
         lines += [
             f"  {p.name} = {p.value:.5g}{_plus_minus(p)} {p.unit} "
             f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
@@ -307,11 +315,7 @@ class CalibrationResult(eqx.Module):
             f"  {100 * i.level:g} % interval of {i.name}: {i} ({i.kind})"
             for i in self.intervals
         ]
-        lines += [
-            f"  {fit.name} ({fit.role}): rms {1e3 * fit.rms_before:.3f} to "
-            f"{1e3 * fit.rms_after:.3f} mm"
-            for fit in self.configurations
-        ]
+        lines += [f"  {fit}" for fit in self.configurations]
         if self.starts is not None and self.starts.second_best is not None:
             lines += [f"  {line}" for line in str(self.starts).splitlines()]
         if self.checks is not None:

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationProblem
@@ -42,7 +43,7 @@ _decide = eqx.filter_jit(decide)
 admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
 
 
-class Run(eqx.Module):
+class Run(Module):
     """End of the outer loop.
 
     Attributes:

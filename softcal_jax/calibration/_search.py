@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._limits import TRIALS
+from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._evaluation import Evaluator
@@ -50,6 +51,8 @@ class SearchProgress(NamedTuple):
     starts: int
     converged: int
     cost: float
+
+    __repr__ = one_line
 
     def __str__(self) -> str:
         """Write it in one line."""

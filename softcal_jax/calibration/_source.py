@@ -4,12 +4,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-
 from softcal_jax._files import sha256_of
+from softcal_jax._module import Module
 
 
-class SourceFile(eqx.Module):
+class SourceFile(Module):
     """A file, and what it held.
 
     Attributes:
@@ -26,7 +25,7 @@ class SourceFile(eqx.Module):
         return cls(path.parent.resolve() / path.name, sha256_of(path))
 
 
-class ProjectSource(eqx.Module):
+class ProjectSource(Module):
     """A project file, and the files that it names.
 
     Attributes:

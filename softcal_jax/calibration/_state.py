@@ -5,6 +5,7 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._curvature import Curvature, no_curvature
 from softcal_jax.calibration._evaluation import Evaluation
@@ -24,7 +25,7 @@ MOST_STEPS = 1_000_000
 """Largest `max_steps`: the history of every run has room for so many."""
 
 
-class CalibrationSettings(eqx.Module):
+class CalibrationSettings(Module):
     """Settings of the outer loop.
 
     Attributes:
@@ -66,7 +67,7 @@ class CalibrationSettings(eqx.Module):
                 raise ValueError(f"{name} must be positive and finite, got {value}.")
 
 
-class CalibrationState(eqx.Module):
+class CalibrationState(Module):
     """State of the outer loop.
 
     Attributes:

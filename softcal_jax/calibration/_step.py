@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._curvature import Curvature, convex_model, learned
 from softcal_jax.calibration._evaluation import Evaluation
@@ -42,7 +43,7 @@ FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
 
 
-class Proposal(eqx.Module):
+class Proposal(Module):
     """A step that the QP proposes: parameters after it, and a guess of the equilibria.
 
     `cost` is that after it by the model that the QP used, `costs` by the linear model

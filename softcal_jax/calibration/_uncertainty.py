@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from scipy.special import chdtrc, ndtr, stdtr
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray
 
 BLIND = 1e-6
@@ -18,7 +19,7 @@ EXACT = 1e-3
 """Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
 
-class Uncertainty(eqx.Module):
+class Uncertainty(Module):
     """Covariance of the parameters, to first order.
 
     Attributes:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.camera._sheet import opencv
 
@@ -37,6 +38,8 @@ class CameraModel(NamedTuple):
 
     values: Float[HostArray, "8"]
     covariance: Float[HostArray, "8 8"]
+
+    __repr__ = one_line
 
     @classmethod
     def unknown(cls, size: tuple[int, int], focal: float) -> "CameraModel":

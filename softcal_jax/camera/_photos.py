@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.camera._adjustment import (
@@ -44,7 +44,7 @@ _LEAST_ON_BOARD = 4
 """Least tags of the board that a photograph of it must show."""
 
 
-class TagPose(eqx.Module):
+class TagPose(Module):
     """Pose of a tag in the frame of the base tag.
 
     Attributes:

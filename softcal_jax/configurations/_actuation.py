@@ -2,16 +2,16 @@
 
 from collections.abc import Mapping
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax.bodies import KINDS, BodyState, BodyStateArrays, Pose
 from softcal_jax.configurations._arrays import ActuationArrays
 from softcal_jax.configurations._mechanism import Mechanism
 
 
-class ImposedForce(eqx.Module):
+class ImposedForce(Module):
     """The force lambda_a of an actuator is given; its displacement follows.
 
     Attributes:
@@ -24,7 +24,7 @@ class ImposedForce(eqx.Module):
     releasing: bool = False
 
 
-class ImposedDisplacement(eqx.Module):
+class ImposedDisplacement(Module):
     """The displacement delta_a of an actuator is given; its force is solved for.
 
     Attributes:

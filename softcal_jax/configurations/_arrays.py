@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import BodyStateArrays, rotation_matrix
 
@@ -10,7 +11,7 @@ AnyArray = Array | HostArray
 """On the host while a configuration is assembled, then on the device."""
 
 
-class RecordingBase(eqx.Module):
+class RecordingBase(Module):
     """Offset of the frame of a recording from the frame of the mesh.
 
     A point at x is read at c + R (x - c) + translation, with c the centre of the mesh,
@@ -39,7 +40,7 @@ class RecordingBase(eqx.Module):
         return jnp.sum(base[None, :, :, None] * R[:, None, :, :], axis=2)
 
 
-class EffectorArrays(eqx.Module):
+class EffectorArrays(Module):
     """Effectors in rows of three coordinates: points, turns, scalars, forces.
 
     Rows stand in the order points (markers, centroids), turns (orientations of rigid
@@ -86,7 +87,7 @@ class EffectorArrays(eqx.Module):
         return self.nodes.shape[-2] == self.measured.shape[-2]
 
 
-class ActuationArrays(eqx.Module):
+class ActuationArrays(Module):
     """Imposed force or displacement of each actuator.
 
     Attributes:
@@ -111,7 +112,7 @@ class ActuationArrays(eqx.Module):
         return jnp.where(jnp.asarray(self.by_displacement), 0.0, given)
 
 
-class Springs(eqx.Module):
+class Springs(Module):
     """Elastic supports: springs between nodes and the places where they are held.
 
     Attributes:
@@ -132,7 +133,7 @@ class Springs(eqx.Module):
         return jnp.sum(by_support * jnp.asarray(self.area), axis=0)
 
 
-class DeadLoads(eqx.Module):
+class DeadLoads(Module):
     """Dead nodal forces, by the names of the loads that they are from.
 
     Attributes:
@@ -146,7 +147,7 @@ class DeadLoads(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
 
-class ConfigurationArrays(eqx.Module):
+class ConfigurationArrays(Module):
     """Supports, loads and effectors of one configuration, or of a batch.
 
     The nodes are those of the mesh, then those of the frames of the rigid bodies.

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from softcal_jax._module import Module, one_line
 from softcal_jax._names import UNNAMED_LOADS, name_key
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import KINDS
@@ -57,7 +58,7 @@ def _as_loads(loads: AbstractLoad | Iterable[AbstractLoad]) -> tuple[AbstractLoa
     return (loads,) if isinstance(loads, AbstractLoad) else tuple(loads)
 
 
-class Configuration(eqx.Module):
+class Configuration(Module):
     """A static pose of the robot.
 
     Attributes:
@@ -152,6 +153,8 @@ class ConfigurationLanes(NamedTuple):
     arrays: ConfigurationArrays
     effectors: tuple[tuple[EffectorRecord, ...], ...]
 
+    __repr__ = one_line
+
 
 class SharedNames(NamedTuple):
     """What configurations that share a program have, if only some of them.
@@ -163,6 +166,8 @@ class SharedNames(NamedTuple):
 
     springs: tuple[str, ...]
     loads: tuple[str, ...]
+
+    __repr__ = one_line
 
 
 def shared_names(configurations: Iterable[Configuration]) -> SharedNames:

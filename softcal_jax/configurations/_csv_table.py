@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._files import check_file
+from softcal_jax._module import one_line
 from softcal_jax._names import METRES, suggestion
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
@@ -37,6 +38,8 @@ class CsvTable(NamedTuple):
     key: str
     source: str
     point: str = "."
+
+    __repr__ = one_line
 
     @property
     def names(self) -> tuple[str, ...]:

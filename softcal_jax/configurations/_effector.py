@@ -11,6 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
@@ -77,7 +78,7 @@ class EffectorRow(NamedTuple):
         return (self._replace(measured=measured, inverse_std=weights),)
 
 
-class AbstractEffector(eqx.Module):
+class AbstractEffector(Module):
     """Something that is measured on the robot, or brought to a goal."""
 
     name: eqx.AbstractVar[str]

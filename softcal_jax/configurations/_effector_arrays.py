@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from itertools import count
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations._arrays import EffectorArrays, RecordingBase
 from softcal_jax.configurations._effector import QUANTITIES, EffectorRow, Quantity
@@ -15,7 +15,7 @@ Rows = Sequence[EffectorRow]
 """The rows of one configuration, in the order of the user."""
 
 
-class EffectorRecord(eqx.Module):
+class EffectorRecord(Module):
     """Up to three coordinates of an effector: their names, units and values.
 
     Made together with the arrays that the solver sees, and filled in by results; files,

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.configurations._effector_arrays import EffectorRecord
@@ -24,6 +25,8 @@ class FarPoint(NamedTuple):
     name: str
     distance: float
     size: float
+
+    __repr__ = one_line
 
     def __str__(self) -> str:
         """Format as the end of a sentence on the point."""

@@ -5,6 +5,7 @@ from abc import abstractmethod
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.configurations._values import three_numbers
@@ -17,7 +18,7 @@ from softcal_jax.mesh import (
 )
 
 
-class AbstractLoad(eqx.Module):
+class AbstractLoad(Module):
     """A load that becomes forces on nodes, consistent with the shape functions.
 
     Attributes:

@@ -3,15 +3,15 @@
 import os
 from collections.abc import Mapping, Sequence
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations._csv_table import coordinates, read_table
 
 
-class MarkerTable(eqx.Module):
+class MarkerTable(Module):
     """Marker positions as they were read, in the frame and order of the file.
 
     Attributes:

@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._units import readable
 from softcal_jax.configurations._effector import EffectorRow
@@ -25,7 +26,7 @@ def _as_names(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-class Markers(eqx.Module):
+class Markers(Module):
     """Material points of the body, on it or on posts that stand slightly outside.
 
     Attributes:

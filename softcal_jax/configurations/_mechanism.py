@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators import (
     AbstractActuator,
@@ -18,7 +18,7 @@ from softcal_jax.bodies import BodyArrays, RigidBody, body_arrays
 from softcal_jax.mesh import Refinement, TetMesh
 
 
-class Mechanism(eqx.Module):
+class Mechanism(Module):
     """Rigid bodies and actuators of a model; either may be missing.
 
     Node indices run on from those of the mesh to four for each body's frame.

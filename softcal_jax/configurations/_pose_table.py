@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-import equinox as eqx
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._module import Module
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
@@ -14,7 +14,7 @@ _ONE_POSE = np.deg2rad(30.0)
 """Largest turn of a reading of one pose from the mean of the readings [rad]."""
 
 
-class PoseTable(eqx.Module):
+class PoseTable(Module):
     """Poses of sensors, one row per reading; a sensor may have several.
 
     A row takes points from the sensor's frame to the table's: x = R x_sensor + p.
@@ -82,7 +82,7 @@ def in_frame(
     return replace(table, positions=p, rotations=R)
 
 
-class AveragedPose(eqx.Module):
+class AveragedPose(Module):
     """Mean of the readings of one sensor.
 
     A deviation holds three positions and a rotation vector r in the axes of the table:

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import suggestion, unknown_name
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations._marker_table import MarkerTable
@@ -18,7 +18,7 @@ WIDTH = 0.1
 """Width of the window around a single time [s]."""
 
 
-class Recording(eqx.Module):
+class Recording(Module):
     """Positions of markers over time, in the frame of the cameras.
 
     A pose is the mean over a window of time: `between` two times, `at` one, or on a
@@ -241,7 +241,7 @@ class Recording(eqx.Module):
         return self.names.index(name)
 
 
-class Traces(eqx.Module):
+class Traces(Module):
     """A recording, and which parts of it were used, to be looked at.
 
     Attributes:

@@ -2,15 +2,15 @@
 
 import warnings
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 
 
-class Registration(eqx.Module):
+class Registration(Module):
     """A rigid motion fitted to markers that are known in both frames.
 
     Attributes:

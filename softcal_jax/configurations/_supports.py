@@ -1,14 +1,14 @@
 """Supports: where and how the body is held."""
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.configurations._values import parse_axes, three_numbers
 from softcal_jax.mesh import TetMesh, node_indices, surface_shares
 
 
-class Support(eqx.Module):
+class Support(Module):
     """Nodes held, or moved by a given displacement, along some axes.
 
     Attributes:

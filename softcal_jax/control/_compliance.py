@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
@@ -23,7 +24,7 @@ _NO_STIFFNESS = 1e-11
 """Stiffness that an input meets, relative to the largest, that is rounding."""
 
 
-class ActuatorState(eqx.Module):
+class ActuatorState(Module):
     """Effectors and actuators of a robot at an equilibrium.
 
     Attributes:
@@ -37,7 +38,7 @@ class ActuatorState(eqx.Module):
     displacements: Float[Array, " n_a"]
 
 
-class ActuatorCompliance(eqx.Module):
+class ActuatorCompliance(Module):
     """Derivatives of an equilibrium by the inputs, the imposed values of the actuators.
 
     An input is a force lambda_a or a displacement delta_a; all matrices have one column

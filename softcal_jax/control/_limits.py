@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Kind
@@ -15,7 +15,7 @@ ANYTHING = (-np.inf, np.inf)
 """No limits."""
 
 
-class Limits(eqx.Module):
+class Limits(Module):
     """Limits of one actuator, whether its force or its displacement is imposed.
 
     Regardless of them, a cable never pushes and a motor stays within half a turn.

@@ -3,6 +3,7 @@
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.configurations import Configuration, EffectorRecord
@@ -38,7 +39,7 @@ class OUTCOMES(eqx.Enumeration):
     )
 
 
-class GoalFit(eqx.Module):
+class GoalFit(Module):
     """How close one effector came to its goal.
 
     Attributes:
@@ -92,7 +93,7 @@ def coordinate_names(effector: EffectorRecord) -> tuple[str, ...]:
     return tuple(f"{turn}{axis}" for axis in "xyz"[:k])
 
 
-class BlindDirection(eqx.Module):
+class BlindDirection(Module):
     """A direction along which no commanded actuator moves the effectors.
 
     Attributes:
@@ -124,7 +125,7 @@ class BlindDirection(eqx.Module):
         return f"blind direction {', '.join(parts)}"
 
 
-class Attempt(eqx.Module):
+class Attempt(Module):
     """One descent of a search.
 
     Attributes:
@@ -140,7 +141,7 @@ class Attempt(eqx.Module):
     n_steps: int
 
 
-class StepRecord(eqx.Module):
+class StepRecord(Module):
     """One step of the search.
 
     Attributes:
@@ -161,7 +162,7 @@ class StepRecord(eqx.Module):
     accepted: bool
 
 
-class InverseResult(eqx.Module):
+class InverseResult(Result):
     """Actuation that brings the effectors to their goals, or as near as it can.
 
     Attributes:
@@ -221,13 +222,16 @@ class InverseResult(eqx.Module):
             text += f"; held by a {self.blind}"
         return text + "."
 
+    def _words(self) -> str:
+        return self.message
+
     @property
     def inputs(self) -> Float[HostArray, " n_inputs"]:
         """Imposed values in the order of the actuation, in the actuators' units."""
         return np.array([a.value for a in self.configuration.actuation.values()])
 
 
-class TrajectoryResult(eqx.Module):
+class TrajectoryResult(Result):
     """Commands along a trajectory.
 
     Attributes:
@@ -235,6 +239,15 @@ class TrajectoryResult(eqx.Module):
     """
 
     points: tuple[InverseResult, ...]
+
+    @property
+    def headline(self) -> str:
+        """How many goals are met, in a sentence."""
+        n, missed = len(self.points), len(self.unmet)
+        return f"{n - missed} of {n} goals are met."
+
+    def _words(self) -> str:
+        return self.headline
 
     @property
     def inputs(self) -> Float[HostArray, "n_goals n_inputs"]:

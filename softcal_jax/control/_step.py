@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import KKT_TOLERANCE
 from softcal_jax.configurations import ConfigurationArrays
@@ -30,7 +31,7 @@ FLAT_COSINE = 1e-2
 """Cosine between error and step below which a refused step means a minimum [-]."""
 
 
-class ControlSettings(eqx.Module):
+class ControlSettings(Module):
     """Settings of inverse control.
 
     Attributes:

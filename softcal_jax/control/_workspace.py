@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations import (
@@ -25,7 +26,7 @@ from softcal_jax.equilibrium import (
 )
 
 
-class Workspace(eqx.Module):
+class Workspace(Module):
     """Effectors over a set of actuations.
 
     Attributes:

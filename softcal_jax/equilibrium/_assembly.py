@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
@@ -76,6 +77,8 @@ class TetStates(NamedTuple):
     energy: Float[HostArray, " n_tets"]
     cauchy: Float[HostArray, "n_tets 3 3"]
     F: Float[HostArray, "n_tets n_qp 3 3"]
+
+    __repr__ = one_line
 
 
 def tet_states(model: Model, u: Float[Array, "n_points 3"]) -> TetStates:

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.equilibrium._sparsity import Sparsity
 
@@ -33,7 +34,7 @@ class LinearSolution(NamedTuple):
     ok: Bool[Array, ""]
 
 
-class AbstractLinearSolver(eqx.Module):
+class AbstractLinearSolver(Module):
     """A solver for matrices of one sparsity pattern, symmetric or not."""
 
     sparsity: eqx.AbstractVar[Sparsity]

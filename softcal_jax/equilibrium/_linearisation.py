@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import tangent_values
@@ -53,7 +54,7 @@ def solved_forces(
     return estimated_forces(Posed.of(model, configuration), deform(model, u))
 
 
-class Linearisation(eqx.Module):
+class Linearisation(Module):
     """The bordered system at an equilibrium, with its solver.
 
     Attributes:

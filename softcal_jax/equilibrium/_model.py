@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Shaped
 
+from softcal_jax._module import Module
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators import AbstractActuator, clique_nodes
@@ -39,7 +40,7 @@ from softcal_jax.mesh import Refinement, TetMesh, check_mesh, finer
 BLOCK = 16
 
 
-class Model(eqx.Module):
+class Model(Module):
     """A mesh with its law and mechanism; its arrays are traced arguments of the solver.
 
     Attributes:
@@ -71,6 +72,13 @@ class Model(eqx.Module):
     reduction: Reduction | None
     solver: AbstractLinearSolver
     formulation: Formulation = eqx.field(static=True)
+
+    def _words(self) -> str:
+        bodies, actuators = self.mechanism.bodies, self.mechanism.actuators
+        parts = [f"rigid body {name}" for name in bodies.names]
+        named = zip(actuators.kinds, actuators.names, strict=True)
+        parts += [f"{kind.noun} {name}" for kind, name in named]
+        return ", ".join([self.mesh.words, type(self.law).__name__, *parts])
 
     @property
     def n_points(self) -> int:

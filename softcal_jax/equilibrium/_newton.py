@@ -9,11 +9,11 @@ Newton step; the end or failure of a load step only changes t.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
@@ -53,7 +53,7 @@ Number = float | Float[Array | HostArray, ""]
 Count = int | Int[Array | HostArray, ""]
 
 
-class NewtonSettings(eqx.Module):
+class NewtonSettings(Module):
     """Settings of the equilibrium solve.
 
     Attributes:

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
 from softcal_jax.actuators import actuator_rows
@@ -51,7 +52,7 @@ SMALLEST = 1e-4
 """Step, relative to the first, at which the path counts as ended."""
 
 
-class LoadPath(eqx.Module):
+class LoadPath(Module):
     """How to trace the equilibria of a configuration along its load.
 
     Attributes:
@@ -74,7 +75,7 @@ class LoadPath(eqx.Module):
             raise ValueError(f"largest must be positive, got {self.largest:g}.")
 
 
-class EquilibriumPath(eqx.Module):
+class EquilibriumPath(Module):
     """Equilibria along the load, the unloaded state first.
 
     Attributes:

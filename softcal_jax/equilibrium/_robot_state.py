@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.bodies import KINDS, frames_at
 from softcal_jax.configurations import (
@@ -24,7 +25,7 @@ from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
-class BodyPlace(eqx.Module):
+class BodyPlace(Module):
     """Pose of a rigid body at equilibrium.
 
     Attributes:
@@ -42,7 +43,7 @@ class BodyPlace(eqx.Module):
     rotation_vector: Float[HostArray, "3"]
 
 
-class ActuatorState(eqx.Module):
+class ActuatorState(Module):
     """Force and displacement of an actuator.
 
     Attributes:
@@ -64,7 +65,7 @@ class ActuatorState(eqx.Module):
     displacement_unit: str | None
 
 
-class Reaction(eqx.Module):
+class Reaction(Module):
     """Force with which the ground holds a support or a rigid body.
 
     Attributes:
@@ -76,7 +77,7 @@ class Reaction(eqx.Module):
     force: Float[HostArray, "3"]
 
 
-class RobotState(eqx.Module):
+class RobotState(Module):
     """Rigid bodies, actuators and reactions at an equilibrium.
 
     Attributes:

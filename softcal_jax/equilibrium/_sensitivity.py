@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._linearisation import Linearisation, residual
@@ -53,6 +54,8 @@ class InputRows(NamedTuple):
     held: Float[Array, "*n n_points 3"]
     gap: Float[Array, "*n n_m"]
     reading: Float[Array, "*n n_e"]
+
+    __repr__ = one_line
 
 
 def derivatives(
@@ -118,6 +121,8 @@ class Sensitivity(NamedTuple):
     displacement: Float[Array, "*batch n n_points 3"] | None = None
     unknowns: Float[Array, "*batch n n_dof"] | None = None
     multipliers: Float[Array, "*batch n n_a"] | None = None
+
+    __repr__ = one_line
 
 
 def sensitivity(

@@ -1,15 +1,15 @@
 """What the solve of an equilibrium returns, and the error where there is none."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 
 
-class EquilibriumSolution(eqx.Module):
+class EquilibriumSolution(Module):
     """Equilibrium of one configuration, or of a batch (leading axis on every field).
 
     Attributes:

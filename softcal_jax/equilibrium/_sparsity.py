@@ -7,16 +7,16 @@ one symbolic analysis and one compiled program.
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import BodyArrays
 
 
-class Sparsity(eqx.Module):
+class Sparsity(Module):
     """A matrix with a symmetric pattern in compressed rows, diagonal included.
 
     Symmetric matrices are stored as their upper triangle, all others in full.
@@ -174,7 +174,7 @@ def mask_supports(
     return jnp.where(held, 0.0, values).at[sparsity.diagonal].set(on_diagonal), scale
 
 
-class Reduction(eqx.Module):
+class Reduction(Module):
     """Where entries of the tangent over all nodes go in that of the unknowns.
 
     Nodes of a body move with it, du = G d, so its tangent is G^T K G plus a geometric

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 
 from softcal_jax._machine import available_cores
+from softcal_jax._module import one_line
 from softcal_jax._process import check_process
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
@@ -54,6 +55,8 @@ class Batch(NamedTuple):
     lanes: Sequence[Any]
     program: Hashable
 
+    __repr__ = one_line
+
 
 Job = Generator[Batch, list[Any], T]
 """Generator that yields batches, is sent their results, and returns its result."""
@@ -93,6 +96,8 @@ class Workers:
             sparse solver keeps all cores; always one if the solver does not run in
             threads.
     """
+
+    __repr__ = one_line
 
     def __init__(self, model: Model, lanes: int, n: int | None = None):
         """Prepare copies of the model's sparse solver; see the class.

@@ -4,9 +4,9 @@ from itertools import compress
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.export._icesl_fields import N_VOXELS, Part, Samples
@@ -25,7 +25,7 @@ from softcal_jax.materials import FoamTable
 TABLE, UNREACHABLE = "foam.csv", "unreachable.csv"
 
 
-class IceslResult(eqx.Module):
+class IceslResult(Module):
     """What was written for IceSL.
 
     Attributes:

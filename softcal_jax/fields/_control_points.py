@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
 
 AXES = "xyz"
@@ -79,7 +80,7 @@ def _as_array(positions: Places) -> Float[Array, "n_cp 3"]:
     return jnp.asarray(positions)
 
 
-class ControlPoints(eqx.Module):
+class ControlPoints(Module):
     """Places where the fields of a law have values of their own.
 
     Attributes:

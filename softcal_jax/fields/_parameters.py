@@ -10,13 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.materials import is_point_values
 
 
-class AbstractEntry(eqx.Module):
+class AbstractEntry(Module):
     """One or several unknowns, and what they set in a model and its configurations.
 
     Sensitivities follow from `apply` by autodiff. A new kind of parameter is declared

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.fields._once import once
 from softcal_jax.fields._order import (
@@ -46,7 +47,7 @@ _TRIPLES = _groups(
 )
 
 
-class Pin(eqx.Module):
+class Pin(Module):
     """A parameter drawn to a value, in place of its prior.
 
     Attributes:
@@ -60,7 +61,7 @@ class Pin(eqx.Module):
     weight: Float[Array, ""]
 
 
-class ParameterSpace(eqx.Module):
+class ParameterSpace(Module):
     """The calibrated parameters, in the order of lambda_p.
 
     The paper's step p + S lambda_p is z + lambda_p here; on a log scale lambda_p is the

@@ -3,8 +3,9 @@
 from dataclasses import fields
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
+
+from softcal_jax._module import Module
 
 OFFSET = 0.5e-3
 """Offset of a recording, as long as nothing else is known [m]."""
@@ -12,7 +13,7 @@ OFFSET = 0.5e-3
 DEGREE = float(np.deg2rad(1.0))
 
 
-class Uncertain(eqx.Module):
+class Uncertain(Module):
     """Standard deviations of what a calibration holds fixed; zero switches one off.
 
     The defaults are those of careful work on a bench. They count where the robot has

@@ -1,9 +1,9 @@
 """Assess what a finished calibration may claim: converged, consistent, identified."""
 
-import equinox as eqx
 import numpy as np
 from scipy.special import chdtri
 
+from softcal_jax._module import Result
 from softcal_jax.calibration import (
     MESH,
     CalibrationResult,
@@ -15,7 +15,7 @@ from softcal_jax.identifiability._prediction import Prediction, predict_spread
 from softcal_jax.identifiability._result import Identifiability
 
 
-class Assessment(eqx.Module):
+class Assessment(Result):
     """Verdict on a calibration.
 
     Attributes:
@@ -54,10 +54,17 @@ class Assessment(eqx.Module):
             f"{' and of '.join(parts)} (one standard error)."
         )
 
+    @property
+    def headline(self) -> str:
+        """The verdict; it ends with a colon where reasons follow."""
+        return "Identified." if self.identified else "Not identified:"
+
+    def _words(self) -> str:
+        return " ".join([self.headline, *self.reasons])
+
     def __str__(self) -> str:
         """The verdict and its reasons, then the identifiability report."""
-        head = "Identified." if self.identified else "Not identified:"
-        lines = ["\n  ".join([head, *self.reasons]), str(self.identifiability)]
+        lines = ["\n  ".join([self.headline, *self.reasons]), str(self.identifiability)]
         return "\n".join([*lines, *filter(None, [self.prediction])])
 
 

@@ -1,12 +1,12 @@
 """Singular values and condition numbers of the compliances (paper Sec. V-C)."""
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 
 
-class Conditioning(eqx.Module):
+class Conditioning(Module):
     """How evenly the data see the parameters.
 
     Attributes:

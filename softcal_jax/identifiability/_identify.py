@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
@@ -231,7 +232,7 @@ def identify(
     )
 
 
-class Sensed(eqx.Module):
+class Sensed(Module):
     """Compliances of one configuration [m], in units of its jitter (W), and W_pp [J].
 
     W_c is the change per standard deviation of each error that is considered, and A
@@ -258,7 +259,7 @@ def in_noise_units(
     return whitened(A, stack("W")), whitened(A, stack("W_c"))
 
 
-class Survey(eqx.Module):
+class Survey(Module):
     """Compliances of configurations at scaled values z of the parameters [-].
 
     `unknown` are causes of errors that they lack, see `ErrorBudget`.

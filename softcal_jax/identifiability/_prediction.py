@@ -1,13 +1,13 @@
 """What the uncertainty of calibrated parameters does to predicted poses."""
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.identifiability._result import Identifiability
 
 
-class Prediction(eqx.Module):
+class Prediction(Module):
     """Uncertainty of one predicted pose.
 
     Attributes:

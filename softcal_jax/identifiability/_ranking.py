@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration import EquilibriumProgress, as_sequence
@@ -39,7 +39,7 @@ HARDLY = 1.05
 """Factor on a standard error below which a candidate hardly helps [-]."""
 
 
-class Gain(eqx.Module):
+class Gain(Module):
     """What one candidate would add if it were measured as well.
 
     Attributes:
@@ -95,7 +95,7 @@ class Gain(eqx.Module):
         return f"divides a standard error by {number(ratio, 2)}, of {self.effect}"
 
 
-class Unranked(eqx.Module):
+class Unranked(Module):
     """A candidate that cannot be ranked.
 
     Attributes:
@@ -111,7 +111,7 @@ class Unranked(eqx.Module):
         return f"Not ranked: {self.name!r}: {self.reason}."
 
 
-class Ranking(eqx.Module):
+class Ranking(Result):
     """Candidates, the most informative first.
 
     Attributes:

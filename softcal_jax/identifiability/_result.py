@@ -3,9 +3,9 @@
 import math
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module, Result, one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.identifiability._conditioning import Conditioning
@@ -31,8 +31,10 @@ class Tabulated(NamedTuple):
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]
 
+    __repr__ = one_line
 
-class ParameterOutlook(eqx.Module):
+
+class ParameterOutlook(Module):
     """How well one parameter can be determined, in SI units.
 
     Attributes:
@@ -61,7 +63,7 @@ class ParameterOutlook(eqx.Module):
     unit: str
 
 
-class Identifiability(eqx.Module):
+class Identifiability(Result):
     """What data can tell about the parameters, to first order at one value of them.
 
     Attributes:

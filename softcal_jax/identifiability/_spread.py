@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Bool, Float, HostArray
 
@@ -41,7 +41,7 @@ interchangeable and any basis of their span is as good as another.
 """
 
 
-class Direction(eqx.Module):
+class Direction(Module):
     """A combination of parameters, and how well the data see it.
 
     Attributes:
@@ -59,7 +59,7 @@ class Direction(eqx.Module):
     words: str
 
 
-class Spread(eqx.Module):
+class Spread(Module):
     """Covariance of parameters in units of their asked standard errors.
 
     Attributes:

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax.identifiability import Identifiability, table
 
 
-class FoldScore(eqx.Module):
+class FoldScore(Module):
     """One configuration held out.
 
     Attributes:
@@ -27,7 +27,7 @@ class FoldScore(eqx.Module):
     failure: str = ""
 
 
-class ModelScore(eqx.Module):
+class ModelScore(Module):
     """Cross-validation of one model: of a layout of control points, a law or a mesh.
 
     Attributes:
@@ -105,7 +105,7 @@ def _root_mean(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan
 
 
-class LayoutComparison(eqx.Module):
+class LayoutComparison(Module):
     """Layouts by their error on held-out configurations, the smallest first.
 
     Attributes:

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import numpy as np
 from scipy.special import stdtrit
 
+from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
 from softcal_jax.identifiability import Tabulated, table
 from softcal_jax.layouts._comparison import ModelScore
@@ -14,7 +14,7 @@ LEVEL_OF_COMPARISON = 0.95
 """Probability at which two models are told apart [-]."""
 
 
-class PairedDifference(eqx.Module):
+class PairedDifference(Module):
     """How much worse a model predicts than the best, over the same configurations.
 
     The squared prediction error of each held-out configuration, in units of the noise,
@@ -62,7 +62,7 @@ class PairedDifference(eqx.Module):
         return cls(other.name, mean, float(error), n)
 
 
-class ModelComparison(eqx.Module):
+class ModelComparison(Result):
     """Models by their error on held-out configurations, the smallest first.
 
     Attributes:

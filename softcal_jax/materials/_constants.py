@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
@@ -29,7 +30,7 @@ def as_components(matrices: Any) -> tuple[Float[Array, "..."], ...]:
     return jax.device_put(tuple(parts))
 
 
-class PointValues(eqx.Module):
+class PointValues(Module):
     """One value per tet and quadrature point, in place of a constant of a law.
 
     Attributes:

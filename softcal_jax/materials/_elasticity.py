@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import matmul
 from softcal_jax.materials._constants import (
@@ -36,7 +37,7 @@ _UPPER[np.triu_indices(6)] = _UPPER.T[np.triu_indices(6)] = np.arange(21)
 """Index of an entry of the 6x6 matrix in its upper triangle, row by row."""
 
 
-class AbstractElasticity(eqx.Module):
+class AbstractElasticity(Module):
     """A stiffness tensor C with its minor and major symmetries."""
 
     @abstractmethod

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.materials._constants import (
     as_components,
@@ -28,7 +29,7 @@ def _if_any(frame: Any) -> tuple[Float[Array, "..."], ...] | None:
     return None if frame is None else as_components(frame)
 
 
-class Fibre(eqx.Module):
+class Fibre(Module):
     """Axis of a fibre in the rest shape, by its angles.
 
     u = cos(phi) (cos(theta) a + sin(theta) b) + sin(phi) n, with a and b the axes that

@@ -5,6 +5,7 @@ from typing import ClassVar, Literal, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials._foam_patch import FoamPatch
 
@@ -32,8 +33,10 @@ class FoundFoam(NamedTuple):
     E_stiff: Float[HostArray, " n"]
     error: Float[HostArray, " n"]
 
+    __repr__ = one_line
 
-class FoamTable(eqx.Module):
+
+class FoamTable(Module):
     """Moduli of a foam by its density and the setting that makes it anisotropic.
 
     Samples with the same anisotropy are a level. Along a level ln E is a monotone cubic

@@ -3,14 +3,14 @@
 from abc import abstractmethod
 from typing import ClassVar
 
-import equinox as eqx
 import jax
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
 from softcal_jax.materials._fibre import Fibre
 
 
-class AbstractLaw(eqx.Module):
+class AbstractLaw(Module):
     """A hyperelastic law; a new one is a subclass with its `energy_density`.
 
     Stress and tangent follow by automatic differentiation. A law with closed forms

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax._units import readable_values
 from softcal_jax.elements import shape_functions, shape_gradients
@@ -16,7 +16,7 @@ from softcal_jax.mesh._topology import LOCAL_FACES, boundary_face_indices, tet_f
 _INSIDE = 1e-9
 
 
-class MaterialPoints(eqx.Module):
+class MaterialPoints(Module):
     """Points that move with the mesh, such as markers.
 
     The value of a nodal field at point i is sum_a weights[i, a] * field[nodes[i, a]].

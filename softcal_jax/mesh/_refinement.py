@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Shaped
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES, shape_functions, tet_rule
 from softcal_jax.mesh._conversion import MidNodes, to_quadratic
@@ -67,6 +68,8 @@ class Refinement(NamedTuple):
     corners: Float[HostArray, "n_finer_tets 4 4"]
     carriers: Int[HostArray, "n_new n_en"]
     weights: Float[HostArray, "n_new n_en"]
+
+    __repr__ = one_line
 
     @property
     def n_new(self) -> int:

@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax._units import readable, readable_values
 
@@ -16,7 +17,7 @@ def _as_vector(vector) -> HostArray:
     return np.asarray(vector, dtype=float)
 
 
-class AbstractRegion(eqx.Module):
+class AbstractRegion(Module):
     """A part of space with a distance to points."""
 
     tolerance: eqx.AbstractVar[float]

@@ -1,11 +1,13 @@
 """The tetrahedral mesh and its named groups."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int
 
@@ -48,7 +50,7 @@ def _unknown_group(kind: str, name: str, known: Mapping[str, object]) -> ValueEr
     )
 
 
-class TetMesh(eqx.Module):
+class TetMesh(Module):
     """Nodes, tets and the named groups that supports, loads and laws refer to.
 
     Node order inside a tet is VTK's (see `softcal_jax.elements`). Shapes and index
@@ -112,6 +114,18 @@ class TetMesh(eqx.Module):
         if indices.min() < 0 or indices.max() >= n:
             worst = indices.min() if indices.min() < 0 else indices.max()
             raise ValueError(f"{what}: index {worst} is outside 0 to {n - 1}.")
+
+    @property
+    def words(self) -> str:
+        """Its size, like "3 218 nodes, 1 540 quadratic tets"."""
+        kind = "quadratic" if self.order == 2 else "linear"
+        counts = f"{self.n_nodes:,} nodes, {self.n_tets:,} {kind} tets"
+        return re.sub(r"(?<=\d),(?=\d)", " ", counts)
+
+    def _words(self) -> str:
+        groups = {*self.node_groups, *self.surface_groups, *self.tet_groups}
+        named = f", groups {', '.join(sorted(groups))}" if groups else ""
+        return self.words + named
 
     @property
     def n_nodes(self) -> int:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.calibration import ConfigurationResult
@@ -56,6 +57,8 @@ class SensorFrame(NamedTuple):
     position: Float[HostArray, "3"]
     rotation: Float[HostArray, "3 3"]
     is_measured: bool = False
+
+    __repr__ = one_line
 
 
 def sensor_frames(result: ConfigurationResult) -> list[SensorFrame]:

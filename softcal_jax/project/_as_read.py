@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from softcal_jax._module import one_line
 from softcal_jax.project._problems import key_path
 from softcal_jax.project._quantities import recognised
 from softcal_jax.project._toml import Keys, read_toml
@@ -33,6 +34,8 @@ class QuantityAsRead(NamedTuple):
     typed: str
     values: tuple[float, ...]
     unit: str
+
+    __repr__ = one_line
 
     @property
     def read(self) -> str:

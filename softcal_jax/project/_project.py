@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-import equinox as eqx
-
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -37,7 +36,7 @@ from softcal_jax.identifiability import (
 from softcal_jax.project._problems import ProjectError, one_by_one
 
 
-class Project(eqx.Module):
+class Project(Module):
     """A project file as objects; everything in it has been checked.
 
     Attributes:
@@ -80,6 +79,14 @@ class Project(eqx.Module):
     newton: NewtonSettings
     registrations: dict[str, Registration]
     traces: dict[str, Traces]
+
+    def _words(self) -> str:
+        counts = (
+            f"{len(self.parameters)} parameters",
+            f"{len(self.calibration)} configurations to fit",
+            f"{len(self.validation)} held out",
+        )
+        return f"{', '.join(counts)}, {self.model.mesh.words}"
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -9,6 +9,7 @@ from softcal_jax.report._load import (
     load_result,
 )
 from softcal_jax.report._mesh_lines import mesh_lines
+from softcal_jax.report._notebook import notebook_html
 from softcal_jax.report._outline import control_point_sets, outline, roles_of
 from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (
@@ -31,6 +32,7 @@ __all__ = [
     "load_result",
     "mesh_lines",
     "model_words",
+    "notebook_html",
     "outline",
     "roles_of",
     "simulation_table",

@@ -35,15 +35,11 @@ TONES: dict[str, Tone] = {
 
 def model_words(model: Model) -> str:
     """Describe the size, the law and the elements of a model."""
-    mesh, law = model.mesh, model.law
-    kind = "quadratic" if mesh.order == 2 else "linear"
+    law = model.law
     parts = (getattr(law, key, None) for key in ("elasticity", "matrix"))
     named = [type(law).__name__]
     named += [type(part).__name__ for part in parts if part is not None]
-    return (
-        f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets, {' of '.join(named)} "
-        f"({model.formulation})"
-    )
+    return f"{model.mesh.words}, {' of '.join(named)} ({model.formulation})"
 
 
 def parameter_table(result: CalibrationResult, found: Identifiability) -> Table:

@@ -6,7 +6,7 @@ tell apart, shapes, patterns or words tell apart as well.
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,8 @@ from softcal_jax.calibration import (
     HistoryEntry,
     ParameterEstimate,
 )
+from softcal_jax.control import GoalFit
+from softcal_jax.identifiability import Identifiability, percent
 from softcal_jax.plotting import budget_shares
 from softcal_jax.report._calibration import distance
 from softcal_jax.report._html import Html, figure, joined, node
@@ -157,6 +159,67 @@ def _pattern(k: int) -> Html:
         height="8",
         patternUnits="userSpaceOnUse",
     )
+
+
+def outlook_chart(found: Identifiability) -> list[Html]:
+    """Draw the standard error to expect of each parameter over the asked one."""
+    rows = [
+        _Ratio(p.name, p.ratio, f"{percent(p.ratio)} of the asked one: {p.verdict}")
+        for p in found.parameters
+    ]
+    caption = (
+        "Standard error to expect of each parameter, on one logarithmic scale. The "
+        "upright line is the asked one; a point on its right is not known as well."
+    )
+    return _ratios(rows, caption)
+
+
+def goal_chart(goals: Iterable[tuple[str, GoalFit]], tol: float) -> list[Html]:
+    """Draw how far effectors are from their goals over what counts as met.
+
+    Args:
+        goals: What to call each, and how close it came.
+        tol: Error at which a goal counts as met, in standard deviations [-].
+    """
+    rows = []
+    for title, fit in goals:
+        error = float(np.max(np.abs(fit.in_std), initial=0.0))
+        words = f"off by {fit.off}, {error:.2g} standard deviations"
+        rows.append(_Ratio(title, error / tol, words))
+    caption = (
+        "How far each effector is from its goal, on one logarithmic scale. The upright "
+        "line is what counts as met; a point on its right is off by more."
+    )
+    return _ratios(rows, caption)
+
+
+class _Ratio(NamedTuple):
+    """A row of `_ratios`: title, what is drawn, and the same in words."""
+
+    title: str
+    ratio: float
+    words: str
+
+
+def _ratios(rows: Sequence[_Ratio], caption: str) -> list[Html]:
+    """Draw a row with a point for each ratio, on one scale with a line at 1."""
+    if not rows:
+        return []
+    # Within four decades of 1: there zero and infinity end.
+    logs = [math.log10(min(max(own.ratio, 1e-4), 1e4)) for own in rows]
+    low, high = min([*logs, -1.0]), max([*logs, 1.0])
+    x = lambda log: f"{2.0 + 96.0 * (log - low) / (high - low):.2f}%"
+    drawn = []
+    for own, log in list(zip(rows, logs, strict=True))[:MOST_BARS]:
+        parts = [
+            _line("2%", 14, "98%", 14, stroke=_LINE),
+            _line(x(0.0), 2, x(0.0), 26, stroke=_INK, stroke_width="3"),
+            _circle(x(log), 14, _BLUE if log <= 0.0 else "#ffffff"),
+        ]
+        drawn.append(_row(own.title, parts, 28, own.words))
+    if len(rows) > MOST_BARS:
+        caption += f" {len(rows) - MOST_BARS} more are in the table."
+    return [figure(joined(drawn), caption)]
 
 
 def course_charts(result: CalibrationResult) -> list[Html]:

@@ -158,14 +158,13 @@ def page(
         index: File of the same numbers for programs, beside the page.
     """
     shown = [own for own in sections if own.content]
-    style = files("softcal_jax.report").joinpath("page.css").read_text("utf-8")
     head = node(
         "head",
         node("meta", charset="utf-8"),
         node("meta", http_equiv="Content-Security-Policy", content=_POLICY),
         node("meta", name_="viewport", content="width=device-width, initial-scale=1"),
         node("title", f"{name}: {kind.lower()}"),
-        node("style", Html(style)),
+        node("style", _style()),
     )
     links = (node("li", node("a", own.title, href=f"#{own.id}")) for own in shown)
     when = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
@@ -174,7 +173,7 @@ def page(
         node("header", node("p", kind, class_="kind"), node("h1", name)),
         node(
             "main",
-            _verdict(verdict),
+            verdict_html(verdict),
             node("nav", node("ul", *links), aria_label="Contents"),
             *map(_section, shown),
         ),
@@ -189,7 +188,22 @@ def page(
     return f"<!DOCTYPE html>\n{node('html', head, body, lang='en')}\n"
 
 
-def _verdict(verdict: RunVerdict) -> Html:
+def output(verdict: RunVerdict, content: Iterable[Html]) -> Html:
+    """Write what a cell of a notebook shows: a verdict and what follows from it.
+
+    It looks as in a page, whatever the notebook's own style is.
+    """
+    style = Html(f"@scope (.softcal) {{\n{_style()}}}")
+    plain = "background: #fff; color: #1a1a1a; padding: .5rem 1rem; max-width: 62rem"
+    shown = [node("style", style), verdict_html(verdict), *content]
+    return node("div", *shown, class_="softcal", style=plain)
+
+
+def _style() -> Html:
+    return Html(files("softcal_jax.report").joinpath("page.css").read_text("utf-8"))
+
+
+def verdict_html(verdict: RunVerdict) -> Html:
     reasons = [bullets(verdict.reasons)] if verdict.reasons else []
     sentence = node("p", node("strong", verdict.sentence))
     return node(

@@ -5,7 +5,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,8 +12,10 @@ from pydantic import BaseModel, ValidationError
 
 from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._machine import installed_version
+from softcal_jax._module import Module
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._units import readable
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import (
     Configuration,
@@ -85,7 +86,7 @@ class _Result(BaseModel):
     versions: dict[str, str]
 
 
-class LoadedResult(eqx.Module):
+class LoadedResult(Module):
     """A calibration that was loaded from a results folder.
 
     Attributes:
@@ -112,6 +113,14 @@ class LoadedResult(eqx.Module):
     covariance: Float[HostArray, "n_p n_p"]
     errors: dict[str, float]
     converged: bool
+
+    def _words(self) -> str:
+        values = (
+            f"{own.name} = {readable(self.values[own.name], own.unit)}"
+            for own in self.space.parameters
+        )
+        end = "converged" if self.converged else "NOT CONVERGED"
+        return ", ".join([self.project.name, end, *values])
 
     def posed(
         self, name: str | None = None

@@ -17,6 +17,7 @@ from softcal_jax.report._calibration import (
     correlation_table,
     singular_value_table,
 )
+from softcal_jax.report._charts import outlook_chart
 from softcal_jax.report._description import described
 from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
 from softcal_jax.report._provenance import made_html
@@ -38,27 +39,30 @@ def identifiability_page(
     elif ranking is not None:
         verdict = RunVerdict(ranking.headline, "plain")
     sections = [
-        Section("next", "What to measure next", _next(found, ranking)),
-        *([] if found is None else _outlook(found)),
+        Section("next", "What to measure next", next_html(found, ranking)),
+        *([] if found is None else outlook_sections(found)),
         Section("made", "Times and files", made_html(data)),
     ]
     index = "identifiability.json"
     return page(data["name"], "Identifiability", verdict, sections, index=index)
 
 
-def _next(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
+def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
     """Show which candidate to measure, or what else to do."""
     if ranking is None:
         return [node("p", line) for line in (found.advice if found else ())]
     content = [node("p", ranking.headline)]
     if ranking.gains:
-        content += [_table("Candidates", ranking.tabulated), node("p", ranking.legend)]
+        content += [
+            texts_html("Candidates", ranking.tabulated),
+            node("p", ranking.legend),
+        ]
     if ranking.unranked:
         content.append(bullets(map(str, ranking.unranked)))
     return content
 
 
-def _outlook(found: Identifiability) -> list[Section]:
+def outlook_sections(found: Identifiability) -> list[Section]:
     """Show what the data would tell of parameters and of their combinations."""
     blind = found.blind[::-1]
     unknown = [
@@ -76,7 +80,8 @@ def _outlook(found: Identifiability) -> list[Section]:
     if found.n_parameters > 1:
         inner.append(correlation_table(found))
     parameters = [
-        _table("Standard errors to expect", found.tabulated),
+        *outlook_chart(found),
+        texts_html("Standard errors to expect", found.tabulated),
         node("p", found.scale),
         *(node("p", line) for line in unknown),
     ]
@@ -119,7 +124,7 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
     failures = comparison.failures
     sections = [
         Section("failures", "What failed", [bullets(failures)] if failures else []),
-        Section("models", "Models", [_table("Models", comparison.tabulated)]),
+        Section("models", "Models", [texts_html("Models", comparison.tabulated)]),
         Section("folds", "Held-out configurations", [table_html(held_out)]),
         Section("made", "Times and files", made_html(data)),
     ]
@@ -128,5 +133,6 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
     return page(data["name"], "Comparison of models", verdict, sections, index=index)
 
 
-def _table(title: str, own: Tabulated) -> Html:
+def texts_html(title: str, own: Tabulated) -> Html:
+    """Write a table of texts."""
     return table_html(described(title, own.head, own.rows))

@@ -99,14 +99,7 @@ def simulation_page(
         Section("pictures", "Pictures", _pictures(data, folder)),
         Section("made", "Versions and times", made_html(data)),
     ]
-    n = len(result.configurations)
-    lost = [own.name for own in result.configurations if not own.converged]
-    verdict = RunVerdict(
-        f"{n - len(lost)} of {n} configurations have an equilibrium.", "bad"
-    )
-    if not lost:
-        every = "The configuration has" if n == 1 else f"All {n} configurations have"
-        verdict = RunVerdict(f"{every} an equilibrium.", "good")
+    verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
     return page(data["name"], "Simulation", verdict, sections, index="simulation.json")
 
 

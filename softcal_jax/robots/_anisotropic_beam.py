@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
@@ -48,7 +48,7 @@ TARGET = {
 """p_target, the values behind the synthetic measurements [Pa, rad]."""
 
 
-class AnisotropicBeam(eqx.Module):
+class AnisotropicBeam(Module):
     """A calibration problem of Sec. V before measuring.
 
     Attributes:

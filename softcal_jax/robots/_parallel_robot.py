@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
@@ -65,7 +65,7 @@ VALIDATION_ANGLES = (
 """Angles of the six motors in the seven test poses, ours [degrees]."""
 
 
-class ParallelRobot(eqx.Module):
+class ParallelRobot(Module):
     """The robot, its parameters and its poses, before anything is measured.
 
     Attributes:

@@ -5,10 +5,10 @@ import math
 from functools import partial
 from itertools import product
 
-import equinox as eqx
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.fields import ControlPoints
@@ -20,7 +20,7 @@ SHEETS = {"lower": -1.0, "upper": 1.0}
 N_BRANCHES = 3
 
 
-class Arm(eqx.Module):
+class Arm(Module):
     """A motor's arm and the branch end that is rigid on it.
 
     The end moves from the flat sheet in two steps: `mounting` shifts it onto the arm at
@@ -63,7 +63,7 @@ class Arm(eqx.Module):
         return Pose(self.axis_point + arm - self.origin, turn)
 
 
-class ParallelRobotGeometry(eqx.Module):
+class ParallelRobotGeometry(Module):
     """The parallel robot of Sec. VI at rest, flat and unstrained.
 
     The robot's axis is y, and its middle the origin. The sheets lie in (x, z) planes;

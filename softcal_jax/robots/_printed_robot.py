@@ -11,6 +11,7 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax.calibration import simulated_measurements
 from softcal_jax.configurations import AbstractEffector, BodyFrame, Configuration
 from softcal_jax.equilibrium import Model, build_model
@@ -24,7 +25,7 @@ from softcal_jax.robots._parallel_robot import mechanism
 from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
 
 
-class PrintingErrors(eqx.Module):
+class PrintingErrors(Module):
     """Differences between a printed robot and the ordered one.
 
     Attributes:
@@ -46,7 +47,7 @@ class PrintingErrors(eqx.Module):
     orientation: float = float(np.deg2rad(0.3))
 
 
-class PrintedRobot(eqx.Module):
+class PrintedRobot(Module):
     """A synthetic robot.
 
     Attributes:

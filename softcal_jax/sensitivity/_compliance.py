@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
@@ -75,6 +76,8 @@ class EnergyCompliance(NamedTuple):
     W_pp: Float[Array, "*batch n_p n_p"]
     ok: Bool[Array, "*batch"]
 
+    __repr__ = one_line
+
 
 def energy_compliance(
     model: Model,
@@ -141,6 +144,8 @@ class Response(NamedTuple):
     W_ep: Float[Array, "*batch n_e n_p"]
     displacement: Float[Array, "*batch n_p n_points 3"] | None
     ok: Bool[Array, "*batch"]
+
+    __repr__ = one_line
 
 
 def equilibrium_response(

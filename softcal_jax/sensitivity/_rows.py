@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
@@ -230,7 +231,7 @@ def _one_per_tet(model: Model, value: Any) -> Float[Array, "n_tets m"]:
     return jnp.broadcast_to(value, (model.n_tets,))[:, None]
 
 
-class DerivativeCheck(eqx.Module):
+class DerivativeCheck(Module):
     """Error of the finite-difference H_p against autodiff, per step and parameter.
 
     Attributes:

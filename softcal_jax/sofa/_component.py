@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
     AbstractElasticity,
@@ -57,6 +58,8 @@ class Component(NamedTuple):
     component: str
     plugin: str
     data: dict[str, Any]
+
+    __repr__ = one_line
 
 
 def law_for_sofa(

@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import get_args
 
-import equinox as eqx
-
+from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._units import readable_estimate
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
@@ -37,7 +36,7 @@ _WORDS = 2
 _WHAT = "Distances of points from where they were measured, rms"
 
 
-class Refitted(eqx.Module):
+class Refitted(Module):
     """A parameter of the calibrated model, and of that of SOFA, in SI units.
 
     Attributes:
@@ -64,7 +63,7 @@ class Refitted(eqx.Module):
         return f"{self.name}: {before} calibrated, {now} for SOFA{bound}"
 
 
-class SofaExport(eqx.Module):
+class SofaExport(Module):
     """What was written for SOFA.
 
     Attributes:

@@ -3,8 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import equinox as eqx
-
+from softcal_jax._module import Module
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
 from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.fields import exactly_known
@@ -19,7 +18,7 @@ class NotConvergedError(RuntimeError):
     """The model of SOFA could not be calibrated, so nothing is written."""
 
 
-class Prediction(eqx.Module):
+class Prediction(Module):
     """What three models predict of a configuration, as rms of the distances.
 
     Attributes:

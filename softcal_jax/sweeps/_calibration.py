@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax.calibration import (
     CalibrationResult,
     random_starts,
@@ -56,6 +57,8 @@ class CalibrationTrial:
     layouts: Mapping[str, Mapping[str, Any]]
     replaces: str
     truth: Mapping[str, Any]
+
+    __repr__ = one_line
 
     def __call__(self, trial: Trial) -> Outcome:
         """Calibrate at a point of the sweep.

@@ -12,6 +12,7 @@ from typing import Any
 
 from softcal_jax._files import similar_file
 from softcal_jax._limits import TRIALS
+from softcal_jax._module import one_line
 from softcal_jax.project import (
     Project,
     ProjectError,
@@ -61,6 +62,8 @@ class Sweep:
     points: tuple[Point, ...]
     seed: int
     definitions: Mapping[str, str]
+
+    __repr__ = one_line
 
     @property
     def database(self) -> Path:

@@ -4,6 +4,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
+from softcal_jax._module import one_line
 from softcal_jax.sweeps._row import TrialRow
 
 WINDOW = 50
@@ -32,6 +33,8 @@ class Progress:
     failed: int
     rate: float | None
     row: TrialRow | None
+
+    __repr__ = one_line
 
     @property
     def seconds_left(self) -> float | None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.sweeps._row import State, TrialRow
@@ -32,6 +33,8 @@ class Group:
     values: Mapping[str, Any]
     rows: tuple[TrialRow, ...]
     missing: int
+
+    __repr__ = one_line
 
     def count(self, state: State) -> int:
         """Count the trials that ended in a state."""
@@ -60,6 +63,8 @@ class SweepResult:
     repeats: tuple[str, ...]
     planned: Mapping[str, Mapping[str, Any]]
     rows: tuple[TrialRow, ...]
+
+    __repr__ = one_line
 
     @property
     def missing(self) -> tuple[Mapping[str, Any], ...]:

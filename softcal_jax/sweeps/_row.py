@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from softcal_jax._compilation_cache import throw_away_damaged
+from softcal_jax._module import one_line
 from softcal_jax.calibration import Clock
 from softcal_jax.sweeps._trial import Trial
 
@@ -39,6 +40,8 @@ class Outcome:
     converged: bool = True
     reason: str = ""
     notes: Sequence[str] = ()
+
+    __repr__ = one_line
 
 
 TrialFunction = Callable[[Trial], Outcome | Mapping[str, Any]]
@@ -74,6 +77,8 @@ class TrialRow:
     worker: str = ""
     ended: str = ""
     traceback: str = ""
+
+    __repr__ = one_line
 
 
 def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:

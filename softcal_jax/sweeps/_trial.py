@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from softcal_jax._limits import TRIALS
+from softcal_jax._module import one_line
 from softcal_jax._names import unknown_name
 
 Point = dict[str, Any]
@@ -34,6 +35,8 @@ class Range:
     high: float
     scale: Literal["linear", "log"] = "linear"
     form: str | None = None
+
+    __repr__ = one_line
 
     def __post_init__(self):
         if not (math.isfinite(self.low) and self.low < self.high < math.inf):
@@ -161,6 +164,8 @@ class Trial:
 
     point: Mapping[str, Any]
     sweep_seed: int = 0
+
+    __repr__ = one_line
 
     def __post_init__(self):
         values = {axis: _plain(axis, value) for axis, value in self.point.items()}

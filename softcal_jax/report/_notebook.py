@@ -1,0 +1,161 @@
+"""What a notebook shows of a result: the parts of its page that stand first."""
+
+from collections.abc import Sequence
+from functools import singledispatch
+
+import numpy as np
+
+from softcal_jax.calibration import CalibrationResult, SimulationResult
+from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
+from softcal_jax.export import readable_values
+from softcal_jax.identifiability import (
+    Assessment,
+    Identifiability,
+    Ranking,
+    RunVerdict,
+    Tone,
+    assess,
+    verdict_of,
+)
+from softcal_jax.layouts import ModelComparison
+from softcal_jax.report._calibration import (
+    TONES,
+    error_tables,
+    held_out_sentences,
+    parameter_table,
+)
+from softcal_jax.report._charts import budget_chart, error_chart, goal_chart
+from softcal_jax.report._description import Cell, Table, described
+from softcal_jax.report._html import Html, bullets, node, output, table_html
+from softcal_jax.report._outlook_pages import next_html, outlook_sections, texts_html
+from softcal_jax.report._tables import simulation_tables
+
+
+@singledispatch
+def notebook_html(result: object) -> Html:
+    """Write a result as the output of a cell: verdict, tables and a picture.
+
+    It is HTML that needs nothing else; `write_results` writes the whole page.
+
+    Args:
+        result: What a function of the package has returned.
+
+    Raises:
+        TypeError: If there is no output for such a result.
+    """
+    raise TypeError(f"a {type(result).__name__} has no output for notebooks.")
+
+
+@notebook_html.register
+def _calibration(result: CalibrationResult) -> Html:
+    found = assess(result)
+    fits = result.configurations
+    held_out = [node("p", line) for line in held_out_sentences(fits)]
+    content = [
+        table_html(parameter_table(result, found.identifiability)),
+        *error_chart(fits),
+        *map(table_html, error_tables(fits, result.checks)),
+        *held_out,
+        *budget_chart(result),
+        *([bullets(result.notes)] if result.notes else []),
+    ]
+    return output(verdict_of(result, found), content)
+
+
+@notebook_html.register
+def _assessment(found: Assessment) -> Html:
+    tone: Tone = "good" if found.identified else "doubtful"
+    content = _outlook(found.identifiability)
+    if found.prediction:
+        content.append(node("p", found.prediction))
+    headline = RunVerdict(found.headline, tone, found.reasons)
+    return output(headline, [node("p", found.identifiability.headline), *content])
+
+
+@notebook_html.register
+def _identifiability(found: Identifiability) -> Html:
+    return output(RunVerdict(found.headline, TONES[found.verdict]), _outlook(found))
+
+
+def _outlook(found: Identifiability) -> list[Html]:
+    """Show what is known of the parameters, what is not, and what to do."""
+    parameters, directions, *_ = outlook_sections(found)
+    return [*parameters.content, *directions.content, *next_html(found, None)]
+
+
+@notebook_html.register
+def _ranking(ranking: Ranking) -> Html:
+    _, *content = next_html(None, ranking)  # the first says what the verdict says
+    return output(RunVerdict(ranking.headline, "plain"), content)
+
+
+@notebook_html.register
+def _simulation(result: SimulationResult) -> Html:
+    verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
+    return output(verdict, map(table_html, simulation_tables(result)))
+
+
+@notebook_html.register
+def _comparison(comparison: ModelComparison) -> Html:
+    tone: Tone = "bad" if comparison.best is None else "plain"
+    models = texts_html("Models", comparison.tabulated)
+    return output(RunVerdict(comparison.verdict, tone), [models])
+
+
+@notebook_html.register
+def _inverse(result: InverseResult) -> Html:
+    verdict = RunVerdict(result.message, "good" if result.met else "doubtful")
+    drawn = goal_chart([(fit.name, fit) for fit in result.goals], result.tol)
+    limits = [bullets(result.active_limits)] if result.active_limits else []
+    tables = map(table_html, (_goal_table(result.goals), _actuator_table(result)))
+    return output(verdict, [*drawn, *tables, *limits])
+
+
+def _goal_table(goals: Sequence[GoalFit]) -> Table:
+    rows = []
+    for fit in goals:
+        own, seen = fit.effector, np.asarray(fit.effector.seen)
+        goal, there = (
+            readable_values(np.asarray(values)[seen].tolist(), own.unit).rstrip()
+            for values in (own.measured, fit.reached)
+        )
+        rows.append((fit.name, goal, there, fit.off))
+    return described("Goals", ("effector", "goal", "reached", "off by"), rows)
+
+
+def _actuator_table(result: InverseResult) -> Table:
+    """Tabulate what the actuators do; the unit of each depends on its kind."""
+    rows = [
+        (
+            name,
+            Cell(f"{force:.5g}", "strong"),
+            f"{result.displacements[name]:.5g}",
+        )
+        for name, force in result.forces.items()
+    ]
+    columns = "actuator", "force (N, Pa or N m)", "displacement (m, m3 or rad)"
+    return described("Actuators", columns, rows)
+
+
+@notebook_html.register
+def _trajectory(result: TrajectoryResult) -> Html:
+    missed = result.unmet
+    rows = []
+    for i, point in enumerate(result.points, 1):
+        inputs = ", ".join(
+            f"{name} {own.value:.5g}"
+            for name, own in point.configuration.actuation.items()
+        )
+        rows.append(
+            (str(i), inputs, Cell(point.message, "good" if point.met else "bad"))
+        )
+    columns = "goal", "inputs (SI)", "outcome"
+    goals = [
+        (f"goal {i}, {fit.name}", fit)
+        for i, point in enumerate(result.points, 1)
+        for fit in point.goals
+    ]
+    drawn = goal_chart(goals, result.points[0].tol) if result.points else []
+    tone: Tone = "doubtful" if missed else "good"
+    content = [*drawn, table_html(described("Commands", columns, rows))]
+    return output(RunVerdict(result.headline, tone), content)

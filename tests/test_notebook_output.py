@@ -1,0 +1,42 @@
+"""What notebooks show of a result: what its page says, and nothing from elsewhere."""
+
+import pytest
+from export.handmade import make_ranking, make_result, make_simulation_result
+from test_page import Read
+
+from softcal_jax.identifiability import assess
+from softcal_jax.report import _write, notebook_html, write_results
+
+
+def outputs():
+    result = make_result()
+    found = assess(result)
+    simulation = make_simulation_result(result.model)
+    return [result, found, found.identifiability, make_ranking(), simulation]
+
+
+@pytest.mark.parametrize("own", outputs(), ids=lambda own: type(own).__name__)
+def test_well_formed_and_small(own):
+    text = own._repr_html_()
+    page = Read(text)
+    assert page.tables
+    assert len(text) < 100_000
+    assert "http" not in text.replace("http://www.w3.org/2000/svg", "")
+
+
+@pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+def test_the_verdict_and_the_numbers_are_those_of_the_page(tmp_path, monkeypatch):
+    monkeypatch.setattr(_write, "rendering_problem", lambda: "no OpenGL here")
+    result = make_result()
+    folder = write_results(result, tmp_path / "out", name="beam")
+    whole = Read((folder / "report.html").read_text("utf-8"))
+    shown = Read(notebook_html(result))
+    assert "but take the values with care:" in shown.text
+    for title, rows in shown.tables.items():
+        assert whole.tables[title] == rows
+    assert shown.of("circle")
+
+
+def test_other_objects_have_none():
+    with pytest.raises(TypeError, match="a dict has no output for notebooks"):
+        notebook_html({})

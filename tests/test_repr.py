@@ -1,0 +1,268 @@
+"""Every public record writes itself in one line, whatever its fields hold."""
+
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from export.handmade import make_ranking, make_result, make_simulation_result
+from robot_project import write_robot_project
+
+import softcal_jax as sc
+from softcal_jax.calibration import CalibrationSettings, ParameterInterval
+from softcal_jax.configurations import ImposedDisplacement
+from softcal_jax.control import Limits
+from softcal_jax.fields import exactly_known
+from softcal_jax.materials import Gent, Ogden
+from softcal_jax.mesh import Box
+from softcal_jax.project import load_project
+from softcal_jax.sweeps import Range
+
+NO_RECORDS = {"OUTCOMES", "RESULTS", "Readable", "Unstated"}
+"""Lists of outcomes, a pair of a number and a text, and a float."""
+
+
+def public_classes():
+    """What the package and its packages list in `__all__`, without exceptions."""
+    names = [f"softcal_jax.{m.name}" for m in pkgutil.iter_modules(sc.__path__)]
+    packages = [n for n in names if not n.split(".")[1].startswith("_")]
+    found = {}
+    for module in map(importlib.import_module, ["softcal_jax", *packages]):
+        for name in getattr(module, "__all__", ()):
+            own = getattr(module, name)
+            if inspect.isclass(own) and not issubclass(own, BaseException):
+                found[own] = None
+    return [
+        own
+        for own in found
+        if own.__name__ not in NO_RECORDS and not own.__name__.startswith("Abstract")
+    ]
+
+
+PUBLIC = public_classes()
+
+
+def identity(own):
+    return f"{own.__module__}.{own.__name__}"
+
+
+def keys_of(own):
+    if dataclasses.is_dataclass(own):
+        return [field.name for field in dataclasses.fields(own)]
+    return getattr(own, "_fields", ())
+
+
+def records_in(root, found):
+    """Adds all records of a tree, by class."""
+    if keys_of(root):
+        found.setdefault(type(root), []).append(root)
+        inner = [getattr(root, key) for key in keys_of(root)]
+    else:
+        inner = root.values() if isinstance(root, dict) else root
+        inner = inner if isinstance(root, dict | list | tuple) else ()
+    for own in inner:
+        records_in(own, found)
+    return found
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    """A robot, its actuators and sensors, and results of every kind, by class."""
+    project = load_project(write_robot_project(tmp_path_factory.mktemp("robot")))
+    result = make_result()
+    simulation = make_simulation_result(result.model)
+    roots = [project, result, sc.assess(result), make_ranking(), simulation]
+    return records_in(roots, {})
+
+
+def assert_one_line(text, own):
+    assert text.startswith(own.__name__)
+    assert len(text) <= 120
+    assert text.isprintable()
+
+
+def test_records_of_a_robot_and_its_results(records):
+    written = 0
+    for own, found in records.items():
+        for record in found:
+            text = repr(record)
+            if own in PUBLIC:
+                assert_one_line(text, own)
+                assert "f64[" not in text
+                assert "traced" not in text
+                written += 1
+    assert written > 80
+    assert len(records.keys() & set(PUBLIC)) > 40
+
+
+CONTENTS = {
+    "numbers": 0.25,
+    "nothing": None,
+    "a long text": "a name\nof two lines, and \x1b[31m " + 200 * "x",
+    "an array": np.linspace(0.0, 1.0, 12).reshape(4, 3),
+    "many numbers": jnp.arange(1000.0),
+    "no array": np.zeros((0, 3)),
+    "words": tuple(f"marker {k}" for k in range(100)),
+    "records": (sc.NeoHookean(1e5, 0.3), sc.NeoHookean(2e5, 0.3)),
+    "a key": jax.random.key(0),
+    "a function": np.linalg.norm,
+    "shapes": jax.ShapeDtypeStruct((3, 2), float),
+}
+
+
+@pytest.mark.parametrize("content", CONTENTS.values(), ids=CONTENTS)
+def test_whatever_the_fields_hold(content):
+    """As trees of arrays are mapped to something else, or records are half-built."""
+    for own in PUBLIC:
+        record = (
+            own.__new__(own, *(content for _ in own._fields))
+            if issubclass(own, tuple)
+            else object.__new__(own)
+        )
+        for key in () if issubclass(own, tuple) else keys_of(own):
+            object.__setattr__(record, key, content)
+        assert_one_line(repr(record), own)
+        assert "f64[" not in repr(record)
+
+
+@pytest.mark.parametrize("own", PUBLIC, ids=identity)
+def test_half_built(own):
+    """As a traceback out of `__init__` shows it."""
+    if issubclass(own, tuple):
+        pytest.skip("tuples are built at once")
+    assert_one_line(repr(object.__new__(own)), own)
+
+
+def cable_finger():
+    """A model with a rigid body and a cable."""
+    guides = [sc.Guide((0.0, 0.01, 0.002), "ground"), sc.Guide((0.1, 0.01, 0.002))]
+    return sc.build_model(
+        sc.beam(0.1, 0.02, 0.02, (20, 4, 4), order=2),
+        sc.Corotational(sc.Isotropic(3e5, 0.45)),
+        density=1100.0,
+        bodies=[sc.RigidBody("plate", "x_max")],
+        actuators=[sc.Cable("left", guides)],
+    )
+
+
+@pytest.mark.parametrize(
+    ("own", "text"),
+    [
+        (lambda: sc.NeoHookean(150e3, 0.49), "NeoHookean, E = 150 kPa, nu = 0.49"),
+        (
+            lambda: sc.Corotational(sc.Isotropic(300e3, 0.45)),
+            "Corotational, elasticity = Isotropic(E = 300 kPa, nu = 0.45)",
+        ),
+        (
+            lambda: sc.NeoHookean(np.array([1e5, 2e5, 3e5, 4e5, 5e5]), 0.3),
+            "NeoHookean, E = 100 to 500 kPa (5 values), nu = 0.3",
+        ),
+        (
+            lambda: sc.ReducedTransverseIsotropic(
+                E_t=3e5, E_l=4e5, nu=0.3, fibre=sc.Fibre(np.deg2rad(20.0), plane="xy")
+            ),
+            "ReducedTransverseIsotropic, E_t = 300 kPa, E_l = 400 kPa, nu = 0.3, "
+            'fibre = Fibre(theta = 20 deg, plane = "xy")',
+        ),
+        (lambda: Gent(127e3, 60.0), "Gent, mu = 127 kPa, J_m = 60, nu = 0.499"),
+        (
+            cable_finger,
+            "Model: 3 321 nodes, 1 920 quadratic tets, Corotational, rigid body "
+            "plate, cable left",
+        ),
+        (
+            lambda: sc.beam(0.1, 0.02, 0.02, (2, 1, 1)),
+            "TetMesh: 12 nodes, 12 linear tets, groups x_max, x_min, y_max, y_min, "
+            "z_max, z_min",
+        ),
+        (
+            lambda: sc.Parameter(
+                "theta", "theta", 0.0, -1.0, 1.0, unit="rad", scale="linear"
+            ),
+            'Parameter "theta", scale = "linear", field = "theta", start = 0, '
+            "lower = -57.296 deg, upper = 57.296 deg",
+        ),
+        (
+            lambda: sc.Pose((0.01, 0.0, 0.002), (0.0, np.pi / 2, 0.0)),
+            "Pose, translation = (10, 0, 2) mm, rotation_vector = (0, 90, 0) deg",
+        ),
+        (
+            lambda: ParameterInterval("E", 0.95, 1e5, 2e5, "likelihood", "bound", "Pa"),
+            'ParameterInterval "E": 100 to 200 (bound) kPa',
+        ),
+        # Pa of a chamber, N of a cable, N m of a motor: only the actuator tells.
+        (
+            lambda: ImposedDisplacement(0.02),
+            "ImposedDisplacement, value = 0.02 (SI)",
+        ),
+        (lambda: Range(1.0, 2.0, "log"), 'Range, low = 1, high = 2, scale = "log"'),
+        (lambda: make_result(), "CalibrationResult: converged in 4 steps, E = "
+         "240.0 ± 6.0 kPa, nu = 0.44"),
+    ],
+)  # fmt: skip
+def test_examples(own, text):
+    assert repr(own()) == text
+
+
+def test_units_of_what_docstrings_are_stripped_of(monkeypatch):
+    """`python -OO` leaves SI numbers, and laws their metadata."""
+    from softcal_jax import _module
+
+    _module._units.cache_clear()
+    monkeypatch.setattr(sc.Pose, "__doc__", None)
+    try:
+        assert repr(sc.Pose((0.01, 0.0, 0.0))).startswith(
+            "Pose, translation = (0.01, 0, 0)"
+        )
+    finally:
+        _module._units.cache_clear()
+
+
+def test_what_is_traced_says_its_shape():
+    seen = []
+
+    @jax.jit
+    def energy(law):
+        seen.append(repr(law))
+        return law.energy_density(1.1 * jnp.eye(3))
+
+    energy(sc.NeoHookean(1e5, 0.3))
+    assert seen == ["NeoHookean, E = traced scalar, nu = traced scalar"]
+
+    def named(E):
+        seen.append(repr(sc.NeoHookean(E, 0.3)))
+        return E
+
+    jax.eval_shape(jax.vmap(named), jnp.ones((4, 7)))
+    assert seen[-1] == "NeoHookean, E = traced 7, nu = traced scalar"
+
+
+def test_an_error_under_jit_shows_the_record():
+    """And not that it could not be shown."""
+
+    @eqx.filter_jit
+    def fails(model):
+        raise ValueError(f"no such thing in {model!r}")
+
+    with pytest.raises(ValueError, match="in Model: 12 nodes, 12 linear tets, NeoHook"):
+        fails(
+            sc.build_model(
+                sc.beam(0.1, 0.02, 0.02, (2, 1, 1)),
+                sc.NeoHookean(1e5, 0.3),
+                density=1000.0,
+            )
+        )
+
+
+def test_all_of_it_is_still_written_by_equinox():
+    settings = CalibrationSettings(tol=1.2345678e-6)
+    assert eqx.tree_pformat(settings) == "CalibrationSettings(tol=1.2345678e-06)"
+    assert repr(Limits(force=(0.0, 5.0)))
+    assert repr(exactly_known())
+    assert repr(Box((0, 0, 0), (1, 1, 1))).startswith("Box: ")
+    assert "mu_1 = 100 kPa" in repr(Ogden(1e5, 2.0, 0.0, 2.0, 0.0, 2.0))
