@@ -140,12 +140,13 @@ def stated_licence(own: Distribution) -> str:
     and there the first line of the text of the licence stands for it.
     """
     about = own.metadata
-    named = [line.split(" :: ")[-1] for line in about.get_all("Classifier", [])]
     named = [
-        word for word in named if word.endswith(("License", "(MPL 2.0)", "GPLv2+)"))
+        line.split(" :: ")[-1]
+        for line in about.get_all("Classifier", [])
+        if line.startswith("License") and not line.endswith("Proprietary License")
     ]
-    named = [word for word in named if word != "Other/Proprietary License"]
-    stated = about["License-Expression"] or ", ".join(named) or about["License"]
+    expression, text = about.get("License-Expression"), about.get("License")
+    stated = expression or ", ".join(named) or text
     if not stated:
         texts = [f for f in own.files or [] if f.name.upper().startswith("LICEN")]
         stated = texts[0].read_text() if texts else "not stated"
