@@ -393,14 +393,14 @@ def test_demo_writes_its_project(tmp_path, capsys):
     assert main(["demo", "--write", str(folder)]) == 0
     assert f"softcal calibrate {folder / 'project.toml'} -o" in capsys.readouterr().out
     source = silicone_beam_path().parent
-    for name in ("project.toml", "markers.csv", "README.md"):
+    brought = ("LICENSE-recordings.txt", "README.md", "markers.csv", "project.toml")
+    assert sorted(path.name for path in folder.iterdir()) == list(brought)
+    for name in brought:
         assert (folder / name).read_bytes() == (source / name).read_bytes()
 
     (folder / "project.toml").write_text("mine")
     assert main(["demo", "--write", str(folder)]) == 2
-    assert (
-        "has README.md, markers.csv, project.toml already." in capsys.readouterr().err
-    )
+    assert f"has {', '.join(brought)} already." in capsys.readouterr().err
     assert (folder / "project.toml").read_text() == "mine"
     assert main(["demo", "--write", str(folder), "--force"]) == 0
     assert (folder / "project.toml").read_text() != "mine"

@@ -2,12 +2,25 @@
 
 import importlib
 import re
+import shutil
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
-from from_code import ARROW, help_text, home_of, raised, refusal
+from from_code import (
+    ARROW,
+    help_text,
+    home_of,
+    raised,
+    readme_command,
+    refusal,
+    required,
+    stated_licence,
+)
+from packaging.requirements import Requirement
 
 import softcal_jax as sc
 from softcal_jax.control import OUTCOMES
@@ -138,6 +151,90 @@ def test_the_project_file_of_the_readme(tmp_path):
     assert [c.name for c in project.calibration] == ["hanging", "weight"]
     (load,) = project.calibration[1].loads
     assert load.force == pytest.approx((0.0, 0.0, -0.5))
+
+
+LICENCES = re.findall(
+    r"(?m)^\|(?: `(\w+)` \|)? \[([\w-]+)\]\(https://[^)]+\) \| ([^|]+) \| [^|]+ \|$",
+    (DOCS / "reference/licences.md").read_text(),
+)
+"""Rows of both tables: extra or none, package, licence."""
+
+
+def test_every_package_that_users_install_has_its_licence():
+    about = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = {"": about["dependencies"], **about["optional-dependencies"]}
+    names = {
+        (extra, Requirement(text).name)
+        for extra, texts in asked.items()
+        for text in texts
+        if extra not in ("dev", "docs")
+    }
+    own = {(extra, about["name"]) for extra in asked}  # extras that hold other extras
+    listed = [row[:2] for row in LICENCES]
+    assert sorted(listed) == sorted(names - own)
+
+
+ALSO_CALLED = {"psf": "python software foundation"}
+
+
+@pytest.mark.parametrize(
+    ("package", "licence"), sorted({row[1:] for row in LICENCES}), ids=lambda v: v
+)
+def test_the_licence_is_that_of_the_installed_package(package, licence):
+    """By its family, which every version names in other words."""
+    try:
+        stated = stated_licence(distribution(package)).lower()
+    except PackageNotFoundError:
+        pytest.skip(f"{package} is not installed here")
+    family = licence.split("-")[0].lower()
+    assert re.search(rf"(?<![a-z]){family}|{ALSO_CALLED.get(family, family)}", stated)
+    assert ("gpl" in stated) == ("gpl" in family), stated
+
+
+def test_without_extras_nothing_is_under_the_gpl():
+    """On x86; elsewhere KLU is, under the LGPL. The page builds its table so."""
+    stated = {name: stated_licence(own) for name, own in required().items()}
+    assert {"jax", "numpy", "wadler-lindig", "vtk"} <= set(stated)
+    assert {name for name, text in stated.items() if "GPL" in text} <= {"klujax"}
+    assert "not stated" not in stated.values()
+
+
+NEEDED = "libegl1 libgl1-mesa-dri"
+INSTALLED = ["apt-get update -q", f"apt-get install -y -q python3-venv {NEEDED}"]
+
+
+@pytest.mark.parametrize(
+    ("fails", "asked"),
+    [
+        ({}, []),
+        ({"dpkg"}, INSTALLED),
+        ({"python3 -c"}, INSTALLED),
+        ({"dpkg", "apt-get"}, INSTALLED[:1]),
+    ],
+    ids=["all is there", "no OpenGL", "no venv", "no OpenGL, no root"],
+)
+def test_the_first_command_asks_for_root_only_where_it_must(tmp_path, fails, asked):
+    """With programs that write down how they were called; it goes on in any case."""
+    calls, programs, venv = (tmp_path / n for n in ("calls", "bin", ".venv/bin"))
+    for name in ("dpkg", "apt-get", "python3", "pip", "softcal"):
+        folder = venv if name in ("pip", "softcal") else programs
+        folder.mkdir(parents=True, exist_ok=True)
+        failing = "|".join(f'"{call}"*' for call in sorted(fails))
+        case = f'case "{name} $*" in {failing}) exit 1;; esac' if fails else ""
+        (folder / name).write_text(f'#!/bin/sh\necho "{name} $*" >> {calls}\n{case}\n')
+        (folder / name).chmod(0o755)
+    bash = shutil.which("bash")
+    assert bash is not None
+    command = [bash, "-uo", "pipefail", "-c", readme_command("demo")]
+    done = subprocess.run(command, cwd=tmp_path, env={"PATH": str(programs)})
+    assert done.returncode == 0
+    called = calls.read_text().splitlines()
+    assert [call for call in called if call.startswith("apt-get")] == asked
+    assert [call.partition(" -q")[0] for call in called[-3:]] == [
+        "python3 -m venv .venv",
+        "pip install",
+        "softcal demo -o demo_results",
+    ]
 
 
 @pytest.mark.slow

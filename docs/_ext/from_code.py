@@ -3,7 +3,7 @@
 Directives: `help` (the help of a command), `message` (of a member of an enumeration of
 outcomes), `refusal` (what a project file with a mistake is answered), `raised` (classes
 of errors and warnings), `names` (those that `softcal_jax` offers, with links), `shown`
-(a command of the README).
+(a command of the README), `licences` (of all that is installed with the package).
 """
 
 import contextlib
@@ -14,11 +14,14 @@ import os
 import pkgutil
 import re
 import tempfile
+from importlib.metadata import Distribution, distribution
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from sphinx.util.docutils import SphinxDirective
 
 import softcal_jax
@@ -53,6 +56,19 @@ def help_text(command: str) -> str:
         else:
             os.environ["COLUMNS"] = before
     return out.getvalue().rstrip()
+
+
+def readme_command(name: str) -> str:
+    """Return the command of the README below `<!-- command: NAME -->`.
+
+    Raises:
+        ValueError: If it has none of that name.
+    """
+    readme = Path(__file__).parents[2].joinpath("README.md").read_text("utf-8")
+    _, _, rest = readme.partition(f"<!-- command: {name} -->\n```sh\n")
+    if not rest:
+        raise ValueError(f"README.md has no command {name}")
+    return rest.split("\n```")[0]
 
 
 def refusal(change: str) -> Refused:
@@ -96,6 +112,45 @@ def raised() -> list[type]:
         and value.__module__.startswith("softcal_jax")
     }
     return sorted(found, key=lambda kind: kind.__name__)
+
+
+def required() -> dict[str, Distribution]:
+    """Return what is installed with the package here, without extras, by name."""
+    found: dict[str, Distribution] = {}
+    open_ones = [("softcal-jax", frozenset[str]())]
+    seen = set(open_ones)
+    while open_ones:
+        name, extras = open_ones.pop()
+        own = found[name] = distribution(name)
+        for text in own.requires or []:
+            asked = Requirement(text)
+            chosen = [{"extra": extra} for extra in ("", *extras)]
+            if asked.marker is None or any(map(asked.marker.evaluate, chosen)):
+                one = canonicalize_name(asked.name), frozenset(asked.extras)
+                open_ones += [one] if one not in seen else []
+                seen.add(one)
+    del found["softcal-jax"]
+    return dict(sorted(found.items()))
+
+
+def stated_licence(own: Distribution) -> str:
+    """Return the licence of a distribution in its own words.
+
+    Those of its metadata in the order in which they can be relied on; a few have none,
+    and there the first line of the text of the licence stands for it.
+    """
+    about = own.metadata
+    named = [
+        line.split(" :: ")[-1]
+        for line in about.get_all("Classifier", [])
+        if line.startswith("License") and not line.endswith("Proprietary License")
+    ]
+    expression, text = about.get("License-Expression"), about.get("License")
+    stated = expression or ", ".join(named) or text
+    if not stated:
+        texts = [f for f in own.files or [] if f.name.upper().startswith("LICEN")]
+        stated = texts[0].read_text() if texts else "not stated"
+    return stated.strip().splitlines()[0]
 
 
 def packages() -> list[str]:
@@ -188,6 +243,19 @@ class Names(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
+class Licences(SphinxDirective):
+    """A table of what is installed with the package, and its licences."""
+
+    def run(self) -> list[nodes.Node]:
+        """List it."""
+        lines = ["| package | version | licence |", "|---|---|---|"]
+        lines += [
+            f"| {name} | {own.version} | {stated_licence(own)} |"
+            for name, own in required().items()
+        ]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
 class Shown(Directive):
     """The command of the README below `<!-- command: NAME -->`."""
 
@@ -195,11 +263,10 @@ class Shown(Directive):
 
     def run(self) -> list[nodes.Node]:
         """Show it."""
-        readme = Path(__file__).parents[2].joinpath("README.md").read_text("utf-8")
-        _, _, rest = readme.partition(f"<!-- command: {self.arguments[0]} -->\n```sh\n")
-        if not rest:
-            raise self.error(f"README.md has no command {self.arguments[0]}")
-        text = rest.split("\n```")[0]
+        try:
+            text = readme_command(self.arguments[0])
+        except ValueError as error:
+            raise self.error(str(error)) from error
         block = nodes.literal_block(text, text, language="sh")
         return [nodes.container("", block, classes=["wrapped"])]
 
@@ -248,6 +315,6 @@ def setup(app: Any) -> dict[str, bool]:
     """Register the directives, and the reader of docstrings after that of sections."""
     app.connect("autodoc-process-docstring", as_it_reads, priority=900)
     app.connect("autodoc-process-signature", short_signature)
-    for directive in (Help, Message, Refusal, Raised, Names, Shown):
+    for directive in (Help, Message, Refusal, Raised, Names, Licences, Shown):
         app.add_directive(directive.__name__.lower(), directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

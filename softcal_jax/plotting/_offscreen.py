@@ -17,7 +17,7 @@ _CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 _EGL, _OSMESA = "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"
 
 _REMEDY = (
-    "pictures of the body cannot be drawn: this machine has no OpenGL that works "
+    "pictures of the body cannot be drawn, as this machine has no OpenGL that works "
     "without a screen. On Debian or Ubuntu: sudo apt install libegl1 libgl1-mesa-dri"
 )
 

@@ -245,7 +245,7 @@ def _write(
     drawn: Drawn,
 ) -> Path:
     """Write all files, and last the index, which lists them."""
-    problem = None if drawn.suffix is None else rendering_problem()
+    problem = _left_out(result, drawn)
     if problem is not None:  # warn before the work is done
         warnings.warn(problem, PictureWarning, stacklevel=3)
     with results_folder(directory, force=force) as folder:
@@ -265,6 +265,20 @@ def _write(
         (folder / REPORT).write_text(page(data, folder), encoding="utf-8")
         write_json(folder / index, data)
     return directory
+
+
+def _left_out(result: Result, drawn: Drawn) -> str | None:
+    """Say which pictures cannot be drawn here, why, and the remedy; None if all can."""
+    shown = result.configurations
+    stems = file_stems([own.name for own in shown])
+    bodies = [stem for own, stem in zip(shown, stems, strict=True) if own.converged]
+    if drawn.suffix is None or not bodies:
+        return None
+    problem = rendering_problem()
+    if problem is None:
+        return None
+    named = ", ".join(f"{stem}.{drawn.suffix}" for stem in bodies)
+    return f"left out: {named}; {problem}"
 
 
 def _write_tables(folder: Path, result: Result) -> list[str]:

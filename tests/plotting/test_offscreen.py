@@ -1,7 +1,10 @@
+import json
 import os
+import subprocess
 import sys
 
 import pytest
+from small_project import write_small_project
 
 from softcal_jax.plotting import RenderingError, _offscreen, rendering_problem
 from softcal_jax.plotting._offscreen import offscreen
@@ -83,3 +86,39 @@ def test_the_users_choice_stands(machine, monkeypatch):
 def test_a_missing_library_cannot_be_loaded():
     assert not _offscreen._can_load("libNoSuchThing.so.1")
     assert _offscreen._can_load("libc.so.6")
+
+
+@pytest.fixture
+def without_opengl(tmp_path):
+    """The environment of a process that finds no library of OpenGL.
+
+    The linker stops at the first file of that name, though nothing is in it.
+    """
+    empty = tmp_path / "no_opengl"
+    empty.mkdir()
+    for name in ("EGL.so.1", "OSMesa.so.8", "OSMesa.so.6", "OSMesa.so"):
+        (empty / f"lib{name}").touch()
+    kept = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    return {**kept, "LD_LIBRARY_PATH": str(empty)}
+
+
+def test_a_command_names_the_pictures_that_it_leaves_out(tmp_path, without_opengl):
+    """And what to install, in one line; nothing else is missing."""
+    project, out = write_small_project(tmp_path), tmp_path / "out"
+    done = subprocess.run(
+        [sys.executable, "-m", "softcal_jax", "simulate", project, "-o", out],
+        capture_output=True,
+        text=True,
+        env=without_opengl,
+    )
+    said = (
+        "left out: weight.png, pulled.png; pictures of the body cannot be drawn, as "
+        "this machine has no OpenGL that works without a screen. On Debian or Ubuntu: "
+        "sudo apt install libegl1 libgl1-mesa-dri"
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"warning: {said}" in done.stdout.splitlines()
+    written = json.loads((out / "simulation.json").read_text())
+    assert written["notes"] == [said]
+    assert {"weight.vtu", "pulled.vtu", "report.html"} <= set(written["files"])
+    assert not [name for name in written["files"] if name.endswith(".png")]
