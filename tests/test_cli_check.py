@@ -62,6 +62,8 @@ def test_one_of_each_kind(every_kind, capsys):
         'material.density "1 g/cm^3" 1000 kg/m^3',
         'effectors.torque.std "1 N*mm" 0.001 N*m',
         "softcal identify has all it needs",
+        "softcal export not for SOFA, CalculiX or Abaqus: rigid bodies (arm, tip, "
+        "collar)",
     ):
         assert line in lines
     # 16 nodes of no body, and the six coordinates of the tip: the motor holds the arm.

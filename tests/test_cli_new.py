@@ -163,6 +163,12 @@ def test_a_mesh_alone_can_be_judged_and_not_calibrated(tmp_path, body, capsys):
     with pytest.raises(ValueError, match="no `measured` positions"):
         project.check_calibration()
     assert not any("unit" in own.remark for own in guesses_left(project.path))
+    # Where they can be glued: on the end, and on the top of the beam.
+    markers = project.configurations[0].markers
+    assert dict(zip(markers.names, 1e3 * markers.positions, strict=True)) == {
+        "tip": pytest.approx([60.0, 10.0, 10.0]),
+        "middle": pytest.approx([30.0, 10.0, 20.0]),
+    }
 
 
 def test_groups_are_known_by_their_names(tmp_path):

@@ -304,6 +304,7 @@ def test_the_cable_beam_from_its_project_file(tmp_path, capsys):
     assert main(["calibrate", path, "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "Held-out error, wound up: 0.1" in text
+    assert "mm rms over 1 6-D sensor, " in text
     data = json.loads((tmp_path / "out" / "result.json").read_text())
     (E,) = data["parameters"]
     # The law and the mesh of the recordings are others: 1 %.

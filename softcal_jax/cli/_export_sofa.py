@@ -63,7 +63,6 @@ def _export(args: argparse.Namespace, show: Display) -> int:
     with bad_input():
         result = load_result(args.results, project=args.project)
     show.lap("reading")
-    show.now("calibrating the model of SOFA")
     with bad_input(), no_equilibrium("Nothing was written."):
         found = export_sofa(
             result,
@@ -73,6 +72,7 @@ def _export(args: argparse.Namespace, show: Display) -> int:
             law=args.law,
             rotation=args.rotation,
             force=args.force,
+            began=lambda: show.now("calibrating the model of SOFA"),
             progress=step_lines(result.project, show),
         )
     show.lap("solve")

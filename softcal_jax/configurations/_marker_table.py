@@ -74,7 +74,8 @@ class MarkerTable(Module):
         if name not in self.names:
             raise ValueError(
                 f"{self.source} has no marker {name!r}."
-                f"{suggestion(name, self.names)} It has {', '.join(self.names)}."
+                f"{suggestion(name, self.names)} It has {', '.join(self.names)}. In a "
+                "project file `labels` maps names of yours to those of the file."
             )
         return self.names.index(name)
 

@@ -236,7 +236,8 @@ class Recording(Module):
         if name not in self.names:
             raise ValueError(
                 f"{self.source} has no marker {name!r}.{suggestion(name, self.names)} "
-                f"It has {', '.join(self.names)}."
+                f"It has {', '.join(self.names)}. `labels` (`renamed` in Python) "
+                "maps names of yours to those of the file."
             )
         return self.names.index(name)
 

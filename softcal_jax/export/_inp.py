@@ -62,7 +62,8 @@ def write_inp(
         notes.append(
             "The tets of the model have one mean change of volume each, those of the "
             "file one at each of four points: C3D10 is stiffer where Poisson's ratio "
-            "is nearly 0.5. In Abaqus, write C3D10H for C3D10."
+            "is nearly 0.5. In Abaqus, write C3D10H for C3D10; for CalculiX, calibrate "
+            'with formulation = "displacement" in [material], which has what it has.'
         )
     lines = [
         *("*HEADING", _comment(title), "** SI: m, kg, s, N, Pa"),
@@ -212,8 +213,10 @@ def _check_bodies(model: Model) -> None:
         raise ValueError(
             f"rigid bodies are not written to .inp files, and the model has "
             f"{listed([repr(name) for name in names])}: their nodes turn together, "
-            "which the file would have to say by constraints. Export a model without "
-            "them, with their nodes held or loaded."
+            "which the file would have to say by constraints. A body that is held: "
+            "name its nodes in `supports` instead. A plate that only carries markers: "
+            "leave it out, give [markers] `max_distance` and `base_radius`, and "
+            "calibrate again."
         )
 
 

@@ -130,7 +130,8 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
         ) from error
     fits = one.is_compatible_with(dimension.si)
     if not fits or (dimension is ANGLE and str(one.units) not in _ANGLES):
-        raise ValueError(misfit)
+        # "kP" is no slip to pint, which knows the kilopoise.
+        raise ValueError(misfit + suggestion(unit, dimension.usual, quote='"'))
     return float(one.to(dimension.si).magnitude)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.mesh import MaterialPoints, MeshWarning, locate, mesh_files
+from softcal_jax.mesh import MaterialPoints, MeshWarning, TetMesh, locate, mesh_files
 from softcal_jax.project import ProjectWarning, load_project
 from softcal_jax.proposal._body import (
     Body,
@@ -161,8 +161,7 @@ def _markers(
     """Place markers where they were seen at rest, or at points of the mesh."""
     mesh = body.mesh
     if recorded is None or at is None:
-        middle = locate(mesh, 0.5 * (tip + held.centre)[None], max_distance=np.inf)
-        places = {"tip": tip, "middle": middle.foot[0]}
+        places = {"tip": tip, "middle": _on_top(mesh, 0.5 * (tip + held.centre))}
         return tuple(MarkerPlace(name, place, 0.0) for name, place in places.items())
     places, off = recorded.positions, at.distance
     if own_frame:
@@ -175,6 +174,18 @@ def _markers(
         MarkerPlace(name, place, float(distance))
         for name, place, distance in zip(recorded.labels, places, off, strict=True)
     )
+
+
+def _on_top(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
+    """Return the skin beside a place within, above it or at its larger x [m].
+
+    Seen from outside the box of the mesh, as the nearest point may be on the wall of a
+    cavity, where nobody glues a marker.
+    """
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    side = 0 if np.argmax(high - low) == 2 else 2
+    above = np.where(np.arange(3) == side, high, place)
+    return locate(mesh, above[None], max_distance=np.inf).foot[0]
 
 
 def _check_absent(folder: Path) -> None:

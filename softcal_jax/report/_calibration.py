@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from softcal_jax._names import listed
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -159,9 +160,7 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
 def _held_out_errors(fit: ConfigurationResult) -> str:
     texts = []
     if fit.points:
-        n = len(fit.points)
-        markers = "marker" if n == 1 else "markers"
-        texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {n} {markers}")
+        texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {_points(fit)}")
     if fit.points and math.isfinite(fit.rms_share):
         texts[0] += (
             f", {100 * fit.rms_share:.1f} % of how far they moved "
@@ -170,6 +169,14 @@ def _held_out_errors(fit: ConfigurationResult) -> str:
     if math.isfinite(fit.turn_after):
         texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
     return "; ".join(texts)
+
+
+def _points(fit: ConfigurationResult) -> str:
+    """Count what was seen to move: markers, and apart from them 6-D sensors."""
+    turning = {turn.name for turn in fit.turns}
+    sensors = sum(point.name in turning for point in fit.points)
+    counts = {"marker": len(fit.points) - sensors, "6-D sensor": sensors}
+    return listed([f"{n} {what}{'s' * (n > 1)}" for what, n in counts.items() if n])
 
 
 def outlook_table(assessment: Assessment) -> Table:

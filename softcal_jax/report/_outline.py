@@ -449,6 +449,10 @@ def _commands(project: Project) -> Rows:
             # Several problems stand below their number.
             rows.append((f"softcal {command}", f"would refuse: {first}"))
             rows += [("", other) for other in others]
+    bodies = project.model.mechanism.bodies.names
+    if bodies:
+        plain = f"not for SOFA, CalculiX or Abaqus: rigid bodies ({', '.join(bodies)})"
+        rows.append(("softcal export", plain))
     return rows
 
 

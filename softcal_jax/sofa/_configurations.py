@@ -47,8 +47,10 @@ def check_robot(model: Model) -> None:
     if bodies.n_bodies:
         raise ValueError(
             f"the robot has rigid bodies ({', '.join(bodies.names)}), which are not "
-            "written: SOFA holds them by mappings of its own. Leave them out of the "
-            "project, or clamp their nodes instead."
+            "written: SOFA holds them by mappings of its own. A body that is held: "
+            "name its nodes in `supports` instead. A plate that only carries markers: "
+            "leave it out, give [markers] `max_distance` and `base_radius`, and "
+            "calibrate again."
         )
     actuators = model.mechanism.actuators
     known = (CableSegments, ChamberFaces, ChamberLids, PressureFaces)

@@ -98,6 +98,7 @@ def export_sofa(
     law: SofaLaw = "same",
     rotation: SofaRotation = "edge",
     force: bool = False,
+    began: Callable[[], None] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
 ) -> SofaExport:
     """Write a calibrated robot as a static scene of SOFA, calibrated again for it.
@@ -122,6 +123,7 @@ def export_sofa(
         rotation: Rotation of the corotational tets, see `SofaCorotational`; laws with a
             fibre take that of the plugin Anisotropy.
         force: Replace an earlier scene; files that a user added stay.
+        began: Called once nothing is left to refuse and the calibration begins.
         progress: Called after each step of the calibration.
 
     Raises:
@@ -146,6 +148,8 @@ def export_sofa(
     check_robot(project.model)
     model = model_of_sofa(project, law, rotation)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
+    if began is not None:
+        began()
     found = recalibrate(loaded, project, model, progress=progress)
     posed = [c for c in project.configurations if _solved(found, c.name)]
     if not posed:

@@ -221,6 +221,7 @@ def test_a_marker_twice(table):
 
 def test_a_marker_that_is_not_there(table):
     markers = read_markers(table(TABLE), select={"phase": "rest"})
-    with refused("has no marker 'tp'. Did you mean 'tip'? It has tip, base."):
+    message = "no marker 'tp'. Did you mean 'tip'? It has tip, base. In a project file"
+    with refused(message):
         markers.positions_of(["tp"])
     assert re.search(r"table\.csv \(phase = rest\)$", markers.source)

@@ -66,6 +66,12 @@ def test_scalar(text, dimension, value):
             '"200 kPa". Did you mean "kPa"?',
         ),
         (
+            "200 kP",
+            PRESSURE,
+            '"200 kP": "kP" is not a pressure or modulus; expected a pressure or '
+            'modulus, like "200 kPa". Did you mean "kPa"?',
+        ),
+        (
             "3 furlongz",
             LENGTH,
             '"3 furlongz": unknown unit "furlongz"; expected a length, like "100 mm".',

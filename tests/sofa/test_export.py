@@ -11,6 +11,7 @@ from anisotropic_project import write_measured_project
 from scene_equilibrium import solve
 from small_project import write_small_project
 
+import softcal_jax as sc
 from benchmarks._sofa import run
 from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.cli import main
@@ -52,6 +53,7 @@ def test_the_command_calibrates_again_for_the_linear_mesh(results, tmp_path, cap
     assert main(["export", "sofa", str(results / "quadratic"), "-o", str(scene)]) == 0
     said = capsys.readouterr().out
     assert "E: " in said
+    assert "calibrating the model of SOFA" in said
     assert re.search(r"^step 1 .*  E = \d+\.\d\d kPa$", said, re.MULTILINE)
     head = next(line for line in said.split("\n") if line.startswith("configuration"))
     assert head.endswith("SOFA, own values")
@@ -95,6 +97,19 @@ def test_a_rubber_keeps_its_law_or_takes_corotational_tets(results, tmp_path):
     assert str(other.parameters[0]) in text
     with pytest.raises(FileExistsError, match="is not empty"):
         export_sofa(results / "linear", tmp_path / "other")
+
+
+def test_a_rigid_body_is_refused_before_a_calibration_begins(results, tmp_path):
+    loaded = load_result(results / "linear")
+    model = loaded.project.model
+    plate = [sc.RigidBody("plate", "x_max")]
+    model = sc.build_model(model.mesh, model.law, density=1000.0, bodies=plate)
+    project, begun = dataclasses.replace(loaded.project, model=model), []
+    loaded = dataclasses.replace(loaded, project=project)
+    with pytest.raises(ValueError, match=r"rigid bodies \(plate\)"):
+        export_sofa(loaded, tmp_path / "scene", began=lambda: begun.append(1))
+    assert begun == []
+    assert not (tmp_path / "scene").exists()
 
 
 def test_nothing_is_written_without_convergence(results, tmp_path):
