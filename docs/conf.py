@@ -23,6 +23,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx-mathjax-offline",  # a copy of MathJax within the pages
     "from_code",
+    "messages",
     "records",
 ]
 exclude_patterns = ["build", "_ext"]

@@ -95,7 +95,7 @@ def draw_regions(outlooks: dict[str, Identifiability], path: Path) -> None:
         axes.set_title(text, fontsize=14, color=colour, weight="bold")
         axes.set_xlabel("E at the left end [kPa]", fontsize=14)
     panels[0].set_ylabel("E at the right end [kPa]", fontsize=14)
-    panels[0].legend(fontsize=12, frameon=False, loc="lower left")
+    panels[-1].legend(fontsize=12, frameon=False, loc="lower left")
     save(figure, path)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from from_code import ARROW, help_text, home_of, raised, refusal
+from messages import VALUE, anchor, messages
 from recorded import MARK, numbers, pages, renewed, written
 from records import committed, goals_of, rows
 
@@ -241,6 +242,22 @@ def test_project_files_with_a_mistake_are_refused_for_it(change):
     assert value
     assert key
     assert any(word in message for word in (value[1] or value[2], key[0], "TOML"))
+
+
+def test_every_message_has_an_anchor_of_its_own():
+    listed = [message for own in messages().values() for message in own]
+    assert len(listed) > 500
+    assert len({anchor(message) for message in listed}) == len(listed)
+    assert "candidates: there are none; add [[candidates]]." in listed
+
+
+def test_what_a_project_file_is_told_is_among_the_messages():
+    """But for keys that are unknown or missing, and kinds: those have a place above."""
+    listed = [message for own in messages().values() for message in own]
+    patterns = [re.escape(m).replace(re.escape(VALUE), ".*") for m in listed]
+    said = [refusal(change).message for change in REFUSED]
+    found = [any(re.search(p, text, re.S) for p in patterns) for text in said]
+    assert sum(found) >= len(said) - 5
 
 
 def test_the_project_file_that_is_changed_is_right():

@@ -1,7 +1,8 @@
 """The committed benchmark records as a page: what each measures, plots, figures.
 
-Directive `records`. The plots are those of `python -m benchmarks plot`, drawn while the
-pages are built, so that neither they nor the tables are older than the records.
+Directives `goals`, a table of them, and `records`, a section for each. The plots are
+those of `python -m benchmarks plot`, drawn while the pages are built, so that neither
+they nor the tables are older than the records.
 """
 
 import os
@@ -59,30 +60,36 @@ def machine_of(content: Mapping[str, Any]) -> str:
     return text
 
 
+class Goals(SphinxDirective):
+    """A table of all committed records."""
+
+    def run(self) -> list[nodes.Node]:
+        """Link to the section of each."""
+        about = discover(benchmarks)
+        lines = ["| benchmark | what it measures | goals met |", "|---|---|---|"]
+        for name, content in committed().items():
+            link = f"{{ref}}`{name} <record-{name}>`"
+            what = about[name].replace("|", r"\|")
+            lines.append(f"| {link} | {what} | {goals_of(content)} |")
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
 class Records(SphinxDirective):
-    """All committed records: a table of them, then a section for each."""
+    """A section for each committed record."""
 
     def run(self) -> list[nodes.Node]:
         """Draw them and write the sections."""
-        about, records = discover(benchmarks), committed()
-        table = ["| benchmark | what it measures | goals met |", "|---|---|---|"]
-        for name, content in records.items():
-            link = f"[{name}](#record-{name.replace('_', '-')})"
-            table.append(f"| {link} | {about[name]} | {goals_of(content)} |")
-        sections = []
-        for name, content in records.items():
+        about, lines = discover(benchmarks), []
+        for name, content in committed().items():
             self.env.note_dependency(str(RECORDS / f"{name}.json"))
-            sections += self._section(name, about[name], content)
-        return [
-            *self.parse_text_to_nodes("\n".join(table)),
-            *self.parse_text_to_nodes("\n".join(sections), allow_section_headings=True),
-        ]
+            lines += self._section(name, about[name], content)
+        return self.parse_text_to_nodes("\n".join(lines), allow_section_headings=True)
 
     def _section(self, name: str, about: str, content: Mapping[str, Any]) -> list[str]:
         goals = content["goals"]
         alt = f"Plots of {name}: a line per figure with its value and its goal"
         head = [
-            f"(record-{name.replace('_', '-')})=",
+            f"(record-{name})=",
             f"## {name}",
             "",
             f"{about} `python -m benchmarks run {name}`",
@@ -117,6 +124,7 @@ class Records(SphinxDirective):
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Register the directive."""
+    """Register the directives."""
+    app.add_directive("goals", Goals)
     app.add_directive("records", Records)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
