@@ -318,7 +318,7 @@ def test_the_pages_build_without_a_warning_and_need_no_network(tmp_path):
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", text), style
     recorded = (html / "evidence/records.html").read_text(encoding="utf-8")
     for name in committed():
-        assert f'<section id="{name.replace("_", "-")}"' in recorded, name
+        assert f'id="record-{name.replace("_", "-")}"' in recorded, name
         plot = re.search(rf'src="\.\./(_images/{name}\d*\.png)"', recorded)
         assert plot, name
         assert (html / plot[1]).is_file()

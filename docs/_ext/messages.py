@@ -23,8 +23,12 @@ LEAST_WORDS = 2
 """A message of fewer words of its own hands on that of another error."""
 
 
+FIRST, LAST = "softcal_jax.project", "softcal_jax"
+"""What most are looked for of, and what has those of no package."""
+
+
 def messages() -> dict[str, list[str]]:
-    """Return the messages by the package, or module, that raises them."""
+    """Return the messages by the package that raises them."""
     found: dict[str, list[str]] = {}
     root, anchors = Path(softcal_jax.__file__).parent, set()
     for path in sorted(root.rglob("*.py")):
@@ -34,9 +38,11 @@ def messages() -> dict[str, list[str]]:
             # The same words with and without quotes are one message to a reader.
             if (own := anchor(message)) not in anchors:
                 anchors.add(own)
-                package = path.relative_to(root).parts[0].removesuffix(".py")
-                found.setdefault(package.strip("_"), []).append(message)
-    return found
+                folder = path.relative_to(root).parts[:-1]
+                package = ".".join(["softcal_jax", *folder[:1]])
+                found.setdefault(package, []).append(message)
+    place = {FIRST: 0, LAST: 2}
+    return dict(sorted(found.items(), key=lambda own: place.get(own[0], 1)))
 
 
 def anchor(message: str) -> str:
@@ -98,7 +104,8 @@ class Messages(SphinxDirective):
                 items.append(nodes.list_item("", text, ids=[anchor(message)]))
             title = nodes.title(package, package)
             section = nodes.section("", title, nodes.bullet_list("", *items))
-            section["ids"], section["classes"] = [f"messages-{package}"], ["messages"]
+            section["ids"] = [f"messages-{package.rpartition('.')[2]}"]
+            section["classes"] = ["messages"]
             sections.append(section)
         return sections
 
