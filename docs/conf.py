@@ -9,6 +9,7 @@ import softcal_jax
 
 jax.config.update("jax_enable_x64", True)  # project files are loaded for their messages
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+sys.path.insert(0, str(Path(__file__).parents[1]))  # benchmarks
 
 project = "softcal_jax"
 author = "The softcal_jax maintainers"
@@ -22,6 +23,8 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx-mathjax-offline",  # a copy of MathJax within the pages
     "from_code",
+    "messages",
+    "records",
 ]
 exclude_patterns = ["build", "_ext"]
 
@@ -58,7 +61,8 @@ html_theme_options = {
     "header_links_before_dropdown": 6,
     "navigation_with_keys": False,
     "show_prev_next": True,
-    "secondary_sidebar_items": ["page-toc"],
+    # The plots of the records take the whole width.
+    "secondary_sidebar_items": {"**": ["page-toc"], "evidence/records": []},
     "footer_start": ["copyright"],
     "footer_end": [],
 }

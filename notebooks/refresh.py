@@ -54,7 +54,7 @@ def tidy(notebook: NotebookNode) -> None:
     for output in outputs:
         if "image/png" in output.get("data", {}):
             content = base64.b64decode(output.data["image/png"])
-            output.data["image/png"] = base64.b64encode(_small(content)).decode()
+            output.data["image/png"] = base64.b64encode(small(content)).decode()
     notebook.metadata = nbformat.from_dict(
         {
             "kernelspec": {
@@ -68,8 +68,12 @@ def tidy(notebook: NotebookNode) -> None:
     )
 
 
-def _small(content: bytes) -> bytes:
-    """Write a PNG with 256 colours, and smaller until it may be kept."""
+def small(content: bytes) -> bytes:
+    """Write a PNG with 256 colours, and smaller until it may be kept.
+
+    Raises:
+        ValueError: If it cannot be made small enough.
+    """
     picture = Image.open(io.BytesIO(content)).convert("RGB")
     for share in (1.0, 0.8, 0.65, 0.5):
         size = tuple(round(share * side) for side in picture.size)

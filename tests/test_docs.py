@@ -1,7 +1,9 @@
-"""README and docs: links, messages and examples; a slow test builds all pages."""
+"""README and docs: links, messages, examples, numbers; a slow test builds all pages."""
 
 import importlib
+import importlib.util
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -20,7 +22,10 @@ from from_code import (
     required,
     stated_licence,
 )
+from messages import VALUE, anchor, messages
 from packaging.requirements import Requirement
+from recorded import MARK, numbers, pages, renewed, written
+from records import committed, goals_of, rows
 
 import softcal_jax as sc
 from softcal_jax.control import OUTCOMES
@@ -31,6 +36,12 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [page for page in sorted(DOCS.rglob("*.md")) if "build" not in page.parts]
 TROUBLESHOOTING = DOCS / "reference/troubleshooting.md"
+
+
+FIGURES = DOCS / "guide/figures"
+
+MOST_BYTES = 100_000
+"""Most bytes of a picture of the guide."""
 
 
 def prose(page):
@@ -86,6 +97,132 @@ def test_the_names_of_the_package_have_a_home():
     assert home_of("calibrate") == "softcal_jax.calibration"
 
 
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda p: p.stem)
+def test_the_numbers_are_those_of_the_records(page):
+    """Where they are not, `python docs/_ext/recorded.py` writes them."""
+    for number in numbers(page.read_text()):
+        assert number.typed == number.record, number.source
+
+
+def test_numbers_of_the_records_are_found():
+    texts = [page.read_text() for page in pages()]
+    assert sum(len([*numbers(text)]) for text in texts) > 150
+    # No comment is left that names a figure, but stands behind no number.
+    named = r"<!-- (?:" + "|".join(committed()) + r")\."
+    assert all(len(re.findall(named, t)) == len(MARK.findall(t)) for t in texts)
+
+
+def test_a_number_that_is_not_that_of_the_record():
+    text = "17<!-- paper_fig3.steps_4_configurations --> steps, 17 mm"
+    (number,) = numbers(text)
+    assert (number.typed, number.record) == ("17", "5")
+    assert renewed(text) == text.replace("17", "5", 1)
+
+
+@pytest.mark.parametrize(
+    ("value", "like", "text"),
+    [
+        (538.3, "540", "540"),
+        (1591.2, "1 200", "1 600"),
+        (0.4494, "0.51", "0.45"),
+        (8.009, "7.4", "8.0"),
+        (-36.49, "-35.0", "-36.5"),
+        (1.93e-9, "3e-9", "2e-9"),
+        (1.16e-5, "1.3e-5", "1.2e-5"),
+        (100, "30", "100"),
+        (0, "3", "0"),
+        (3, "0", "3"),
+    ],
+)
+def test_numbers_are_written_to_the_digits_that_stand_there(value, like, text):
+    assert written(value, like) == text
+
+
+def test_goals_are_shown_with_their_verdict():
+    content = {
+        "figures": {"nodes": 525, "time_s": 2.0, "error_mm": 0.5, "solver": "PARDISO"},
+        "goals": {
+            "time_s": {"goal": "at most 1", "met": False},
+            "error_mm": {"goal": "at most 1", "met": True},
+        },
+    }
+    assert [*rows(content)] == [
+        ("time_s", "2", "at most 1", "**missed**"),
+        ("error_mm", "0.5", "at most 1", "met"),
+        ("nodes", "525", "", ""),
+        ("solver", "PARDISO", "", ""),
+    ]
+    assert goals_of(content) == "1 of 2"
+    assert goals_of({"goals": {}}) == "none set"
+
+
+def commands():
+    """Commands of `softcal` in README and docs: subcommand and options, by page."""
+    for page in [ROOT / "README.md", *PAGES]:
+        blocks = re.findall(r"(?ms)^```sh$(.*?)^```$", page.read_text())
+        lines = [line for block in blocks for line in block.splitlines()]
+        lines += re.findall(r"`(softcal [^`]+)`", prose(page).replace("\n", " "))
+        for line in lines:
+            for part in re.split(r"&&|[>|;]", line):
+                words = shlex.split(part, comments=True)
+                if words and words[0].endswith("softcal"):
+                    yield page.name, words[1:]
+
+
+def test_the_commands_that_are_shown_exist_with_their_options():
+    known = set(re.findall(r"(?m)^ {4}([a-z]\w*)(?: |$)", help_text("")))
+    seen = set()
+    for page, words in commands():
+        if not words or words[0].startswith("-"):
+            continue
+        assert words[0] in known, (page, words)
+        deeper = words[0] == "export" or words[:2] == ["sweep", "show"]
+        command = " ".join(words[: 2 if deeper and len(words) > 1 else 1])
+        seen.add(command)
+        for option in (word for word in words if word.startswith("-")):
+            name = option.partition("=")[0]
+            assert re.search(rf"(?<![\w-]){name}(?![\w-])", help_text(command)), (
+                page,
+                words,
+            )
+    assert {"calibrate", "new", "sweep show", "export sofa"} <= seen
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda p: p.stem)
+def test_the_names_that_are_shown_exist(page):
+    """Like `sc.calibrate`, and `softcal_jax.fields.Uncertain`."""
+    dotted_names = r"(?<![\w/.])((?:sc|softcal_jax)(?:\.[A-Za-z]\w*)+)"
+    for dotted in re.findall(dotted_names, page.read_text()):
+        names = dotted.split(".")[1:]
+        if dotted == "softcal_jax.laws":  # the name of an entry point
+            continue
+        value = sc
+        for i, name in enumerate(names, 1):
+            if not hasattr(value, name):  # a package that is not imported yet
+                importlib.import_module(".".join(["softcal_jax", *names[:i]]))
+            value = getattr(value, name)
+
+
+def test_the_pictures_of_the_guide_are_small_and_shown():
+    page = (DOCS / "guide/verdict.md").read_text()
+    shown = set(re.findall(r"\]\(figures/([\w.]+)\)", page))
+    assert shown == {path.name for path in FIGURES.iterdir()}
+    assert all(path.stat().st_size <= MOST_BYTES for path in FIGURES.iterdir())
+
+
+@pytest.mark.slow
+def test_the_pictures_of_the_guide_are_drawn(tmp_path):
+    spec = importlib.util.spec_from_file_location("figures", DOCS / "figures.py")
+    assert spec
+    assert spec.loader
+    figures = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(figures)
+    figures.draw(tmp_path)
+    drawn = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+    assert set(drawn) == set(figures.FIGURES) == {p.name for p in FIGURES.iterdir()}
+    assert max(drawn.values()) <= MOST_BYTES
+
+
 def test_errors_and_warnings_are_found():
     names = [kind.__name__ for kind in raised()]
     assert {"ProjectError", "ResultError", "CalibrationWarning"} <= set(names)
@@ -118,6 +255,22 @@ def test_project_files_with_a_mistake_are_refused_for_it(change):
     assert value
     assert key
     assert any(word in message for word in (value[1] or value[2], key[0], "TOML"))
+
+
+def test_every_message_has_an_anchor_of_its_own():
+    listed = [message for own in messages().values() for message in own]
+    assert len(listed) > 500
+    assert len({anchor(message) for message in listed}) == len(listed)
+    assert "candidates: there are none; add [[candidates]]." in listed
+
+
+def test_what_a_project_file_is_told_is_among_the_messages():
+    """But for keys that are unknown or missing, and kinds: those have a place above."""
+    listed = [message for own in messages().values() for message in own]
+    patterns = [re.escape(m).replace(re.escape(VALUE), ".*") for m in listed]
+    said = [refusal(change).message for change in REFUSED]
+    found = [any(re.search(p, text, re.S) for p in patterns) for text in said]
+    assert sum(found) >= len(said) - 5
 
 
 def test_the_project_file_that_is_changed_is_right():
@@ -260,5 +413,11 @@ def test_the_pages_build_without_a_warning_and_need_no_network(tmp_path):
     for style in styles:
         text = style.read_text(encoding="utf-8")
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", text), style
+    recorded = (html / "evidence/records.html").read_text(encoding="utf-8")
+    for name in committed():
+        assert f'id="record-{name.replace("_", "-")}"' in recorded, name
+        plot = re.search(rf'src="\.\./(_images/{name}\d*\.png)"', recorded)
+        assert plot, name
+        assert (html / plot[1]).is_file()
     theory = (html / "reference/theory.html").read_text(encoding="utf-8")
     assert "_static/mathjax/tex-chtml.js" in theory

@@ -22,6 +22,7 @@ from docutils import nodes
 from docutils.parsers.rst import Directive
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from sphinx.domains.python import PyObject
 from sphinx.util.docutils import SphinxDirective
 
 import softcal_jax
@@ -311,10 +312,21 @@ def short_signature(
     return short(signature), short(returns)
 
 
+def short_types(app: Any, domain: str, objtype: str, content: nodes.Element) -> None:
+    """Call arrays as the code does in the type of a property, too."""
+    for text in [*content.parent.findall(nodes.Text)]:
+        if text.parent and (short := ARRAY.sub("Array", text)) != text:
+            text.parent.replace(text, nodes.Text(short))
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Register the directives, and the reader of docstrings after that of sections."""
     app.connect("autodoc-process-docstring", as_it_reads, priority=900)
     app.connect("autodoc-process-signature", short_signature)
+    app.connect("object-description-transform", short_types)
+    for kind in PyObject.doc_field_types:
+        if kind.name == "variable":
+            kind.label = "Attributes"  # as docstrings call them, not "Variables"
     for directive in (Help, Message, Refusal, Raised, Names, Licences, Shown):
         app.add_directive(directive.__name__.lower(), directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
