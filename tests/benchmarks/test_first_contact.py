@@ -38,7 +38,8 @@ def test_a_page_of_its_own_is_clean(page):
 
 
 def test_an_open_page_answers(page):
-    page.write_text("<!DOCTYPE html><title>a</title><p>b")
+    viewport = "<meta name=viewport content=width=device-width>"
+    page.write_text(f"<!DOCTYPE html>{viewport}<title>a</title><p>b")
     with _browser.opened(page) as tab:
         assert tab.ask("Promise.resolve([document.title, 1])") == ["a", 1]
         for width in (360, 1200):
