@@ -29,21 +29,25 @@ from softcal_jax.export._json import (
     result_dict,
     simulation_dict,
 )
+from softcal_jax.export._made import Made, made_dict
 from softcal_jax.export._plain import write_json
 from softcal_jax.export._pvd import write_pvd
-from softcal_jax.export._source import source_dict
+from softcal_jax.export._source import file_dict, source_dict
 from softcal_jax.export._vtu import write_vtu
 from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
     "RESULT_FORMAT",
     "IceslResult",
+    "Made",
     "Readable",
     "budget_dict",
     "check_results_folder",
     "comparison_dict",
+    "file_dict",
     "file_stems",
     "identifiability_dict",
+    "made_dict",
     "outlook_dict",
     "read_foam_table",
     "readable_estimate",

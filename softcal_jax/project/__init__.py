@@ -1,7 +1,7 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
 from softcal_jax.project._as_read import QuantityAsRead, quantities_as_read
-from softcal_jax.project._compare import compare_projects
+from softcal_jax.project._compare import compare_projects, projects_by_name
 from softcal_jax.project._guesses import CHANGE, Guess, guesses_left
 from softcal_jax.project._load import load_mesh, load_project
 from softcal_jax.project._plausibility import ProjectWarning
@@ -28,6 +28,7 @@ __all__ = [
     "load_project",
     "one_by_one",
     "parse_in_si",
+    "projects_by_name",
     "quantities_as_read",
     "read_schema",
     "read_toml",

@@ -81,7 +81,11 @@ def calibration_page(
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
         Section("fit", "Course of the fit", _course(result)),
         Section("inner", "Correlation and singular values", _inner(found)),
-        Section("repeat", "Repeat it", repeat_html(data)),
+        Section(
+            "repeat",
+            "Repeat it",
+            repeat_html("calibrate", "calibration", [data["source"]]),
+        ),
         Section("made", "Settings, versions and times", made_html(data)),
     ]
     verdict = verdict_of(result, found)
@@ -97,7 +101,12 @@ def simulation_page(
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
         Section("pictures", "Pictures", _pictures(data, folder)),
-        Section("made", "Versions and times", made_html(data)),
+        Section(
+            "repeat",
+            "Repeat it",
+            repeat_html("simulate", "simulation", [data["source"]]),
+        ),
+        Section("made", "Settings, versions and times", made_html(data)),
     ]
     verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
     return page(data["name"], "Simulation", verdict, sections, index="simulation.json")
