@@ -11,6 +11,7 @@ from softcal_jax.report._load import (
 from softcal_jax.report._mesh_lines import mesh_lines
 from softcal_jax.report._notebook import notebook_html
 from softcal_jax.report._outline import control_point_sets, outline, roles_of
+from softcal_jax.report._sweep_page import check_sweep_page, write_sweep
 from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (
     PictureWarning,
@@ -25,6 +26,7 @@ __all__ = [
     "PictureWarning",
     "ResultError",
     "ResultWarning",
+    "check_sweep_page",
     "control_point_sets",
     "export_icesl",
     "export_inp",
@@ -41,4 +43,5 @@ __all__ = [
     "write_identifiability",
     "write_results",
     "write_simulation",
+    "write_sweep",
 ]

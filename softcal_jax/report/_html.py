@@ -147,6 +147,7 @@ def page(
     sections: Sequence[Section],
     *,
     index: str,
+    units: str = "SI and mm",
 ) -> str:
     """Write a whole page.
 
@@ -156,6 +157,7 @@ def page(
         verdict: What stands first.
         sections: What follows; those without content are left out.
         index: File of the same numbers for programs, beside the page.
+        units: Units in that file.
     """
     shown = [own for own in sections if own.content]
     head = node(
@@ -180,7 +182,7 @@ def page(
         node(
             "footer",
             f"Written by softcal_jax {installed_version('softcal-jax')} on {when}. The "
-            "same numbers for programs, in SI and mm: ",
+            f"same numbers for programs, in {units}: ",
             node("a", index, href=index),
             ".",
         ),
