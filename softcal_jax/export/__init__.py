@@ -22,6 +22,7 @@ from softcal_jax.export._folder import (
 from softcal_jax.export._icesl import write_icesl
 from softcal_jax.export._icesl_report import IceslResult
 from softcal_jax.export._inp import write_inp
+from softcal_jax.export._inverse import inverse_dict
 from softcal_jax.export._json import (
     RESULT_FORMAT,
     identifiability_dict,
@@ -47,6 +48,7 @@ __all__ = [
     "file_dict",
     "file_stems",
     "identifiability_dict",
+    "inverse_dict",
     "made_dict",
     "outlook_dict",
     "read_foam_table",

@@ -6,7 +6,14 @@ from typing import NamedTuple
 from softcal_jax.identifiability import Tone
 
 _WORDS = {"role", "effector", "actuator", "rigid body", "state", "of", "file"}
-_WORDS |= {"outcome", "verdict", "standard error over the value", "kind", "SHA-256"}
+_WORDS |= {
+    "outcome",
+    "verdict",
+    "start",
+    "standard error over the value",
+    "kind",
+    "SHA-256",
+}
 """Columns of words; the others hold numbers."""
 
 

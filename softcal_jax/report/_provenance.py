@@ -57,6 +57,20 @@ def repeat_html(
     return [*content, files_html([file for own in known for file in files_of(own)])]
 
 
+def inverse_repeat_html(data: Mapping[str, Any], options: Sequence[str]) -> list[Html]:
+    """Give the command that repeats an inverse run, and what it was computed from."""
+    own, files = data["calibration"], []
+    if own is None:
+        text = "This was computed in Python, so there is no command that repeats it."
+        content = [node("p", text)]
+    else:
+        content = [command_html(["inverse", own["file"], *options, "-o", REPEATED])]
+        files.append(own)
+    if data["source"] is not None:
+        files += files_of(data["source"])
+    return [*content, files_html(files)] if files else content
+
+
 def command_html(words: Sequence[str]) -> Html:
     """Show a command of softcal that is given in the folder of the page."""
     code = node("code", shlex.join(["softcal", *words]))

@@ -256,9 +256,7 @@ def _write(
     drawn: Drawn,
 ) -> Path:
     """Write all files, and last the index, which lists them."""
-    problem = None if drawn.suffix is None else rendering_problem()
-    if problem is not None:  # warn before the work is done
-        warnings.warn(problem, PictureWarning, stacklevel=3)
+    problem = None if drawn.suffix is None else picture_problem()
     with results_folder(directory, force=force) as folder:
         files = _write_tables(folder, result)
         files += _write_bodies(folder, result, data)
@@ -276,6 +274,14 @@ def _write(
         (folder / REPORT).write_text(page(data, folder), encoding="utf-8")
         write_json(folder / index, data)
     return directory
+
+
+def picture_problem() -> str | None:
+    """Say why bodies cannot be drawn, and warn of it; None if they can."""
+    problem = rendering_problem()
+    if problem is not None:  # warn before the work is done
+        warnings.warn(problem, PictureWarning, stacklevel=4)
+    return problem
 
 
 def _write_tables(folder: Path, result: Result) -> list[str]:
