@@ -17,12 +17,13 @@ from softcal_jax.report._robot import actuator_row
 
 
 def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
-    """Say whether the goals are met."""
+    """Say whether the goals are met, and by which command."""
     if isinstance(result, TrajectoryResult):
         missed = tuple(result.points[i].message for i in result.unmet)
         tone = "doubtful" if missed or not result.points else "good"
         return RunVerdict(result.headline, tone, missed)
-    return RunVerdict(result.message, "good" if result.met else "doubtful")
+    reasons = (f"Commanded: {_inputs(result)}.",)
+    return RunVerdict(result.message, "good" if result.met else "doubtful", reasons)
 
 
 def inverse_html(result: InverseResult) -> list[Html]:
@@ -39,10 +40,8 @@ def trajectory_html(result: TrajectoryResult) -> list[Html]:
     """Show the commands along a trajectory, and how close each goal is."""
     rows = []
     for i, point in enumerate(result.points, 1):
-        asked = point.configuration.actuation
-        inputs = (_input(own) for own in point.actuators if own.name in asked)
         outcome = Cell(point.message, "good" if point.met else "bad")
-        rows.append((str(i), ", ".join(inputs), outcome))
+        rows.append((str(i), _inputs(point), outcome))
     columns = "goal", "inputs", "outcome"
     goals = [
         (f"goal {i}, {_titled(fit)}", fit)
@@ -101,6 +100,12 @@ def actuator_table(result: InverseResult) -> Table:
             )
         )
     return described("Actuators", columns, rows)
+
+
+def _inputs(result: InverseResult) -> str:
+    """Write what is commanded."""
+    asked = result.configuration.actuation
+    return ", ".join(_input(own) for own in result.actuators if own.name in asked)
 
 
 def _input(own: ActuatorState) -> str:

@@ -83,8 +83,8 @@ def write_inverse(
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = inverse_dict(result, name=name, timing_s=timing_s, **more)
     names = [
-        point.configuration.name if len(points) == 1 else f"goal {i}"
-        for i, point in enumerate(points, start=1)
+        "command" if len(points) == 1 else f"goal {i}"
+        for i in range(1, len(points) + 1)
     ]
     drawn = None if pictures is None else picture_problem()
     data["notes"] = [*notes, *([drawn] if drawn else [])]
@@ -143,7 +143,7 @@ def _write_body(
             model,
             u,
             folder / files[-1],
-            title=f"{title} - inverse control",
+            title=f"{title} - inverse control from {point.configuration.name!r}",
             subtitle=words,
             measured=np.array(goals) if fits else None,
             simulated=np.array([fit.reached for fit in fits]) if fits else None,

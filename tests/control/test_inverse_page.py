@@ -79,12 +79,14 @@ def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
     assert data["met"]
     assert point["met"]
     assert point["message"] in page.text
+    assert page.text.count("Commanded: top = ") == 1
     assert data["notes"] == ["mind the gap", "no OpenGL here"]
     assert page.text.index("mind the gap") < page.text.rindex("Goals and actuators")
     _, row = page.tables["Goals"]
     (goal,) = point["goals"]
     assert (row[0], goal["unit"]) == ("bend", "rad")
-    assert in_si(row[1]) == pytest.approx(goal["goal"][0]) == pytest.approx(0.2)
+    assert goal["goal"] == [pytest.approx(0.2)]
+    assert in_si(row[1]) == pytest.approx(0.2, rel=1e-3)
     assert in_si(row[2]) == pytest.approx(goal["reached"][0], rel=1e-3)
     assert abs(goal["in_std"][0]) <= point["tol"]
     _, *rows = page.tables["Actuators"]
@@ -101,6 +103,7 @@ def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
         assert number(row[2]) == pytest.approx(own["error"], rel=1e-2)
     assert "computed in Python, so there is no command" in page.text
     assert [row[0] for row in page.tables["Files"]] == data["files"]
+    assert "command.vtu" in data["files"]
     assert set(data["files"]) == {path.name for path in folder.iterdir()} - {
         "inverse.json"
     }
