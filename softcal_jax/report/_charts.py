@@ -304,7 +304,7 @@ def _scatter(
         parts.append(_text(text, "0", y(value) - 3))
     parts += [_dot(x(at), y(value)) for at, value in zip(where, own, strict=True)]
     for end, anchor in ((left, "start"), (right, "end")):
-        parts.append(_text(f"{end:.4g}", x(end), 190, text_anchor=anchor))
+        parts.append(_text(_short(end), x(end), 190, text_anchor=anchor))
     label = f"{name} of {len(own)} trials over {axis}"
     caption = f"Over {axis}: one dot per trial."
     return figure(_chart(label, 196, parts), caption, title=name)

@@ -95,11 +95,16 @@ def _sweep_page(
     timing_s: Mapping[str, float],
 ) -> str:
     found = summarise(result)
-    axes = list(result.axes)
+    points = [*result.planned.values(), *(row.point for row in result.rows)]
+    in_words = [
+        axis
+        for axis in result.axes
+        if not all(isinstance(point[axis], int | float) for point in points)
+    ]
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
     table = lambda title, own: table_html(
-        described(title, own.head, own.rows, words=[*axes, "which"])
+        described(title, own.head, own.rows, words=[*in_words, "which"])
     )
     best = [] if found.best is None else [node("p", found.best_in_words)]
     best += [] if found.best is None else [table("Best trials", found.best)]

@@ -54,7 +54,7 @@ class SweepSummary(NamedTuple):
         headline: How many trials have ended, and how.
         tone: How that is meant.
         doubts: What failed, did not converge or is left to do.
-        notes: What trials have noted, each with the number of trials.
+        notes: What trials that converged have noted, each with their number.
         varied: What was varied.
         best: Trials with the smallest error; None if there are none with an error.
         best_in_words: The error of the first of them, and where.
@@ -95,7 +95,7 @@ def summarise(result: SweepResult) -> SweepSummary:
         headline=headline(result),
         tone="bad" if bad and not good else tone,
         doubts=tuple(_doubts(result, bad)),
-        notes=_notes(result.rows),
+        notes=_notes(good),
         varied=_varied(result),
         best=best,
         best_in_words=best_in_words,
