@@ -13,6 +13,7 @@ import pyvista
 from anisotropic_project import write_measured_project
 from small_project import write_small_project
 
+from softcal_jax._files import sha256_of
 from softcal_jax.cli import _commands, main
 from softcal_jax.robots import silicone_beam_path
 
@@ -258,6 +259,11 @@ def test_identify(tmp_path, out, capsys):
     assert f"Results in {out}: {files}" in printed
     data = json.loads((out / "identifiability.json").read_text())
     assert data["identifiability"]["verdict"] == "weakly identifiable"
+    assert data["source"]["project"]["sha256"] == sha256_of(path)
+    assert data["settings"]["newton"]["max_steps"] == 8
+    page = (out / "report.html").read_text()
+    command = f"softcal identify {data['source']['project']['file']} -o repeated"
+    assert command in page
     assert [c["name"] for c in data["ranking"]["candidates"]] == ["upside down"]
     assert [c["name"] for c in data["ranking"]["unranked"]] == ["crushed"]
     words = (out / "identifiability.txt").read_text()

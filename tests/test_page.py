@@ -26,7 +26,8 @@ from softcal_jax.calibration import (
     ProjectSource,
     SourceFile,
 )
-from softcal_jax.equilibrium import build_model
+from softcal_jax.equilibrium import NewtonSettings, build_model
+from softcal_jax.export import Made
 from softcal_jax.identifiability import identifiability
 from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
@@ -331,6 +332,42 @@ def test_command_and_hashes(tmp_path):
     assert page.tables["Changes"][1:] == [["material.nu", "0.4"]]
     page, _ = written(tmp_path / "none", make_result())
     assert "made in Python, without a project file" in page.text
+
+
+@pytest.mark.parametrize("command", ["simulate", "identify", "compare"])
+def test_command_and_hashes_of_the_other_runs(tmp_path, command):
+    """One mechanism: what was solved is named as it is of a calibration."""
+    model = small_model()
+    of = lambda name: Made(
+        model,
+        {"newton": NewtonSettings(rtol=1e-7)},
+        ProjectSource(
+            SourceFile(tmp_path / f"{name}.toml", f"aa{name}"),
+            (SourceFile(tmp_path / "body.msh", "bb"),),
+            {},
+        ),
+    )
+    folder, named = tmp_path / "out", {"a": of("a")}
+    setting = "newton.rtol"
+    if command == "simulate":
+        write_simulation(make_simulation_result(model), folder, made=of("a"))
+    elif command == "identify":
+        write_identifiability(None, make_ranking(), folder, made=of("a"))
+    else:
+        named, setting = {"a": of("a"), "b": of("b")}, "b.newton.rtol"
+        models = [score(name, [1.0, 1.1, 0.9]) for name in ("b", "a")]
+        write_comparison(ModelComparison.ranked(models), folder, made=named)
+    page = check_page(folder)
+    files = [f"../{name}.toml" for name in named]
+    assert f"softcal {command} {' '.join(files)} -o repeated" in page.text
+    rows = dict(page.tables["Files that were read"][1:])
+    assert rows == {
+        **{f"../{name}.toml": f"aa{name}" for name in named},
+        "../body.msh": "bb",
+    }
+    assert dict(page.tables["Settings"])[setting] == "1e-07"
+    data = json.loads(next(folder.glob("*.json")).read_text())
+    assert dict(page.tables["Versions"]) == data["versions"] != {}
 
 
 def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):

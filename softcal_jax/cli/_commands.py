@@ -30,6 +30,7 @@ from softcal_jax.cli._writing import (
 if TYPE_CHECKING:
     from softcal_jax.calibration import CalibrationResult
     from softcal_jax.configurations import Configuration
+    from softcal_jax.export import Made
     from softcal_jax.identifiability import Assessment, Identifiability, Ranking
     from softcal_jax.project import Project
 
@@ -164,7 +165,7 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
 
     def write(where: Path, force: bool) -> Path:
         more = {"traces": project.traces, **_options(project, show, force=force)}
-        more |= pictures_with_a_bar(args, show)
+        more |= {"made": _made(project), **pictures_with_a_bar(args, show)}
         return report.write_simulation(result, where, **more)
 
     write_results(write, args, show, index="simulation.json", force=args.force)
@@ -193,15 +194,16 @@ def identify(args: argparse.Namespace, show: Display) -> int:
             ranking = project.rank_candidates(progress=equilibrium_lines(show))
     show.lap("solve")
     _print_outlook(project, found, ranking, show)
+    made = _made(project, "precision")
     if args.output is None:
-        laps = {"name": project.name, "timing_s": dict(show.laps)}
-        show.document(outlook_dict(found, ranking, **laps))
+        more = {"name": project.name, "timing_s": dict(show.laps)}
+        show.document(outlook_dict(found, ranking, **more, made=made))
         show.times()
         return OK
 
     def write(where: Path, force: bool) -> Path:
         more = _options(project, show, force=force)
-        return report.write_identifiability(found, ranking, where, **more)
+        return report.write_identifiability(found, ranking, where, **more, made=made)
 
     write_results(write, args, show, index="identifiability.json", force=args.force)
     return OK
@@ -231,6 +233,14 @@ def _print_outlook(
 def _options(project: "Project", show: Display, *, force: bool) -> dict[str, Any]:
     """Return what every results folder is written with."""
     return {"name": project.name, "force": force, "timing_s": dict(show.laps)}
+
+
+def _made(project: "Project", *settings: str) -> "Made":
+    """Say what a project was solved with, and with which more of its settings."""
+    from softcal_jax.export import Made
+
+    more = {name: getattr(project, name) for name in settings}
+    return Made(project.model, {**more, "newton": project.newton}, project.source)
 
 
 def _names(group: "Sequence[Configuration]") -> str:

@@ -33,8 +33,8 @@ def compare(args: argparse.Namespace, show: Display) -> int:
     if args.output is not None:
         check_folder(args)
     from softcal_jax import report
-    from softcal_jax.export import comparison_dict
-    from softcal_jax.project import compare_projects
+    from softcal_jax.export import Made, comparison_dict
+    from softcal_jax.project import compare_projects, projects_by_name
 
     projects = [load(path, show) for path in args.projects]
     n = sum(len(project.calibration) + 1 for project in projects)
@@ -44,18 +44,21 @@ def compare(args: argparse.Namespace, show: Display) -> int:
             projects, progress=lambda name: show.now(f"fits of {name}")
         )
     show.lap("solve")
+    made = {
+        name: Made(project.model, {"newton": project.newton}, project.source)
+        for name, project in projects_by_name(projects).items()
+    }
     show.line()
     show.line(str(comparison))
     if args.output is None:
-        show.document(comparison_dict(comparison, timing_s=dict(show.laps)))
+        more = {"timing_s": dict(show.laps), "made": made}
+        show.document(comparison_dict(comparison, **more))
         show.times()
     else:
 
         def write(where: Path, force: bool) -> Path:
-            laps = dict(show.laps)
-            return report.write_comparison(
-                comparison, where, force=force, timing_s=laps
-            )
+            more = {"timing_s": dict(show.laps), "made": made}
+            return report.write_comparison(comparison, where, force=force, **more)
 
         write_results(write, args, show, index="comparison.json", force=args.force)
     if comparison.best is None:

@@ -23,6 +23,7 @@ from softcal_jax.cli._console import (
 )
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._export import add_export
+from softcal_jax.cli._inverse import add_inverse
 from softcal_jax.cli._mesh import add_mesh
 from softcal_jax.cli._new import add_new
 from softcal_jax.cli._shared import (
@@ -50,6 +51,7 @@ examples:
   softcal identify my_robot/project.toml  would the data suffice? before measuring
   softcal mesh finger.step -o finger.msh  from CAD to tets, with a picture
   softcal compare a.toml b.toml           which law or mesh predicts best?
+  softcal inverse results --goal tip="(60, 8, 2) mm" -o command   which pressure?
   softcal export inp results -o job.inp   the calibrated model for CalculiX, Abaqus
   softcal export sofa results -o scene    a scene of SOFA, calibrated again for it
   softcal export icesl results -o print   its moduli as graded foam, to be printed
@@ -60,8 +62,8 @@ examples:
 exit codes:
     0  done: what was asked for is written, the numbers are those of a converged solve,
        and what to doubt about them is said last
-    1  not converged, or no equilibrium: do not use the values; what was found is
-       written, marked as such, where the command says so
+    1  not converged, no equilibrium, or a goal that is not met: do not use the values
+       as they are; what was found is written, marked as such, where the command says so
     2  bad input: an argument, a file or what it says; nothing was solved or written,
        unless the message says so
   130  interrupted by Ctrl-C or SIGTERM; the message says what stands
@@ -208,6 +210,7 @@ ranked by what measuring them as well would add.""",
     add_check(commands, raw)
     add_mesh(commands, raw)
     add_compare(commands, raw)
+    add_inverse(commands, raw)
     add_export(commands, raw)
     add_sweep(commands, raw)
     add_tags(commands, raw)

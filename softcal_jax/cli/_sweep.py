@@ -3,6 +3,7 @@
 import argparse
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from softcal_jax.cli._shared import (
@@ -41,6 +42,9 @@ A sweep file names a project file and the axes of the sweep:
 Each trial is a row of an SQLite file as soon as it has ended. A sweep that was stopped
 or killed goes on when the same command is given again.
 
+At the end, and when it is stopped, its page is written beside the database:
+sweep_report.html for sweep.sqlite.
+
 With --json each trial that ends is one line of JSON.
 
 exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input,
@@ -60,7 +64,8 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     """Run a sweep file, or resume it."""
     import jax
 
-    from softcal_jax.sweeps import load_sweep, sweep_table
+    from softcal_jax.report import check_sweep_page, write_sweep
+    from softcal_jax.sweeps import load_sweep, read_sweep, sweep_table
 
     # Only a program may set this, for itself and its workers; a library must not.
     jax.config.update("jax_enable_x64", True)
@@ -70,6 +75,8 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
         loaded = load_sweep(args.sweep)
     show.lap("reading")
     database = args.output or loaded.database
+    with bad_input():
+        check_sweep_page(database)
     ended, tell = 0, _progress_lines(show)
 
     def progress(now: "Progress") -> None:
@@ -88,17 +95,25 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
                 progress=progress,
             )
     except KeyboardInterrupt:
-        raise Stop(
-            INTERRUPTED,
+        text = (
             f"interrupted: {ended} of {len(loaded.points)} trials are in {database}; "
-            "the same command goes on from there.",
-        ) from None
+            "the same command goes on from there."
+        )
+        with suppress(OSError, ValueError):  # of a disk that is full, or no database
+            page = write_sweep(
+                read_sweep(database), database, sweep=loaded, timing_s=show.laps
+            )
+            text += f" Their page is {page}."
+        raise Stop(INTERRUPTED, text) from None
     except RuntimeError as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error
     show.lap("trials")
     show.line()
     show.line(sweep_table(result, width=show.console.width))
     show.line(f"Rows in {database}; `softcal sweep show {database}` has more.")
+    with bad_input():
+        page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
+    show.line(f"Open {page} in a browser to read them.")
     show.times()
     bad = len(result.rows) - len(result.of_state("converged"))
     if bad:

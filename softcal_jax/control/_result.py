@@ -6,8 +6,12 @@ import numpy as np
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
-from softcal_jax.configurations import Configuration, EffectorRecord
-from softcal_jax.equilibrium import EquilibriumSolution
+from softcal_jax.configurations import (
+    Configuration,
+    EffectorRecord,
+    ImposedDisplacement,
+)
+from softcal_jax.equilibrium import ActuatorState, EquilibriumSolution, Model
 
 LISTED = 4
 """Goals that a message lists."""
@@ -180,6 +184,7 @@ class InverseResult(Result):
         steps: The descent that led here, step by step.
         attempts: All descents that were tried.
         tol: Error at which a goal counts as met, in standard deviations [-].
+        model: The model.
     """
 
     outcome: OUTCOMES
@@ -194,6 +199,7 @@ class InverseResult(Result):
     steps: tuple[StepRecord, ...]
     attempts: tuple[Attempt, ...]
     tol: float
+    model: Model
 
     @property
     def met(self) -> bool:
@@ -224,6 +230,31 @@ class InverseResult(Result):
 
     def _words(self) -> str:
         return self.message
+
+    @property
+    def actuators(self) -> tuple[ActuatorState, ...]:
+        """What all actuators do, with units; commanded are those in the actuation."""
+        own = self.model.mechanism.actuators
+        asked = self.configuration.actuation
+        return tuple(
+            ActuatorState(
+                name=name,
+                kind=kind.noun,
+                imposed="displacement"
+                if isinstance(asked.get(name), ImposedDisplacement)
+                or (name not in asked and motor >= 0)  # it stays at its zero
+                else "force",
+                force=self.forces[name],
+                force_unit=kind.force_unit,
+                displacement=None
+                if kind.displacement_unit is None
+                else self.displacements[name],
+                displacement_unit=kind.displacement_unit,
+            )
+            for name, kind, motor in zip(
+                own.names, own.kinds, own.motor_body, strict=True
+            )
+        )
 
     @property
     def inputs(self) -> Float[HostArray, " n_inputs"]:

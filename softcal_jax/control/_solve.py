@@ -207,4 +207,5 @@ def _result(command: Command, found: Found) -> InverseResult:
         steps=records,
         attempts=found.attempts,
         tol=command.settings.tol,
+        model=command.model,
     )

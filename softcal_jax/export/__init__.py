@@ -22,6 +22,7 @@ from softcal_jax.export._folder import (
 from softcal_jax.export._icesl import write_icesl
 from softcal_jax.export._icesl_report import IceslResult
 from softcal_jax.export._inp import write_inp
+from softcal_jax.export._inverse import inverse_dict
 from softcal_jax.export._json import (
     RESULT_FORMAT,
     identifiability_dict,
@@ -29,21 +30,26 @@ from softcal_jax.export._json import (
     result_dict,
     simulation_dict,
 )
+from softcal_jax.export._made import Made, made_dict
 from softcal_jax.export._plain import write_json
 from softcal_jax.export._pvd import write_pvd
-from softcal_jax.export._source import source_dict
+from softcal_jax.export._source import file_dict, source_dict
 from softcal_jax.export._vtu import write_vtu
 from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
     "RESULT_FORMAT",
     "IceslResult",
+    "Made",
     "Readable",
     "budget_dict",
     "check_results_folder",
     "comparison_dict",
+    "file_dict",
     "file_stems",
     "identifiability_dict",
+    "inverse_dict",
+    "made_dict",
     "outlook_dict",
     "read_foam_table",
     "readable_estimate",

@@ -1,8 +1,10 @@
 """A comparison of models as a dictionary for JSON."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from softcal_jax.export._made import Made, made_dict
 from softcal_jax.export._plain import pick, plain
 from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison, ModelScore
 
@@ -12,22 +14,39 @@ def comparison_dict(
     *,
     name: str = "comparison",
     timing_s: Mapping[str, float] | None = None,
+    made: Mapping[str, Made] | None = None,
+    directory: str | Path = ".",
 ) -> dict[str, Any]:
     """Build the content of `comparison.json`.
 
-    Keys: `format`, `name`, `verdict`, `best` (null if no model predicts everything),
+    Keys: `format`, `name`; `sources` and `settings` by model (see `made_dict`),
+    `versions`; `verdict`, `best` (null if no model predicts everything),
     `undecided`, `level`; `models`, the best first (`name`, `n_parameters`,
     `held_out_rms_mm`, `held_out_noise_rms`, `score`, `standard_error`, `fit_rms_mm`,
     `fit_noise_rms`, `fit_failure`, `verdict` of the identifiability, `folds` with
     `held_out`, `rms_mm`, `noise_rms`, `fit_rms_mm`, `failure`); `differences` from the
     first (`name`, `difference`, `standard_error`, `half_width`, `n`, `told_apart`);
     `timing_s` [s]. Scores and differences are squares in units of the noise.
+
+    Args:
+        comparison: The comparison.
+        name: Its name.
+        timing_s: Wall time per part [s].
+        made: What each model was computed from and with, by its name, in the order in
+            which they were given.
+        directory: Folder that the file is for.
     """
+    own = {model: made_dict(of, directory) for model, of in (made or {}).items()}
     best = comparison.best
     return plain(
         {
             "format": "softcal_jax.comparison/1",
             "name": name,
+            "sources": {model: of["source"] for model, of in own.items()},
+            "settings": {model: of["settings"] for model, of in own.items()},
+            "versions": {
+                k: v for of in own.values() for k, v in of["versions"].items()
+            },
             "verdict": comparison.verdict,
             "best": best and best.name,
             "undecided": comparison.undecided,

@@ -16,12 +16,14 @@ INDEX_FILES = (
     "simulation.json",
     "identifiability.json",
     "comparison.json",
+    "inverse.json",
     "robot.json",
     "icesl.json",
 )
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 
-_RESERVED = {"budget", "convergence", "markers", "report", "result", "simulation"}
+_RESERVED = {"budget", "convergence", "inverse", "markers", "report", "result"}
+_RESERVED |= {"simulation"}
 """Stems of the other files of a results folder."""
 
 _ENDINGS = ("", "_robot", "_recording")

@@ -20,6 +20,7 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.export._budget import budget_dict
+from softcal_jax.export._made import Made, made_dict
 from softcal_jax.export._plain import pick, plain, versions
 from softcal_jax.export._source import source_dict
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
@@ -155,15 +156,19 @@ def simulation_dict(
     *,
     name: str = "simulation",
     timing_s: Mapping[str, float] | None = None,
+    made: Made | None = None,
+    directory: str | Path = ".",
 ) -> dict[str, Any]:
     """Convert a forward simulation to the content of `simulation.json`.
 
-    Keys: `format`, `name`, `converged` (whether all did); `configurations` (`name`,
+    Keys: `format`, `name`, `converged` (whether all did); `source`, `settings` and
+    `versions` (see `made_dict`; without `made`, the first two say nothing);
+    `configurations` (`name`,
     `converged`, `outcome`, `newton_steps`, `load_steps`, `residual`, `rounding`,
     `at_rounding`, `min_det_F`, `largest_displacement_mm`, `markers` and other points
     with `name`, `at_rest_mm`, `simulated_mm`, `effectors` that are not points with
     `name`, `unit`, `is_turn`, `simulated`, `robot` as in `result_dict`); `solver`;
-    `versions`; `timing_s` [s].
+    `timing_s` [s].
     Where there is no equilibrium, positions and displacement are null, and `outcome`
     says why.
     """
@@ -172,9 +177,9 @@ def simulation_dict(
             "format": "softcal_jax.simulation/1",
             "name": name,
             "converged": result.converged,
+            **made_dict(made or Made(result.model, {}), directory),
             "configurations": [_simulated(c) for c in result.configurations],
             "solver": _solver(result.model),
-            "versions": versions(result.model),
             "timing_s": timing_s or {},
         }
     )
@@ -205,10 +210,13 @@ def outlook_dict(
     *,
     name: str = "identifiability",
     timing_s: Mapping[str, float] | None = None,
+    made: Made | None = None,
+    directory: str | Path = ".",
 ) -> dict[str, Any]:
     """Build the content of `identifiability.json`.
 
-    Keys: `format`, `name`; `identifiability` (see `identifiability_dict`; null without
+    Keys: `format`, `name`; `source`, `settings` and `versions` (see `made_dict`);
+    `identifiability` (see `identifiability_dict`; null without
     configurations); `ranking` (null without candidates): `blind_before`, `candidates`,
     the best first (`name`, `d_gain`, `e_gain`, `volume`, `blind_left`, and for the
     standard error that falls most `parameter`, `before`, `after`, `value`, `unit`),
@@ -223,6 +231,7 @@ def outlook_dict(
         {
             "format": "softcal_jax.identifiability/2",
             "name": name,
+            **made_dict(made, directory),
             "identifiability": found and identifiability_dict(found),
             "ranking": ranked,
             "timing_s": timing_s or {},

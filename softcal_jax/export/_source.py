@@ -26,15 +26,16 @@ def source_dict(
         return None
     folder = source.project.path.parent
     return {
-        "project": _entry(source.project, Path(directory).resolve()),
-        "files": [_entry(file, folder) for file in source.files],
+        "project": file_dict(source.project, directory),
+        "files": [file_dict(file, folder) for file in source.files],
         "changes": plain(source.changes),
     }
 
 
-def _entry(file: SourceFile, folder: Path) -> dict[str, str]:
+def file_dict(file: SourceFile, directory: str | Path = ".") -> dict[str, str]:
+    """Convert a file to a dictionary: `file`, relative to a folder, and `sha256`."""
     try:
-        relative = os.path.relpath(file.path, folder)
+        relative = os.path.relpath(file.path, Path(directory).resolve())
     except ValueError:  # on another drive of Windows
         return {"file": file.path.as_posix(), "sha256": file.sha256}
     return {"file": Path(relative).as_posix(), "sha256": file.sha256}

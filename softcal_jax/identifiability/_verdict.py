@@ -2,6 +2,7 @@
 
 from typing import Literal, NamedTuple
 
+from softcal_jax._module import one_line
 from softcal_jax.calibration import FLAT, SMALLEST_FALL, CalibrationResult
 from softcal_jax.identifiability._assessment import Assessment
 
@@ -21,6 +22,8 @@ class RunVerdict(NamedTuple):
     sentence: str
     tone: Tone
     reasons: tuple[str, ...] = ()
+
+    __repr__ = one_line
 
 
 def verdict_of(result: CalibrationResult, found: Assessment) -> RunVerdict:

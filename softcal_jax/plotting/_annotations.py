@@ -1,6 +1,6 @@
 """Draw markers, title, scales and legend around the picture of a body."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -165,19 +165,22 @@ def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
 
 def draw_legend(
     figure: "matplotlib.figure.Figure",
-    groups: Sequence[str],
+    groups: Mapping[str, str],
     height: float,
     more: Sequence[Any] = (),
 ) -> None:
-    """Draw the legend of markers and more symbols, its middle at a height [-]."""
+    """Draw the legend of markers and more symbols, its middle at a height [-].
+
+    `groups` has the labels of "measured" and "simulated", as far as there are any.
+    """
     from matplotlib.lines import Line2D
 
     none = {"ls": "none", "path_effects": halo(5.0)}
     handles: list[Any] = []
     if "measured" in groups:
-        handles.append(Line2D([], [], label="measured", **_RING, **none))
+        handles.append(Line2D([], [], label=groups["measured"], **_RING, **none))
     if "simulated" in groups:
-        handles.append(Line2D([], [], label="simulated", **_CROSS, **none))
+        handles.append(Line2D([], [], label=groups["simulated"], **_CROSS, **none))
     if len(handles) == 2:
         handles.append(Line2D([], [], color=MEASURED, lw=2.5, label="distance"))
     handles.append(Line2D([], [], color=OUTLINE, lw=2.5, label="at rest"))

@@ -111,6 +111,7 @@ def render_body(
     robot: RobotState | None = None,
     sensors: Sequence[SensorFrame] = (),
     posed: Configuration | None = None,
+    labels: tuple[str, str] = ("measured", "simulated"),
 ) -> None:
     """Draw a deformed body, coloured by displacement, over its outline at rest.
 
@@ -127,6 +128,7 @@ def render_body(
         robot: Rigid bodies, drawn grey, and actuators with their forces.
         sensors: Poses of 6-D sensors.
         posed: The configuration, whose supports, dead loads and gravity are drawn.
+        labels: What the legend calls `measured` and `simulated`.
 
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
@@ -180,7 +182,8 @@ def render_body(
     annotations.draw_colour_scale(bar, largest)
     annotations.draw_triad(axes(20, 5, _BOTTOM - 10, _BOTTOM - 10), view)
     annotations.draw_length_scale(axes(_WIDTH - 420, 20, 400, 70), 400 / scale)
-    names = [name for name, points in groups.items() if len(points)]
+    called = dict(zip(given, labels, strict=True))
+    names = {name: called[name] for name, points in groups.items() if len(points)}
     drawn = robots.legend_handles(
         [] if picture is None else picture.kinds,
         bodies=model.mechanism.bodies.n_bodies > 0,

@@ -1,7 +1,12 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
 from softcal_jax.project._as_read import QuantityAsRead, quantities_as_read
-from softcal_jax.project._compare import compare_projects
+from softcal_jax.project._compare import compare_projects, projects_by_name
+from softcal_jax.project._goals import (
+    actuation_as_typed,
+    limits_as_typed,
+    with_goals_as_typed,
+)
 from softcal_jax.project._guesses import CHANGE, Guess, guesses_left
 from softcal_jax.project._load import load_mesh, load_project
 from softcal_jax.project._plausibility import ProjectWarning
@@ -21,15 +26,19 @@ __all__ = [
     "ProjectWarning",
     "QuantityAsRead",
     "Table",
+    "actuation_as_typed",
     "at",
     "compare_projects",
     "guesses_left",
+    "limits_as_typed",
     "load_mesh",
     "load_project",
     "one_by_one",
     "parse_in_si",
+    "projects_by_name",
     "quantities_as_read",
     "read_schema",
     "read_toml",
     "suggestion",
+    "with_goals_as_typed",
 ]

@@ -42,7 +42,8 @@ def compare_projects(
                 f"of {first.path} are {', '.join(names)}; a comparison needs the same."
             )
     problems = {
-        name: _problem(project, names) for name, project in named(projects).items()
+        name: _problem(project, names)
+        for name, project in projects_by_name(projects).items()
     }
     return compare_models(
         problems, names, starts=first.starts, seed=first.seed, progress=progress
@@ -62,7 +63,7 @@ def _problem(project: Project, names: Sequence[str]) -> CalibrationProblem:
         )
 
 
-def named(projects: Sequence[Project]) -> Mapping[str, Project]:
+def projects_by_name(projects: Sequence[Project]) -> Mapping[str, Project]:
     """Name projects by their names; where these repeat, by their files."""
     for name_of in (lambda p: p.name, lambda p: p.path.stem, lambda p: str(p.path)):
         found = {name_of(project): project for project in projects}

@@ -5,6 +5,8 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+from softcal_jax._module import one_line
+
 CHANGE = "# CHANGE: "
 """How the remark begins at the end of a line, or before one, that holds a guess."""
 
@@ -23,6 +25,8 @@ class Guess(NamedTuple):
     line: int
     text: str
     remark: str
+
+    __repr__ = one_line
 
 
 def guesses_left(path: str | os.PathLike[str]) -> tuple[Guess, ...]:

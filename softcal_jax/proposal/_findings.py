@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.proposal._body import Body, Held
 from softcal_jax.proposal._recorded import Pose, Recorded
@@ -37,6 +38,8 @@ class Findings(NamedTuple):
     recorded: Recorded | None
     own_frame: bool
     markers: tuple[MarkerPlace, ...]
+
+    __repr__ = one_line
 
     @property
     def poses(self) -> tuple[Pose, ...]:

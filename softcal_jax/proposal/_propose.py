@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.mesh import MaterialPoints, MeshWarning, TetMesh, locate, mesh_files
 from softcal_jax.project import ProjectWarning, load_project
@@ -46,6 +47,8 @@ class Proposed(NamedTuple):
 
     path: Path
     findings: Findings
+
+    __repr__ = one_line
 
 
 def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from softcal_jax.report._calibration import held_out_sentences, model_words
 from softcal_jax.report._export import export_icesl, export_inp
+from softcal_jax.report._inverse_page import write_inverse
 from softcal_jax.report._load import (
     LoadedResult,
     ResultError,
@@ -11,7 +12,8 @@ from softcal_jax.report._load import (
 from softcal_jax.report._mesh_lines import mesh_lines
 from softcal_jax.report._notebook import notebook_html
 from softcal_jax.report._outline import control_point_sets, outline, roles_of
-from softcal_jax.report._tables import simulation_table, summary_table
+from softcal_jax.report._sweep_page import check_sweep_page, write_sweep
+from softcal_jax.report._tables import inverse_table, simulation_table, summary_table
 from softcal_jax.report._write import (
     PictureWarning,
     write_comparison,
@@ -25,10 +27,12 @@ __all__ = [
     "PictureWarning",
     "ResultError",
     "ResultWarning",
+    "check_sweep_page",
     "control_point_sets",
     "export_icesl",
     "export_inp",
     "held_out_sentences",
+    "inverse_table",
     "load_result",
     "mesh_lines",
     "model_words",
@@ -39,6 +43,8 @@ __all__ = [
     "summary_table",
     "write_comparison",
     "write_identifiability",
+    "write_inverse",
     "write_results",
     "write_simulation",
+    "write_sweep",
 ]

@@ -6,11 +6,12 @@ tell apart, shapes, patterns or words tell apart as well.
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -25,6 +26,9 @@ from softcal_jax.report._html import Html, figure, joined, node
 
 MOST_BARS = 24
 """Most parameters that get a bar."""
+
+MOST_ROWS = 8
+"""Most values of an axis that get a row each where they are numbers."""
 
 LEAST_NAMED = 0.01
 """Share of a variance from which on a cause is named beside the bar [-]."""
@@ -222,6 +226,99 @@ def _ratios(rows: Sequence[_Ratio], caption: str) -> list[Html]:
     return [figure(joined(drawn), caption)]
 
 
+def value_charts(
+    axis: str,
+    values: Sequence[float] | Sequence[str],
+    figures: Mapping[str, Float[HostArray, " n"]],
+) -> list[Html]:
+    """Draw figures of trials against their values on an axis, one chart each.
+
+    Args:
+        axis: Name of the axis.
+        values: Values of the trials, numbers or words; a few get a row each.
+        figures: The figures by their names with units; nan is not drawn.
+    """
+    many = len(set(values)) > MOST_ROWS
+    numbers = [float(v) for v in values if not isinstance(v, str)]
+    drawn = []
+    for name, own in figures.items():
+        keep = np.isfinite(own)
+        if not keep.any():
+            continue
+        if many and len(numbers) == len(values):
+            chart = _scatter(axis, np.array(numbers)[keep], name, own[keep])
+        else:
+            chart = _by_value([str(_short(v)) for v in values], own)
+            caption = "one dot per trial; the upright line is their mean."
+            chart = figure(chart, f"By {axis}: {caption}", title=name)
+        drawn.append(chart)
+    return drawn
+
+
+def _short(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.6g}"
+
+
+def _by_value(values: Sequence[str], own: Float[HostArray, " n"]) -> Html:
+    """Draw a row of dots for each value, all on one scale."""
+    low, high = _span(own[np.isfinite(own)])
+    x = lambda number: f"{2.0 + 96.0 * (number - low) / (high - low):.2f}%"
+    rows = []
+    for value in list(dict.fromkeys(values))[:MOST_BARS]:
+        there = np.array(
+            [
+                number
+                for v, number in zip(values, own, strict=True)
+                if v == value and math.isfinite(number)
+            ]
+        )
+        parts = [_line("2%", 14, "98%", 14, stroke=_LINE)]
+        words = "no number"
+        if there.size:
+            mean = float(there.mean())
+            look = {"stroke": _INK, "stroke_width": "3"}
+            parts.append(_line(x(mean), 4, x(mean), 24, **look))
+            parts += [_dot(x(number), 14) for number in there]
+            words = f"{mean:.5g} in one trial"
+            if there.size > 1:
+                ends = f"from {there.min():.5g} to {there.max():.5g}"
+                words = f"mean {mean:.5g} of {there.size} trials, {ends}"
+        rows.append(_row(value, parts, 28, words))
+    return joined(rows)
+
+
+def _scatter(
+    axis: str, where: Float[HostArray, " n"], name: str, own: Float[HostArray, " n"]
+) -> Html:
+    """Draw a dot per trial over its value on an axis."""
+    left, right = _span(where)
+    ticks = _ticks_between(*_span(own))
+    low, high = min(ticks), max(ticks)
+    x = lambda value: (
+        f"{_LEFT + (_RIGHT - _LEFT) * (value - left) / (right - left):.2f}%"
+    )
+    y = lambda value: 170.0 - 140.0 * (value - low) / (high - low)
+    parts = []
+    for value, text in ticks.items():
+        parts.append(_line("0", y(value), "100%", y(value), stroke=_LINE))
+        parts.append(_text(text, "0", y(value) - 3))
+    parts += [_dot(x(at), y(value)) for at, value in zip(where, own, strict=True)]
+    for end, anchor in ((left, "start"), (right, "end")):
+        parts.append(_text(_short(end), x(end), 190, text_anchor=anchor))
+    label = f"{name} of {len(own)} trials over {axis}"
+    caption = f"Over {axis}: one dot per trial."
+    return figure(_chart(label, 196, parts), caption, title=name)
+
+
+def _span(values: Float[HostArray, " n"]) -> tuple[float, float]:
+    """Return the ends of a scale; equal values get one that is wider than rounding."""
+    low, high = float(values.min()), float(values.max())
+    if high - low <= 1e-9 * max(abs(low), abs(high)):
+        margin = 0.05 * max(abs(low), abs(high)) or 1.0
+        return low - margin, high + margin
+    return low, high
+
+
 def course_charts(result: CalibrationResult) -> list[Html]:
     """Draw the fit and the size of the step against the step's index."""
     history = result.history
@@ -313,6 +410,14 @@ def _round_ticks(highest: float) -> dict[float, str]:
     return {float(value): f"{value:.6g}" for value in values}
 
 
+def _ticks_between(low: float, high: float) -> dict[float, str]:
+    """Choose round numbers around two ends."""
+    power = 10.0 ** math.floor(math.log10((high - low) / 3.0))
+    step = next(k * power for k in (1, 2, 5, 10) if k * power >= (high - low) / 3.0)
+    first, last = math.floor(low / step), math.ceil(high / step)
+    return {k * step: f"{k * step:.6g}" for k in range(first, last + 1)}
+
+
 def _chart(label: str, height: int, parts: Sequence[Html]) -> Html:
     return node("svg", *parts, role="img", aria_label=label, height=str(height))
 
@@ -324,6 +429,12 @@ def _line(x1: str, y1: float, x2: str, y2: float, **look: str) -> Html:
 def _circle(x: str, y: float, fill: str) -> Html:
     look = {"fill": fill, "stroke": _BLUE, "stroke_width": "2"}
     return node("circle", cx=x, cy=f"{y:.1f}", r="5", **look)
+
+
+def _dot(x: str, y: float) -> Html:
+    """Draw one of many points, through which others are seen."""
+    look = {"fill": _BLUE, "fill_opacity": "0.55", "stroke": _BLUE}
+    return node("circle", cx=x, cy=f"{y:.1f}", r="4", **look)
 
 
 def _text(text: str, x: str, y: float, **look: str) -> Html:

@@ -147,6 +147,7 @@ def page(
     sections: Sequence[Section],
     *,
     index: str,
+    units: str = "SI and mm",
 ) -> str:
     """Write a whole page.
 
@@ -156,6 +157,7 @@ def page(
         verdict: What stands first.
         sections: What follows; those without content are left out.
         index: File of the same numbers for programs, beside the page.
+        units: Units in that file.
     """
     shown = [own for own in sections if own.content]
     head = node(
@@ -180,7 +182,7 @@ def page(
         node(
             "footer",
             f"Written by softcal_jax {installed_version('softcal-jax')} on {when}. The "
-            "same numbers for programs, in SI and mm: ",
+            f"same numbers for programs, in {units}: ",
             node("a", index, href=index),
             ".",
         ),
@@ -208,7 +210,7 @@ def verdict_html(verdict: RunVerdict) -> Html:
     sentence = node("p", node("strong", verdict.sentence))
     return node(
         "section",
-        node("h2", "RunVerdict"),
+        node("h2", "Verdict"),
         sentence,
         *reasons,
         class_=f"verdict {verdict.tone}",

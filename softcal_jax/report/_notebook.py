@@ -1,13 +1,9 @@
 """What a notebook shows of a result: the parts of its page that stand first."""
 
-from collections.abc import Sequence
 from functools import singledispatch
 
-import numpy as np
-
 from softcal_jax.calibration import CalibrationResult, SimulationResult
-from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
-from softcal_jax.export import readable_values
+from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.identifiability import (
     Assessment,
     Identifiability,
@@ -24,9 +20,13 @@ from softcal_jax.report._calibration import (
     held_out_sentences,
     parameter_table,
 )
-from softcal_jax.report._charts import budget_chart, error_chart, goal_chart
-from softcal_jax.report._description import Cell, Table, described
+from softcal_jax.report._charts import budget_chart, error_chart
 from softcal_jax.report._html import Html, bullets, node, output, table_html
+from softcal_jax.report._inverse import (
+    inverse_html,
+    inverse_verdict,
+    trajectory_html,
+)
 from softcal_jax.report._outlook_pages import next_html, outlook_sections, texts_html
 from softcal_jax.report._tables import simulation_tables
 
@@ -104,58 +104,9 @@ def _comparison(comparison: ModelComparison) -> Html:
 
 @notebook_html.register
 def _inverse(result: InverseResult) -> Html:
-    verdict = RunVerdict(result.message, "good" if result.met else "doubtful")
-    drawn = goal_chart([(fit.name, fit) for fit in result.goals], result.tol)
-    limits = [bullets(result.active_limits)] if result.active_limits else []
-    tables = map(table_html, (_goal_table(result.goals), _actuator_table(result)))
-    return output(verdict, [*drawn, *tables, *limits])
-
-
-def _goal_table(goals: Sequence[GoalFit]) -> Table:
-    rows = []
-    for fit in goals:
-        own, seen = fit.effector, np.asarray(fit.effector.seen)
-        goal, there = (
-            readable_values(np.asarray(values)[seen].tolist(), own.unit).rstrip()
-            for values in (own.measured, fit.reached)
-        )
-        rows.append((fit.name, goal, there, fit.off))
-    return described("Goals", ("effector", "goal", "reached", "off by"), rows)
-
-
-def _actuator_table(result: InverseResult) -> Table:
-    """Tabulate what the actuators do; the unit of each depends on its kind."""
-    rows = [
-        (
-            name,
-            Cell(f"{force:.5g}", "strong"),
-            f"{result.displacements[name]:.5g}",
-        )
-        for name, force in result.forces.items()
-    ]
-    columns = "actuator", "force (N, Pa or N m)", "displacement (m, m3 or rad)"
-    return described("Actuators", columns, rows)
+    return output(inverse_verdict(result), inverse_html(result))
 
 
 @notebook_html.register
 def _trajectory(result: TrajectoryResult) -> Html:
-    missed = result.unmet
-    rows = []
-    for i, point in enumerate(result.points, 1):
-        inputs = ", ".join(
-            f"{name} {own.value:.5g}"
-            for name, own in point.configuration.actuation.items()
-        )
-        rows.append(
-            (str(i), inputs, Cell(point.message, "good" if point.met else "bad"))
-        )
-    columns = "goal", "inputs (SI)", "outcome"
-    goals = [
-        (f"goal {i}, {fit.name}", fit)
-        for i, point in enumerate(result.points, 1)
-        for fit in point.goals
-    ]
-    drawn = goal_chart(goals, result.points[0].tol) if result.points else []
-    tone: Tone = "doubtful" if missed else "good"
-    content = [*drawn, table_html(described("Commands", columns, rows))]
-    return output(RunVerdict(result.headline, tone), content)
+    return output(inverse_verdict(result), trajectory_html(result))

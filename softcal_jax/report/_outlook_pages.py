@@ -20,7 +20,7 @@ from softcal_jax.report._calibration import (
 from softcal_jax.report._charts import outlook_chart
 from softcal_jax.report._description import described
 from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
-from softcal_jax.report._provenance import made_html
+from softcal_jax.report._provenance import made_html, repeat_html
 
 
 def identifiability_page(
@@ -41,7 +41,10 @@ def identifiability_page(
     sections = [
         Section("next", "What to measure next", next_html(found, ranking)),
         *([] if found is None else outlook_sections(found)),
-        Section("made", "Times and files", made_html(data)),
+        Section(
+            "repeat", "Repeat it", repeat_html("identify", "outlook", [data["source"]])
+        ),
+        Section("made", "Settings, versions and times", made_html(data)),
     ]
     index = "identifiability.json"
     return page(data["name"], "Identifiability", verdict, sections, index=index)
@@ -126,7 +129,12 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
         Section("failures", "What failed", [bullets(failures)] if failures else []),
         Section("models", "Models", [texts_html("Models", comparison.tabulated)]),
         Section("folds", "Held-out configurations", [table_html(held_out)]),
-        Section("made", "Times and files", made_html(data)),
+        Section(
+            "repeat",
+            "Repeat it",
+            repeat_html("compare", "comparison", list(data["sources"].values())),
+        ),
+        Section("made", "Settings, versions and times", made_html(data)),
     ]
     verdict = RunVerdict(comparison.verdict, tone)
     index = "comparison.json"

@@ -81,7 +81,11 @@ def calibration_page(
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
         Section("fit", "Course of the fit", _course(result)),
         Section("inner", "Correlation and singular values", _inner(found)),
-        Section("repeat", "Repeat it", repeat_html(data)),
+        Section(
+            "repeat",
+            "Repeat it",
+            repeat_html("calibrate", "calibration", [data["source"]]),
+        ),
         Section("made", "Settings, versions and times", made_html(data)),
     ]
     verdict = verdict_of(result, found)
@@ -97,7 +101,12 @@ def simulation_page(
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
         Section("pictures", "Pictures", _pictures(data, folder)),
-        Section("made", "Versions and times", made_html(data)),
+        Section(
+            "repeat",
+            "Repeat it",
+            repeat_html("simulate", "simulation", [data["source"]]),
+        ),
+        Section("made", "Settings, versions and times", made_html(data)),
     ]
     verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
     return page(data["name"], "Simulation", verdict, sections, index="simulation.json")
@@ -180,19 +189,29 @@ def _course(result: CalibrationResult) -> list[Html]:
 
 
 def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
-    """Show the pictures of the configurations, as many as a page should hold."""
+    """Show the pictures of the configurations."""
+    captions = {
+        name: _seen(own, name)
+        for own in data["configurations"]
+        for name in own["files"]
+    }
+    return shown_pictures(captions, folder)
+
+
+def shown_pictures(captions: Mapping[str, str], folder: Path) -> list[Html]:
+    """Show the pictures among some files, as many as a page should hold."""
     shown, left = [], MOST_PICTURES
-    for own in data["configurations"]:
-        for name in (file for file in own["files"] if file.endswith(PICTURES)):
-            path = folder / name
-            caption = _seen(own, name)
-            left -= path.stat().st_size
-            if left < 0:
-                link = node("a", name, href=name)
-                text = "to keep the page small, this picture stays beside it, as "
-                shown.append(node("p", f"{caption}; {text}", link, "."))
-            else:
-                shown.append(figure(picture(path, caption), f"{caption}."))
+    for name, caption in captions.items():
+        if not name.endswith(PICTURES):
+            continue
+        path = folder / name
+        left -= path.stat().st_size
+        if left < 0:
+            link = node("a", name, href=name)
+            text = "to keep the page small, this picture stays beside it, as "
+            shown.append(node("p", f"{caption}; {text}", link, "."))
+        else:
+            shown.append(figure(picture(path, caption), f"{caption}."))
     return shown
 
 

@@ -37,7 +37,7 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[Table]:
         robot = result.robot
         if robot is None:
             continue
-        rows["Actuators"] += [(result.name, *_actuator(a)) for a in robot.actuators]
+        rows["Actuators"] += [(result.name, *actuator_row(a)) for a in robot.actuators]
         for body in robot.bodies:
             moved = readable_values([_length(body.translation)], "m")
             turned = readable_values([_length(body.rotation_vector)], "rad")
@@ -53,7 +53,8 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[Table]:
     ]
 
 
-def _actuator(own: ActuatorState) -> tuple[str, ...]:
+def actuator_row(own: ActuatorState) -> tuple[str, ...]:
+    """Write name, force and displacement of an actuator, and which is imposed."""
     shown = [readable_values([own.force], own.force_unit), "-"]
     if own.displacement is not None and own.displacement_unit is not None:
         shown[1] = readable_values([own.displacement], own.displacement_unit)

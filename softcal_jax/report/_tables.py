@@ -4,6 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 from softcal_jax.calibration import CalibrationResult, SimulationResult
+from softcal_jax.control import InverseResult
 from softcal_jax.identifiability import Assessment, Tone, assess, verdict_of
 from softcal_jax.report._calibration import (
     beyond_prior,
@@ -18,6 +19,7 @@ from softcal_jax.report._calibration import (
     parameter_table,
 )
 from softcal_jax.report._description import Cell, Table, described
+from softcal_jax.report._inverse import actuator_table, goal_table, inverse_verdict
 from softcal_jax.report._robot import robot_tables
 
 if TYPE_CHECKING:
@@ -94,6 +96,17 @@ def simulation_table(result: SimulationResult) -> "rich.console.Group":
     from rich.console import Group
 
     return Group(*map(_drawn, simulation_tables(result)))
+
+
+def inverse_table(result: InverseResult) -> "rich.console.Group":
+    """Tabulate a result of inverse control for the terminal: goals and actuators."""
+    from rich.console import Group
+    from rich.text import Text
+
+    verdict = inverse_verdict(result)
+    style = _HEADS[verdict.tone]
+    tables = map(_drawn, (goal_table(result.goals), actuator_table(result)))
+    return Group(*tables, Text(verdict.sentence, style=style))
 
 
 def simulation_tables(result: SimulationResult) -> list[Table]:

@@ -10,6 +10,7 @@ from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.configurations import Traces
 from softcal_jax.export import (
+    Made,
     comparison_dict,
     file_stems,
     outlook_dict,
@@ -132,6 +133,7 @@ def write_simulation(
     traces: Mapping[str, Traces] | None = None,
     pictures: Picture | None = "png",
     told: Told = lambda *_: None,
+    made: Made | None = None,
 ) -> Path:
     """Write a forward simulation to a folder, whole or not at all.
 
@@ -139,9 +141,11 @@ def write_simulation(
     each configuration with an equilibrium, a .vtu and a .png; the others are listed
     with the reason. `configurations.pvd`, `markers.csv`, `effectors.csv` and
     `robot.csv` are as of `write_results`, without measured values. Arguments and errors
-    are those of `write_results`; returns the folder.
+    are those of `write_results`, and `made`, what it was computed from and with, for
+    the command that repeats it; returns the folder.
     """
-    data = simulation_dict(result, name=name, timing_s=timing_s)
+    more: dict[str, Any] = {"made": made, "directory": directory}
+    data = simulation_dict(result, name=name, timing_s=timing_s, **more)
     return _write(
         result,
         data,
@@ -161,6 +165,7 @@ def write_identifiability(
     name: str = "identifiability",
     force: bool = False,
     timing_s: Mapping[str, float] | None = None,
+    made: Made | None = None,
 ) -> Path:
     """Write an identifiability result to a folder, whole or not at all.
 
@@ -175,8 +180,10 @@ def write_identifiability(
         name: Name of the project.
         force: Replace earlier results.
         timing_s: Wall time per part [s].
+        made: What it was computed from and with, for the command that repeats it.
     """
-    data = outlook_dict(found, ranking, name=name, timing_s=timing_s)
+    more: dict[str, Any] = {"made": made, "directory": directory}
+    data = outlook_dict(found, ranking, name=name, timing_s=timing_s, **more)
     text = "\n\n".join(str(part) for part in (found, ranking) if part is not None)
     page = lambda data: identifiability_page(found, ranking, data)
     text = f"{name}\n\n{text}\n"
@@ -190,6 +197,7 @@ def write_comparison(
     name: str = "comparison",
     force: bool = False,
     timing_s: Mapping[str, float] | None = None,
+    made: Mapping[str, Made] | None = None,
 ) -> Path:
     """Write a comparison of models to a folder, whole or not at all.
 
@@ -203,8 +211,11 @@ def write_comparison(
         name: Its name.
         force: Replace earlier results.
         timing_s: Wall time per part [s].
+        made: What each model was computed from and with, by its name, in the order in
+            which they were given, for the command that repeats it.
     """
-    data = comparison_dict(comparison, name=name, timing_s=timing_s)
+    more: dict[str, Any] = {"made": made, "directory": directory}
+    data = comparison_dict(comparison, name=name, timing_s=timing_s, **more)
     page = lambda data: comparison_page(comparison, data)
     text = f"{comparison}\n"
     return _write_words(data, "comparison", text, page, directory, force=force)
@@ -245,9 +256,10 @@ def _write(
     drawn: Drawn,
 ) -> Path:
     """Write all files, and last the index, which lists them."""
-    problem = _left_out(result, drawn)
-    if problem is not None:  # warn before the work is done
-        warnings.warn(problem, PictureWarning, stacklevel=3)
+    shown = result.configurations
+    stems = file_stems([own.name for own in shown])
+    bodies = [stem for own, stem in zip(shown, stems, strict=True) if own.converged]
+    problem = picture_problem(bodies, drawn.suffix)
     with results_folder(directory, force=force) as folder:
         files = _write_tables(folder, result)
         files += _write_bodies(folder, result, data)
@@ -267,18 +279,24 @@ def _write(
     return directory
 
 
-def _left_out(result: Result, drawn: Drawn) -> str | None:
-    """Say which pictures cannot be drawn here, why, and the remedy; None if all can."""
-    shown = result.configurations
-    stems = file_stems([own.name for own in shown])
-    bodies = [stem for own, stem in zip(shown, stems, strict=True) if own.converged]
-    if drawn.suffix is None or not bodies:
+def picture_problem(stems: Sequence[str], suffix: Picture | None) -> str | None:
+    """Say which pictures cannot be drawn here, why, and the remedy, and warn of it.
+
+    Args:
+        stems: Their names, without suffix.
+        suffix: Format of the pictures; None if there are to be none.
+
+    Returns:
+        What it says; None if all can be drawn.
+    """
+    if suffix is None or not stems:
         return None
     problem = rendering_problem()
     if problem is None:
         return None
-    named = ", ".join(f"{stem}.{drawn.suffix}" for stem in bodies)
-    return f"left out: {named}; {problem}"
+    said = f"left out: {', '.join(f'{stem}.{suffix}' for stem in stems)}; {problem}"
+    warnings.warn(said, PictureWarning, stacklevel=4)  # before the work is done
+    return said
 
 
 def _write_tables(folder: Path, result: Result) -> list[str]:

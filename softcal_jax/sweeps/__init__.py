@@ -10,6 +10,7 @@ from softcal_jax.sweeps._progress import Progress
 from softcal_jax.sweeps._result import Group, SweepResult
 from softcal_jax.sweeps._row import Outcome, TrialRow
 from softcal_jax.sweeps._run import run_sweep
+from softcal_jax.sweeps._summary import SweepSummary, SweptAxis, summarise
 from softcal_jax.sweeps._tables import plot_sweep, sweep_table, write_sweep_csv
 from softcal_jax.sweeps._trial import Range, Trial, grid, sample
 
@@ -21,6 +22,8 @@ __all__ = [
     "Range",
     "Sweep",
     "SweepResult",
+    "SweepSummary",
+    "SweptAxis",
     "Trial",
     "TrialRow",
     "grid",
@@ -29,6 +32,7 @@ __all__ = [
     "read_sweep",
     "run_sweep",
     "sample",
+    "summarise",
     "sweep_table",
     "write_sweep_csv",
 ]

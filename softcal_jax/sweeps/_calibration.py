@@ -33,6 +33,11 @@ KEPT = 8
 MOST_MAPS = 40_000
 """Memory maps from which a worker drops compiled programs; Linux allows 65 530."""
 
+FIT, HELD_OUT = "fit rms [m]", "held-out rms [m]"
+"""Figures of how far the model is off."""
+
+_STEPS, _COST, _ERROR = "steps", "cost [-]", "standard error of"
+
 _KEPT: dict[str, Project] = {}
 _EXACT: dict[str, tuple[Configuration, ...]] = {}
 """Their configurations, with the exact measurements that the truth gives."""
@@ -231,17 +236,22 @@ def _with_noise(configuration: Configuration, random) -> Configuration:
 def _figures(result: CalibrationResult) -> dict[str, Any]:
     """Return what a row keeps of a calibration, in SI units."""
     held_out = [f for f in result.configurations if f.role == "validation"]
-    figures: dict[str, Any] = {"fit rms [m]": result.history[-1].rms}
+    figures: dict[str, Any] = {FIT: result.history[-1].rms}
     if held_out:
         errors = np.concatenate([f.error_after for f in held_out])
-        figures["held-out rms [m]"] = np.sqrt(np.mean(np.sum(errors**2, axis=1)))
+        figures[HELD_OUT] = np.sqrt(np.mean(np.sum(errors**2, axis=1)))
     for q in result.parameters:
         figures[_named(q.name, q.unit)] = q.value
-    figures["steps"] = len(result.history) - 1
-    figures["cost [-]"] = result.history[-1].cost
+    figures[_STEPS] = len(result.history) - 1
+    figures[_COST] = result.history[-1].cost
     for q in result.parameters:
-        figures[_named(f"standard error of {q.name}", q.unit)] = q.standard_error
+        figures[_named(f"{_ERROR} {q.name}", q.unit)] = q.standard_error
     return figures
+
+
+def is_of_the_fit(figure: str) -> bool:
+    """Tell whether a figure describes the fit, and not the robot."""
+    return figure in (_STEPS, _COST) or figure.startswith(f"{_ERROR} ")
 
 
 def _named(name: str, unit: str) -> str:

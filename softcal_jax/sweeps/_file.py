@@ -13,6 +13,8 @@ from typing import Any
 from softcal_jax._files import similar_file
 from softcal_jax._limits import TRIALS
 from softcal_jax._module import one_line
+from softcal_jax.calibration import SourceFile
+from softcal_jax.export import Made
 from softcal_jax.project import (
     Project,
     ProjectError,
@@ -54,6 +56,8 @@ class Sweep:
         points: Points of the trials, in the order in which they begin.
         seed: Seed of noise, starts and sample.
         definitions: What rows depend on besides their points, by name.
+        file: The sweep file, as it was when it was read.
+        made: Model, settings and files of the project, before an axis changes them.
     """
 
     name: str
@@ -62,6 +66,8 @@ class Sweep:
     points: tuple[Point, ...]
     seed: int
     definitions: Mapping[str, str]
+    file: SourceFile
+    made: Made
 
     __repr__ = one_line
 
@@ -147,7 +153,23 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
     definitions |= {f"layout {k}": json.dumps(v) for k, v in table.layouts.items()}
     definitions["truth"] = json.dumps(table.truth, sort_keys=True)
     name = table.name or path.stem
-    return Sweep(name, path, function, tuple(points), table.seed, definitions)
+    settings = {
+        "seed": table.seed,
+        "sample": table.sample,
+        "calibration": project.settings,
+        "newton": project.newton,
+        **{key: getattr(project, key) for key in ("noise", "starts")},
+    }
+    return Sweep(
+        name,
+        path,
+        function,
+        tuple(points),
+        table.seed,
+        definitions,
+        SourceFile.of(path),
+        Made(project.model, settings, project.source),
+    )
 
 
 def _replaced(path: Path, table: SweepTable) -> str:

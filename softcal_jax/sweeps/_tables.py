@@ -11,6 +11,7 @@ import numpy as np
 from softcal_jax._text import as_cell
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_estimate, readable_unit
+from softcal_jax.identifiability import Tabulated
 from softcal_jax.plotting import plot_trials
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
 from softcal_jax.sweeps._row import TrialRow
@@ -84,11 +85,13 @@ def sweep_table(
 
     asked = None if figures is None else [result.figure(name) for name in figures]
     groups = result.groups(by)
-    parts: list[Any] = [Text(_head(result), style="bold")]
+    parts: list[Any] = [Text(f"{result.name}: {headline(result)}", style="bold")]
     if not result.rows:
         return Printed(*parts)
     styles = [_STYLE[row.state] if every else "" for row in result.rows]
-    columns = _trial_columns(result) if every else _group_columns(groups)
+    columns = (
+        _trial_columns(result.axes, result.rows) if every else _group_columns(groups)
+    )
     room = width - 1 - sum(c.width for c in columns)
     kept = []
     for figure in default_figures(result) if asked is None else asked:
@@ -96,7 +99,7 @@ def sweep_table(
         if every:
             cells = [_trial_cell(row, figure, factor) for row in result.rows]
         else:
-            cells = [_mean(factor * group.numbers(figure)) for group in groups]
+            cells = [mean_text(factor * group.numbers(figure)) for group in groups]
         column = _Column(head, cells)
         room -= column.width
         if asked is None and kept and room < 0:
@@ -115,18 +118,27 @@ def sweep_table(
     return Printed(*parts, *_reasons(result, every))
 
 
-def _head(result: SweepResult) -> str:
+def headline(result: SweepResult) -> str:
+    """Say how many trials have ended, and how."""
     n, total = len(result.rows), len(result.rows) + len(result.missing)
     counts = Counter(row.state for row in result.rows)
     states = ", ".join(f"{counts[state]} {state}" for state in _STYLE if counts[state])
     ended = f": {states}" if states else ""
-    return f"{result.name}: {n} of {total} trials have ended{ended}."
+    return f"{n} of {total} trials have ended{ended}."
 
 
 def _reasons(result: SweepResult, every: bool) -> list[Any]:
-    """Write why trials failed or did not converge, each reason once."""
     from rich.text import Text
 
+    found = reasons(result)
+    lines = [Text(f"{state}, {text}", style=_STYLE[state]) for state, text in found]
+    if lines and not every:
+        lines.append(Text("--all lists every trial."))
+    return lines
+
+
+def reasons(result: SweepResult) -> list[tuple[str, str]]:
+    """Write why trials failed or did not converge, each reason once, by the state."""
     rows: dict[tuple[str, str], list[TrialRow]] = {}
     for row in result.rows:
         if row.state != "converged":
@@ -137,9 +149,7 @@ def _reasons(result: SweepResult, every: bool) -> list[Any]:
     for (state, reason), own in rows.items():
         n = f"{len(own)} trials, the first" if len(own) > 1 else "1 trial"
         where = describe(own[0].point)
-        lines.append(Text(f"{state}, {n} at {where}: {reason}", style=_STYLE[state]))
-    if lines and not every:
-        lines.append(Text("--all lists every trial."))
+        lines.append((state, f"{n} at {where}: {reason}"))
     return lines
 
 
@@ -162,15 +172,43 @@ def _group_columns(groups: Sequence[Group]) -> list[_Column]:
     ]
 
 
-def _trial_columns(result: SweepResult) -> list[_Column]:
+def _trial_columns(axes: Sequence[str], rows: Sequence[TrialRow]) -> list[_Column]:
     """Make columns of each trial's point, and of how it ended."""
     columns = [
-        _Column(axis, [shown(row.point[axis]) for row in result.rows], "left")
-        for axis in result.axes
+        _Column(axis, [shown(row.point[axis]) for row in rows], "left") for axis in axes
     ]
-    outcomes = _Column("outcome", [row.state for row in result.rows], "left")
-    seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in result.rows])
+    outcomes = _Column("outcome", [row.state for row in rows], "left")
+    seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in rows])
     return [*columns, outcomes, seconds]
+
+
+def group_table(result: SweepResult, figures: Sequence[str]) -> Tabulated:
+    """Tabulate means over repetitions, for each point."""
+    groups = result.groups()
+    columns = _group_columns(groups)
+    for figure in figures:
+        factor, head = readable_figure(result, figure)
+        cells = [mean_text(factor * group.numbers(figure)) for group in groups]
+        columns.append(_Column(head, cells))
+    return _texts(columns)
+
+
+def trial_table(
+    result: SweepResult, figures: Sequence[str], rows: Sequence[TrialRow]
+) -> Tabulated:
+    """Tabulate some trials of a sweep, with these figures."""
+    columns = _trial_columns(result.axes, rows)
+    for figure in figures:
+        factor, head = readable_figure(result, figure)
+        columns.append(
+            _Column(head, [_trial_cell(row, figure, factor) for row in rows])
+        )
+    return _texts(columns)
+
+
+def _texts(columns: Sequence[_Column]) -> Tabulated:
+    rows = zip(*(column.cells for column in columns), strict=True)
+    return Tabulated(tuple(column.head for column in columns), list(rows))
 
 
 def _trial_cell(row: TrialRow, figure: str, factor: float) -> str:
@@ -187,7 +225,8 @@ def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:
     return factor, f"{words} [{readable}]" if unit not in ("", "-") else words
 
 
-def _mean(values: Float[HostArray, " n"]) -> str:
+def mean_text(values: Float[HostArray, " n"]) -> str:
+    """Write mean and standard deviation of values."""
     if not values.size:
         return "-"
     mean = float(np.mean(values))

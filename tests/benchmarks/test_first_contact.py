@@ -37,6 +37,18 @@ def test_a_page_of_its_own_is_clean(page):
     assert figures == {"report_requests": 0, "report_console_errors": 0}
 
 
+def test_an_open_page_answers(page):
+    viewport = "<meta name=viewport content=width=device-width>"
+    page.write_text(f"<!DOCTYPE html>{viewport}<title>a</title><p>b")
+    with _browser.opened(page) as tab:
+        assert tab.ask("Promise.resolve([document.title, 1])") == ["a", 1]
+        for width in (360, 1200):
+            tab.resize(width)
+            assert tab.ask("innerWidth") == width
+        with pytest.raises(RuntimeError, match="could not answer: ReferenceError"):
+            tab.ask("nowhere")
+
+
 def test_parts_are_measured_alone(tmp_path):
     outcome = first_contact.run(Options(tmp_path, print, {"readme": 1}))
     assert list(outcome.figures) == ["readme_lines"]

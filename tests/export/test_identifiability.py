@@ -78,7 +78,10 @@ def test_in_the_result_of_a_calibration(estimated, used):
 def test_outlook():
     data = outlook_dict(half_blind(), make_ranking(), name="beam", timing_s={"a": 1.0})
     assert json.loads(json.dumps(data, allow_nan=False)) == data
-    assert list(data) == ["format", "name", "identifiability", "ranking", "timing_s"]
+    made = ["source", "settings", "versions"]
+    of_data = ["identifiability", "ranking", "timing_s"]
+    assert list(data) == ["format", "name", *made, *of_data]
+    assert (data["source"], data["settings"]) == (None, {})
     assert (data["name"], data["timing_s"]) == ("beam", {"a": 1.0})
     ranking = data["ranking"]
     assert ranking["blind_before"] == 1

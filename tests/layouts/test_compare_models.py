@@ -181,6 +181,9 @@ def test_command(tmp_path, capsys):
     assert "'true' predicts best" in said
     data = json.loads((out / "comparison.json").read_text())
     assert data["best"] == "true"
+    assert list(data["sources"]) == list(data["settings"]) == ["true", "soft"]
+    files = " ".join(own["project"]["file"] for own in data["sources"].values())
+    assert f"softcal compare {files} -o repeated" in (out / "report.html").read_text()
     true, soft = data["models"]
     assert {f["held_out"] for f in true["folds"]} == {"weight", "pulled"}
     # The recordings are equilibria of this law, and the side marker is 1 mm off.

@@ -11,7 +11,9 @@ import pytest
 from export.handmade import make_history, make_result
 from rows import substance
 from small_project import write_small_project
+from test_page import Read
 
+from softcal_jax._files import sha256_of
 from softcal_jax.calibration import CalibrationSettings, random_starts
 from softcal_jax.cli import main
 from softcal_jax.configurations import BodyFrame, Configuration
@@ -61,7 +63,9 @@ def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
     assert "lambda_p did not vanish within max_steps = 1" in text
     assert "no equilibrium found" in text
     assert f"Rows in {swept / 'sweep.sqlite'}; `softcal sweep show" in text
+    assert f"Open {swept / 'sweep_report.html'} in a browser" in text
     check_rows(swept)
+    check_page(swept)
     # Once more: all is there.
     code, text, _ = run(swept, capsys)
     assert (code, "16 trials, 16 of them before\n" in text) == (1, True)
@@ -119,6 +123,24 @@ def check_rows(swept):
     assert len(elsewhere.history) - 1 == other["steps"]
     with pytest.raises(ValueError, match=r"one scaled value for each of the 1 param"):
         project.calibrate(start=jnp.zeros(2))
+
+
+def check_page(swept):
+    """Command, hashes, settings, and the numbers of the rows."""
+    page = Read((swept / "sweep_report.html").read_text(encoding="utf-8"))
+    assert "16 of 16 trials have ended: 4 converged" in page.text
+    assert "softcal sweep sweep.toml -o repeated.sqlite" in page.text
+    files = ["sweep.toml", "project.toml", "markers.csv"]
+    assert page.tables["Files that were read"][1:] == [
+        [name, sha256_of(swept / name)] for name in files
+    ]
+    assert dict(page.tables["Settings"])["seed"] == "7"
+    assert dict(page.tables["Versions"])["softcal_jax"]
+    result = read_sweep(swept / "sweep.sqlite")
+    held_out = sorted(result.numbers("held-out rms [m]"))
+    head, *rows = page.tables["Best trials"]
+    shown = [float(row[head.index("held-out rms [mm]")]) for row in rows]
+    np.testing.assert_allclose(shown, 1e3 * np.array(held_out), rtol=1e-3)
 
 
 def check_show(swept, capsys, tmp_path):
@@ -188,7 +210,10 @@ def test_interrupted(swept, capsys, monkeypatch, sent):
     code, _, errors = run(swept, capsys, "-o", str(swept / "third.sqlite"))
     assert code == 130
     assert errors.startswith("interrupted: 0 of ")
-    assert "third.sqlite; the same command goes on from there.\n" in errors
+    page = swept / "third_report.html"
+    text = f"third.sqlite; the same command goes on from there. Their page is {page}.\n"
+    assert errors.endswith(text)
+    assert ">0 of " in page.read_text()
 
 
 @pytest.mark.slow  # three processes compile a calibration, which takes minutes

@@ -1,0 +1,195 @@
+"""Goals and limits of inverse control as texts, in the words of a project file."""
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import compress
+from typing import Any, cast
+
+import numpy as np
+
+from softcal_jax._names import listed, unknown_name
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations import (
+    AbstractEffector,
+    Configuration,
+    ImposedForce,
+)
+from softcal_jax.control import Limits
+from softcal_jax.project._actuators import ActuatorTable
+from softcal_jax.project._effectors import EffectorTable, build_effectors
+from softcal_jax.project._project import Project
+from softcal_jax.project._quantities import LENGTH, parse_vector
+from softcal_jax.project._reading import ProjectTable, read_tables
+from softcal_jax.project._sensors import MeasuredPoseTable
+
+FREE = "-"
+"""Stands for a coordinate of a marker without a goal: "(-, -, 3) mm"."""
+
+
+def with_goals_as_typed(
+    project: Project, configuration: Configuration, goals: Mapping[str, str]
+) -> Configuration:
+    """Give a configuration these goals, and no others.
+
+    Args:
+        project: The project.
+        configuration: One of its configurations; what it measures is no goal.
+        goals: Goals by the names of markers and effectors, as `measured` of a project
+            file has them: "(100, 10, 12) mm", "4 mm", "20 deg", or a pose,
+            '{ position = "(100, 10, 12) mm", azimuth = "10 deg" }'. A marker may leave
+            coordinates free, "(-, -, 12) mm".
+
+    Raises:
+        ValueError: If a name is unknown, a goal is no such value, or markers leave
+            different coordinates free; the text says what was expected.
+    """
+    table = _tables(project)
+    mesh, mechanism = project.model.mesh, project.model.mechanism
+    effectors = build_effectors(table.effectors, mesh, mechanism)
+    markers = configuration.markers
+    known = [*effectors, *(() if markers is None else markers.names)]
+    aimed: list[AbstractEffector] = []
+    places: dict[str, Float[HostArray, 3]] = {}
+    for name, text in goals.items():
+        if name not in known:
+            raise unknown_name("marker or effector with a goal", name, known)
+        try:
+            if name not in effectors:
+                places[name] = _place(text)
+                continue
+            own, kind = effectors[name], cast(EffectorTable, table.effectors[name])
+            aimed.append(
+                kind.measured(
+                    own,
+                    _value(text),
+                    own.rows(mesh, mechanism)[0].unit,
+                    project.path.parent,
+                    mechanism,
+                )
+            )
+        except ValueError as error:
+            raise ValueError(f"goal of {name!r}: {error}") from error
+    return replace(_with_markers(configuration, places), effectors=tuple(aimed))
+
+
+def actuation_as_typed(project: Project, starts: Mapping[str, str]) -> dict[str, Any]:
+    """Parse what is imposed on actuators, by name: "20 kPa" or "2 ml".
+
+    Raises:
+        ValueError: If a name is unknown, or a value is not of the actuator.
+    """
+    return {
+        name: _imposed(_actuator(project, name), f"start of {name!r}", text)
+        for name, text in starts.items()
+    }
+
+
+def limits_as_typed(
+    project: Project, limits: Sequence[tuple[str, str]]
+) -> dict[str, Limits]:
+    """Parse limits of actuators, like ("air", "0 kPa to 50 kPa").
+
+    The unit tells whether its force or its displacement is limited; an actuator may
+    have both.
+
+    Raises:
+        ValueError: If a name is unknown, or a text is no two values of the actuator.
+    """
+    found: dict[str, Limits] = {}
+    for name, text in limits:
+        table, what = _actuator(project, name), f"limit of {name!r}"
+        ends = re.split(r"\s+to\s+", text.strip())
+        if len(ends) != 2:
+            raise ValueError(
+                f"{what}: got {text!r}; expected the lowest and the highest value with "
+                f'their units, like "0 N to 5 N".'
+            )
+        low, high = (_imposed(table, what, end) for end in ends)
+        if type(low) is not type(high):
+            raise ValueError(
+                f"{what}: {ends[0]!r} and {ends[1]!r} are of different kinds; expected "
+                "both in units of its force, or of its displacement."
+            )
+        key = "force" if isinstance(low, ImposedForce) else "displacement"
+        given = {"force": None, "displacement": None} | {key: (low.value, high.value)}
+        before = found.get(name, Limits())
+        found[name] = Limits(
+            given["force"] or before.force,
+            given["displacement"] or before.displacement,
+        )
+    return found
+
+
+def _tables(project: Project) -> ProjectTable:
+    return read_tables(project.path, project.source.changes)
+
+
+def _actuator(project: Project, name: str) -> ActuatorTable:
+    known = _tables(project).actuators
+    if name not in known:
+        raise unknown_name("actuator", name, known)
+    return known[name]
+
+
+def _imposed(table: ActuatorTable, what: str, text: str) -> Any:
+    try:
+        return table.imposed(text)
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from error
+
+
+def _value(text: str) -> Any:
+    """Parse the goal of an effector: a quantity, or a pose as an inline table."""
+    if not text.lstrip().startswith("{"):
+        return text
+    try:
+        table = tomllib.loads(f"goal = {text}")["goal"]
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(
+            f"got {text}, which is no inline table ({error}); expected a pose, like "
+            '{ position = "(0, 0, 100) mm", azimuth = "10 deg" }.'
+        ) from error
+    return MeasuredPoseTable.model_validate(table)
+
+
+def _place(text: str) -> Float[HostArray, "3"]:
+    """Parse the goal of a marker; NaN for coordinates that are left free."""
+    inner = re.fullmatch(r"(\s*\()([^()]*)(\).*)", text)
+    if inner is None:
+        return np.array(parse_vector(text, LENGTH))
+    parts = [part.strip() for part in inner[2].split(",")]
+    free = [part == FREE for part in parts]
+    if all(free):
+        raise ValueError(f"got {text!r}, which leaves every coordinate free.")
+    numbers = ", ".join("0" if part == FREE else part for part in parts)
+    place = np.array(parse_vector(f"{inner[1]}{numbers}{inner[3]}", LENGTH))
+    return np.where(free, np.nan, place)
+
+
+def _with_markers(
+    configuration: Configuration, places: Mapping[str, Float[HostArray, "3"]]
+) -> Configuration:
+    """Keep the markers with a goal, and the axes along which they have one."""
+    markers = configuration.markers
+    if markers is None or not places:
+        return replace(configuration, markers=None, measured=None)
+    goals = np.array([*places.values()])
+    asked = ~np.isnan(goals)
+    if (asked != asked[0]).any():
+        raise ValueError(
+            f"the goals of {listed([repr(name) for name in places])} leave different "
+            "coordinates free; expected the same of all markers. An effector of type "
+            '"centroid" needs all three.'
+        )
+    rows = [markers.names.index(name) for name in places]
+    std, rest = np.asarray(markers.std), markers.positions[rows]
+    kept = replace(
+        markers,
+        names=tuple(places),
+        positions=rest,
+        std=markers.std if std.ndim == 0 else std[rows],
+        axes="".join(compress("xyz", asked[0])),
+    )
+    return replace(configuration, markers=kept, measured=np.where(asked, goals, rest))

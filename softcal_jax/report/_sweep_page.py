@@ -1,0 +1,170 @@
+"""The page of a sweep, beside its database."""
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from softcal_jax.export import file_dict, made_dict
+from softcal_jax.identifiability import RunVerdict, Tabulated
+from softcal_jax.report._charts import value_charts
+from softcal_jax.report._description import described
+from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
+from softcal_jax.report._provenance import (
+    REPEATED,
+    command_html,
+    files_html,
+    files_of,
+    made_html,
+)
+from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, summarise
+
+KIND = "Sweep"
+"""What was done, as the page calls it; by it an earlier page is known."""
+
+
+def sweep_page_of(database: str | os.PathLike[str]) -> Path:
+    """Return where the page of a sweep is: sweep_report.html beside sweep.sqlite."""
+    database = Path(database)
+    return database.with_name(f"{database.stem}_report.html")
+
+
+def check_sweep_page(database: str | os.PathLike[str]) -> None:
+    """Raise unless the page of a sweep can be written; call it before a long run.
+
+    Raises:
+        FileExistsError: If another file has its name.
+    """
+    path = sweep_page_of(database)
+    if not path.exists():
+        return
+    head = path.read_bytes()[:200_000] if path.is_file() else b""
+    if str(node("p", KIND, class_="kind")).encode() not in head:
+        raise FileExistsError(
+            f"{path} is no page of a sweep and would be overwritten. Move it away, or "
+            "give the database another name."
+        )
+
+
+def write_sweep(
+    result: SweepResult,
+    database: str | os.PathLike[str],
+    *,
+    sweep: Sweep | None = None,
+    timing_s: Mapping[str, float] | None = None,
+) -> Path:
+    """Write the page of a sweep beside its database, whole or not at all.
+
+    It shows how the trials ended, the best ones, means and spread, a chart for each
+    axis, and with `sweep` the settings, the files with their SHA-256 and the command
+    that repeats it. Trials that failed or did not converge are in no mean and chart.
+
+    Args:
+        result: The sweep, finished or not.
+        database: Its SQLite file; the page of `sweep.sqlite` is `sweep_report.html`.
+        sweep: The sweep file as it was loaded; None for a function of your own.
+        timing_s: Wall time per part [s].
+
+    Returns:
+        The page.
+
+    Raises:
+        FileExistsError: If another file has its name.
+        OSError: If it cannot be written.
+    """
+    check_sweep_page(database)
+    path = sweep_page_of(database)
+    text = _sweep_page(result, Path(database), sweep, timing_s or {})
+    number, name = tempfile.mkstemp(prefix=".softcal.", dir=path.parent)
+    try:
+        with open(number, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(name, 0o644)  # as any other file, not as one for its owner alone
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+    return path
+
+
+def _sweep_page(
+    result: SweepResult,
+    database: Path,
+    sweep: Sweep | None,
+    timing_s: Mapping[str, float],
+) -> str:
+    found = summarise(result)
+    points = [*result.planned.values(), *(row.point for row in result.rows)]
+    in_words = [
+        axis
+        for axis in result.axes
+        if not all(isinstance(point[axis], int | float) for point in points)
+    ]
+    made = made_dict(None if sweep is None else sweep.made, database.parent)
+    data = {**made, "timing_s": timing_s, "files": [database.name]}
+    table = lambda title, own: table_html(
+        described(title, own.head, own.rows, words=[*in_words, "which"])
+    )
+    best = [] if found.best is None else [node("p", found.best_in_words)]
+    best += [] if found.best is None else [table("Best trials", found.best)]
+    means = "Mean ± standard deviation over the trials that converged."
+    sections = [
+        Section("notes", "Notes", [bullets(found.notes)] if found.notes else []),
+        Section("varied", "What was varied", [table("Axes", found.varied)]),
+        Section("best", "Best trials", best),
+        Section(
+            "means",
+            "Means over repetitions",
+            [node("p", means), table("Means", found.groups)] if found.groups else [],
+        ),
+        Section(
+            "spread",
+            "Spread of all trials",
+            _spread(found.spread) if result.rows else [],
+        ),
+        *(
+            Section(
+                f"axis{k}",
+                f"By {axis.name}",
+                [node("div", *value_charts(*axis), class_="charts")],
+            )
+            for k, axis in enumerate(found.axes)
+        ),
+        Section("trials", "All trials", _trials(found, table) if result.rows else []),
+        Section("repeat", "Repeat it", _repeat(sweep, made, database)),
+        Section("made", "Settings, versions and times", made_html(data)),
+    ]
+    verdict = RunVerdict(found.headline, found.tone, found.doubts)
+    return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
+
+
+def _spread(found: Tabulated) -> list[Html]:
+    if not found.rows:
+        return [node("p", "No trial has converged, so there is nothing to average.")]
+    return [table_html(described("Figures of the trials", found.head, found.rows))]
+
+
+def _trials(found: SweepSummary, table: Callable[[str, Tabulated], Html]) -> list[Html]:
+    content = [table("Trials", found.trials)]
+    if found.more_trials:
+        text = f"{found.more_trials} more are in the database; softcal sweep show lists"
+        content.append(node("p", f"{text} all of them with --all."))
+    if found.not_drawn:
+        text = "Figures that are in this table, and not drawn: "
+        content.append(node("p", f"{text}{', '.join(found.not_drawn)}."))
+    return content
+
+
+def _repeat(sweep: Sweep | None, made: Mapping[str, Any], database: Path) -> list[Html]:
+    """Give the command that runs the sweep again, and what it read."""
+    if sweep is None:
+        text = (
+            "This sweep was made in Python, without a sweep file, so there is no "
+            "command that repeats it."
+        )
+        return [node("p", text)]
+    own = file_dict(sweep.file, database.parent)
+    files = files_of(made["source"])
+    words = ["sweep", own["file"], "-o", f"{REPEATED}.sqlite"]
+    return [command_html(words), files_html([own, *files])]

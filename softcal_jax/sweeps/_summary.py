@@ -1,0 +1,200 @@
+"""A sweep in tables of texts, and the numbers of its charts, for a page."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softcal_jax._module import one_line
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.identifiability import Tabulated, Tone
+from softcal_jax.sweeps._calibration import FIT, HELD_OUT, is_of_the_fit
+from softcal_jax.sweeps._result import SweepResult, figure_values
+from softcal_jax.sweeps._row import TrialRow
+from softcal_jax.sweeps._tables import (
+    default_figures,
+    group_table,
+    headline,
+    mean_text,
+    readable_figure,
+    reasons,
+    trial_table,
+)
+from softcal_jax.sweeps._trial import describe, is_number, shown
+
+MOST_BEST, MOST_TRIALS, MOST_VALUES = 5, 100, 8
+"""Most trials among the best, in the table of all, and most values of an axis."""
+
+MOST_CHARTED = 6
+"""Most figures that are drawn against each axis."""
+
+
+class SweptAxis(NamedTuple):
+    """An axis with more than one value, and the trials that converged on it.
+
+    Attributes:
+        name: Its name.
+        values: The value of each trial, as numbers if all are, else in words.
+        figures: Figures that are not the same for all, in readable units, by their
+            names with the unit; nan where a trial has none.
+    """
+
+    name: str
+    values: Sequence[float] | Sequence[str]
+    figures: Mapping[str, Float[HostArray, " n"]]
+
+    __repr__ = one_line
+
+
+class SweepSummary(NamedTuple):
+    """A sweep as a page shows it. Means and charts are of trials that converged.
+
+    Attributes:
+        headline: How many trials have ended, and how.
+        tone: How that is meant.
+        doubts: What failed, did not converge or is left to do.
+        notes: What trials that converged have noted, each with their number.
+        varied: What was varied.
+        best: Trials with the smallest error; None if there are none with an error.
+        best_in_words: The error of the first of them, and where.
+        spread: Spread of each figure over all trials.
+        groups: Means over repetitions, for each point; None without repetitions.
+        trials: Every trial, the first ones of many.
+        more_trials: How many are not in that table.
+        axes: What to draw.
+        not_drawn: Names of figures that are not drawn.
+    """
+
+    headline: str
+    tone: Tone
+    doubts: tuple[str, ...]
+    notes: tuple[str, ...]
+    varied: Tabulated
+    best: Tabulated | None
+    best_in_words: str
+    spread: Tabulated
+    groups: Tabulated | None
+    trials: Tabulated
+    more_trials: int
+    axes: tuple[SweptAxis, ...]
+    not_drawn: tuple[str, ...]
+
+    __repr__ = one_line
+
+
+def summarise(result: SweepResult) -> SweepSummary:
+    """Summarise a sweep, finished or not."""
+    good = result.of_state("converged")
+    figures = _told_figures(result)
+    bad = len(result.rows) - len(good)
+    repeated = any(len(group.rows) > 1 for group in result.groups())
+    tone: Tone = "doubtful" if bad else "plain"
+    best, best_in_words = _best(result, figures)
+    return SweepSummary(
+        headline=headline(result),
+        tone="bad" if bad and not good else tone,
+        doubts=tuple(_doubts(result, bad)),
+        notes=_notes(good),
+        varied=_varied(result),
+        best=best,
+        best_in_words=best_in_words,
+        spread=_spread(result),
+        groups=group_table(result, figures) if repeated else None,
+        trials=trial_table(result, figures, result.rows[:MOST_TRIALS]),
+        more_trials=max(0, len(result.rows) - MOST_TRIALS),
+        axes=tuple(_swept(result, good, figures[:MOST_CHARTED])),
+        not_drawn=figures[MOST_CHARTED:],
+    )
+
+
+def _told_figures(result: SweepResult) -> tuple[str, ...]:
+    """Pick the figures that tell of the robot, the error of the prediction first."""
+    found = [name for name in default_figures(result) if not is_of_the_fit(name)]
+    if HELD_OUT in found:  # the fit is no test of the model
+        found = [HELD_OUT, *(name for name in found if name not in (HELD_OUT, FIT))]
+    return tuple(found)
+
+
+def _doubts(result: SweepResult, bad: int) -> Iterator[str]:
+    if bad:
+        what = "trial" if bad == 1 else "trials"
+        yield (
+            f"{bad} {what} failed or did not converge, and count in no mean, chart or "
+            "best value."
+        )
+    yield from (f"{state.capitalize()}, {text}" for state, text in reasons(result))
+    if left := len(result.missing):
+        what = "trial is" if left == 1 else "trials are"
+        yield f"{left} {what} left to do: the same command goes on from here."
+
+
+def _notes(rows: Sequence[TrialRow]) -> tuple[str, ...]:
+    counts = Counter(note for row in rows for note in row.notes)
+    many = lambda n: "1 trial" if n == 1 else f"{n} trials"
+    return tuple(f"{note} ({many(n)})" for note, n in counts.items())
+
+
+def _varied(result: SweepResult) -> Tabulated:
+    points = [*result.planned.values(), *(row.point for row in result.rows)]
+    rows = []
+    for axis in result.axes:
+        own = [point[axis] for point in points]
+        values = list(dict.fromkeys(map(shown, own)))
+        listed = "; ".join(values[:MOST_VALUES])
+        if len(values) > MOST_VALUES:
+            listed += f"; and {len(values) - MOST_VALUES} more"
+            if all(map(is_number, own)):
+                listed = f"from {shown(min(own))} to {shown(max(own))}"
+        repeats = "repetition" if axis in result.repeats else "factor"
+        rows.append((axis, repeats, str(len(values)), listed))
+    return Tabulated(("axis", "kind", "values", "which"), rows)
+
+
+def _best(
+    result: SweepResult, figures: tuple[str, ...]
+) -> tuple[Tabulated | None, str]:
+    """Rank trials by the error of the prediction, or by that of the fit without one."""
+    error = next((name for name in (HELD_OUT, FIT) if name in figures), None)
+    if error is None:
+        return None, ""
+    values = figure_values(result.rows, error)
+    order = [
+        int(i) for i in np.argsort(values, kind="stable") if values[i] == values[i]
+    ]
+    ranked = [result.rows[i] for i in order[:MOST_BEST]]
+    factor, name = readable_figure(result, error)
+    words, _, unit = name.partition(" [")
+    value = f"{factor * values[order[0]]:.4g} {unit.rstrip(']')}".rstrip()
+    where = describe(ranked[0].point)
+    sentence = f"The lowest {words} of {len(order)} trials is {value}, at {where}."
+    return trial_table(result, figures, ranked), sentence
+
+
+def _spread(result: SweepResult) -> Tabulated:
+    """Tabulate each figure over all trials that converged."""
+    rows = []
+    for figure in default_figures(result):
+        factor, name = readable_figure(result, figure)
+        own = factor * result.numbers(figure)
+        ends = (f"{own.min():.5g}", f"{np.median(own):.5g}", f"{own.max():.5g}")
+        rows.append((name, str(own.size), mean_text(own), *ends))
+    head = ("figure", "trials", "mean ± standard deviation", "least", "median", "most")
+    return Tabulated(head, rows)
+
+
+def _swept(
+    result: SweepResult, good: Sequence[TrialRow], figures: Sequence[str]
+) -> Iterator[SweptAxis]:
+    drawn = {}
+    for figure in figures:
+        factor, label = readable_figure(result, figure)
+        values = factor * figure_values(good, figure)
+        if np.nanmax(values) > np.nanmin(values):  # else there is nothing to see
+            drawn[label] = values
+    for axis in result.axes:
+        where: list[Any] = [row.point[axis] for row in good]
+        if not all(map(is_number, where)):
+            where = list(map(shown, where))
+        if drawn and len(set(where)) > 1:
+            yield SweptAxis(axis, where, drawn)

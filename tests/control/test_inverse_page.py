@@ -1,0 +1,155 @@
+"""Inverse runs as folders, pages and cells: their numbers are those of the result."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from arm import arm, pose
+from test_page import Read, check_page, number
+
+from softcal_jax.configurations import BodyAngle, Centroid
+from softcal_jax.control import (
+    ControlSettings,
+    Limits,
+    TrajectoryResult,
+    solve_inverse,
+)
+from softcal_jax.report import _write, notebook_html, write_inverse
+
+EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
+FACTOR = {"N": 1.0, "mN": 1e-3, "mm": 1e-3, "N mm": 1e-3, "N m": 1.0}
+FACTOR |= {"deg": np.pi / 180.0, "m": 1.0}
+
+pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+
+
+@pytest.fixture(autouse=True)
+def no_opengl(monkeypatch):
+    """Pictures cost seconds; one test of the command line draws one."""
+    monkeypatch.setattr(_write, "rendering_problem", lambda: "no OpenGL here")
+
+
+def in_si(text):
+    """The value of a cell like "1.5 N (imposed)" in SI."""
+    value, unit = re.match(r"(\S+) (N mm|N m|\w+)", text).groups()
+    return float(value) * FACTOR[unit]
+
+
+def searched(goal, **limits):
+    start = pose((0.0, 0.0, 0.0), EFFECTORS, top=0.1, motor=0.1)
+    settings = ControlSettings(other_starts=2)
+    own = {"goals": {"bend": goal}, "limits": limits, "settings": settings}
+    return solve_inverse(arm(), start, **own)
+
+
+@pytest.fixture(scope="module")
+def met():
+    """The upper cable and the motor together turn the tip by 0.2 rad."""
+    return searched(0.2)
+
+
+@pytest.fixture(scope="module")
+def missed():
+    """So little tension bends it by much less."""
+    return searched(1.2, top=Limits(force=(0.0, 0.2)), motor=Limits(step=0.0))
+
+
+def check_actuators(rows, data):
+    """Name, kind, force and displacement, each in a unit that reads well."""
+    for row, own in zip(rows, data["actuators"], strict=True):
+        name, kind, force, displacement = row
+        assert name == own["name"]
+        assert kind.startswith(own["kind"])
+        assert ("not commanded" in kind) != own["commanded"]
+        zero = 1e-4  # four digits are shown
+        assert in_si(force) == pytest.approx(own["force"], rel=1e-3, abs=zero)
+        assert in_si(displacement) == pytest.approx(
+            own["displacement"], rel=1e-3, abs=zero
+        )
+        imposed = force if own["imposed"] == "force" else displacement
+        assert "(imposed)" in imposed
+
+
+def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
+    folder = write_inverse(met, tmp_path / "out", name="arm", notes=["mind the gap"])
+    page = check_page(folder)
+    data = json.loads((folder / "inverse.json").read_text())
+    (point,) = data["points"]
+    assert data["met"]
+    assert point["met"]
+    assert point["message"] in page.text
+    assert page.text.count("Commanded: top = ") == 1
+    assert data["notes"] == ["mind the gap", "no OpenGL here"]
+    assert page.text.index("mind the gap") < page.text.rindex("Goals and actuators")
+    _, row = page.tables["Goals"]
+    (goal,) = point["goals"]
+    assert (row[0], goal["unit"]) == ("bend", "rad")
+    assert goal["goal"] == [pytest.approx(0.2)]
+    assert in_si(row[1]) == pytest.approx(0.2, rel=1e-3)
+    assert in_si(row[2]) == pytest.approx(goal["reached"][0], rel=1e-3)
+    assert abs(goal["in_std"][0]) <= point["tol"]
+    _, *rows = page.tables["Actuators"]
+    check_actuators(rows, point)
+    cable, _, motor = point["actuators"]
+    assert cable["force"] == met.forces["top"] == met.inputs[0]
+    assert motor["displacement"] == met.displacements["motor"] == met.inputs[1]
+    assert motor["displacement_unit"] == "rad"
+    assert rows[2][3].endswith("deg (imposed)")
+    _, *rows = page.tables["Descents"]
+    for row, own in zip(rows, point["attempts"], strict=True):
+        assert row[0] == own["way"]
+        assert int(row[1]) == own["n_steps"]
+        assert number(row[2]) == pytest.approx(own["error"], rel=1e-2)
+    assert "computed in Python, so there is no command" in page.text
+    assert [row[0] for row in page.tables["Files"]] == data["files"]
+    assert "command.vtu" in data["files"]
+    assert set(data["files"]) == {path.name for path in folder.iterdir()} - {
+        "inverse.json"
+    }
+
+
+def test_a_missed_goal_is_no_success(missed, tmp_path):
+    folder = write_inverse(missed, tmp_path / "out")
+    page = check_page(folder)
+    data = json.loads((folder / "inverse.json").read_text())
+    assert not data["met"]
+    (point,) = data["points"]
+    assert point["held_by"]
+    assert "is off by" in page.text
+    for limit in point["active_limits"]:
+        assert limit in page.text
+    (verdict,) = (o for o in page.of("section") if "verdict" in o.get("class", ""))
+    assert verdict["class"] == "verdict doubtful"
+
+
+def test_a_cell_shows_what_the_page_shows(met, tmp_path):
+    folder = write_inverse(met, tmp_path / "out")
+    whole = Read((folder / "report.html").read_text("utf-8"))
+    shown = Read(met._repr_html_())
+    assert list(shown.tables) == ["Goals", "Actuators"]
+    for title, rows in shown.tables.items():
+        assert whole.tables[title] == rows
+    assert "SI" not in shown.text
+
+
+def test_a_trajectory(met, missed, tmp_path):
+    """One command per goal, with the unit of each input."""
+    result = TrajectoryResult((met, missed))
+    folder = write_inverse(result, tmp_path / "out")
+    page = check_page(folder)
+    data = json.loads((folder / "inverse.json").read_text())
+    assert [point["met"] for point in data["points"]] == [True, False]
+    assert not data["met"]
+    assert "1 of 2 goals are met." in page.text
+    assert data["points"][1]["message"] in page.text
+    _, *rows = page.tables["Commands"]
+    for row, point in zip(rows, data["points"], strict=True):
+        top, motor = (part.split(" = ")[1] for part in row[1].split(", "))
+        forces = {own["name"]: own for own in point["actuators"]}
+        assert in_si(top) == pytest.approx(forces["top"]["force"], rel=1e-3)
+        assert in_si(motor) == pytest.approx(forces["motor"]["displacement"], rel=1e-3)
+    assert {"goal_1.vtu", "goal_2.vtu", "configurations.pvd"} <= set(data["files"])
+    assert Read(notebook_html(result)).tables["Commands"][1:] == rows
+    with pytest.raises(ValueError, match="the trajectory has no goals"):
+        write_inverse(TrajectoryResult(()), tmp_path / "none")

@@ -1,0 +1,171 @@
+"""The page of a sweep: its numbers are those of the rows, finished or not."""
+
+import re
+
+import numpy as np
+import pytest
+from cheap import POINTS, measure
+from test_page import HOSTILE, Read, number
+
+from softcal_jax.report import check_sweep_page, write_sweep
+from softcal_jax.sweeps import (
+    Outcome,
+    Range,
+    read_sweep,
+    run_sweep,
+    sample,
+    summarise,
+)
+
+
+def page_of(result, database, **options):
+    """The page of a sweep, read; what holds for all of them is checked."""
+    path = write_sweep(result, database, **options)
+    assert path.name == f"{database.stem}_report.html"
+    assert [own.name for own in database.parent.glob(".softcal*")] == []
+    page = Read(path.read_text(encoding="utf-8"))
+    assert page.of("script") == page.of("img") == []
+    ids = [own["id"] for _, own in page.elements if "id" in own]
+    links = [own["href"] for own in page.of("a")]
+    assert {link for link in links if link[0] != "#"} == {database.name}
+    assert {link[1:] for link in links if link[0] == "#"} == set(ids)
+    assert "nan" not in re.findall(r"\w+", page.text)
+    assert all(len({len(row) for row in rows}) == 1 for rows in page.tables.values())
+    return page
+
+
+def found_at(result, figure="E found [Pa]", **point):
+    """A figure of the trials there that converged."""
+    return np.array(
+        [
+            row.figures[figure]
+            for row in result.rows
+            if row.state == "converged" and point.items() <= row.point.items()
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A finished sweep of a function, and its database."""
+    database = tmp_path_factory.mktemp("sweep") / "sag.sqlite"
+    options = {"repeats": ["draw"], "workers": 0}
+    return run_sweep(measure, POINTS, database, **options), database
+
+
+def test_the_numbers_are_those_of_the_rows(measured):
+    """Trials that did not converge are counted, and in no mean."""
+    result, database = measured
+    page = page_of(result, database, timing_s={"trials": 1.0})
+    assert "24 of 24 trials have ended: 18 converged, 4 not converged" in page.text
+    assert page.text.count("6 trials failed or did not converge, and count in no") == 1
+    assert "ArithmeticError: no value at E = 200000" in page.text
+    assert "made in Python, without a sweep file" in page.text
+    _, *rows = page.tables["Axes"]
+    assert rows[0] == ["E", "factor", "2", "200000; 300000"]
+    assert rows[2][:3] == ["draw", "repetition", "6"]
+    head, *rows = page.tables["Means"]
+    for row in rows:
+        own = found_at(result, E=float(row[0]), kind=row[1])
+        assert number(row[head.index("E found [kPa]")]) == pytest.approx(
+            own.mean() / 1e3, abs=0.5
+        )
+    (_, n, mean, least, median, most), _ = page.tables["Figures of the trials"][1:]
+    own = found_at(result) / 1e3
+    assert int(n) == own.size == 18
+    assert number(mean) == pytest.approx(own.mean(), abs=0.5)
+    ends = [float(value) for value in (least, median, most)]
+    assert ends == pytest.approx([own.min(), np.median(own), own.max()], rel=1e-4)
+    for kind in ("u", "v"):
+        own = found_at(result, kind=kind) / 1e3
+        assert f"mean {own.mean():.5g} of {own.size} trials, from" in page.text
+    dots = [own for own in page.of("circle") if own["r"] == "4"]
+    assert len(dots) == 3 * 18  # E found over three axes; the other never varies
+    head, *rows = page.tables["Trials"]
+    assert [row[head.index("outcome")] for row in rows] == [
+        row.state for row in result.rows
+    ]
+
+
+def test_the_best_are_told_by_what_is_held_out(tmp_path):
+    """And many numbers on an axis are a scatter with a scale."""
+
+    def fit(trial):
+        E, good = trial["E"], trial["E"] > 2.1e5
+        errors = {
+            "fit rms [m]": 1.0 / E,
+            "held-out rms [m]": 1e-3 * (E / 3e5 - 0.8) ** 2,
+        }
+        return Outcome({**errors, "E [Pa]": E, "steps": 3}, good)
+
+    database = tmp_path / "fits.sqlite"
+    points = sample({"E": Range(2e5, 3e5)}, 20)
+    result = run_sweep(fit, points, database, workers=0)
+    page = page_of(result, database)
+    good = [row for row in result.rows if row.state == "converged"]
+    by_error = sorted(good, key=lambda row: row.figures["held-out rms [m]"])
+    head, *rows = page.tables["Best trials"]
+    shown = [1e3 * float(row[head.index("E [kPa]")]) for row in rows]
+    assert shown == pytest.approx([row.point["E"] for row in by_error[:5]], rel=1e-4)
+    assert f"The lowest held-out rms of {len(good)} trials is " in page.text
+    assert "Means" not in page.tables  # there are no repetitions
+    values = sorted(row.point["E"] for row in result.rows)
+    assert page.tables["Axes"][1][3] == f"from {values[0]:.6g} to {values[-1]:.6g}"
+    charts = [own for own in page.of("svg") if own.get("role") == "img"]
+    assert charts[0]["aria-label"].startswith("held-out rms [")
+    assert [re.search(r"] of (\d+) trials over E$", own["aria-label"])[1]
+            for own in charts] == [str(len(good))] * 2  # fmt: skip
+
+
+def test_a_sweep_that_was_stopped_and_goes_on(tmp_path):
+    """The page says what is left, and is replaced; none has converged at first."""
+    database = tmp_path / "sag.sqlite"
+
+    class Stopped(Exception):
+        pass
+
+    def stop(now):
+        if now.ended == 1:
+            raise Stopped
+
+    points = [{"E": 2e5, "kind": "v", "draw": draw} for draw in (3, 0, 1)]
+    with pytest.raises(Stopped):
+        run_sweep(measure, points, database, workers=0, progress=stop)
+    result = read_sweep(database)
+    assert summarise(result).tone == "bad"
+    page = page_of(result, database)
+    assert "1 of 3 trials have ended: 1 failed." in page.text
+    assert "2 trials are left to do: the same command goes on from here." in page.text
+    assert "No trial has converged, so there is nothing to average." in page.text
+    result = run_sweep(measure, points, database, workers=0)
+    page = page_of(result, database)
+    assert "3 of 3 trials have ended: 2 converged, 1 failed." in page.text
+    assert "left to do" not in page.text
+
+
+@pytest.mark.parametrize("name", ["sag", "é & <b>"])
+def test_a_file_of_the_user_is_not_replaced(tmp_path, name):
+    database = tmp_path / f"{name}.sqlite"
+    check_sweep_page(database)
+    (tmp_path / f"{name}_report.html").write_text("mine")
+    with pytest.raises(FileExistsError, match="no page of a sweep and would be over"):
+        check_sweep_page(database)
+
+
+def test_hostile_names_stay_text(tmp_path):
+    """In axes, values, figures, reasons and notes."""
+
+    def hostile(trial):
+        if trial[HOSTILE] == "b":
+            raise ValueError(HOSTILE)
+        return Outcome({HOSTILE: trial["n"]}, notes=[HOSTILE])
+
+    points = [{HOSTILE: value, "n": n} for value in (HOSTILE, "b") for n in (1, 2)]
+    database = tmp_path / "x.sqlite"
+    result = run_sweep(hostile, points, database, name=HOSTILE, workers=0)
+    page = page_of(result, database)
+    shown = HOSTILE.replace("\x1b", "\\x1b").replace("\u202e", "\\u202e")
+    assert page.texts.count(shown) >= 5
+    text = (tmp_path / "x_report.html").read_text(encoding="utf-8")
+    assert "<img" not in text
+    assert "\x1b" not in text
