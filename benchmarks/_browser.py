@@ -1,5 +1,6 @@
 """A page in headless Chromium: what it asks the network for, and what goes wrong."""
 
+import base64
 import json
 import os
 import shutil
@@ -59,15 +60,42 @@ def visit(page: Path) -> Visit:
         NoBrowser: If there is no browser.
         RuntimeError: If it does not load the page.
     """
-    address = page.resolve().as_uri()
-    requests, errors = [], []
+    with opened(page) as tab:
+        return tab.loaded
+
+
+@contextmanager
+def opened(page: Path) -> Iterator["Tab"]:
+    """Open a page from disk, wait until it has settled, and keep it open.
+
+    Args:
+        page: An HTML file.
+
+    Raises:
+        NoBrowser: If there is no browser.
+        RuntimeError: If it does not load the page.
+    """
     with _started(browser()) as chromium:
         target = chromium.call("Target.createTarget", url="about:blank")["targetId"]
         attach = {"targetId": target, "flatten": True}
         session = chromium.call("Target.attachToTarget", **attach)["sessionId"]
+        yield Tab(chromium, session, page.resolve().as_uri())
+
+
+class Tab:
+    """A page that has loaded and settled.
+
+    Attributes:
+        loaded: What it did meanwhile.
+    """
+
+    def __init__(self, chromium: "_Chromium", session: str, address: str):
+        """Load the page."""
+        self._chromium, self._session = chromium, session
+        requests, errors = [], []
         for domain in ("Network", "Runtime", "Log", "Page"):
-            chromium.call(f"{domain}.enable", session=session)
-        told = chromium.call("Page.navigate", session=session, url=address)
+            self._call(f"{domain}.enable")
+        told = self._call("Page.navigate", url=address)
         if "errorText" in told:
             raise RuntimeError(f"{address}: {told['errorText']}")
         for event, about in chromium.events():
@@ -82,7 +110,46 @@ def visit(page: Path) -> Visit:
                 errors.append(" ".join(values))
             elif event == "Log.entryAdded" and about["entry"]["level"] == "error":
                 errors.append(about["entry"]["text"])
-    return Visit(tuple(requests), tuple(errors))
+        self.loaded = Visit(tuple(requests), tuple(errors))
+
+    def resize(self, width: int, height: int = 900) -> None:
+        """Show the page in a window of another size [px]."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1}
+        self._call("Emulation.setDeviceMetricsOverride", **size, mobile=width < 600)
+
+    def ask(self, expression: str) -> Any:
+        """Evaluate an expression of JavaScript in the page.
+
+        Args:
+            expression: Its value, or what it promises, is as JSON can say it.
+
+        Raises:
+            RuntimeError: If it fails.
+        """
+        how = {"awaitPromise": True, "returnByValue": True}
+        told = self._call("Runtime.evaluate", expression=expression, **how)
+        if "exceptionDetails" in told:
+            about = told["exceptionDetails"]
+            said = about.get("exception", {}).get("description", about["text"])
+            raise RuntimeError(f"the page could not answer: {said}")
+        return told["result"].get("value")
+
+    def screenshot(self, selector: str) -> bytes:
+        """Draw an element, however long it is, as a PNG.
+
+        Args:
+            selector: The first element that matches it, of CSS.
+        """
+        place = self.ask(
+            f"(({{x, y, width, height}}) => ({{x: x + scrollX, y: y + scrollY, width, "
+            f"height, scale: 1}}))(document.querySelector({json.dumps(selector)})"
+            ".getBoundingClientRect())"
+        )
+        how = {"format": "png", "captureBeyondViewport": True, "clip": place}
+        return base64.b64decode(self._call("Page.captureScreenshot", **how)["data"])
+
+    def _call(self, method: str, **about: Any) -> Any:
+        return self._chromium.call(method, session=self._session, **about)
 
 
 class _Chromium:

@@ -39,6 +39,7 @@ from softcal_jax.report._outline import ROLES
 from softcal_jax.report._provenance import made_html, repeat_html
 from softcal_jax.report._robot import robot_tables
 from softcal_jax.report._tables import simulation_tables
+from softcal_jax.report._view import View
 
 PICTURES = (".png", ".svg")
 """Endings of pictures."""
@@ -54,6 +55,7 @@ def calibration_page(
     found: Assessment,
     data: Mapping[str, Any],
     folder: Path,
+    view: View | None = None,
 ) -> str:
     """Write the page of a calibration.
 
@@ -62,6 +64,7 @@ def calibration_page(
         found: Its assessment.
         data: The content of its `result.json`, with notes and files.
         folder: Where its pictures are.
+        view: The body in three dimensions; None for a page without pictures.
     """
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
@@ -77,7 +80,7 @@ def calibration_page(
         ),
         Section("data", "What the data tell", _outlook(found)),
         Section("next", "What to measure next", _sentences(own.advice)),
-        Section("pictures", "Pictures", _pictures(data, folder)),
+        Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
         Section("fit", "Course of the fit", _course(result)),
         Section("inner", "Correlation and singular values", _inner(found)),
@@ -85,22 +88,33 @@ def calibration_page(
         Section("made", "Settings, versions and times", made_html(data)),
     ]
     verdict = verdict_of(result, found)
-    return page(data["name"], "Calibration", verdict, sections, index="result.json")
+    script = view.script if view else ""
+    index = "result.json"
+    return page(
+        data["name"], "Calibration", verdict, sections, index=index, script=script
+    )
 
 
 def simulation_page(
-    result: SimulationResult, data: Mapping[str, Any], folder: Path
+    result: SimulationResult,
+    data: Mapping[str, Any],
+    folder: Path,
+    view: View | None = None,
 ) -> str:
     """Write the page of a simulation; arguments as of `calibration_page`."""
     sections = [
         Section("notes", "Notes", _notes(data["notes"])),
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
-        Section("pictures", "Pictures", _pictures(data, folder)),
+        Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section("made", "Versions and times", made_html(data)),
     ]
     verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
-    return page(data["name"], "Simulation", verdict, sections, index="simulation.json")
+    script = view.script if view else ""
+    index = "simulation.json"
+    return page(
+        data["name"], "Simulation", verdict, sections, index=index, script=script
+    )
 
 
 def _notes(notes: Sequence[str]) -> list[Html]:
@@ -179,9 +193,16 @@ def _course(result: CalibrationResult) -> list[Html]:
     return [*course_charts(result), table_html(history_table(result))]
 
 
-def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
-    """Show the pictures of the configurations, as many as a page should hold."""
-    shown, left = [], MOST_PICTURES
+def _pictures(data: Mapping[str, Any], folder: Path, view: View | None) -> list[Html]:
+    """Show the body to be turned, and as many pictures as a page should hold.
+
+    A picture of what the view shows stands for it where there is none, as in print.
+    """
+    shown, left, seen = [], MOST_PICTURES, frozenset()
+    if view is not None:
+        shown.append(view.content)
+        left -= 3 * view.size // 4  # pictures grow by a third as text
+        seen = view.names
     for own in data["configurations"]:
         for name in (file for file in own["files"] if file.endswith(PICTURES)):
             path = folder / name
@@ -192,13 +213,20 @@ def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
                 text = "to keep the page small, this picture stays beside it, as "
                 shown.append(node("p", f"{caption}; {text}", link, "."))
             else:
-                shown.append(figure(picture(path, caption), f"{caption}."))
+                drawn = figure(picture(path, caption), f"{caption}.")
+                if own["name"] in seen and not _is_recording(name):
+                    drawn = node("div", drawn, class_="viewed")
+                shown.append(drawn)
     return shown
+
+
+def _is_recording(file: str) -> bool:
+    return Path(file).stem.endswith("_recording")
 
 
 def _seen(own: Mapping[str, Any], file: str) -> str:
     """Say what the picture of a configuration shows."""
-    if Path(file).stem.endswith("_recording"):
+    if _is_recording(file):
         return f"{own['name']}: the recording of the markers over time"
     role = ROLES.get(own.get("role", ""), "simulated")
     text = f"{own['name']} ({role}): the deformed body, coloured by displacement"
