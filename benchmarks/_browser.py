@@ -65,17 +65,19 @@ def visit(page: Path) -> Visit:
 
 
 @contextmanager
-def opened(page: Path) -> Iterator["Tab"]:
+def opened(page: Path, *, webgl: bool = True) -> Iterator["Tab"]:
     """Open a page from disk, wait until it has settled, and keep it open.
 
     Args:
         page: An HTML file.
+        webgl: Whether the browser draws in three dimensions.
 
     Raises:
         NoBrowser: If there is no browser.
         RuntimeError: If it does not load the page.
     """
-    with _started(browser()) as chromium:
+    more = () if webgl else ("--disable-3d-apis",)
+    with _started(browser(), *more) as chromium:
         target = chromium.call("Target.createTarget", url="about:blank")["targetId"]
         attach = {"targetId": target, "flatten": True}
         session = chromium.call("Target.attachToTarget", **attach)["sessionId"]
@@ -116,6 +118,10 @@ class Tab:
         """Show the page in a window of another size [px]."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1}
         self._call("Emulation.setDeviceMetricsOverride", **size, mobile=width < 600)
+
+    def print(self, on: bool = True) -> None:
+        """Show the page as it is printed, or on a screen again."""
+        self._call("Emulation.setEmulatedMedia", media="print" if on else "screen")
 
     def ask(self, expression: str) -> Any:
         """Evaluate an expression of JavaScript in the page.
@@ -208,8 +214,8 @@ class _Chromium:
 
 
 @contextmanager
-def _started(program: str) -> Iterator[_Chromium]:
-    """Start Chromium with a profile of its own, and end it."""
+def _started(program: str, *more: str) -> Iterator[_Chromium]:
+    """Start Chromium with a profile of its own and more options, and end it."""
     inner_read, to = os.pipe()
     back, inner_write = os.pipe()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
@@ -218,6 +224,7 @@ def _started(program: str) -> Iterator[_Chromium]:
         options = ["--headless=new", "--no-sandbox", "--disable-gpu-sandbox"]
         options += ["--remote-debugging-pipe", f"--user-data-dir={profile}"]
         options += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        options += ["--hide-scrollbars", *more]
         process = subprocess.Popen(
             ["bash", "-c", command, program, *options],
             pass_fds=(inner_read, inner_write),

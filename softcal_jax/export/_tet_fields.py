@@ -15,7 +15,6 @@ from softcal_jax.equilibrium import Model, TetStates
 from softcal_jax.fields import find_field
 from softcal_jax.materials import Fibre, is_point_values
 
-
 STANDARD_ERROR = "_standard_error"
 """What follows the name of a field in that of its standard error."""
 
@@ -50,7 +49,7 @@ def tet_fields(
 
 
 def field_units(model: Model) -> dict[str, str]:
-    """Return the SI unit of each of `tet_fields` whose law declares one, by its name."""
+    """Return the SI units of `tet_fields` by name, where the law declares one."""
     units = {"density": "kg/m3"}
     for name, path, _ in _named(model):
         owner, _, own = path.rpartition(".")

@@ -131,6 +131,9 @@ def body_view(
         errors: Standard errors of calibrated fields in each tet; None if nothing was
             calibrated.
     """
+    if not any(own.converged for own in result.configurations):
+        text = "There is no body to turn: no configuration has an equilibrium."
+        return View(node("p", text), "", frozenset())
     made = _made(result.model, result.configurations, errors)
     if made is None:
         n = len(boundary_tets(result.model.mesh))
@@ -232,10 +235,10 @@ def _figure(made: _Made, *, converged: bool) -> Html:
 
 def _words(own: ConfigurationResult) -> str:
     """Say what a configuration shows."""
-    named = _named(own)
     if not own.converged:
-        return f"{named}: no equilibrium ({own.outcome}). The body is drawn at rest."
-    return f"{named}: {motion_words(own)}."
+        why = f"no equilibrium ({own.outcome})"
+        return f"{own.name}: {why}. The body is drawn at rest."
+    return f"{_named(own)}: {motion_words(own)}."
 
 
 def _named(own: ConfigurationResult) -> str:

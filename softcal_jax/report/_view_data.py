@@ -129,6 +129,7 @@ def _field(own: Field) -> dict[str, Any]:
         "label": own.label,
         "unit": own.unit,
         "place": own.place,
+        "note": own.note,
         "range": [low, high],
         "values": [None if v is None else packed(v) for v in own.values],
         "largest": [_largest(v) for v in own.values],

@@ -36,12 +36,14 @@ class Field(NamedTuple):
         place: What has a value.
         values: Values in each configuration, nan where there is none, or None without
             an equilibrium; a single entry for a field that is the same in all.
+        note: What to know about it.
     """
 
     label: str
     unit: str
     place: Place
     values: tuple[Float[HostArray, " n"] | None, ...]
+    note: str = ""
 
     __repr__ = one_line
 
@@ -80,7 +82,8 @@ def view_fields(
     distances = [_distances(own) for own in shown]
     if any(d is not None and np.isfinite(d).any() for d in distances):
         label = "distance at markers [mm]"
-        fields.append(Field(label, "mm", "marker", tuple(distances)))
+        note = "Discs at the measured markers; between them nothing is known."
+        fields.append(Field(label, "mm", "marker", tuple(distances), note))
     return [own for own in fields if any(map(_has_values, own.values))]
 
 
@@ -141,4 +144,9 @@ def _of_faces(
         None if v is None else np.where(surface.rigid, np.nan, factor * v)
         for v in values
     )
-    return Field(f"{name} [{shown or '-'}]", shown, "face", own)
+    note = ["Each face has the value of its tet."]
+    if unit == "rad":
+        note.append("Angles that differ by 180 deg are one axis.")
+    if not np.isfinite(there).all():
+        note.append("Grey: there is none.")
+    return Field(f"{name} [{shown or '-'}]", shown, "face", own, " ".join(note))

@@ -294,7 +294,8 @@
     if (on("rest")) drawRest(1);
     gl.enable(gl.DEPTH_TEST);
     gl.useProgram(body);
-    gl.uniform3fv(at(body, "grey"), numbers(paint.rigid));
+    const bare = field().place === "marker" || !pose().drawn;
+    gl.uniform3fv(at(body, "grey"), numbers(bare ? "#e4e4e4" : paint.rigid));
     gl.bindVertexArray(solid);
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(1, 1);
@@ -456,7 +457,9 @@
     pen.font = FONT;
     pen.textBaseline = "middle";
     const written = new Set();
-    for (const [name, place] of names) {
+    for (const [whole, place] of names) {
+      // Where there is little room, a table says what drives an actuator.
+      const name = w < 480 && field().place !== "marker" ? whole.split(":")[0] : whole;
       // A body is often named as what drives it, or as its marker.
       if (!name || !place || written.has(name)) continue;
       written.add(name).add(name.split(":")[0]);
@@ -539,15 +542,14 @@
     let text = "";
     if (pose().drawn) {
       const largest = ofPose(own.largest);
-      if (own.place === "face") text = "Each face has the value of its tet.";
-      if (own.place === "marker")
-        text = "Discs at the measured markers; between them nothing is known.";
+      text = own.note;
       if (!constant && largest !== null)
         text = `Up to ${digits(largest, high - low)}${unit} here. ${text}`;
       if (own.values.length > 1 && data.configurations.length > 1)
         text += " The colours mean the same in all configurations.";
     }
     document.querySelector("#view-words > [role]").textContent = text;
+    byId("scale").hidden = !pose().drawn;
     const shown = byId("configuration").selectedOptions[0].textContent;
     area.setAttribute("aria-label", `Three-dimensional view of ${shown}, coloured by ${name}`);
   };
