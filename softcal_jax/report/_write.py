@@ -88,9 +88,9 @@ def write_results(
     a .png; `configurations.pvd` opens all .vtu at once. For a robot with other
     effectors, rigid bodies or actuators there are `effectors.csv` and `robot.csv`, too;
     of a recording of markers over time a picture that ends with `_recording.png`. With
-    `pictures="svg"` all pictures end in .svg, and with None there are none. A
-    calibration that did not converge is written too, marked as such. A configuration
-    without an equilibrium has neither .vtu nor .png.
+    `pictures="svg"` all pictures end in .svg; with None there are none, and the page
+    has no view of the robot. A calibration that did not converge is written too, marked
+    as such. A configuration without an equilibrium has neither .vtu nor .png.
 
     Args:
         result: The calibration.

@@ -1,5 +1,9 @@
-// The body of a page in three dimensions. The body is drawn by WebGL 2, as a library
-// would; what must keep its size on the screen, marks and names, by a canvas above.
+// The body of a page in three dimensions: one shaded surface by WebGL 2, and what must
+// keep its size on the screen, marks and names, by a canvas above it.
+//
+// A library would take over the surface alone. The renderer of three.js has 357 kB,
+// twenty times this file, in modules that import each other, which a page of one file
+// cannot do without a tool that bundles them.
 "use strict";
 (() => {
   const byId = (id) => document.getElementById("view-" + id);
