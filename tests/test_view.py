@@ -23,7 +23,7 @@ from softcal_jax.report import _view, _write, write_results, write_simulation
 from softcal_jax.report._surface import surface_of
 from softcal_jax.report._view import body_view
 from softcal_jax.report._view_data import view_data
-from softcal_jax.report._view_fields import view_fields
+from softcal_jax.report._view_fields import state_fields, view_fields
 from softcal_jax.report._view_robot import robot_data
 
 NONE = 65535
@@ -43,6 +43,12 @@ def fits_of(model):
     first = make_fit(model.mesh)
     other = make_fit(model.mesh, "held out", "validation", (0.0, 0.002, 0.0))
     return first, dataclasses.replace(other, displacement=0.5 * first.displacement)
+
+
+def fields_of(model, shown, surface):
+    """The fields of a simulation."""
+    states = [state_fields(model, own) for own in shown]
+    return view_fields(model, shown, states, surface, None)
 
 
 def read(folder):
@@ -296,7 +302,7 @@ def test_fibres_move_with_the_material():
     moved = dataclasses.replace(still, displacement=X @ A.T - X)
     surface = surface_of(model, 4)
     shown = [still, moved]
-    data = view_data(model, shown, surface, view_fields(model, shown, surface, None))
+    data = view_data(model, shown, surface, fields_of(model, shown, surface))
     rest, after = (
         positions(data, own["fibres"]).reshape(-1, 2, 3)
         for own in data["configurations"]
@@ -344,7 +350,7 @@ def test_rigid_faces_have_no_value_of_the_law(robot):
     x = robot.model.mesh.points[surface.faces][:, :, 0]
     ends = np.all(np.isclose(x, 0.0), axis=1) | np.all(np.isclose(x, 0.06), axis=1)
     assert np.array_equal(surface.rigid, ends)
-    fields = view_fields(robot.model, robot.configurations, surface, None)
+    fields = fields_of(robot.model, robot.configurations, surface)
     for field in fields:
         for own in field.values if field.place == "face" else ():
             if own is not None:

@@ -19,7 +19,7 @@ from softcal_jax.report._html import Html, bullets, joined, node
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._surface import surface_of
 from softcal_jax.report._view_data import view_data
-from softcal_jax.report._view_fields import Field, view_fields
+from softcal_jax.report._view_fields import Field, state_fields, view_fields
 
 MOST_DATA = 1_500_000
 """Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""
@@ -49,8 +49,8 @@ _BUTTONS = {
 }
 
 _KEYS = (
-    "Drag, or with the arrow keys, to turn; with Shift to move. + and - or a pinch "
-    "bring it nearer or farther, Home resets the view."
+    "Drag or press the arrow keys to turn, with Shift to move; + and -, or a pinch, "
+    "bring the robot nearer or farther; Home resets the view."
 )
 
 _SYMBOLS = {
@@ -175,10 +175,11 @@ def _made(
     errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
 ) -> _Made | None:
     """Collect what is drawn, as finely as fits; None if nothing fits."""
+    states = [state_fields(model, own) for own in every]
 
     def cut(parts: int, shown: Sequence[ConfigurationResult]) -> _Made:
         surface = surface_of(model, parts)
-        fields = view_fields(model, shown, surface, errors)
+        fields = view_fields(model, shown, states[: len(shown)], surface, errors)
         data = view_data(model, shown, surface, fields) | {"colours": MARKS}
         # "<" must not end the element that the data are in.
         text = json.dumps(data, allow_nan=False, separators=(",", ":"))
@@ -260,7 +261,7 @@ def _choices(made: _Made) -> Html:
     return node(
         "div",
         _select("configuration", "Configuration", map(_named, made.shown), first),
-        _select("field", "Colour", [own.label for own in made.fields], 0),
+        _select("field", "Coloured by", [own.label for own in made.fields], 0),
         _select("direction", "Seen", directions, 0),
         node("fieldset", node("legend", "Show"), *boxes),
         class_="choices",

@@ -48,9 +48,35 @@ class Field(NamedTuple):
     __repr__ = one_line
 
 
+class StateField(NamedTuple):
+    """A field of the state of a body: its name, SI unit, and values in each tet."""
+
+    name: str
+    unit: str
+    values: Float[HostArray, " n_tets"] | None
+
+    __repr__ = one_line
+
+
+def state_fields(model: Model, own: ConfigurationResult) -> list[StateField]:
+    """Compute how far the tets are stretched, and their stress.
+
+    There are no values without an equilibrium.
+    """
+    stretch = mises = None
+    if own.converged:
+        states = tet_states(model, jnp.asarray(own.displacement))
+        stretch, mises = principal_stretches(states)[:, 0], von_mises_stress(states)
+    return [
+        StateField("largest principal stretch", "", stretch),
+        StateField("von Mises stress", "Pa", mises),
+    ]
+
+
 def view_fields(
     model: Model,
     shown: Sequence[ConfigurationResult],
+    states: Sequence[Sequence[StateField]],
     surface: Surface,
     errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
 ) -> list[Field]:
@@ -62,6 +88,7 @@ def view_fields(
     Args:
         model: The model.
         shown: The configurations.
+        states: Fields of the state in each of them, see `state_fields`.
         surface: Its surface.
         errors: Standard errors of calibrated fields in each tet, by their names; None
             for a simulation.
@@ -69,16 +96,11 @@ def view_fields(
     moved = [_displacement(own, surface) for own in shown]
     fields = [Field("displacement [mm]", "mm", "point", tuple(moved))]
     fields += _law_fields(model, surface, errors)
-    states = [
-        tet_states(model, jnp.asarray(own.displacement)) if own.converged else None
-        for own in shown
-    ]
-    for name, unit, of in (
-        ("largest principal stretch", "", lambda s: principal_stretches(s)[:, 0]),
-        ("von Mises stress", "Pa", von_mises_stress),
-    ):
-        values = [None if s is None else of(s)[surface.tets] for s in states]
-        fields.append(_of_faces(name, unit, values, surface))
+    for every in zip(*states, strict=True):
+        values = [
+            None if own.values is None else own.values[surface.tets] for own in every
+        ]
+        fields.append(_of_faces(every[0].name, every[0].unit, values, surface))
     distances = [_distances(own) for own in shown]
     if any(d is not None and np.isfinite(d).any() for d in distances):
         label = "distance at markers [mm]"
