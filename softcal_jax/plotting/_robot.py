@@ -83,6 +83,8 @@ class RobotPicture(NamedTuple):
     state: RobotState
     x: Float[HostArray, "n_points 3"]
 
+    __repr__ = one_line
+
     @property
     def points(self) -> Float[HostArray, "n 3"]:
         """Points that must be visible in addition to the body [m]."""

@@ -407,11 +407,12 @@
           path([project(f.at), project(sum(f.at, axis, 26 / s))], colour, 2, dash));
         if (f.name) names.push([f.name, project(f.at)]);
       }
-    if (on("markers")) drawMarkers(pen, path, names);
+    const [marks, points] = on("markers") ? drawMarkers(pen, path) : [[], []];
     corner(pen, path, w, h, s);
-    if (on("names")) write(pen, names, w, h);
+    if (on("names")) write(pen, [...points, ...names], marks, w, h);
   };
-  const drawMarkers = (pen, path, names) => {
+  const drawMarkers = (pen, path) => {
+    const names = [], marks = [];
     const own = field(), of = own.place === "marker" && ofPose(own.values);
     const shares = of ? shorts(of) : null;
     pose().markers.forEach((marker, k) => {
@@ -451,13 +452,15 @@
         name += `: ${digits(value, high - low)} ${own.unit}`;
       }
       const place = a || b;
+      if (place) marks.push(place);
       if (place && (shares || pose().markers.length <= 16)) names.push([name, place]);
     });
+    return [marks, names];
   };
   const FONT = '13px system-ui, "Segoe UI", Roboto, Arial, sans-serif';
-  const write = (pen, names, w, h) => {
+  const write = (pen, names, marks, w, h) => {
     // Move names up or down until none covers another.
-    const taken = [];
+    const taken = marks.map(([x, y]) => [x - 7, y, 12]);
     pen.font = FONT;
     pen.textBaseline = "middle";
     const written = new Set();
@@ -608,7 +611,7 @@
       move(0.5 * d[0], 0.5 * d[1]);
       nearer(apart(now) / apart(last));
     } else if (event.shiftKey) move(...d);
-    else turn(0.01 * d[0], 0.01 * d[1]);
+    else turn(0.01 * d[0], -0.01 * d[1]);
     fingers.set(event.pointerId, now);
   });
   for (const end of ["pointerup", "pointercancel"])
@@ -624,9 +627,9 @@
     here.classList.remove("has-view"); // back to the pictures
   });
 
-  figure.hidden = false;
-  here.classList.add("has-view");
   look();
   choose();
+  figure.hidden = false;
+  here.classList.add("has-view");
   new ResizeObserver(draw).observe(area);
 })();
