@@ -174,31 +174,37 @@ def _made(
     every: Sequence[ConfigurationResult],
     errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
 ) -> _Made | None:
-    """Collect what is drawn, as finely as fits; None if nothing fits."""
+    """Collect what is drawn, as finely as fits; None if nothing fits.
+
+    Where not all configurations fit, those without an equilibrium go first.
+    """
     states = [state_fields(model, own) for own in every]
 
-    def cut(parts: int, shown: Sequence[ConfigurationResult]) -> _Made:
+    def cut(parts: int, kept: Sequence[int]) -> _Made:
         surface = surface_of(model, parts)
-        fields = view_fields(model, shown, states[: len(shown)], surface, errors)
+        shown, borne = [every[k] for k in kept], [states[k] for k in kept]
+        fields = view_fields(model, shown, borne, surface, errors)
         data = view_data(model, shown, surface, fields) | {"colours": MARKS}
         # "<" must not end the element that the data are in.
         text = json.dumps(data, allow_nan=False, separators=(",", ":"))
         text = text.replace("<", "\\u003c")
-        left_out = [own.name for own in every[len(shown) :]]
+        left_out = [own.name for k, own in enumerate(every) if k not in kept]
         coarse = model.mesh.order == 2 and parts < PARTS
         return _Made(data, text, fields, shown, left_out, coarse)
 
-    made = None
+    everything = range(len(every))
     for parts in (PARTS, 2, 1) if model.mesh.order == 2 else (1,):
-        made = cut(parts, every)
+        made = cut(parts, everything)
         if len(made.text) <= MOST_DATA:
             return made
-    if made is None or len(every) < 2:
-        return None
-    first = cut(1, every[:1])
-    each = (len(made.text) - len(first.text)) / (len(every) - 1)
-    count = 1 + int((MOST_DATA - len(first.text)) // each)
-    return cut(1, every[:count]) if count >= 1 else None
+    kept = [k for k in everything if every[k].converged]
+    while kept:
+        made = cut(1, kept)
+        if len(made.text) <= MOST_DATA:
+            return made
+        # Most of it is what each configuration adds.
+        kept = kept[: min(len(kept) - 1, len(kept) * MOST_DATA // len(made.text) + 1)]
+    return None
 
 
 def _data(made: _Made) -> Html:

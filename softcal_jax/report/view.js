@@ -2,7 +2,7 @@
 // keep its size on the screen, marks and names, by a canvas above it.
 //
 // A library would take over the surface alone. The renderer of three.js has 357 kB,
-// a dozen times this file, in modules that import each other, which a page of one file
+// a dozen times this file, in modules that load each other, which a page of one file
 // cannot do without a tool that bundles them.
 "use strict";
 (() => {
