@@ -60,8 +60,8 @@ def shown(tab, selector):
     return tab.ask(f"document.querySelector('{selector}').checkVisibility()")
 
 
-def share_of_changed_pixels(a, b):
-    return np.mean(np.abs(a - b).max(axis=-1) > 30)
+def share_of_changed_pixels(a, b, least=30):
+    return np.mean(np.abs(a - b).max(axis=-1) > least)
 
 
 def test_it_draws_what_is_chosen_and_turns_by_keys(page):
@@ -95,8 +95,8 @@ def test_it_draws_what_is_chosen_and_turns_by_keys(page):
         ]
         for i, one in enumerate(varied):
             for two in varied[:i]:
-                # E and displacement both grow along the beam.
-                assert share_of_changed_pixels(one, two) > 0.005
+                # Stretch and stress of this shape grow alike along the beam.
+                assert share_of_changed_pixels(one, two, 5) > 0.02
         choose(tab, "field", 0)
         still = seen(tab)
         press(tab, "ArrowRight")
