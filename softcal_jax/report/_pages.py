@@ -211,12 +211,12 @@ def _pictures(data: Mapping[str, Any], folder: Path, view: View | None) -> list[
             if left < 0:
                 link = node("a", name, href=name)
                 text = "to keep the page small, this picture stays beside it, as "
-                shown.append(node("p", f"{caption}; {text}", link, "."))
+                drawn = node("p", f"{caption}; {text}", link, ".")
             else:
                 drawn = figure(picture(path, caption), f"{caption}.")
-                if own["name"] in seen and not _is_recording(name):
-                    drawn = node("div", drawn, class_="viewed")
-                shown.append(drawn)
+            if own["name"] in seen and not _is_recording(name):
+                drawn = node("div", drawn, class_="viewed")
+            shown.append(drawn)
     return shown
 
 
