@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from export.handmade import make_result, small_model
 from PIL import Image
-from test_view import fits_of
+from test_page_view import fits_of
 
 from benchmarks import _browser
 from softcal_jax.report import _write, write_results
