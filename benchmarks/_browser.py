@@ -1,5 +1,6 @@
 """A page in headless Chromium: what it asks the network for, and what goes wrong."""
 
+import base64
 import json
 import os
 import shutil
@@ -64,17 +65,19 @@ def visit(page: Path) -> Visit:
 
 
 @contextmanager
-def opened(page: Path) -> Iterator["Tab"]:
+def opened(page: Path, *, webgl: bool = True) -> Iterator["Tab"]:
     """Open a page from disk, wait until it has settled, and keep it open.
 
     Args:
         page: An HTML file.
+        webgl: Whether the browser draws in three dimensions.
 
     Raises:
         NoBrowser: If there is no browser.
         RuntimeError: If it does not load the page.
     """
-    with _started(browser()) as chromium:
+    more = () if webgl else ("--disable-3d-apis",)
+    with _started(browser(), *more) as chromium:
         target = chromium.call("Target.createTarget", url="about:blank")["targetId"]
         attach = {"targetId": target, "flatten": True}
         session = chromium.call("Target.attachToTarget", **attach)["sessionId"]
@@ -116,6 +119,10 @@ class Tab:
         size = {"width": width, "height": height, "deviceScaleFactor": 1}
         self._call("Emulation.setDeviceMetricsOverride", **size, mobile=width < 600)
 
+    def print(self, on: bool = True) -> None:
+        """Show the page as it is printed, or on a screen again."""
+        self._call("Emulation.setEmulatedMedia", media="print" if on else "screen")
+
     def ask(self, expression: str) -> Any:
         """Evaluate an expression of JavaScript in the page.
 
@@ -132,6 +139,20 @@ class Tab:
             said = about.get("exception", {}).get("description", about["text"])
             raise RuntimeError(f"the page could not answer: {said}")
         return told["result"].get("value")
+
+    def screenshot(self, selector: str) -> bytes:
+        """Draw an element, however long it is, as a PNG.
+
+        Args:
+            selector: The first element that matches it, of CSS.
+        """
+        place = self.ask(
+            f"(({{x, y, width, height}}) => ({{x: x + scrollX, y: y + scrollY, width, "
+            f"height, scale: 1}}))(document.querySelector({json.dumps(selector)})"
+            ".getBoundingClientRect())"
+        )
+        how = {"format": "png", "captureBeyondViewport": True, "clip": place}
+        return base64.b64decode(self._call("Page.captureScreenshot", **how)["data"])
 
     def _call(self, method: str, **about: Any) -> Any:
         return self._chromium.call(method, session=self._session, **about)
@@ -193,8 +214,8 @@ class _Chromium:
 
 
 @contextmanager
-def _started(program: str) -> Iterator[_Chromium]:
-    """Start Chromium with a profile of its own, and end it."""
+def _started(program: str, *more: str) -> Iterator[_Chromium]:
+    """Start Chromium with a profile of its own and more options, and end it."""
     inner_read, to = os.pipe()
     back, inner_write = os.pipe()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
@@ -203,6 +224,7 @@ def _started(program: str) -> Iterator[_Chromium]:
         options = ["--headless=new", "--no-sandbox", "--disable-gpu-sandbox"]
         options += ["--remote-debugging-pipe", f"--user-data-dir={profile}"]
         options += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        options += ["--hide-scrollbars", *more]
         process = subprocess.Popen(
             ["bash", "-c", command, program, *options],
             pass_fds=(inner_read, inner_write),

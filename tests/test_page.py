@@ -1,5 +1,7 @@
 """`report.html`, read as a browser would: well formed, self-contained, and right."""
 
+import base64
+import hashlib
 import json
 import re
 import shutil
@@ -39,11 +41,15 @@ from softcal_jax.report import (
     write_results,
     write_simulation,
 )
+from softcal_jax.report._view import body_view
 
 HOSTILE = "<img src=x onerror=alert(1)> & \"q\" 'a' </title>\x1b\u202e"
 """A name that breaks out of texts, attributes and terminals, if it can."""
 
-VOID = {"br", "img", "meta"}
+VOID = {"br", "img", "input", "meta"}
+
+DATA = {"type": "application/json", "id": "view-data"}
+"""Attributes of what a view draws, which runs nothing."""
 
 pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
 
@@ -61,7 +67,7 @@ class Read(HTMLParser):
     def __init__(self, text):
         super().__init__()
         self.elements, self.open, self.tables, self.texts = [], [], {}, []
-        self.styles = ""
+        self.styles, self.scripts = "", []
         self.feed(text)
         self.close()
         assert self.open == []
@@ -89,6 +95,9 @@ class Read(HTMLParser):
         inner = self.open[-1] if self.open else ""
         if inner == "style":
             self.styles += data
+            return
+        if inner == "script":
+            self.scripts.append(data)
             return
         self.texts.append(data)
         if inner == "caption":
@@ -125,7 +134,7 @@ def check_page(folder):
     assert len(set(ids)) == len(ids)
     files = {path.name for path in folder.iterdir()}
     for tag, own in page.elements:
-        assert tag not in ("script", "link", "iframe", "object", "base", "form")
+        assert tag not in ("link", "iframe", "object", "base", "form")
         assert not [key for key in own if key.startswith("on")]
         if "src" in own:
             assert own["src"].startswith("data:image/png;base64,")
@@ -141,6 +150,16 @@ def check_page(folder):
             assert own["alt"].strip()
         if own.get("role") in ("img", "region"):
             assert own["aria-label"].strip()
+    policy = next(own for own in page.of("meta") if "http-equiv" in own)["content"]
+    assert policy.startswith("default-src 'none'; img-src data:; style-src")
+    own = [tag for tag in page.of("script") if tag != DATA]
+    assert len(own) == policy.count("script-src") == policy.count("'sha256-") <= 1
+    if own:
+        assert own == [{}]
+        digest = hashlib.sha256(page.scripts[-1].encode()).digest()
+        assert f"script-src 'sha256-{base64.b64encode(digest).decode()}'" in policy
+    scripts = "".join(page.scripts)
+    assert not re.findall(r"https?:|\bfetch\b|\bimport\b|XMLHttp", scripts)
     assert "http" not in page.styles
     assert "url(" not in page.styles
     assert "nan" not in re.findall(r"\w+", page.text)
@@ -387,6 +406,8 @@ def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     assert first["alt"].startswith("droop (fitted): the deformed body")
     assert second["alt"].startswith("held out (held out): ")
     size = (tmp_path / "out" / "droop.png").stat().st_size
+    # The view takes its share of the room.
+    size += 3 * body_view(make_result(), _write._field_errors(make_result())).size // 4
     monkeypatch.setattr("softcal_jax.report._pages.MOST_PICTURES", size)
     page, _ = written(tmp_path / "small", make_result())
     check_page(tmp_path / "small")

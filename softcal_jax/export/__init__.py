@@ -34,23 +34,35 @@ from softcal_jax.export._made import Made, made_dict
 from softcal_jax.export._plain import write_json
 from softcal_jax.export._pvd import write_pvd
 from softcal_jax.export._source import file_dict, source_dict
+from softcal_jax.export._tet_fields import (
+    STANDARD_ERROR,
+    fibre_directions,
+    field_units,
+    principal_stretches,
+    tet_fields,
+    von_mises_stress,
+)
 from softcal_jax.export._vtu import write_vtu
 from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
     "RESULT_FORMAT",
+    "STANDARD_ERROR",
     "IceslResult",
     "Made",
     "Readable",
     "budget_dict",
     "check_results_folder",
     "comparison_dict",
+    "fibre_directions",
+    "field_units",
     "file_dict",
     "file_stems",
     "identifiability_dict",
     "inverse_dict",
     "made_dict",
     "outlook_dict",
+    "principal_stretches",
     "read_foam_table",
     "readable_estimate",
     "readable_unit",
@@ -59,6 +71,8 @@ __all__ = [
     "results_folder",
     "simulation_dict",
     "source_dict",
+    "tet_fields",
+    "von_mises_stress",
     "write_effectors_csv",
     "write_foam_table",
     "write_icesl",

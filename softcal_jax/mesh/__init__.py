@@ -20,7 +20,7 @@ from softcal_jax.mesh._surfaces import (
     select_face,
     select_reachable,
 )
-from softcal_jax.mesh._tessellation import Tessellation, tessellate
+from softcal_jax.mesh._tessellation import PARTS, Tessellation, tessellate
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     boundary_faces,
@@ -38,6 +38,7 @@ from softcal_jax.mesh._writing import write_mesh
 __all__ = [
     "CAD_FACE",
     "CAD_FORMATS",
+    "PARTS",
     "Annulus",
     "Box",
     "Cylinder",

@@ -10,7 +10,7 @@ from softcal_jax.elements import shape_functions
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
-_PARTS = 4
+PARTS = 4
 """Number of parts of every edge of a quadratic face."""
 
 
@@ -35,10 +35,18 @@ class Tessellation(NamedTuple):
         return np.einsum("pn,pni->pi", self.weights, values[self.nodes])
 
 
-def tessellate(mesh: TetMesh) -> Tessellation:
-    """Cut quadratic boundary faces into triangles that share their points."""
+def tessellate(mesh: TetMesh, *, parts: int = PARTS) -> Tessellation:
+    """Cut quadratic boundary faces into triangles that share their points.
+
+    The triangles of a face follow each other, in the order of `boundary_faces`.
+
+    Args:
+        mesh: The mesh.
+        parts: Number of parts of every edge of a quadratic face; a flat one stays
+            whole.
+    """
     faces = boundary_faces(mesh)
-    parts = _PARTS if mesh.order == 2 else 1
+    parts = parts if mesh.order == 2 else 1
     grid = np.array(
         [(parts - i - j, i, j) for j in range(parts + 1) for i in range(parts + 1 - j)]
     )

@@ -1,21 +1,47 @@
 """Pictures of results, drawn without a screen."""
 
 from softcal_jax.plotting._budget import budget_shares, plot_budget
-from softcal_jax.plotting._configuration import render_body, render_configuration
+from softcal_jax.plotting._colours import DISPLACEMENT_MAP, MARKS
+from softcal_jax.plotting._configuration import (
+    NOT_CONVERGED,
+    motion_words,
+    render_body,
+    render_configuration,
+)
 from softcal_jax.plotting._diagrams import plot_convergence, plot_trials
 from softcal_jax.plotting._directions import plot_directions
 from softcal_jax.plotting._fibres import plot_fibres
 from softcal_jax.plotting._groups import plot_groups
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 from softcal_jax.plotting._plan import MOST_PANELS, plot_plan
-from softcal_jax.plotting._robot import SensorFrame
+from softcal_jax.plotting._robot import (
+    RobotPicture,
+    SensorFrame,
+    actuator_words,
+    is_seen,
+    pushes,
+    robot_picture,
+    sensor_frames,
+)
+from softcal_jax.plotting._setup import load_place
 from softcal_jax.plotting._traces import plot_traces
+from softcal_jax.plotting._view import View, choose_view
 
 __all__ = [
+    "DISPLACEMENT_MAP",
+    "MARKS",
     "MOST_PANELS",
+    "NOT_CONVERGED",
     "RenderingError",
+    "RobotPicture",
     "SensorFrame",
+    "View",
+    "actuator_words",
     "budget_shares",
+    "choose_view",
+    "is_seen",
+    "load_place",
+    "motion_words",
     "plot_budget",
     "plot_convergence",
     "plot_directions",
@@ -24,7 +50,10 @@ __all__ = [
     "plot_plan",
     "plot_traces",
     "plot_trials",
+    "pushes",
     "render_body",
     "render_configuration",
     "rendering_problem",
+    "robot_picture",
+    "sensor_frames",
 ]

@@ -24,3 +24,18 @@ FORCE, RIGID = "#1b7837", "#b4b4b4"
 # How the body is held, and its weight.
 SUPPORT, GRAVITY = "#8c510a", "#4d4d4d"
 FIBRE = "#5e3c99"
+
+MARKS = {
+    "measured": MEASURED,
+    "simulated": SIMULATED,
+    "at rest": OUTLINE,
+    "cable": CABLE,
+    "wall": WALL,
+    "motor": MOTOR,
+    "force": FORCE,
+    "gravity": GRAVITY,
+    "rigid": RIGID,
+    "frame": GRAVITY,
+    "fibre": FIBRE,
+}
+"""Colours by what they mark, for a page that draws by itself."""

@@ -59,22 +59,24 @@ def render_configuration(
         for p in points
     ]
     fitted = result.role != "simulation"
-    motion = f"simulated; moves by up to {1e3 * result.largest_displacement:.2f} mm"
     render_body(
         model,
         result.displacement,
         path,
         title=result.name + _ROLES[result.role],
-        subtitle=_distances(result) if fitted else motion,
+        subtitle=motion_words(result),
         measured=np.array(measured) if points and fitted else None,
         simulated=np.array([p.simulated for p in points]) if points else None,
         marker_names=[p.name for p in points],
-        warning="" if converged else "NOT CONVERGED: do not use these values",
+        warning="" if converged else NOT_CONVERGED,
         robot=result.robot,
         sensors=robots.sensor_frames(result),
         posed=result.posed,
     )
 
+
+NOT_CONVERGED = "NOT CONVERGED: do not use these values"
+"""What stands above every picture of a calibration that did not converge."""
 
 _ROLES = {
     "calibration": " - calibration (fitted)",
@@ -83,7 +85,10 @@ _ROLES = {
 }
 
 
-def _distances(fit: ConfigurationResult) -> str:
+def motion_words(fit: ConfigurationResult) -> str:
+    """Say how far the simulated markers are off, or how far a simulated body moves."""
+    if fit.role == "simulation":
+        return f"simulated; moves by up to {1e3 * fit.largest_displacement:.2f} mm"
     if not fit.points:
         return "no markers"
     missing = math.isnan(fit.rms_before)

@@ -83,6 +83,8 @@ class RobotPicture(NamedTuple):
     state: RobotState
     x: Float[HostArray, "n_points 3"]
 
+    __repr__ = one_line
+
     @property
     def points(self) -> Float[HostArray, "n 3"]:
         """Points that must be visible in addition to the body [m]."""
@@ -96,9 +98,9 @@ class RobotPicture(NamedTuple):
         walls = [actuators[a] for a in np.unique(self.geometry.face_owner)]
         present = {
             "cable": len(self.geometry.segments) > 0,
-            "wall under pressure": any(_is_seen(a) for a in walls),
+            "wall under pressure": any(is_seen(a) for a in walls),
             "motor": any(a.kind == "motor" for a in driven),
-            "force": any(a.kind != "motor" and _is_seen(a) for a in driven),
+            "force": any(a.kind != "motor" and is_seen(a) for a in driven),
         }
         return [kind for kind, there in present.items() if there]
 
@@ -114,7 +116,7 @@ def draw_robot(axes: "matplotlib.axes.Axes", view: View, picture: RobotPicture) 
     """Draw the actuators, each with its name and force."""
     geometry, actuators = picture.geometry, picture.state.actuators
     for a, actuator in enumerate(actuators):
-        if not _is_seen(actuator):
+        if not is_seen(actuator):
             continue
         places = [
             _draw_wall(axes, view, picture, a),
@@ -123,12 +125,17 @@ def draw_robot(axes: "matplotlib.axes.Axes", view: View, picture: RobotPicture) 
         ]
         place = next((p for p in places if p is not None), None)
         if place is not None:
-            text = f"{actuator.name}: {_force(actuator)}"
-            draw_name(axes, text, place, (0, 12), ha="center")
+            draw_name(axes, actuator_words(actuator), place, (0, 12), ha="center")
 
 
-def _is_seen(actuator: ActuatorState) -> bool:
+def is_seen(actuator: ActuatorState) -> bool:
+    """Say whether an actuator is drawn: not where it could push, and does not."""
     return actuator.kind not in _UNSEEN_AT_REST or actuator.force != 0.0
+
+
+def actuator_words(actuator: ActuatorState) -> str:
+    """Write the name of an actuator and what drives it."""
+    return f"{actuator.name}: {_force(actuator)}"
 
 
 def _force(actuator: ActuatorState) -> str:
@@ -185,13 +192,18 @@ def _draw_point(axes, view: View, picture: RobotPicture, a: int):
         axes.plot(*view.project(point[None])[0], "o", color=MOTOR, ms=9)
     else:
         # The arrow ends where the force acts.
-        pushes = actuator.displacement if np.isnan(actuator.force) else actuator.force
-        tail = point - np.sign(pushes or 1.0) * _ARROW * view.width * arrow
+        tail = point - pushes(actuator) * _ARROW * view.width * arrow
         ends = view.project(np.stack([tail, point]))
         look = {"arrowstyle": "-|>", "color": FORCE, "lw": 3.0, "mutation_scale": 22}
         axes.annotate("", ends[1], ends[0], arrowprops={**look, "shrinkB": 0})
         return ends[0]
     return view.project(point[None])[0]
+
+
+def pushes(actuator: ActuatorState) -> float:
+    """Say which way a force actuator acts along its direction: 1 or -1."""
+    own = actuator.displacement if np.isnan(actuator.force) else actuator.force
+    return float(np.sign(own or 1.0))
 
 
 def draw_sensors(

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 
 _AZIMUTH, _ELEVATION = np.radians(20.0), np.radians(18.0)
@@ -22,6 +23,8 @@ class View(NamedTuple):
     centre: Float[HostArray, "3"]
     width: float
     height: float
+
+    __repr__ = one_line
 
     def project(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 2"]:
         """Project points to picture coordinates, from the centre [m]."""

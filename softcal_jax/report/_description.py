@@ -9,7 +9,6 @@ _WORDS = {"role", "effector", "actuator", "rigid body", "state", "of", "file"}
 _WORDS |= {
     "outcome",
     "verdict",
-    "start",
     "standard error over the value",
     "kind",
     "SHA-256",

@@ -1,6 +1,7 @@
 """HTML in which every text is escaped, and the frame of a page."""
 
 import base64
+import hashlib
 import html
 import re
 import struct
@@ -21,11 +22,14 @@ MOST_PICTURES = 3_400_000
 As text they take a third more, so that a page stays below 5 MB.
 """
 
-_VOID = {"br", "img", "meta"}
+_VOID = {"br", "img", "input", "meta"}
 """Elements that have neither content nor an end."""
 
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-"""What a page may load: its own styles and pictures, and nothing by network."""
+"""What a page may load: its own styles and pictures, and nothing by network.
+
+Of scripts it runs none but the one of its view, which it knows by its hash.
+"""
 
 
 class Html(str):
@@ -148,6 +152,7 @@ def page(
     *,
     index: str,
     units: str = "SI and mm",
+    script: str = "",
 ) -> str:
     """Write a whole page.
 
@@ -158,12 +163,17 @@ def page(
         sections: What follows; those without content are left out.
         index: File of the same numbers for programs, beside the page.
         units: Units in that file.
+        script: What the page runs once it is read; nothing by default.
     """
+    policy = _POLICY
+    if script:
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        policy += f"; script-src 'sha256-{digest}'"
     shown = [own for own in sections if own.content]
     head = node(
         "head",
         node("meta", charset="utf-8"),
-        node("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        node("meta", http_equiv="Content-Security-Policy", content=policy),
         node("meta", name_="viewport", content="width=device-width, initial-scale=1"),
         node("title", f"{name}: {kind.lower()}"),
         node("style", _style()),
@@ -186,6 +196,7 @@ def page(
             node("a", index, href=index),
             ".",
         ),
+        *([node("script", Html(script))] if script else []),
     )
     return f"<!DOCTYPE html>\n{node('html', head, body, lang='en')}\n"
 

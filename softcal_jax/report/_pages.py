@@ -1,6 +1,6 @@
 """The page of each kind of run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ from softcal_jax.report._outline import ROLES
 from softcal_jax.report._provenance import made_html, repeat_html
 from softcal_jax.report._robot import robot_tables
 from softcal_jax.report._tables import simulation_tables
+from softcal_jax.report._view import View
 
 PICTURES = (".png", ".svg")
 """Endings of pictures."""
@@ -54,6 +55,7 @@ def calibration_page(
     found: Assessment,
     data: Mapping[str, Any],
     folder: Path,
+    view: View | None = None,
 ) -> str:
     """Write the page of a calibration.
 
@@ -62,6 +64,7 @@ def calibration_page(
         found: Its assessment.
         data: The content of its `result.json`, with notes and files.
         folder: Where its pictures are.
+        view: The body in three dimensions; None for a page without pictures.
     """
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
@@ -77,7 +80,7 @@ def calibration_page(
         ),
         Section("data", "What the data tell", _outlook(found)),
         Section("next", "What to measure next", _sentences(own.advice)),
-        Section("pictures", "Pictures", _pictures(data, folder)),
+        Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
         Section("fit", "Course of the fit", _course(result)),
         Section("inner", "Correlation and singular values", _inner(found)),
@@ -89,18 +92,25 @@ def calibration_page(
         Section("made", "Settings, versions and times", made_html(data)),
     ]
     verdict = verdict_of(result, found)
-    return page(data["name"], "Calibration", verdict, sections, index="result.json")
+    script = view.script if view else ""
+    index = "result.json"
+    return page(
+        data["name"], "Calibration", verdict, sections, index=index, script=script
+    )
 
 
 def simulation_page(
-    result: SimulationResult, data: Mapping[str, Any], folder: Path
+    result: SimulationResult,
+    data: Mapping[str, Any],
+    folder: Path,
+    view: View | None = None,
 ) -> str:
     """Write the page of a simulation; arguments as of `calibration_page`."""
     sections = [
         Section("notes", "Notes", _notes(data["notes"])),
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
-        Section("pictures", "Pictures", _pictures(data, folder)),
+        Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section(
             "repeat",
             "Repeat it",
@@ -109,7 +119,11 @@ def simulation_page(
         Section("made", "Settings, versions and times", made_html(data)),
     ]
     verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
-    return page(data["name"], "Simulation", verdict, sections, index="simulation.json")
+    script = view.script if view else ""
+    index = "simulation.json"
+    return page(
+        data["name"], "Simulation", verdict, sections, index=index, script=script
+    )
 
 
 def _notes(notes: Sequence[str]) -> list[Html]:
@@ -188,19 +202,39 @@ def _course(result: CalibrationResult) -> list[Html]:
     return [*course_charts(result), table_html(history_table(result))]
 
 
-def _pictures(data: Mapping[str, Any], folder: Path) -> list[Html]:
-    """Show the pictures of the configurations."""
-    captions = {
-        name: _seen(own, name)
-        for own in data["configurations"]
-        for name in own["files"]
+def _pictures(data: Mapping[str, Any], folder: Path, view: View | None) -> list[Html]:
+    """Show the body to be turned, and the pictures of the configurations.
+
+    A picture of what the view shows stands for it where there is none, as in print.
+    """
+    every = [(own, name) for own in data["configurations"] for name in own["files"]]
+    captions = {name: _seen(own, name) for own, name in every}
+    if view is None:
+        return shown_pictures(captions, folder)
+    viewed = {
+        name
+        for own, name in every
+        if own["name"] in view.names and not _is_recording(name)
     }
-    return shown_pictures(captions, folder)
+    taken = 3 * view.size // 4  # pictures grow by a third as text
+    return [view.content, *shown_pictures(captions, folder, taken, viewed)]
 
 
-def shown_pictures(captions: Mapping[str, str], folder: Path) -> list[Html]:
-    """Show the pictures among some files, as many as a page should hold."""
-    shown, left = [], MOST_PICTURES
+def shown_pictures(
+    captions: Mapping[str, str],
+    folder: Path,
+    taken: int = 0,
+    viewed: Collection[str] = (),
+) -> list[Html]:
+    """Show the pictures among some files, as many as a page should hold.
+
+    Args:
+        captions: What each file shows, by its name.
+        folder: Where they are.
+        taken: Size of what the page shows beside them [bytes].
+        viewed: Pictures that stand for a view, and are hidden where it is drawn.
+    """
+    shown, left = [], MOST_PICTURES - taken
     for name, caption in captions.items():
         if not name.endswith(PICTURES):
             continue
@@ -209,15 +243,22 @@ def shown_pictures(captions: Mapping[str, str], folder: Path) -> list[Html]:
         if left < 0:
             link = node("a", name, href=name)
             text = "to keep the page small, this picture stays beside it, as "
-            shown.append(node("p", f"{caption}; {text}", link, "."))
+            drawn = node("p", f"{caption}; {text}", link, ".")
         else:
-            shown.append(figure(picture(path, caption), f"{caption}."))
+            drawn = figure(picture(path, caption), f"{caption}.")
+        if name in viewed:
+            drawn = node("div", drawn, class_="viewed")
+        shown.append(drawn)
     return shown
+
+
+def _is_recording(file: str) -> bool:
+    return Path(file).stem.endswith("_recording")
 
 
 def _seen(own: Mapping[str, Any], file: str) -> str:
     """Say what the picture of a configuration shows."""
-    if Path(file).stem.endswith("_recording"):
+    if _is_recording(file):
         return f"{own['name']}: the recording of the markers over time"
     role = ROLES.get(own.get("role", ""), "simulated")
     text = f"{own['name']} ({role}): the deformed body, coloured by displacement"

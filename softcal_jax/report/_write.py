@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from softcal_jax._typing import Float, HostArray
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.configurations import Traces
@@ -37,6 +38,7 @@ from softcal_jax.plotting import (
 )
 from softcal_jax.report._outlook_pages import comparison_page, identifiability_page
 from softcal_jax.report._pages import REPORT, calibration_page, simulation_page
+from softcal_jax.report._view import View, body_view
 
 COLLECTION = "configurations.pvd"
 """All configurations at once, for ParaView."""
@@ -87,9 +89,9 @@ def write_results(
     a .png; `configurations.pvd` opens all .vtu at once. For a robot with other
     effectors, rigid bodies or actuators there are `effectors.csv` and `robot.csv`, too;
     of a recording of markers over time a picture that ends with `_recording.png`. With
-    `pictures="svg"` all pictures end in .svg, and with None there are none. A
-    calibration that did not converge is written too, marked as such. A configuration
-    without an equilibrium has neither .vtu nor .png.
+    `pictures="svg"` all pictures end in .svg; with None there are none, and the page
+    has no view of the robot. A calibration that did not converge is written too, marked
+    as such. A configuration without an equilibrium has neither .vtu nor .png.
 
     Args:
         result: The calibration.
@@ -117,7 +119,7 @@ def write_results(
         data,
         Path(directory),
         "result.json",
-        page=lambda data, folder: calibration_page(result, found, data, folder),
+        page=lambda data, *more: calibration_page(result, found, data, *more),
         force=force,
         drawn=Drawn(pictures, traces or {}, told),
     )
@@ -151,7 +153,7 @@ def write_simulation(
         data,
         Path(directory),
         "simulation.json",
-        page=lambda data, folder: simulation_page(result, data, folder),
+        page=lambda data, *more: simulation_page(result, data, *more),
         force=force,
         drawn=Drawn(pictures, traces or {}, told),
     )
@@ -241,8 +243,8 @@ def _write_words(
 
 Result = CalibrationResult | SimulationResult
 
-Page = Callable[[Mapping[str, Any], Path], str]
-"""Writes a page of the content of the index and the pictures in a folder."""
+Page = Callable[[Mapping[str, Any], Path, View | None], str]
+"""Writes a page of the content of the index, the pictures in a folder and a view."""
 
 
 def _write(
@@ -262,7 +264,8 @@ def _write(
     problem = picture_problem(bodies, drawn.suffix)
     with results_folder(directory, force=force) as folder:
         files = _write_tables(folder, result)
-        files += _write_bodies(folder, result, data)
+        errors = _field_errors(result)
+        files += _write_bodies(folder, result, data, errors)
         of_all, of_each = _pictures(result, data, drawn, bodies=problem is None)
         draw = [*of_all.items(), *(file for own in of_each for file in own.items())]
         drawn.told(0, len(draw))
@@ -274,7 +277,8 @@ def _write(
             files += entry["files"]
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
         data["files"] = [REPORT, *of_all, *files]
-        (folder / REPORT).write_text(page(data, folder), encoding="utf-8")
+        view = None if drawn.suffix is None else body_view(result, errors)
+        (folder / REPORT).write_text(page(data, folder, view), encoding="utf-8")
         write_json(folder / index, data)
     return directory
 
@@ -315,13 +319,23 @@ def _write_tables(folder: Path, result: Result) -> list[str]:
     return files
 
 
-def _write_bodies(folder: Path, result: Result, data: dict[str, Any]) -> list[str]:
+FieldErrors = Mapping[str, Float[HostArray, " n_tets"]]
+"""Standard errors of fields in each tet."""
+
+
+def _field_errors(result: Result) -> FieldErrors | None:
+    """Compute the standard errors of what was calibrated; None for a simulation."""
+    if not isinstance(result, CalibrationResult):
+        return None
+    own = result.space, result.z, result.budget.covariance
+    return field_standard_errors(result.model, *own)
+
+
+def _write_bodies(
+    folder: Path, result: Result, data: dict[str, Any], errors: FieldErrors | None
+) -> list[str]:
     """Write .vtu of every equilibrium, and list them in its entry of `data`."""
     model, shown = result.model, result.configurations
-    errors = None
-    if isinstance(result, CalibrationResult):
-        own = result.space, result.z, result.budget.covariance
-        errors = field_standard_errors(model, *own)
     bodies, stems = [], file_stems([own.name for own in shown])
     for own, entry, stem in zip(shown, data["configurations"], stems, strict=True):
         files = entry["files"] = []

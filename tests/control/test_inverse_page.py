@@ -80,7 +80,7 @@ def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
     assert point["met"]
     assert point["message"] in page.text
     assert page.text.count("Commanded: top = ") == 1
-    assert data["notes"] == ["mind the gap", "no OpenGL here"]
+    assert data["notes"] == ["mind the gap", "left out: command.png; no OpenGL here"]
     assert page.text.index("mind the gap") < page.text.rindex("Goals and actuators")
     _, row = page.tables["Goals"]
     (goal,) = point["goals"]

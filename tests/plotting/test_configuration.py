@@ -6,7 +6,7 @@ from matplotlib.image import imread
 
 from softcal_jax.plotting import render_body, render_configuration, rendering_problem
 from softcal_jax.plotting._colours import BAD, MEASURED
-from softcal_jax.plotting._configuration import _distances, _fit_body
+from softcal_jax.plotting._configuration import _fit_body, motion_words
 from softcal_jax.plotting._view import choose_view
 
 pytestmark = pytest.mark.skipif(
@@ -156,9 +156,9 @@ def test_markers_seen_along_some_axes_are_drawn(model, tmp_path):
 
 def test_the_subtitle_says_no_equilibrium_instead_of_nan():
     fit = make_fit(small_model().mesh)
-    assert _distances(fit).endswith(
+    assert motion_words(fit).endswith(
         "4.00 mm before, 1.00 mm after (5.0 % of their motion)"
     )
-    assert "no equilibrium before, 1.00 mm after (5.0 %" in _distances(
+    assert "no equilibrium before, 1.00 mm after (5.0 %" in motion_words(
         nowhere_before(fit)
     )

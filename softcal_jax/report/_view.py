@@ -1,0 +1,370 @@
+"""The view of a page: the body in three dimensions, as far as the browser draws it."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+from softcal_jax._module import one_line
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import (
+    CalibrationResult,
+    ConfigurationResult,
+    SimulationResult,
+)
+from softcal_jax.equilibrium import Model
+from softcal_jax.mesh import PARTS, boundary_tets
+from softcal_jax.plotting import MARKS, NOT_CONVERGED, motion_words
+from softcal_jax.report._html import Html, bullets, joined, node
+from softcal_jax.report._outline import ROLES
+from softcal_jax.report._surface import surface_of
+from softcal_jax.report._view_data import view_data
+from softcal_jax.report._view_fields import Field, state_fields, view_fields
+
+MOST_DATA = 1_500_000
+"""Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""
+
+_DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+_SHOWN = {
+    "mesh": ("faces of the mesh", False),
+    "rest": ("body at rest", True),
+    "markers": ("markers", True),
+    "robot": ("cables, walls, motors", True),
+    "loads": ("loads and gravity", True),
+    "frames": ("frames", True),
+    "fibres": ("fibres", False),
+    "names": ("names", True),
+}
+"""What can be shown, by its name in the script, and whether it is at first."""
+
+_BUTTONS = {
+    "left": ("\N{LEFTWARDS ARROW}", "Turn left"),
+    "right": ("\N{RIGHTWARDS ARROW}", "Turn right"),
+    "up": ("\N{UPWARDS ARROW}", "Turn up"),
+    "down": ("\N{DOWNWARDS ARROW}", "Turn down"),
+    "nearer": ("+", "Nearer"),
+    "farther": ("\N{MINUS SIGN}", "Farther"),
+    "reset": ("Reset", "Reset the view"),
+}
+
+_KEYS = (
+    "Drag or press the arrow keys to turn, with Shift to move; + and -, or a pinch, "
+    "bring the robot nearer or farther; Home resets the view."
+)
+
+_SYMBOLS = {
+    "measured": '<circle cx="14" cy="7" r="5" fill="none" stroke="{}" '
+    'stroke-width="2.2"/>',
+    "simulated": '<path d="M14 1V13M8 7H20" stroke="{}" stroke-width="2.2"/>',
+    "at rest": '<path d="M2 7H26" stroke="{}" stroke-width="2"/>',
+    "cable": '<path d="M2 7H26" stroke="{}" stroke-width="3"/>',
+    "wall": '<rect x="4" y="2" width="20" height="10" fill="{}" opacity=".4"/>',
+    "motor": '<path d="M2 7H26" stroke="{}" stroke-width="2.5" '
+    'stroke-dasharray="7 3 2 3"/>',
+    "force": '<path d="M2 7H20M26 7L17 2V12Z" stroke="{0}" fill="{0}" '
+    'stroke-width="2.5"/>',
+    "gravity": '<path d="M2 7H20M26 7L17 2V12Z" stroke="{0}" fill="{0}" '
+    'stroke-width="1.5"/>',
+    "rigid": '<rect x="4" y="2" width="20" height="10" fill="{}"/>',
+    "frame": '<path d="M14 13V2M14 13H25M14 13L6 8" fill="none" stroke="{}" '
+    'stroke-width="2" stroke-dasharray="3 2"/>',
+    "fibre": '<path d="M3 12L13 2M14 12L24 2" stroke="{}" stroke-width="2"/>',
+}
+"""Symbols of the legend, to be drawn in a colour."""
+
+_MEANING = {
+    "wall": "wall under pressure",
+    "force": "force or load",
+    "rigid": "rigid body",
+    "frame": "frame of a rigid body",
+}
+
+
+_SHOWN_WITH = {
+    "measured": "markers frames",
+    "simulated": "markers frames",
+    "at rest": "rest",
+    "cable": "robot",
+    "wall": "robot",
+    "motor": "robot",
+    "force": "robot loads",
+    "gravity": "loads",
+    "frame": "frames",
+    "fibre": "fibres",
+}
+"""Which of `_SHOWN` a mark belongs to."""
+
+
+class View(NamedTuple):
+    """What a page needs to draw a body.
+
+    Attributes:
+        content: Controls, drawing area, words and data.
+        script: What makes them work; a page without it shows none of them.
+        names: Configurations that are in the view.
+    """
+
+    content: Html
+    script: str
+    names: frozenset[str]
+
+    __repr__ = one_line
+
+    @property
+    def size(self) -> int:
+        """How many bytes it adds to a page."""
+        return len(self.content.encode()) + len(self.script.encode())
+
+
+def body_view(
+    result: CalibrationResult | SimulationResult,
+    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+) -> View:
+    """Make the view of all configurations of a result.
+
+    What is too large for a page is drawn more coarsely or left out, and the view says
+    so: first curved faces get fewer triangles, then the last configurations go.
+
+    Args:
+        result: The calibration or simulation.
+        errors: Standard errors of calibrated fields in each tet; None if nothing was
+            calibrated.
+    """
+    if not any(own.converged for own in result.configurations):
+        text = "There is no body to turn: no configuration has an equilibrium."
+        return View(node("p", text), "", frozenset())
+    made = _made(result.model, result.configurations, errors)
+    if made is None:
+        n = len(boundary_tets(result.model.mesh))
+        text = (
+            f"The surface of this mesh, {n} faces, is too large to turn in this page: "
+            f"open configurations.pvd in ParaView."
+        )
+        return View(node("p", text), "", frozenset())
+    converged = not isinstance(result, CalibrationResult) or result.converged
+    content = joined([_figure(made, converged=converged), _data(made)])
+    script = files("softcal_jax.report").joinpath("view.js").read_text("utf-8")
+    names = frozenset(own.name for own in made.shown if own.converged)
+    return View(content, script, names)
+
+
+class _Made(NamedTuple):
+    """What goes into a page.
+
+    Attributes:
+        data: What is drawn.
+        text: The same as JSON.
+        fields: What may colour it.
+        shown: The configurations.
+        left_out: Names of those that are left out.
+        coarse: Whether faces are cut more coarsely than in the pictures.
+    """
+
+    data: dict[str, Any]
+    text: str
+    fields: Sequence[Field]
+    shown: Sequence[ConfigurationResult]
+    left_out: Sequence[str] = ()
+    coarse: bool = False
+
+
+def _made(
+    model: Model,
+    every: Sequence[ConfigurationResult],
+    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+) -> _Made | None:
+    """Collect what is drawn, as finely as fits; None if nothing fits.
+
+    Where not all configurations fit, those without an equilibrium go first.
+    """
+    states = [state_fields(model, own) for own in every]
+
+    def cut(parts: int, kept: Sequence[int]) -> _Made:
+        surface = surface_of(model, parts)
+        shown, borne = [every[k] for k in kept], [states[k] for k in kept]
+        fields = view_fields(model, shown, borne, surface, errors)
+        data = view_data(model, shown, surface, fields) | {"colours": MARKS}
+        # "<" must not end the element that the data are in.
+        text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+        text = text.replace("<", "\\u003c")
+        left_out = [own.name for k, own in enumerate(every) if k not in kept]
+        coarse = model.mesh.order == 2 and parts < PARTS
+        return _Made(data, text, fields, shown, left_out, coarse)
+
+    everything = range(len(every))
+    for parts in (PARTS, 2, 1) if model.mesh.order == 2 else (1,):
+        made = cut(parts, everything)
+        if len(made.text) <= MOST_DATA:
+            return made
+    kept = [k for k in everything if every[k].converged]
+    while kept:
+        made = cut(1, kept)
+        if len(made.text) <= MOST_DATA:
+            return made
+        # Most of it is what each configuration adds.
+        kept = kept[: min(len(kept) - 1, len(kept) * MOST_DATA // len(made.text) + 1)]
+    return None
+
+
+def _data(made: _Made) -> Html:
+    return node("script", Html(made.text), type="application/json", id="view-data")
+
+
+def _figure(made: _Made, *, converged: bool) -> Html:
+    """Write controls, drawing area and words; hidden where no script shows it."""
+    warning = [] if converged else [node("p", NOT_CONVERGED, class_="stop")]
+    lines = []
+    if made.coarse:
+        lines.append("Curved faces are drawn coarsely, to keep the page small.")
+    if made.left_out:
+        names = ", ".join(made.left_out)
+        lines.append(f"Left out to keep the page small: {names}.")
+    words = [
+        node("p", _words(own), hidden="", class_="" if own.converged else "stop")
+        for own in made.shown
+    ]
+    return node(
+        "figure",
+        *warning,
+        _choices(made),
+        _stage(),
+        _scale(made),
+        _legend(made),
+        node("figcaption", *words, node("p", "", role="status"), id="view-words"),
+        node("p", _KEYS, id="view-keys", class_="keys"),
+        *([bullets(lines)] if lines else []),
+        id="view",
+        class_="view",
+        hidden="",
+    )
+
+
+def _words(own: ConfigurationResult) -> str:
+    """Say what a configuration shows."""
+    if not own.converged:
+        why = f"no equilibrium ({own.outcome})"
+        return f"{own.name}: {why}. The body is drawn at rest."
+    return f"{_named(own)}: {motion_words(own)}."
+
+
+def _named(own: ConfigurationResult) -> str:
+    role = "" if own.role == "simulation" else f" ({ROLES[own.role]})"
+    return f"{own.name}{role}" + ("" if own.converged else " - no equilibrium")
+
+
+def _choices(made: _Made) -> Html:
+    """Write the choices of configuration, field and direction, and what is shown."""
+    drawn = [k for k, own in enumerate(made.shown) if own.converged]
+    first = max(drawn, key=lambda k: made.shown[k].largest_displacement, default=0)
+    directions = ["at an angle", *(f"from {name}" for name in _DIRECTIONS)]
+    there = _there(made.data)
+    boxes = [
+        node("label", _checkbox(name, on=on), f" {words}")
+        for name, (words, on) in _SHOWN.items()
+        if name in there
+    ]
+    return node(
+        "div",
+        _select("configuration", "Configuration", map(_named, made.shown), first),
+        _select("field", "Coloured by", [own.label for own in made.fields], 0),
+        _select("direction", "Seen", directions, 0),
+        node("fieldset", node("legend", "Show"), *boxes),
+        class_="choices",
+    )
+
+
+def _select(key: str, label: str, texts: Iterable[str], chosen: int) -> Html:
+    options = (
+        node("option", text, value=str(k), **({"selected": ""} if k == chosen else {}))
+        for k, text in enumerate(texts)
+    )
+    return node("label", f"{label} ", node("select", *options, id=f"view-{key}"))
+
+
+def _checkbox(name: str, *, on: bool) -> Html:
+    checked = {"checked": ""} if on else {}
+    return node("input", type="checkbox", id=f"view-{name}", **checked)
+
+
+def _there(data: Mapping[str, Any]) -> set[str]:
+    """Say which of the things that can be shown there are."""
+    poses = data["configurations"]
+    some = lambda *keys: any(own[key] for own in poses for key in keys)
+    named = ("markers", "cables", "wallNames", "motors", "arrows")
+    there = {
+        "mesh": len(data["edges"]) > 0,
+        "rest": True,
+        "markers": some("markers"),
+        "robot": some("cables", "walls", "motors"),
+        "loads": some("arrows", "gravity"),
+        "frames": some("frames"),
+        "fibres": some("fibres"),
+        "names": some(*named),
+    }
+    return {name for name, own in there.items() if own}
+
+
+def _stage() -> Html:
+    """Write the drawing area and its buttons."""
+    label = "The robot in three dimensions"
+    area = node(
+        "canvas",
+        id="view-area",
+        tabindex="0",
+        role="application",
+        aria_label=label,
+        aria_describedby="view-keys view-words",
+    )
+    over = node("canvas", id="view-over", aria_hidden="true")
+    buttons = (
+        node("button", sign, type="button", id=f"view-{key}", aria_label=words)
+        for key, (sign, words) in _BUTTONS.items()
+    )
+    turns = node("div", *buttons, role="group", aria_label="Turn", class_="turns")
+    return node("div", node("div", area, over, class_="stage"), turns)
+
+
+def _scale(made: _Made) -> Html:
+    """Write the colour bar, whose numbers and colours the script sets."""
+    ticks = (node("span", "") for _ in range(5))
+    bar = node("div", class_="colours", id="view-colours")
+    title = node("p", "", id="view-title")
+    return node(
+        "div",
+        title,
+        bar,
+        node("div", *ticks, class_="ticks", id="view-ticks"),
+        class_="scale",
+        role="img",
+        aria_label=f"Colours of {made.fields[0].label}" if made.fields else "Colours",
+        id="view-scale",
+    )
+
+
+def _legend(made: _Made) -> Html:
+    """Explain the marks that there are."""
+    poses = made.data["configurations"]
+    some = lambda key: any(own[key] for own in poses)
+    points = [p for own in poses for p in own["markers"]]
+    frames = [f["kind"] for own in poses for f in own["frames"]]
+    there = {
+        "measured": any(p["measured"] for p in points) or "measured" in frames,
+        "simulated": any(p["simulated"] for p in points) or "simulated" in frames,
+        "at rest": True,
+        "cable": some("cables"),
+        "wall": some("walls"),
+        "motor": some("motors"),
+        "force": some("arrows"),
+        "gravity": some("gravity"),
+        "rigid": made.data["anyRigid"],
+        "frame": "rigid body" in frames,
+        "fibre": some("fibres"),
+    }
+    entries = []
+    for name in (name for name, own in there.items() if own):
+        drawn = Html(_SYMBOLS[name].format(MARKS[name]))
+        of = {"data_of": _SHOWN_WITH[name]} if name in _SHOWN_WITH else {}
+        symbol = node("svg", drawn, width="28", height="14", aria_hidden="true")
+        entries.append(node("li", symbol, _MEANING.get(name, name), **of))
+    return node("ul", *entries, class_="legend")

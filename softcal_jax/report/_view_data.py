@@ -1,0 +1,213 @@
+"""What the view of a page draws, as JSON with packed arrays, in mm.
+
+Positions are 16-bit multiples of one step above the lower corner of a box that holds
+all configurations, and values of fields 16-bit parts of the field's range: arrays of
+bytes, the lowest first, in base64. The step is a 65535th of the largest side of the
+box: what a picture shows cannot tell it from the value itself.
+"""
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softcal_jax._module import one_line
+from softcal_jax._text import escaped
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import ConfigurationResult
+from softcal_jax.equilibrium import Model
+from softcal_jax.export import fibre_directions
+from softcal_jax.plotting import DISPLACEMENT_MAP, choose_view
+from softcal_jax.report._surface import Surface
+from softcal_jax.report._view_fields import Field
+from softcal_jax.report._view_robot import robot_data
+
+_MOST = 65535
+"""Largest number of 16 bits; as the value of a field it stands for none."""
+
+_FIBRES = 600
+"""Most fibres that are drawn."""
+
+
+class Box(NamedTuple):
+    """The box of all positions.
+
+    Attributes:
+        low: Its lower corner [mm].
+        step: What positions are multiples of, from there [mm].
+    """
+
+    low: Float[HostArray, "3"]
+    step: float
+
+    __repr__ = one_line
+
+    def packed(self, points: Float[HostArray, "*n 3"]) -> str:
+        """Pack positions [mm]."""
+        return pack(np.rint((points - self.low) / self.step).astype("<u2"))
+
+
+def pack(values: HostArray) -> str:
+    """Write the bytes of an array as text."""
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+
+
+def view_data(
+    model: Model,
+    shown: Sequence[ConfigurationResult],
+    surface: Surface,
+    fields: Sequence[Field],
+) -> dict[str, Any]:
+    """Collect what the view draws.
+
+    Args:
+        model: The model.
+        shown: The configurations; one without an equilibrium is at rest.
+        surface: The surface of the body.
+        fields: What may colour it.
+    """
+    rest = 1e3 * surface.cut.interpolate(model.mesh.points)
+    # Without an equilibrium, what a solver left of a displacement means nothing.
+    moved = [
+        own.displacement if own.converged else np.zeros_like(own.displacement)
+        for own in shown
+    ]
+    points = [rest + 1e3 * surface.cut.interpolate(u) for u in moved]
+    fibres = [_fibres(model, surface, u) for u in moved]
+    robots = [robot_data(model, own) for own in shown]
+    everything = np.concatenate([rest, *points, *(f.reshape(-1, 3) for f in fibres)])
+    low = everything.min(axis=0)
+    box = Box(low, float(np.ptp(everything, axis=0).max()) / _MOST)
+    index = "<u2" if len(rest) <= _MOST else "<u4"
+    entries = [
+        {
+            "drawn": own.converged,
+            "points": box.packed(x),
+            "fibres": box.packed(f),
+            "markers": _markers(own),
+            **{key: part for key, part in robot.items() if key != "reach"},
+            "walls": pack(surface.having(robot["walls"]).astype("u1"))
+            if len(robot["walls"])
+            else None,
+        }
+        for own, x, f, robot in zip(shown, points, fibres, robots, strict=True)
+    ]
+    return {
+        "low": box.low.tolist(),
+        "step": box.step,
+        "wide": index == "<u4",
+        "triangles": pack(surface.cut.triangles.astype(index)),
+        "perFace": surface.per_face,
+        "rigid": pack(surface.rigid.astype("u1")),
+        "anyRigid": bool(surface.rigid.any()),
+        "edges": pack(surface.edges.astype(index)),
+        "sharp": surface.n_sharp,
+        "rest": box.packed(rest),
+        "map": pack(_colours()),
+        "view": _first_view(model, shown, robots),
+        "fields": [_field(own) for own in fields],
+        "configurations": entries,
+    }
+
+
+def _field(own: Field) -> dict[str, Any]:
+    there = [v for v in own.values if v is not None]
+    finite = np.concatenate([v[np.isfinite(v)] for v in there])
+    low, high = float(finite.min()), float(finite.max())
+    if own.place != "face":  # distances begin at none
+        low = 0.0
+    if high - low <= 1e-6 * max(abs(low), abs(high)):
+        high = low  # a single value; the rest is rounding
+
+    def packed(values: Float[HostArray, " n"]) -> str:
+        share = (values - low) / (high - low or 1.0)
+        whole = np.rint(np.nan_to_num(share) * (_MOST - 1)).clip(0, _MOST - 1)
+        return pack(np.where(np.isfinite(values), whole, _MOST).astype("<u2"))
+
+    return {
+        "label": own.label,
+        "unit": own.unit,
+        "place": own.place,
+        "note": own.note,
+        "range": [low, high],
+        "values": [None if v is None else packed(v) for v in own.values],
+        "largest": [_largest(v) for v in own.values],
+    }
+
+
+def _largest(values: Float[HostArray, " n"] | None) -> float | None:
+    if values is None or not np.isfinite(values).any():
+        return None
+    return float(np.nanmax(values))
+
+
+def _markers(own: ConfigurationResult) -> list[dict[str, Any]]:
+    """List measured and simulated points, as the pictures show them [mm]."""
+    rows = []
+    for point in own.points:
+        simulated = point.simulated if own.converged else np.full(3, np.nan)
+        measured = np.full(3, np.nan)
+        if own.role != "simulation" and point.seen.any():
+            # What was not measured of a point does not count in its distance.
+            measured = np.where(point.seen, point.measured, simulated)
+        row = {"name": escaped(point.name), "measured": _place(measured)}
+        rows.append({**row, "simulated": _place(simulated)})
+    return rows
+
+
+def _place(x: Float[HostArray, "3"]) -> list[float] | None:
+    return np.round(1e3 * x, 4).tolist() if np.isfinite(x).all() else None
+
+
+def _fibres(
+    model: Model, surface: Surface, u: Float[HostArray, "n_nodes 3"]
+) -> Float[HostArray, "n_fibres 2 3"]:
+    """Find the ends of fibres in tets at the surface, moved with their corners [mm]."""
+    mesh, families = model.mesh, fibre_directions(model).values()
+    tets = np.unique(surface.tets)
+    count = min(_FIBRES // max(len(families), 1), len(tets))
+    tets = tets[np.unique(np.linspace(0, len(tets) - 1, count).round().astype(int))]
+    corners = mesh.tets[tets, :4]
+    X = mesh.points[corners]
+    length = 0.6 * np.cbrt(np.abs(np.linalg.det(X[:, 1:] - X[:, :1])))
+    lines = []
+    for directions in families:
+        half = 0.5 * length[:, None] * directions[tets]
+        # Barycentric coordinates of the ends: they stay with the material.
+        shift = np.linalg.solve(np.swapaxes(X[:, 1:] - X[:, :1], 1, 2), half[..., None])
+        shift = np.concatenate([-shift.sum(axis=1), shift[..., 0]], axis=1)
+        x = X + u[corners]
+        ends = [0.25 + sign * shift for sign in (-1.0, 1.0)]
+        lines.append(np.stack([np.einsum("ta,tai->ti", w, x) for w in ends], axis=1))
+    return 1e3 * np.concatenate([np.zeros((0, 2, 3)), *lines])
+
+
+def _colours() -> HostArray:
+    """Return 256 colours of the map of the pictures, which is even in grey too."""
+    import matplotlib
+
+    colours = matplotlib.colormaps[DISPLACEMENT_MAP](np.linspace(0.0, 1.0, 256))
+    return np.rint(255.0 * colours[:, :3]).astype("u1")
+
+
+def _first_view(
+    model: Model,
+    shown: Sequence[ConfigurationResult],
+    robots: Sequence[Mapping[str, Any]],
+) -> dict[str, Any]:
+    """Choose the view of all configurations by the one that moves most."""
+    drawn = [own for own in shown if own.converged]
+    X = model.mesh.points
+    most = max(drawn, key=lambda own: own.largest_displacement, default=None)
+    u = np.zeros_like(X) if most is None else most.displacement
+    view = choose_view(
+        X, u, np.concatenate([X, *(X + own.displacement for own in drawn)])
+    )
+    more = [p for robot in robots for p in robot["reach"]]
+    return {
+        "right": view.right.tolist(),
+        "up": view.up.tolist(),
+        "towards": view.towards.tolist(),
+        "more": np.round(more, 3).tolist(),
+    }
