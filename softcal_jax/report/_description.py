@@ -6,13 +6,8 @@ from typing import NamedTuple
 from softcal_jax.identifiability import Tone
 
 _WORDS = {"role", "effector", "actuator", "rigid body", "state", "of", "file"}
-_WORDS |= {
-    "outcome",
-    "verdict",
-    "standard error over the value",
-    "kind",
-    "SHA-256",
-}
+_WORDS |= {"outcome", "verdict", "standard error over the value", "kind", "SHA-256"}
+_WORDS |= {"begun from"}
 """Columns of words; the others hold numbers."""
 
 

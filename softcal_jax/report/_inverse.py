@@ -56,7 +56,7 @@ def trajectory_html(result: TrajectoryResult) -> list[Html]:
 def attempts_table(result: InverseResult) -> Table:
     """Tabulate the descents of the search."""
     rows = [(own.way, str(own.n_steps), f"{own.error:.3g}") for own in result.attempts]
-    columns = "start", "steps", "largest error, in standard deviations"
+    columns = "begun from", "steps", "largest error, in standard deviations"
     return described("Descents", columns, rows)
 
 
