@@ -208,7 +208,7 @@ def verdict_html(verdict: RunVerdict) -> Html:
     sentence = node("p", node("strong", verdict.sentence))
     return node(
         "section",
-        node("h2", "RunVerdict"),
+        node("h2", "Verdict"),
         sentence,
         *reasons,
         class_=f"verdict {verdict.tone}",
