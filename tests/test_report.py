@@ -201,6 +201,13 @@ def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
     assert "inverted" in failed["outcome"]
 
 
+def test_bounds_that_are_far_have_units_of_their_own():
+    """Those that `softcal new` proposes, beside a value in kPa."""
+    far = ParameterEstimate("E", 2.4e5, 6e3, 2e5, 1e4, 1e8, "Pa", False)
+    text = printed(summary_table(make_result(parameters=(far,))))
+    assert "200 kPa │ 10 kPa to 100 MPa │" in text
+
+
 def test_summary_in_80_columns():
     text = printed(summary_table(make_result()))
     assert "240.0 ± 6.0 kPa │ 200 kPa │ 100 to 1000 kPa" in text

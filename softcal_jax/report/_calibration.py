@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal_jax._names import listed
+from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -25,6 +26,9 @@ MOST_CORRELATED = 12
 
 MOST_PAIRS = 20
 """Most pairs of parameters that are listed where there are more."""
+
+FAR_BOUND = 1e4
+"""Bound, in the unit of the value, from which it has a unit of its own [-]."""
 
 TONES: dict[str, Tone] = {
     "identifiable": "good",
@@ -55,14 +59,22 @@ def parameter_table(result: CalibrationResult, found: Identifiability) -> Table:
         elif q.given:
             text += f" (with {', '.join(q.given)} on a bound)"
         factor, unit = readable_unit([q.value], q.unit)
-        bounds = f"{q.lower * factor:.4g} to {q.upper * factor:.4g} {unit}"
+        bounds = _bounds(q.lower, q.upper, q.value, q.unit)
         sound = result.converged and not q.at_bound and q.name not in blind
         start = f"{q.start * factor:.4g} {unit}".rstrip()
         value = Cell(text, "strong" if sound else "bad")
-        rows.append((q.name, value, start, bounds.rstrip()))
+        rows.append((q.name, value, start, bounds))
     return described(
         title, ("parameter", "value ± std. error", "start", "bounds"), rows
     )
+
+
+def _bounds(lower: float, upper: float, value: float, unit: str) -> str:
+    """Write bounds in the unit of the value, and each in its own if they are far."""
+    factor, shown = readable_unit([value], unit)
+    if abs(upper * factor) >= FAR_BOUND and readable_unit([upper], unit).unit != shown:
+        return f"{readable(lower, unit)} to {readable(upper, unit)}"
+    return f"{lower * factor:.4g} to {upper * factor:.4g} {shown}".rstrip()
 
 
 def budget_table(result: CalibrationResult) -> Table:
