@@ -10,7 +10,6 @@ from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
-    LeftOut,
     ResidualChecks,
 )
 from softcal_jax.equilibrium import Model
@@ -123,38 +122,35 @@ def error_tables(
 ) -> list[Table]:
     """Tabulate the errors of points and of orientations.
 
-    With three or more fitted configurations, points also as the others predict them,
-    and in brackets what errors explain of that.
+    With three or more fitted configurations, points as the others predict them have a
+    table of their own: beside the errors it would not fit in 80 columns.
     """
-    predicted = {} if checks is None else {own.name: own for own in checks.left_out}
     columns = ("configuration", "role", "before", "after", "moved", "after/moved")
-    more = ("by the others",) if predicted else ()
     points, turns = [], []
     for fit in fits:
         before, after, moved = map(
             distance, (fit.rms_before, fit.rms_after, fit.motion)
         )
         share = "-" if math.isnan(fit.rms_share) else f"{100.0 * fit.rms_share:.1f} %"
-        by_others = [_by_others(predicted.get(fit.name))] if predicted else []
         first = (fit.name, fit.role)
-        points.append((*first, before, Cell(after, "strong"), moved, share, *by_others))
+        points.append((*first, before, Cell(after, "strong"), moved, share))
         if math.isfinite(fit.turn_after):
             turned = Cell(_angle(fit.turn_after), "strong")
             turns.append((*first, _angle(fit.turn_before), turned))
-    title = "Rms distance of the markers"
     shown = []
     if any(fit.points for fit in fits):
-        shown.append(described(title, columns + more, points))
+        shown.append(described("Rms distance of the markers", columns, points))
+    by_others = [
+        (own.name, distance(own.rms), distance(own.expected))
+        for own in ([] if checks is None else checks.left_out)
+    ]
+    if by_others:
+        heads = ("configuration", "off by", "errors explain")
+        title = "Rms distance, as the other configurations predict it"
+        shown.append(described(title, heads, by_others))
     if turns:
         shown.append(described("Rms angle of the orientations", columns[:4], turns))
     return shown
-
-
-def _by_others(own: LeftOut | None) -> str:
-    """Write how far a prediction by the other configurations is off."""
-    if own is None or math.isnan(own.rms):
-        return "-"
-    return f"{distance(own.rms)} ({distance(own.expected)})"
 
 
 def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
