@@ -133,9 +133,10 @@ class Ranking(Result):
             return "No candidate can be ranked."
         best = self.gains[0]
         if best.d_gain <= 0.0:
+            fewer = ", or calibrate fewer parameters" if self.blind_before else ""
             return (
                 "No candidate makes the values more certain as a whole: know better "
-                "what is held fixed, or calibrate fewer parameters."
+                f"what is held fixed{fewer}."
             )
         return f"Candidate {best.name!r} adds most: it {best.words}."
 

@@ -144,7 +144,12 @@ def test_a_candidate_that_passes_on_more_error_than_it_tells():
     fine = replace(pose("fine", TIP, std=1e-5), loads=PULL.loads)
     found = rank_with(model, SPACE, known, [fine], uncertain=unsure)
     assert found.gains[0].d_gain < 0.0
-    assert found.headline.startswith("No candidate makes the values more certain as a")
+    assert found.headline == (
+        "No candidate makes the values more certain as a whole: know better what is "
+        "held fixed."
+    )
+    blind = replace(found, blind_before=1).headline
+    assert blind.endswith("held fixed, or calibrate fewer parameters.")
     assert "D gain below 0: the fit weighs readings by their noise" in str(found)
 
 
