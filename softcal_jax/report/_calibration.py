@@ -146,7 +146,7 @@ def error_tables(
     ]
     if by_others:
         heads = ("configuration", "off by", "errors explain")
-        title = "Rms distance, as the other configurations predict it"
+        title = "Rms distance of a configuration left out"
         shown.append(described(title, heads, by_others))
     if turns:
         shown.append(described("Rms angle of the orientations", columns[:4], turns))
