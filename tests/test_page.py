@@ -303,6 +303,8 @@ def test_success_only_where_the_package_grants_it(tmp_path):
         page, data = written(tmp_path / name, result)
         assert data["assessment"]["identified"] == (colour == "good")
         assert colours(page) == colour
+        own = (tmp_path / name / "report.html").read_text(encoding="utf-8")
+        assert "<h2>Verdict</h2>" in own
         assert sentence in page.text
         assert ("nothing speaks against" in page.text) == (colour == "good")
         assert ("onverged in" in page.text) == (colour != "bad")

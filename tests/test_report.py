@@ -19,7 +19,12 @@ from export.handmade import (
 from matplotlib.image import imread
 from rich.console import Console
 
-from softcal_jax.calibration import ParameterEstimate, ParameterInterval
+from softcal_jax.calibration import (
+    LeftOut,
+    ParameterEstimate,
+    ParameterInterval,
+    ResidualChecks,
+)
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
 from softcal_jax.plotting import rendering_problem
@@ -201,6 +206,13 @@ def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
     assert "inverted" in failed["outcome"]
 
 
+def test_bounds_that_are_far_have_units_of_their_own():
+    """Those that `softcal new` proposes, beside a value in kPa."""
+    far = ParameterEstimate("E", 2.4e5, 6e3, 2e5, 1e4, 1e8, "Pa", False)
+    text = printed(summary_table(make_result(parameters=(far,))))
+    assert "200 kPa │ 10 kPa to 100 MPa │" in text
+
+
 def test_summary_in_80_columns():
     text = printed(summary_table(make_result()))
     assert "240.0 ± 6.0 kPa │ 200 kPa │ 100 to 1000 kPa" in text
@@ -219,6 +231,19 @@ def test_summary_in_80_columns():
     assert "Converged in 4 steps, but take the values with care:" in text
     assert "Note: nu ended on a bound." in text
     assert "…" not in text
+
+
+def test_what_the_others_predict_fits_in_80_columns():
+    """Where they do not determine a parameter of a pose, there is a dash."""
+    own = LeftOut("a pose with a name", 1e-3, 2e-4, 1e-2, 0.5, np.nan)
+    blind = LeftOut("hidden", *[np.nan] * 5)
+    checks = ResidualChecks(("a", "b", "c"), None, (own, blind))
+    text = printed(summary_table(make_result(checks=checks)))
+    assert "…" not in text
+    rows = [line.strip("│").split("│") for line in text.splitlines()]
+    found = {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows}
+    assert found["a pose with a name"] == ["1.00 mm", "0.20 mm"]
+    assert found["hidden"] == ["-", "-"]
 
 
 def test_summary_shows_intervals_and_their_kinds():

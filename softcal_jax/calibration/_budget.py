@@ -48,6 +48,9 @@ NOISE = "noise"
 MESH = "mesh"
 """Name of the error of the mesh, see `mesh_errors`."""
 
+LESS_NOISE = ": measure more poses, or with less noise"
+"""What helps where the noise is the largest of several causes."""
+
 SMALL = 0.1
 """Share of the standard error below which a sentence leaves a cause out [-]."""
 
@@ -132,7 +135,7 @@ class ErrorBudget(Module):
         worst = max(own, key=lambda c: own[c])
         text += "".join(f", {cause} unknown" for cause in self.unknown)
         if worst == NOISE:
-            return text
+            return text + LESS_NOISE * (len(shown) > 1)
         (errors,) = [cause.errors for cause in self.causes if cause.name == worst]
         return f"{text}: {REMEDIES.get(errors[0], f'measure {worst} first')}"
 

@@ -19,6 +19,7 @@ from softcal_jax.calibration._noise import coloured
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._residuals import (
     LackOfFit,
+    LinearFit,
     Prediction,
     chance,
     lack_of_fit,
@@ -182,7 +183,8 @@ def residual_checks(
         )
     level = probability = float("nan")
     if estimated and spread.has_noise and all(c.states_noise for c in configurations):
-        level, dof = spread.noise_scale, spread.degrees_of_freedom
+        level = spread.noise_scale
+        dof = LinearFit(errors, A, 1.0).jitter_freedom()
         probability = float(chdtrc(dof, dof * level**2))
     return ResidualChecks(names, test, predicted, level=level, probability=probability)
 

@@ -63,6 +63,17 @@ class LinearFit:
         slope = self._VW.T @ own.r + own.W_prior.T @ own.r_prior
         return self._by_noise(own.r) - self._VW @ (self._C @ slope)
 
+    def jitter_freedom(self) -> float:
+        """Return the degrees of freedom that an estimate of s^2 has, s^4 tr(M^2) [-].
+
+        They are 2 s^4 over the variance of that estimate (Satterthwaite, Biometrics
+        Bulletin 2, 1946): all residuals tell of the jitter if they are independent, and
+        those that offsets cover hardly do.
+        """
+        Q = basis(np.concatenate([self.errors.W, self._B], axis=1))
+        within = self._jitter**2 * (Q.T @ self.left(Q))
+        return len(Q) - Q.shape[1] + float(np.sum(within**2))
+
 
 class LackOfFit(Module):
     """Scatter between configurations compared with that within them.

@@ -132,6 +132,12 @@ class Ranking(Result):
         if not self.gains:
             return "No candidate can be ranked."
         best = self.gains[0]
+        if best.d_gain <= 0.0:
+            fewer = ", or calibrate fewer parameters" if self.blind_before else ""
+            return (
+                "No candidate makes the values more certain as a whole: know better "
+                f"what is held fixed{fewer}."
+            )
         return f"Candidate {best.name!r} adds most: it {best.words}."
 
     @property
@@ -152,12 +158,19 @@ class Ranking(Result):
     @property
     def legend(self) -> str:
         """What the columns of the table mean."""
-        return (
+        text = (
             f"Without a candidate {self.blind_before} of {self.n_parameters} "
             "directions are blind. Volume: factor on that of the uncertainty, "
             "exp(-D gain / 2). E gain: information added where there is least, in "
             "units of what the asked standard error tells."
         )
+        if any(gain.d_gain < 0.0 for gain in self.gains):
+            text += (
+                " D gain below 0: the fit weighs readings by their noise alone, and "
+                "that pose passes on more error of what is held fixed (clamp, loads, "
+                "mesh) than it tells."
+            )
+        return text
 
     def __str__(self) -> str:
         """Describe the best candidate, and tabulate all."""

@@ -13,6 +13,7 @@ from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.configurations import (
     Configuration,
     EdgeForce,
+    Markers,
     PointForce,
     Registration,
     Support,
@@ -24,8 +25,12 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.project._actuators import build_actuation
 from softcal_jax.project._bodies import State, build_states
 from softcal_jax.project._effectors import Effectors, with_measured
-from softcal_jax.project._markers import MeasuredTable
-from softcal_jax.project._problems import known_name, under
+from softcal_jax.project._markers import (
+    MarkersTable,
+    MeasuredMarkers,
+    MeasuredTable,
+)
+from softcal_jax.project._problems import WrongKeyError, known_name, under
 from softcal_jax.project._quantities import shown
 from softcal_jax.project._table import (
     Acceleration,
@@ -162,6 +167,17 @@ class ConfigurationTable(CandidateTable):
     recording: str | None = None
     measured: MeasuredTable | None = None
 
+    @field_validator("measured", mode="before")
+    @classmethod
+    def _not_yet(cls, value: Any) -> Any:
+        """Read false as none: what [shared] says of readings is not of this pose."""
+        if value is True:
+            raise ValueError(
+                "got true; expected a table, or false for a pose that is not measured "
+                "yet."
+            )
+        return None if value is False else value
+
 
 def _reference(name: str, measured: MeasuredTable | None) -> str | None:
     """Return the configuration that displacements are from; none is its own."""
@@ -181,6 +197,20 @@ class Built(NamedTuple):
     configuration: Configuration
     registration: Registration | None
     traces: Traces | None
+
+
+def _read_markers(
+    own: MeasuredTable, folder: Path, table: MarkersTable, markers: Markers
+) -> MeasuredMarkers:
+    """Read the markers of a pose; if it selects none, it may not be measured yet."""
+    try:
+        return own.build(folder, table, markers)
+    except ValueError as error:
+        if own.select or own.recording or isinstance(error, WrongKeyError):
+            raise
+        raise ValueError(
+            f"{error} If this pose is not measured yet, give it `measured = false`."
+        ) from None
 
 
 def build_configuration(
@@ -231,7 +261,7 @@ def build_configuration(
         with under("measured"):
             if project.markers is None or markers is None:
                 raise no_markers
-            found = own.build(folder, project.markers, markers)
+            found = _read_markers(own, folder, project.markers, markers)
             positions, std, registration, traces = found
             if std is not None:
                 markers = replace(markers, std=std)

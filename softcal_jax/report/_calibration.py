@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal_jax._names import listed
+from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
-    LeftOut,
     ResidualChecks,
 )
 from softcal_jax.equilibrium import Model
@@ -25,6 +25,9 @@ MOST_CORRELATED = 12
 
 MOST_PAIRS = 20
 """Most pairs of parameters that are listed where there are more."""
+
+FAR_BOUND = 1e4
+"""Bound, in the unit of the value, from which it has a unit of its own [-]."""
 
 TONES: dict[str, Tone] = {
     "identifiable": "good",
@@ -55,14 +58,22 @@ def parameter_table(result: CalibrationResult, found: Identifiability) -> Table:
         elif q.given:
             text += f" (with {', '.join(q.given)} on a bound)"
         factor, unit = readable_unit([q.value], q.unit)
-        bounds = f"{q.lower * factor:.4g} to {q.upper * factor:.4g} {unit}"
+        bounds = _bounds(q.lower, q.upper, q.value, q.unit)
         sound = result.converged and not q.at_bound and q.name not in blind
         start = f"{q.start * factor:.4g} {unit}".rstrip()
         value = Cell(text, "strong" if sound else "bad")
-        rows.append((q.name, value, start, bounds.rstrip()))
+        rows.append((q.name, value, start, bounds))
     return described(
         title, ("parameter", "value ± std. error", "start", "bounds"), rows
     )
+
+
+def _bounds(lower: float, upper: float, value: float, unit: str) -> str:
+    """Write bounds in the unit of the value, and each in its own if they are far."""
+    factor, shown = readable_unit([value], unit)
+    if abs(upper * factor) >= FAR_BOUND and readable_unit([upper], unit).unit != shown:
+        return f"{readable(lower, unit)} to {readable(upper, unit)}"
+    return f"{lower * factor:.4g} to {upper * factor:.4g} {shown}".rstrip()
 
 
 def budget_table(result: CalibrationResult) -> Table:
@@ -111,38 +122,35 @@ def error_tables(
 ) -> list[Table]:
     """Tabulate the errors of points and of orientations.
 
-    With three or more fitted configurations, points also as the others predict them,
-    and in brackets what errors explain of that.
+    With three or more fitted configurations, points as the others predict them have a
+    table of their own: beside the errors it would not fit in 80 columns.
     """
-    predicted = {} if checks is None else {own.name: own for own in checks.left_out}
     columns = ("configuration", "role", "before", "after", "moved", "after/moved")
-    more = ("by the others",) if predicted else ()
     points, turns = [], []
     for fit in fits:
         before, after, moved = map(
             distance, (fit.rms_before, fit.rms_after, fit.motion)
         )
         share = "-" if math.isnan(fit.rms_share) else f"{100.0 * fit.rms_share:.1f} %"
-        by_others = [_by_others(predicted.get(fit.name))] if predicted else []
         first = (fit.name, fit.role)
-        points.append((*first, before, Cell(after, "strong"), moved, share, *by_others))
+        points.append((*first, before, Cell(after, "strong"), moved, share))
         if math.isfinite(fit.turn_after):
             turned = Cell(_angle(fit.turn_after), "strong")
             turns.append((*first, _angle(fit.turn_before), turned))
-    title = "Rms distance of the markers"
     shown = []
     if any(fit.points for fit in fits):
-        shown.append(described(title, columns + more, points))
+        shown.append(described("Rms distance of the markers", columns, points))
+    by_others = [
+        (own.name, distance(own.rms), distance(own.expected))
+        for own in ([] if checks is None else checks.left_out)
+    ]
+    if by_others:
+        heads = ("configuration", "off by", "errors explain")
+        title = "Rms distance of a configuration left out"
+        shown.append(described(title, heads, by_others))
     if turns:
         shown.append(described("Rms angle of the orientations", columns[:4], turns))
     return shown
-
-
-def _by_others(own: LeftOut | None) -> str:
-    """Write how far a prediction by the other configurations is off."""
-    if own is None or math.isnan(own.rms):
-        return "-"
-    return f"{distance(own.rms)} ({distance(own.expected)})"
 
 
 def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:

@@ -21,7 +21,7 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[Table]:
     values = ["measured", "before", "after"] if fitted else ["simulated"]
     titles = {
         "Other effectors": ["effector", *values],
-        "Actuators": ["actuator", "force", "displacement"],
+        "Actuators": ["actuator", "force or pressure", "displacement or growth"],
         "Rigid bodies": ["rigid body", "state", "moved by", "turned by"],
         "Reactions": ["of", "force of the ground (x, y, z)"],
     }

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import chdtrc
 from scipy.stats import f as f_distribution
 
 from softcal_jax.calibration._noise import coloured, whitened
@@ -159,6 +160,32 @@ def test_right_predictions_are_flagged_as_seldom_as_stated():
             found.append(chance(squares, n, of=N - N_P, jitter_is_of_all=True))
     for level in (0.01, 0.1):
         assert np.mean(np.array(found) < level) < level + 3.0 * np.sqrt(level / 800)
+
+
+def test_a_right_std_is_flagged_as_seldom_as_stated():
+    """Two markers in three poses, with offsets of five times the jitter.
+
+    Offsets cover half of the 18 coordinates; by 16 degrees of freedom, coordinates
+    minus parameters, a right std would be flagged several times too often.
+    """
+    few = np.flatnonzero((np.arange(N) // 3 % MARKERS < 2) & (LANE < 3))
+    A = 5.0 * OFFSETS[few][:, :9]
+    random, found = np.random.default_rng(10), []
+    for _ in range(400):
+        r, W = (x[few] for x in draw(random, offset=5.0, jitter=1.0))
+        errors = without_prior(r, W)
+        dof = LinearFit(errors, A, 1.0).jitter_freedom()
+        assert 7.0 < dof < 9.1
+        level, _ = restricted_likelihood(errors, [A], [1.0, 1.0], [True, False])
+        found.append(chdtrc(dof, dof * level**2))
+    for limit in (0.01, 0.1):
+        assert np.mean(np.array(found) < limit) < limit + 3.0 * np.sqrt(limit / 400)
+
+
+def test_independent_residuals_all_tell_of_the_jitter():
+    """Without offsets their number is that of coordinates minus parameters."""
+    errors = without_prior(*draw(np.random.default_rng(11)))
+    np.testing.assert_allclose(LinearFit(errors, NONE, 0.6).jitter_freedom(), N - N_P)
 
 
 def test_chance_is_that_of_the_tables():

@@ -268,7 +268,8 @@ def test_standard_errors_by_cause(data):
     assert list(E["by_cause"]) == ["noise", "clamp"]
     assert E["by_cause"] == pytest.approx({"noise": 4.8e3, "clamp": 3.6e3}, rel=1e-12)
     assert E["standard_error"] == pytest.approx(6e3, rel=1e-12)
-    assert E["sentence"] == "noise 2 %, clamp 1.5 %"
+    advice = "measure more poses, or with less noise"
+    assert E["sentence"] == f"noise 2 %, clamp 1.5 %: {advice}"
     assert nu["by_cause"] == {"noise": None, "clamp": None}
     assert nu["sentence"] == "no standard error"
     (error,) = budget["errors"]

@@ -132,6 +132,27 @@ def test_a_repetition_in_words():
     assert found.gains[0].words == "hardly changes any standard error"
 
 
+def test_a_candidate_that_passes_on_more_error_than_it_tells():
+    """Very fine readings of a pose whose load is hardly known outweigh the others.
+
+    The fit weighs readings by their noise alone, so it follows the load.
+    """
+    model = two_part_beam()
+    other_end = pose("b", SWAP.markers.positions, clamp="x_max", std=1e-4)
+    known = [pose("a", TIP, std=1e-4), other_end]
+    unsure = replace(exactly_known(), loads=0.5)
+    fine = replace(pose("fine", TIP, std=1e-5), loads=PULL.loads)
+    found = rank_with(model, SPACE, known, [fine], uncertain=unsure)
+    assert found.gains[0].d_gain < 0.0
+    assert found.headline == (
+        "No candidate makes the values more certain as a whole: know better what is "
+        "held fixed."
+    )
+    blind = replace(found, blind_before=1).headline
+    assert blind.endswith("held fixed, or calibrate fewer parameters.")
+    assert "D gain below 0: the fit weighs readings by their noise" in str(found)
+
+
 def test_with_nothing_known_a_candidate_gives_its_own_verdict():
     model = two_part_beam()
     found = rank_configurations(model, SPACE, (), PULL)

@@ -463,6 +463,42 @@ def test_nothing_measured(tmp_path):
     assert "- configurations.pulled: it has no `measured` pos" in str(caught.value)
 
 
+OF_WEIGHT = 'measured.recording = { run = "weight" }'
+
+
+def test_not_measured_yet(tmp_path):
+    """What [shared.measured] says is not of a pose that has `measured = false`."""
+    path = write_small_project(tmp_path, (OF_WEIGHT, "measured = false"))
+    project = load_project(path)
+    assert [c.is_measured for c in project.configurations] == [False, True]
+    with pytest.raises(ProjectError, match=r"weight: it has no `measured` positions"):
+        project.calibrate()
+
+
+def test_a_pose_that_selects_no_rows(tmp_path):
+    text = refusal(
+        tmp_path,
+        ('select = { phase = "loaded" }\n', ""),
+        ('displacement_from = { phase = "rest" }\n', ""),
+        (
+            'registration = { markers = ["a", "b", "c"], select = { phase = "rest" } }',
+            "",
+        ),
+        (OF_WEIGHT, ""),
+    )
+    assert text.startswith("configurations.weight.measured: ")
+    assert "is there twice, in lines 2 and 7; select the rows of one recording" in text
+    assert text.endswith(
+        " If this pose is not measured yet, give it `measured = false`."
+    )
+
+
+def test_measured_is_a_table_or_false(tmp_path):
+    assert refusal(tmp_path, (OF_WEIGHT, "measured = true")).startswith(
+        "configurations.weight.measured: got true; expected a table, or false for a "
+    )
+
+
 def test_float32(tmp_path):
     path = write_small_project(tmp_path)
     with (
