@@ -14,7 +14,8 @@ def test_files():
     }
     source = (folder / "README.md").read_text()
     assert "srl-ethz/diffPD_sim2real" in source
-    assert "MIT License" in source
+    assert "MIT licence" in source
+    assert "MIT License" in (folder / "LICENSE-recordings.txt").read_text()
 
 
 def test_figures():
