@@ -127,7 +127,9 @@ def test_force_replaces_and_not_converged_says_so(tmp_path, out, capsys):
     assert json.loads((out / "result.json").read_text())["converged"] is False
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, sent):
     """So does SIGTERM, by which a scheduler ends a job; the checkpoint stands."""
     path = write_small_project(tmp_path)

@@ -43,7 +43,9 @@ def test_an_unwritable_folder_is_found_before_anything_is_solved(
     assert left_behind(tmp_path) == set()
 
 
-@pytest.mark.parametrize("also_there", [True, False])
+@pytest.mark.parametrize(
+    "also_there", [pytest.param(True, marks=pytest.mark.slow), False]
+)
 def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
     tmp_path, capsys, monkeypatch, also_there
 ):

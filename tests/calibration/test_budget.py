@@ -246,7 +246,11 @@ def relative(result):
 
 
 @pytest.mark.parametrize(
-    ("name", "powers", "shear"), [("pull", (3, 1), 0.6), ("hang", (4, 2), 0.8)]
+    ("name", "powers", "shear"),
+    [
+        ("pull", (3, 1), 0.6),
+        pytest.param("hang", (4, 2), 0.8, marks=pytest.mark.slow),
+    ],
 )
 def test_free_length_of_a_cantilever(name, powers, shear):
     """E ~ F L^3 / f or w L^4 / f, and less by the share that shears.

@@ -100,7 +100,10 @@ def errors_of(problem, configurations):
     return 1e3 * tip, 1e3 * of_mesh.reshape(-1, 3)[0]
 
 
-@pytest.mark.parametrize("formulation", ["displacement", "mean-dilatation"])
+@pytest.mark.parametrize(
+    "formulation",
+    ["displacement", pytest.param("mean-dilatation", marks=pytest.mark.slow)],
+)
 def test_the_exact_solution_is_within_two_standard_deviations(formulation):
     """And the error is not overstated."""
     own, std = errors_of(*posed(NeoHookean(265e3, 0.499), formulation))
