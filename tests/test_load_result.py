@@ -147,6 +147,17 @@ def test_one_that_did_not_converge_says_so(folder, calibrated, capsys):
     assert f"warning: {folder / 'early' / 'result.json'}: the calibration did" in text
 
 
+def test_what_the_calibration_doubts_is_said_by_exports(folder, capsys):
+    path = folder / "out" / "result.json"
+    reasons = json.loads(path.read_text())["assessment"]["reasons"]
+    assert reasons
+    assert load_result(path).doubts == tuple(reasons)
+    argv = ["export", "inp", str(path), "-o", str(folder / "doubted.inp")]
+    assert main([*argv, "--configuration", "weight"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"Note: take the values with care: {reasons[0]}" in said
+
+
 def test_made_in_python(tmp_path, monkeypatch):
     monkeypatch.setattr(_write, "rendering_problem", lambda: "no pictures")
     with pytest.warns(_write.PictureWarning):

@@ -18,6 +18,7 @@ from softcal_jax.cli._shared import (
     check_new,
     quantity,
     start_computing,
+    with_care,
 )
 
 if TYPE_CHECKING:
@@ -184,17 +185,20 @@ def _export(
 
     start_computing(show)
     show.now(f"reading {args.results}")
+    doubts: tuple[str, ...] = ()
     with bad_input():
         if designed and args.results.suffix == ".toml":
             result = load_project(args.results)
         else:
             result = load_result(args.results, project=args.project)
+            doubts = result.doubts
         show.lap("reading")
         notes = write(result, args)
     show.lap("writing")
+    notes = [*notes, *with_care(doubts)]
     for note in notes:
         show.line(f"Note: {note}")
     show.line(f"Wrote {output}.")
-    show.document({"output": str(output), "notes": list(notes)})
+    show.document({"output": str(output), "notes": notes})
     show.times()
     return OK

@@ -11,6 +11,7 @@ from softcal_jax.cli._shared import (
     check_folder,
     no_equilibrium,
     start_computing,
+    with_care,
 )
 from softcal_jax.cli._steps import step_lines
 
@@ -78,6 +79,8 @@ def _export(args: argparse.Namespace, show: Display) -> int:
     show.lap("solve")
     show.line()
     show.line(str(found))
+    for note in with_care(result.doubts):
+        show.line(f"Note: {note}")
     show.line(f"Wrote {args.output}; README.md there says how to run it.")
     show.document({"output": str(args.output), "said": str(found)})
     show.times()

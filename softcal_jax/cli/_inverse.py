@@ -16,6 +16,7 @@ from softcal_jax.cli._shared import (
     bad_input,
     check_folder,
     start_computing,
+    with_care,
 )
 from softcal_jax.cli._writing import pictures_with_a_bar, write_results
 
@@ -94,7 +95,7 @@ def inverse(args: argparse.Namespace, show: Display) -> int:
             made=Made(loaded.model, {"control": settings}, project.source),
             calibration=loaded.path,
             options=options,
-            notes=tuple(show.warnings),
+            notes=(*with_care(loaded.doubts), *show.warnings),
             **pictures_with_a_bar(args, show),
         )
 

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -43,6 +43,11 @@ def sigterm_as_ctrl_c() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+
+def with_care(doubts: Sequence[str]) -> list[str]:
+    """Say what a calibration doubts of its values, before another program uses them."""
+    return [f"take the values with care: {reason}" for reason in doubts]
 
 
 @contextmanager

@@ -74,6 +74,10 @@ class _Fit(BaseModel):
     rms_after_mm: float | None
 
 
+class _Assessment(BaseModel):
+    reasons: list[str]
+
+
 class _Result(BaseModel):
     """What is read of `result.json`."""
 
@@ -82,6 +86,7 @@ class _Result(BaseModel):
     configurations: list[_Fit]
     source: _Source | None
     budget: _Budget
+    assessment: _Assessment
     solver: dict[str, str | int | None]
     versions: dict[str, str]
 
@@ -102,6 +107,7 @@ class LoadedResult(Module):
         errors: Root mean square of the distances of markers and other points from
             where they were measured, by configuration; nan without any [m].
         converged: Whether the calibration converged; if not, do not use the values.
+        doubts: Why the values are to be taken with care, see `assess`.
     """
 
     path: Path
@@ -113,6 +119,7 @@ class LoadedResult(Module):
     covariance: Float[HostArray, "n_p n_p"]
     errors: dict[str, float]
     converged: bool
+    doubts: tuple[str, ...]
 
     def _words(self) -> str:
         values = (
@@ -207,6 +214,7 @@ def load_result(
             for own in data.configurations
         },
         converged=data.converged,
+        doubts=tuple(data.assessment.reasons),
     )
 
 
