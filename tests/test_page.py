@@ -4,8 +4,6 @@ import base64
 import hashlib
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -538,44 +536,3 @@ def test_contrast():
     for name, paper in papers:
         for ink in (named[name], named["ink"], named["faint"]):
             assert contrast(ink, paper) >= 4.5
-
-
-@pytest.mark.slow
-def test_in_a_browser(tmp_path):
-    """Nothing on its console, no request, and no scrolling sideways on a phone."""
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        pytest.skip("Chromium is not installed")
-    long = "a configuration with a rather long name, of which there are some"
-    fits = [make_fit(small_model().mesh, long)]
-    write_results(make_result(fits=fits), tmp_path / "out", name="beam")
-    page = tmp_path / "out" / "report.html"
-    log, frame = tmp_path / "net.json", tmp_path / "phone.html"
-    # A frame is as narrow as a phone, where the window of a browser may not be.
-    frame.write_text(
-        f'<iframe id="f" width="360" height="700" src="{page.as_uri()}"></iframe>'
-        "<script>onload = () => { const own = f.contentDocument.documentElement;"
-        "document.title = own.scrollWidth + ' ' + own.clientWidth }</script>"
-    )
-    options = [
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--virtual-time-budget=2000",
-    ]
-    options += ["--allow-file-access-from-files", "--enable-logging=stderr"]
-    options += [f"--user-data-dir={tmp_path / 'user'}", "--dump-dom"]
-    done = subprocess.run(
-        [browser, *options, f"--log-net-log={log}", page.as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert "Converged in 4 steps" in done.stdout
-    assert "CONSOLE" not in done.stderr
-    done = subprocess.run(
-        [browser, *options, frame.as_uri()], capture_output=True, text=True, timeout=120
-    )
-    wide, narrow = re.search(r"<title>(\d+) (\d+)</title>", done.stdout).groups()
-    assert int(narrow) >= 340
-    assert int(wide) <= int(narrow)

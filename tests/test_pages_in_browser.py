@@ -37,7 +37,7 @@ from softcal_jax.report import (
 )
 from softcal_jax.sweeps import Outcome, Range, run_sweep, sample
 
-WIDTHS = (390, 1280)
+WIDTHS = (360, 1280)
 """Windows of a phone and of a desk [px]."""
 
 _AXE = """\
