@@ -33,7 +33,7 @@ from softcal_jax.equilibrium._sparsity import (
     destinations,
 )
 from softcal_jax.materials import AbstractLaw, PointValues, is_point_values
-from softcal_jax.mesh import Refinement, TetMesh, check_mesh, finer
+from softcal_jax.mesh import Refinement, TetMesh, check_mesh, finer, volumes
 
 # Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
 # corotational law takes twice as long with blocks of 32 as with 16.
@@ -117,6 +117,12 @@ class Model(Module):
     def n_tets(self) -> int:
         """Number of tets."""
         return self.mesh.tets.shape[0]
+
+    @property
+    def mass(self) -> float:
+        """Mass of all tets and rigid bodies [kg]."""
+        tets = np.asarray(self.density) * volumes(self.mesh)
+        return float(np.sum(tets) + np.sum(np.asarray(self.mechanism.bodies.mass)))
 
     @property
     def conservative(self) -> bool:

@@ -18,7 +18,6 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.mesh import volumes
 
 DENSITIES = 10.0, 23e3
 """From a light foam to the heaviest metal [kg/m3]."""
@@ -84,9 +83,7 @@ def _gravity(posed: Posed) -> Iterator[Doubt]:
 
 
 def _loads(model: Model, posed: Posed) -> Iterator[Doubt]:
-    mass = float(np.sum(np.asarray(model.density) * volumes(model.mesh)))
-    mass += float(np.sum(np.asarray(model.mechanism.bodies.mass)))
-    weight = mass * STANDARD_GRAVITY
+    weight = model.mass * STANDARD_GRAVITY
     for key, c in posed.items():
         forces = [load.nodal_forces(model.mesh).sum(axis=0) for load in c.loads]
         load = float(sum(np.linalg.norm(force) for force in forces))

@@ -82,7 +82,7 @@ def outline(
     rows = [(f"line {own.line}", own.text, own.remark) for own in guesses]
     yield from _section("Guesses, to be changed or confirmed", rows)
     lanes = configuration_lanes(project.model.mesh, posed, project.model.mechanism)
-    weight = _mass(project.model) * STANDARD_GRAVITY
+    weight = project.model.mass * STANDARD_GRAVITY
     yield from _section("Model", _model(project.model, posed, lanes, weight))
     yield from _section("Rigid bodies", _bodies(project.model))
     yield from _section("Actuators", _actuators(project.model))
@@ -151,12 +151,6 @@ def _model(
         lock,
     ]
     return [row for row in rows if row[0]]
-
-
-def _mass(model: Model) -> float:
-    """Return the mass of tets and rigid bodies [kg]."""
-    own = np.asarray(model.density) * volumes(model.mesh)
-    return float(np.sum(own) + np.sum(np.asarray(model.mechanism.bodies.mass)))
 
 
 def _free_coordinates(
