@@ -1,17 +1,22 @@
-"""How time and memory of an equilibrium grow with the mesh, up to 100 000 nodes.
+"""How time and memory grow with the mesh, up to 100 000 nodes.
 
-The neo-Hookean beam of `static_beam` under its own weight, in cubic cells: the whole
-solve from rest, compiled, and the peak memory of a process of its own for each mesh,
-beyond that of its imports. Both are fitted as powers of the number of nodes by least
-squares of the logarithms. A mesh that needs more memory than the machine has, or whose
-process fails, ends the series and is named.
+- An equilibrium: the neo-Hookean beam of `static_beam` under its own weight, in cubic
+  cells, solved from rest.
+- A calibration: the beam of Sec. V, four configurations and six parameters, from its
+  usual start to convergence, its configurations side by side on all cores.
+
+Each mesh has a process of its own, and everything is compiled before it is timed. Time,
+and the peak memory beyond that of the imports, are fitted as powers of the number of
+nodes by least squares of the logarithms. A mesh that needs more memory than the machine
+has, or whose process fails, ends its series and is named.
 """
 
 import json
 import statistics
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +24,11 @@ from benchmarks._memory import peak_bytes
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import run_process
 
-ACROSS = (4, 6, 9, 13, 16, 18, 22, 27)
-"""Cells across the beam; five times as many along it."""
+ACROSS = {"solve": (4, 6, 9, 13, 16, 18, 22, 27), "calibration": (4, 6, 10, 14)}
+"""Cells across the beam; five times as many along it.
+
+The elements of the calibration are quadratic: 14 cells have 119 000 nodes.
+"""
 
 SECONDS = 5.0
 """A mesh is solved again until this time is spent, once at least [s]."""
@@ -31,51 +39,77 @@ GOALS = {
     "time_exponent": Goal("at most", 1.5),
     "largest_nodes": Goal("at least", 100_000),
     "peak_memory_gb": Goal("at most", 16),
+    "calibration_time_exponent": Goal("at most", 1.4),
+    "calibration_largest_nodes": Goal("at least", 100_000),
+    "calibration_peak_gb": Goal("at most", 16),
 }
 
 COLUMNS = {
     "nodes": "nodes",
-    "solve_s": "solve [s]",
+    "seconds": "time [s]",
     "steps": "steps",
     "setup_s": "set-up [s]",
     "memory_gb": "memory [GB]",
 }
 
+Row = Mapping[str, float]
+
 
 def run(options: Options) -> Outcome:
-    """Solve all meshes, each in a process of its own."""
-    found, ended = _series(options)
-    column = lambda name: [row[name] for row in found]
-    nodes = column("nodes")
-    power = lambda name, since=0: exponent(nodes[since:], column(name)[since:])
+    """Measure all meshes, each in a process of its own."""
+    solve, ended = _series(options, "solve")
     figures: dict[str, Figure] = {
-        "time_exponent": power("solve_s"),
-        "last_time_exponent": power("solve_s", -2),
-        "memory_exponent": power("memory_gb"),
-        "largest_nodes": int(nodes[-1]),
-        "peak_memory_gb": max(column("peak_gb")),
-        "largest_solve_s": found[-1]["solve_s"],
+        "time_exponent": _power(solve, "seconds"),
+        "last_time_exponent": _power(solve[-2:], "seconds"),
+        "memory_exponent": _power(solve, "memory_gb"),
+        "largest_nodes": int(solve[-1]["nodes"]),
+        "peak_memory_gb": max(row["peak_gb"] for row in solve),
+        "largest_solve_s": solve[-1]["seconds"],
         "ended_by": ended,
     }
-    samples = {f"series_{name}": column(name) for name in COLUMNS}
+    calibration, ended = _series(options, "calibration")
+    figures |= {
+        "calibration_time_exponent": _power(calibration, "seconds"),
+        "calibration_last_time_exponent": _power(calibration[-2:], "seconds"),
+        "calibration_largest_nodes": int(calibration[-1]["nodes"]),
+        "calibration_peak_gb": max(row["peak_gb"] for row in calibration),
+        "largest_calibration_s": calibration[-1]["seconds"],
+        "calibration_ended_by": ended,
+    }
+    found = {"solve": solve, "calibration": calibration}
+    samples = {
+        f"{kind}_{name}": [row[name] for row in rows]
+        for kind, rows in found.items()
+        for name in COLUMNS
+    }
+    tables = [
+        Table(
+            f"Growth of one {kind} with the mesh",
+            list(COLUMNS.values()),
+            [[f"{row[name]:.3g}" for name in COLUMNS] for row in rows],
+        )
+        for kind, rows in found.items()
+    ]
     better: dict[str, Better] = dict.fromkeys(
         (name for name in figures if "exponent" in name), "lower"
     )
-    rows = [[f"{row[name]:.3g}" for name in COLUMNS] for row in found]
-    table = Table("Growth with the mesh", list(COLUMNS.values()), rows)
-    return Outcome(figures, samples, GOALS, [table], better)
+    return Outcome(figures, samples, GOALS, tables, better)
 
 
-def _series(options: Options) -> tuple[list[dict[str, float]], str]:
-    """Measure meshes as long as they can be solved, and say why that ended.
+def _power(rows: Sequence[Row], name: str) -> float:
+    return exponent([row["nodes"] for row in rows], [row[name] for row in rows])
+
+
+def _series(options: Options, kind: str) -> tuple[list[Row], str]:
+    """Measure meshes as long as the machine can hold them, and say why that ended.
 
     Raises:
-        RuntimeError: If fewer than two could be solved.
+        RuntimeError: If fewer than two could be measured.
     """
-    found: list[dict[str, float]] = []
-    for across in ACROSS:
-        options.say(f"{across} cells across the beam")
-        command = [sys.executable, "-m", "benchmarks.growth", "direct", str(across)]
+    found: list[Row] = []
+    for across in ACROSS[kind]:
+        options.say(f"{kind}, {across} cells across the beam")
+        command = [sys.executable, "-m", "benchmarks.growth", kind, str(across)]
         try:
             found.append(json.loads(run_process(command).splitlines()[-1]))
         except RuntimeError as error:
@@ -91,27 +125,78 @@ def exponent(nodes: Sequence[float], cost: Sequence[float]) -> float:
     return float(np.polyfit(np.log(nodes), np.log(cost), 1)[0])
 
 
-def one_mesh(solver: str, across: int) -> dict[str, float]:
-    """Measure time and memory of one mesh in this process."""
+class Prepared(NamedTuple):
+    """What is timed on one mesh, with everything compiled.
+
+    Attributes:
+        nodes: Number of nodes.
+        steps: Runs it once and returns its number of steps.
+    """
+
+    nodes: int
+    steps: Callable[[], int]
+
+
+def prepared_solve(across: int, solver: str | None) -> Prepared:
+    """An equilibrium of the neo-Hookean beam, by the usual solver or by name."""
     from benchmarks._cantilever import equilibrium, first_lane, own_weight
     from benchmarks.static_beam import BEAM
 
+    model = BEAM.model((5 * across, across, across), solver=solver)
+    lane = first_lane(own_weight(model))
+    equilibrium(model, lane)
+    return Prepared(model.mesh.n_nodes, lambda: int(equilibrium(model, lane).steps))
+
+
+def prepared_calibration(across: int) -> Prepared:
+    """A calibration of the beam of Sec. V.
+
+    Raises:
+        RuntimeError: If a run does not end at p_target.
+    """
+    from benchmarks._paper import measured_beam, one_run, parameter_errors, recovered
+    from softcal_jax.calibration import CalibrationSettings, Evaluator
+    from softcal_jax.equilibrium import Workers
+
+    measured = measured_beam((5 * across, across, across), plane="xy")
+    problem, space, target = measured.problem, measured.space, measured.target
+
+    def steps() -> int:
+        found = one_run(problem, CalibrationSettings(), space.start())
+        if not recovered(parameter_errors(space, found.z, target)):
+            raise RuntimeError(f"{across} cells across: p_target was not recovered.")
+        return found.steps
+
+    # One evaluation compiles what a run consists of.
+    with Workers(problem.model, len(problem.configurations.gravity)) as workers:
+        workers.end_of(Evaluator(problem).from_rest(target))
+    return Prepared(problem.model.mesh.n_nodes, steps)
+
+
+def one_mesh(kind: str, across: int) -> dict[str, float]:
+    """Measure time and memory of one mesh in this process.
+
+    Args:
+        kind: "solve" or "calibration", or a sparse solver by its name to solve with.
+        across: Cells across the beam.
+    """
     imported = peak_bytes()
     begin = time.perf_counter()
-    name = None if solver == "direct" else solver
-    model = BEAM.model((5 * across, across, across), solver=name)
-    lane = first_lane(own_weight(model))
+    if kind == "calibration":
+        nodes, run_once = prepared_calibration(across)
+    else:
+        nodes, run_once = prepared_solve(across, None if kind == "solve" else kind)
     setup = time.perf_counter() - begin
-    first = equilibrium(model, lane)  # compiles
     seconds: list[float] = []
+    steps = 0
     while not seconds or (sum(seconds) < SECONDS and len(seconds) < MOST_REPEATS):
         begin = time.perf_counter()
-        equilibrium(model, lane)
+        steps = run_once()
         seconds.append(time.perf_counter() - begin)
     return {
-        "nodes": model.mesh.n_nodes,
-        "solve_s": statistics.median(seconds),
-        "steps": int(first.steps),
+        "nodes": nodes,
+        "seconds": statistics.median(seconds),
+        "steps": steps,
         "setup_s": setup,
         "memory_gb": (peak_bytes() - imported) / 1e9,
         "peak_gb": peak_bytes() / 1e9,
