@@ -327,6 +327,7 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
     assert before.n + after.n <= searched.n + under_way * (FROM_ANYWHERE.max_steps + 2)
 
 
+@pytest.mark.slow
 def test_multi_start_keeps_its_runs_as_well(tmp_path, beam, data):
     problem = build_problem(beam.model, beam.space, data)
     path, told = tmp_path / "search.npz", []

@@ -56,7 +56,9 @@ def l2_error(cells, order, formulation):
     [
         (1, "displacement", (6, 9), 2.0, 0.1),
         (2, "displacement", (6, 8), 3.0, 0.2),
-        (2, "mean-dilatation", (6, 8), 2.0, 0.25),
+        pytest.param(
+            *(2, "mean-dilatation", (6, 8), 2.0, 0.25), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_order_in_l2(order, formulation, cells, expected, margin):

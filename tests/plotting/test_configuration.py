@@ -20,7 +20,7 @@ def pixels_of(path, colour):
     return np.argwhere(np.abs(image - to_rgb(colour)).max(axis=2) < 0.02)
 
 
-@pytest.fixture(scope="module", params=[1, 2])
+@pytest.fixture(scope="module", params=[pytest.param(1, marks=pytest.mark.slow), 2])
 def model(request):
     return small_model(request.param)
 
