@@ -1,6 +1,7 @@
 """The beam of Sec. V, measured by its own model: what the paper's figures share."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -122,13 +123,14 @@ def run_each(
         start: Scaled parameters that all of them start from [-].
     """
     images = images_of(problems[0].space, mirror=False)
-    jobs = [
-        run_start(Evaluator(problem), settings, start, images=images)
-        for problem in problems
-    ]
-    lanes = len(jobs) * len(problems[0].configurations.gravity)
+    lanes = len(problems) * len(problems[0].configurations.gravity)
     with Workers(problems[0].model, lanes) as workers:
-        return workers.ends(jobs)
+        return workers.side_by_side(
+            partial(
+                run_start, Evaluator(problem, workers), settings, start, images=images
+            )
+            for problem in problems
+        )
 
 
 def one_run(

@@ -110,11 +110,11 @@ def evaluation_seconds(
         repeats: Timed evaluations.
         ready: Called before the first of them, when everything is compiled.
     """
-    evaluate = Evaluator(loaded(measured, n))
     with Workers(measured.problem.model, n) as workers:
-        before = workers.end_of(evaluate.from_rest(measured.target))
+        evaluate = Evaluator(loaded(measured, n), workers)
+        before = evaluate.from_rest(measured.target)
         z, u = measured.target + STEP, before.equilibrium.displacement
-        call = lambda: jax.block_until_ready(workers.end_of(evaluate(z, u)))
+        call = lambda: jax.block_until_ready(evaluate(z, u))
         if not bool(call().ok):
             raise RuntimeError(f"a lane of {n} has no equilibrium.")
         ready()

@@ -169,7 +169,7 @@ def prepared_calibration(across: int) -> Prepared:
 
     # One evaluation compiles what a run consists of.
     with Workers(problem.model, len(problem.configurations.gravity)) as workers:
-        workers.end_of(Evaluator(problem).from_rest(target))
+        Evaluator(problem, workers).from_rest(target)
     return Prepared(problem.model.mesh.n_nodes, steps)
 
 

@@ -16,6 +16,7 @@ of the steps that were kept, each with a factorization of its own.
 """
 
 from collections.abc import Callable
+from functools import partial
 from itertools import chain, pairwise
 from typing import NamedTuple
 
@@ -42,7 +43,6 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import ConfigurationArrays, configuration_arrays
 from softcal_jax.equilibrium import (
-    Job,
     Model,
     NewtonSettings,
     Workers,
@@ -224,19 +224,19 @@ def order(errors: list[float]) -> float:
 
 def newton_per_lane(measured: MeasuredBeam) -> list[float]:
     """Newton iterations per configuration, of each kept step of all calibrations."""
-    evaluate, settings = Evaluator(measured.problem), FROM_ANYWHERE
+    settings = FROM_ANYWHERE
 
-    def counted(start) -> Job[list[float]]:
-        states = [
-            initial_state(settings, start, (yield from evaluate.from_rest(start)))
-        ]
-        end = yield from descend(evaluate, settings, states[0], states.append)
+    def counted(evaluate: Evaluator, start) -> list[float]:
+        states = [initial_state(settings, start, evaluate.from_rest(start))]
+        end = descend(evaluate, settings, states[0], states.append)
         return _iterations(states) if end.converged else []
 
     starts = random_starts(measured.space, STARTS)
     n_c = len(measured.problem.configurations.gravity)
     with Workers(measured.problem.model, n_c) as workers:
-        return list(chain.from_iterable(workers.ends(map(counted, starts))))
+        evaluate = Evaluator(measured.problem, workers)
+        runs = [partial(counted, evaluate, start) for start in starts]
+        return list(chain.from_iterable(workers.side_by_side(runs)))
 
 
 def _iterations(states: list[CalibrationState]) -> list[float]:

@@ -17,7 +17,7 @@ from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._references import independent_recordings
 from softcal_jax.calibration._uncertainty import UNLIKELY, Uncertainty, estimator
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Job
+from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Uncertain, asked_errors
 
 ROUNDING = 1e-6
@@ -155,13 +155,17 @@ def _stack_up(one: Posed, other: Posed) -> bool:
 
 
 def errors_of_all(
-    parts: Sequence[Posed], uncertain: Uncertain, z: Float[Array, " n_p"]
-) -> Job[ConsideredErrors]:
+    workers: Workers,
+    parts: Sequence[Posed],
+    uncertain: Uncertain,
+    z: Float[Array, " n_p"],
+) -> ConsideredErrors:
     """Compute once for all configurations what may be wrong with them.
 
     They share the errors, and the finer mesh on which that of the mesh is found.
 
     Args:
+        workers: Run the configurations.
         parts: The configurations, of equal shapes.
         uncertain: What is uncertain.
         z: Scaled parameters [-].
@@ -174,6 +178,7 @@ def errors_of_all(
         jax.tree.map(join, *(p.configurations for p in problems)),
     )
     return considered_errors(
+        workers,
         joined,
         tuple(c for p in parts for c in p.configurations),
         uncertain,

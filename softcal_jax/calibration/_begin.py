@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,17 +18,15 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._lanes import STEPS_BETWEEN, OfLane, step_by_step
-from softcal_jax.calibration._problem import CalibrationProblem, with_solver
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._runs import admissible
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
-    Batch,
     EquilibriumSolution,
-    Job,
+    Program,
     begin_newton,
     continue_newton,
     no_equilibrium,
-    program_key,
 )
 from softcal_jax.fields import ParameterSpace, unnamed
 
@@ -88,7 +85,7 @@ def begin(
     z: Float[Array, " n_p"],
     names: Sequence[str],
     told: Told | None = None,
-) -> Job[Beginning]:
+) -> Beginning:
     """Evaluate a start, with moduli raised until every configuration is in equilibrium.
 
     Args:
@@ -103,7 +100,7 @@ def begin(
     """
     space, names = evaluate.problem.space, tuple(names)
     told_of = partial(_with_names, told, names)
-    first, there = yield from _first_equilibria(evaluate, z, told_of(1.0))
+    first, there = _first_equilibria(evaluate, z, told_of(1.0))
     if there is not None:
         return Beginning(z, there, ())
     solution, raised, factor = first, z, 1.0
@@ -112,9 +109,7 @@ def begin(
         if np.array_equal(stiffer, raised):
             break
         raised, factor = stiffer, STIFFER * factor
-        solution, there = yield from _first_equilibria(
-            evaluate, raised, told_of(factor)
-        )
+        solution, there = _first_equilibria(evaluate, raised, told_of(factor))
         if there is not None:
             return Beginning(raised, there, (_note(space, first, names, raised),))
     raise RuntimeError(_nowhere(space, (first, solution), names, (z, raised)))
@@ -140,25 +135,25 @@ def _nowhere(
 
 def _first_equilibria(
     evaluate: Evaluator, z: Float[Array, " n_p"], told: OfLane | None
-) -> Job[tuple[EquilibriumSolution, Evaluation | None]]:
+) -> tuple[EquilibriumSolution, Evaluation | None]:
     """Return the equilibria, and their evaluation if all are there."""
     if told is None:
-        there = yield from evaluate.from_rest(z)
+        there = evaluate.from_rest(z)
         solution = there.equilibrium
         return solution, there if bool(jnp.all(solution.converged)) else None
-    solution = yield from _step_by_step(evaluate, z, told)
+    solution = _step_by_step(evaluate, z, told)
     if not bool(jnp.all(solution.converged)):
         return solution, None
-    return solution, (yield from evaluate(z, solution.displacement))
+    return solution, evaluate(z, solution.displacement)
 
 
 @eqx.filter_jit
 def _go_on(
     problem: CalibrationProblem,
     z: Float[Array, " n_p"],
+    steps: Int[Array, ""],
     configuration: ConfigurationArrays,
     state: Any,
-    steps: Int[Array, ""],
 ):
     posed = problem.space.apply(problem.model, configuration, z)
     return continue_newton(*posed, state, steps, problem.newton)
@@ -177,31 +172,18 @@ def _before_first_step(
 
 def _step_by_step(
     evaluate: Evaluator, z: Float[Array, " n_p"], told: OfLane
-) -> Job[EquilibriumSolution]:
+) -> EquilibriumSolution:
     """Solve the equilibria of the configurations as `step_by_step` does."""
     problem = evaluate.shared
-
-    def go_on(pairs):
-        jobs = [(z, lane, state, STEPS_BETWEEN) for lane, state in pairs]
-        key = program_key("first_equilibria", problem, jobs[0])
-        return Batch(partial(_some_steps, problem), jobs, key)
-
+    program = Program(_go_on, problem, z, jnp.asarray(STEPS_BETWEEN))
     return step_by_step(
         problem.model,
         evaluate.lanes,
         partial(_before_first_step, problem, z),
-        go_on,
+        partial(evaluate.workers.map, program),
         max_steps=problem.newton.max_steps,
         told=told,
     )
-
-
-def _some_steps(problem: CalibrationProblem, solver, lane):
-    z, configuration, state, steps = lane
-    found = _go_on(
-        with_solver(problem, solver), z, configuration, state, jnp.asarray(steps)
-    )
-    return jax.block_until_ready(found)
 
 
 def _with_names(

@@ -26,7 +26,7 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration._considered import Considered, considered
 from softcal_jax.calibration._evaluation import Evaluation
-from softcal_jax.calibration._lanes import each_lane, lane_of
+from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._mesh_error import REMEDIES, MeshErrors, mesh_errors
 from softcal_jax.calibration._noise import named_columns, whitened
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
@@ -34,7 +34,8 @@ from softcal_jax.calibration._uncertainty import Uncertainty, estimator
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
-    Job,
+    Program,
+    Workers,
     effector_values,
     linearise,
     sensitivity,
@@ -273,16 +274,18 @@ class ConsideredErrors(NamedTuple):
 
 
 def considered_errors(
+    workers: Workers,
     problem: CalibrationProblem,
     configurations: Sequence[Configuration],
     uncertain: Uncertain,
     *,
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
-) -> Job[ConsideredErrors]:
+) -> ConsideredErrors:
     """Compute W_c: change of the effectors per standard deviation of each error.
 
     Args:
+        workers: Run the configurations.
         problem: The calibration.
         configurations: Its configurations.
         uncertain: What is uncertain.
@@ -293,8 +296,8 @@ def considered_errors(
     problem = without_names(problem)
     if not of_mesh and not any(own.happens for own in found):
         found = ()
-    columns = yield from _all_columns(
-        problem, found, z, equilibrium.displacement, of_stiffness=of_mesh
+    columns = _all_columns(
+        workers, problem, found, z, equilibrium.displacement, of_stiffness=of_mesh
     )
     if not of_mesh:
         return ConsideredErrors(found, columns, None)
@@ -310,13 +313,14 @@ def considered_errors(
 
 
 def _all_columns(
+    workers: Workers,
     problem: CalibrationProblem,
     found: Sequence[Considered],
     z,
     displacement,
     *,
     of_stiffness: bool,
-) -> Job[Float[HostArray, "n_rows n_c n_e"]]:
+) -> Float[HostArray, "n_rows n_c n_e"]:
     """Compute W_c as if each configuration had each error, see `_columns`."""
     n_c, n_rows = len(displacement), len(found) + of_stiffness
     n_e = problem.configurations.effectors.measured.size // n_c
@@ -334,8 +338,8 @@ def _all_columns(
         )
         for c in range(n_c)
     ]
-    shared = problem.model, problem.space, errors, of_stiffness
-    of_lanes = yield from each_lane(_columns, shared, lanes)
+    program = Program(_columns, problem.model, problem.space, errors, of_stiffness)
+    of_lanes = workers.map(program, lanes)
     return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
 
 

@@ -10,7 +10,7 @@ from scipy.special import ndtri, stdtrit
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._budget import MESH
 from softcal_jax.calibration._checkpoint import Clock
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator, in_other_units
+from softcal_jax.calibration._evaluation import Evaluation, in_other_units
 from softcal_jax.calibration._first_order import first_order_holds
 from softcal_jax.calibration._interval import (
     ParameterInterval,
@@ -139,7 +139,7 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
         straight, bent = known, []
     else:
         holds = first_order_holds(
-            Evaluator(problem),
+            problem,
             z=result.z,
             at=at,
             spread=spread,

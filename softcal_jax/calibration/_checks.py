@@ -101,7 +101,7 @@ def simulated_measurements(
 
     def solved(own: Model, guess: Float[Array, "n_c n_points 3"] | None):
         with Workers(own, len(configurations)) as workers:
-            return workers.end_of(simulate_lanes(own, arrays, newton, guess))
+            return simulate_lanes(workers, own, arrays, newton, guess)
 
     guess = None if first is None else as_guess(solved(first, None)[0])
     solution, effectors = solved(model, guess)

@@ -2,7 +2,6 @@
 
 from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,24 +13,17 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._lanes import (
     OfLane,
     as_guess,
-    each_lane,
     lane_of,
     simulate_lanes,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    with_solver,
-    without_names,
-)
+from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
-    Batch,
     EquilibriumSolution,
-    Job,
     Model,
+    Program,
     Workers,
-    program_key,
 )
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.sensitivity import (
@@ -192,16 +184,18 @@ class Evaluator:
 
     Attributes:
         problem: The calibration.
-        numbered: The same without names, for compiled programs.
+        workers: Run the lanes.
+        numbered: The calibration without names, for compiled programs.
         shared: What all lanes share, without configurations.
         lanes: The configurations.
     """
 
     __repr__ = one_line
 
-    def __init__(self, problem: CalibrationProblem):
+    def __init__(self, problem: CalibrationProblem, workers: Workers):
         """Split the calibration into what all lanes share, and the lanes."""
-        self.problem, self.numbered = problem, without_names(problem)
+        self.problem, self.workers = problem, workers
+        self.numbered = without_names(problem)
         # The number of lanes and what concerns steps alone would each give another
         # program, so both are left out.
         space = replace(self.numbered.space, order=(), tensor_steps=True, pin=None)
@@ -210,8 +204,7 @@ class Evaluator:
         self.shared = eqx.tree_at(where, alone, (None, space))
         n_c = problem.configurations.gravity.shape[0]
         self.lanes = [lane_of(problem.configurations, c) for c in range(n_c)]
-        self._program = program_key("evaluate_lane", self.shared, self.lanes[0])
-        self._on: dict[int, tuple[Any, CalibrationProblem]] = {}
+        self._program = Program(_evaluate_lane, self.shared)
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":
         """Return an evaluator of the same lanes with another order, chart or pin."""
@@ -232,7 +225,7 @@ class Evaluator:
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
-    ) -> Job[Evaluation]:
+    ) -> Evaluation:
         """Compute equilibria, stacked errors and compliances W_ep (paper Eqs. 9, 10).
 
         Args:
@@ -244,40 +237,34 @@ class Evaluator:
         """
         before = guess if before is None else before
         lanes = zip(self.lanes, guess, before, strict=True)
-        jobs = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
-        found = yield Batch(self._evaluate, jobs, self._program)
+        arguments = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
+        found = self.workers.map(self._program, arguments)
         return _stacked(self.numbered, z, found)
 
     def simulated(
         self, z: Float[Array, " n_p"], told: OfLane = lambda *_: None
-    ) -> Job[tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]]:
+    ) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
         """Compute equilibria and effector coordinates from rest; `told` of each."""
         posed = _posed(self.numbered.with_noise(None), z)
-        return (yield from simulate_lanes(*posed, self.problem.newton, told=told))
+        newton = self.problem.newton
+        return simulate_lanes(self.workers, *posed, newton, told=told)
 
-    def from_rest(self, z: Float[Array, " n_p"]) -> Job[Evaluation]:
+    def from_rest(self, z: Float[Array, " n_p"]) -> Evaluation:
         """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
-            found, _ = yield from self.simulated(z)
+            found, _ = self.simulated(z)
             guess = as_guess(found)
-        return (yield from self(z, guess))
+        return self(z, guess)
 
     def energy_compliances(
         self, z: Float[Array, " n_p"], u: Float[Array, "n_c n_points 3"]
-    ) -> Job[EnergyCompliance]:
+    ) -> EnergyCompliance:
         """Compute W_ep and W_pp of all lanes at displacements `u` [m]."""
-        shared = self.shared.model, self.shared.space
+        program = Program(_energy_compliance_lane, self.shared.model, self.shared.space)
         lanes = [(z, *lane) for lane in zip(self.lanes, u, strict=True)]
-        found = yield from each_lane(_energy_compliance_lane, shared, lanes)
+        found = self.workers.map(program, lanes)
         return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *found))
-
-    def _evaluate(self, solver, lane) -> Response:
-        # The solver is kept beside, so that its id is not given to another one.
-        if id(solver) not in self._on:
-            self._on[id(solver)] = solver, with_solver(self.shared, solver)
-        shared = self._on[id(solver)][1]
-        return jax.block_until_ready(_evaluate_lane(shared, *lane))
 
 
 def evaluate(
@@ -292,10 +279,9 @@ def evaluate(
         z: Scaled parameters [-].
         guess: Displacements to start from; by default as at the start of a fit [m].
     """
-    evaluator = Evaluator(problem)
-    job = evaluator.from_rest(z) if guess is None else evaluator(z, guess)
     with Workers(problem.model, problem.configurations.gravity.shape[0]) as workers:
-        return workers.end_of(job)
+        evaluator = Evaluator(problem, workers)
+        return evaluator.from_rest(z) if guess is None else evaluator(z, guess)
 
 
 @eqx.filter_jit

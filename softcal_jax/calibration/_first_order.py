@@ -1,6 +1,7 @@
 """Whether first-order intervals hold: the cost at their ends, against its parabola."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -8,9 +9,10 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._profile import LOWER, LowerCostFound, room_beside
 from softcal_jax.calibration._uncertainty import Uncertainty
-from softcal_jax.equilibrium import Job, Workers
+from softcal_jax.equilibrium import Workers
 
 CURVED = 0.1
 """Relative error of the root of the rise at which an end is no longer first-order [-].
@@ -58,7 +60,7 @@ class _Checked(NamedTuple):
 
 
 def first_order_holds(
-    evaluate: Evaluator,
+    problem: CalibrationProblem,
     *,
     z: Float[Array, " n_p"],
     at: Evaluation,
@@ -75,7 +77,7 @@ def first_order_holds(
     second one whose floor falls off. One evaluation for each end, all side by side.
 
     Args:
-        evaluate: Evaluator of the calibration.
+        problem: The calibration.
         z: Where the fit ended, scaled [-].
         at: Evaluation there.
         spread: Uncertainty by the noise.
@@ -85,17 +87,19 @@ def first_order_holds(
     Raises:
         LowerCostFound: If the cost is lower at an end than at the fit.
     """
-    space = evaluate.problem.space
-    weights = np.asarray(space.prior_weights())
-    fit = _Checked(evaluate, np.asarray(z), at, spread, quantile, weights)
-    jobs = [_end_holds(fit, column, sign) for column in which for sign in (-1, 1)]
-    lanes = len(jobs) * len(evaluate.problem.configurations.gravity)
-    with Workers(evaluate.problem.model, max(lanes, 1)) as workers:
-        ends = workers.ends(jobs)
+    weights = np.asarray(problem.space.prior_weights())
+    sides = [(column, sign) for column in which for sign in (-1, 1)]
+    lanes = len(sides) * len(problem.configurations.gravity)
+    with Workers(problem.model, max(lanes, 1)) as workers:
+        evaluate = Evaluator(problem, workers)
+        fit = _Checked(evaluate, np.asarray(z), at, spread, quantile, weights)
+        ends = workers.side_by_side(
+            partial(_end_holds, fit, column, sign) for column, sign in sides
+        )
     return [low and high for low, high in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def _end_holds(fit: _Checked, column: int, sign: int) -> Job[bool]:
+def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     """Check one end."""
     space, covariance = fit.evaluate.problem.space, fit.spread.covariance
     free = np.isfinite(np.diag(covariance))
@@ -108,7 +112,7 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> Job[bool]:
     if _breaks_order(space, fit.z + step):
         return False
     z = jax.device_put(fit.z + step)
-    there = yield from fit.evaluate(z, fit.at.equilibrium.displacement)
+    there = fit.evaluate(z, fit.at.equilibrium.displacement)
     if not there.ok:
         return False
     if float(there.cost) < float(fit.at.cost) - 0.5 * LOWER * fit.rise**2:

@@ -68,7 +68,7 @@ from softcal_jax.configurations import (
     Configuration,
     shared_names,
 )
-from softcal_jax.equilibrium import Job, Model, NewtonSettings, Workers
+from softcal_jax.equilibrium import Model, NewtonSettings, Workers
 from softcal_jax.fields import (
     Entry,
     ParameterSpace,
@@ -133,11 +133,11 @@ def fit(
     given = () if start is None else tuple(start.tolist())
     mark = (starts, seed, *given, noise, uncertain.recordings)
     journal = Journal(problem, settings, checkpoint, progress, search=mark)
-    evaluate = Evaluator(problem)
     most = starts * max(len(configurations), 2 * len(validation))
     with journal, Clock() as clock, Workers(model, most) as workers:
+        evaluate = Evaluator(problem, workers)
         first = _admissible(problem.space, start)
-        begun = workers.end_of(begin(evaluate, first, names, equilibrium_progress))
+        begun = begin(evaluate, first, names, equilibrium_progress)
         before = there = begun.evaluation
         if begun.notes:
             first = start = begun.z
@@ -147,11 +147,10 @@ def fit(
         if resume is not None:
             place, weights = resume
             evaluate = evaluate.with_noise(weights)
-            there = workers.end_of(evaluate.from_rest(place))
+            there = evaluate.from_rest(place)
         elif starts > 1:
             others = random_starts(problem.space, starts - 1, seed=seed)
             found = search(
-                workers,
                 evaluate,
                 FROM_ANYWHERE,
                 jnp.concatenate([first[None], others]),
@@ -160,14 +159,15 @@ def fit(
                 progress=search_progress,
             )
             place = jnp.asarray(found.z[found.best])
-            there = workers.end_of(evaluate.from_rest(place))
+            there = evaluate.from_rest(place)
         state, weights = journal.begin(initial_state(settings, place, there), weights)
         unknown = unknown_noise(
             configurations,
             jitter=noise == "estimated",
             offset=uncertain.recordings == "estimated",
         )
-        job = weighed_fit(
+        to_its_end = partial(
+            weighed_fit,
             evaluate.with_noise(weights),
             settings,
             state,
@@ -175,7 +175,7 @@ def fit(
             motion=np.asarray(problem.noise.motion),
             note=journal.note,
         )
-        weighed = _to_its_end(workers, job, journal, unknown)
+        weighed = _to_its_end(to_its_end, journal, unknown)
         begin_noise, state = problem.noise, weighed.state
         problem = problem.with_noise(weighed.noise)
         evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
@@ -209,7 +209,7 @@ def fit(
             )
         posed = Posed(configurations, problem, evaluation)
         parts = that_stack_up(posed, others)
-        errors = workers.end_of(errors_of_all(parts, uncertain, state.z))
+        errors = errors_of_all(workers, parts, uncertain, state.z)
         budget = error_budget(
             problem,
             configurations,
@@ -264,12 +264,12 @@ def fit(
 
 
 def _to_its_end(
-    workers: Workers, job: Job[Weighed], journal: Journal, unknown: Unknown
+    run: Callable[[], Weighed], journal: Journal, unknown: Unknown
 ) -> Weighed:
     """Run a fit to its end, or to its last step before the user interrupts it."""
     if not journal.interrupted:
         try:
-            return workers.end_of(job)
+            return run()
         except KeyboardInterrupt:
             journal.interrupted = True
     assert journal.last is not None

@@ -85,7 +85,7 @@ def profile_intervals(
     problem = build_problem(result.model, space, configurations, result.newton)
     problem = problem.with_noise(result.noise)
     with Workers(problem.model, len(problem.configurations.gravity)) as workers:
-        now = workers.end_of(Evaluator(problem).from_rest(result.z))
+        now = Evaluator(problem, workers).from_rest(result.z)
     check_converged(now.equilibrium, tuple(c.name for c in configurations))
     cost, before = float(now.cost), result.history[-1].cost
     if not abs(cost - before) <= SAME_COST * before + 1e-9:

@@ -1,6 +1,6 @@
 """Configurations as lanes of one program, and their equilibria."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
@@ -12,16 +12,14 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
-    Batch,
     EquilibriumSolution,
-    Job,
     Model,
     NewtonSettings,
+    Program,
     Workers,
     begin_newton,
     continue_newton,
     effector_values,
-    program_key,
     solve_equilibrium,
     solve_from_rest,
 )
@@ -39,34 +37,6 @@ def lane_of(batch: T, index: int | Int[HostArray, " n"]) -> T:
     """Return one lane of a batch, or a batch of several."""
     # Sliced on the host: on the device, each shape compiles two more programs.
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))
-
-
-def each_lane(
-    function: Callable[..., T],
-    shared: tuple[Any, ...],
-    lanes: Sequence[Any],
-    told: Callable[[int, T], None] = lambda *_: None,
-) -> Job[list[T]]:
-    """Call a compiled function for all lanes, which share the cores.
-
-    Args:
-        function: Takes what is shared and the values of a lane.
-        shared: What all lanes share, without names, the model first.
-        lanes: Of one shape each.
-        told: Called with the index of a lane and its value once it is there, in the
-            thread that computed it.
-    """
-    model, *others = shared
-
-    def call(solver, numbered):
-        index, lane = numbered
-        own = eqx.tree_at(lambda m: m.solver, model, solver)
-        found = jax.block_until_ready(function(own, *others, *lane))
-        told(index, found)
-        return found
-
-    key = program_key(function.__name__, shared, lanes[0])
-    return (yield Batch(call, list(enumerate(lanes)), key))
 
 
 def simulate(
@@ -106,12 +76,13 @@ def _simulate_lane(
 
 
 def simulate_lanes(
+    workers: Workers,
     model: Model,
     configurations: ConfigurationArrays,
     newton: NewtonSettings,
     guess: Float[Array, "n_c n_points 3"] | None = None,
     told: OfLane = lambda *_: None,
-) -> Job[tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]]:
+) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
     """Simulate as `simulate` does, with configurations as lanes of one program.
 
     It is compiled once for any number of them, and the lanes share the cores. `told` is
@@ -123,18 +94,18 @@ def simulate_lanes(
         told(first + index, float(own.load_reached), int(own.steps))
 
     lanes = [lane_of(configurations, c) for c in range(len(configurations.gravity))]
-    each = partial(each_lane, _simulate_lane, (model, newton.as_arrays()))
+    program = Program(_simulate_lane, model, newton.as_arrays())
     start = jax.device_put(np.zeros((model.n_points, 3)))
     if guess is None and model.mechanism.bodies.n_bodies > 0:
         found = []
         for c, lane in enumerate(lanes):
-            found += yield from each([(lane, start)], partial(ended, c))
+            found += workers.map(program, [(lane, start)], partial(ended, c))
             (last, _) = found[-1]
             start = jnp.where(last.converged, last.displacement, start)
     else:
         starts = [start] * len(lanes) if guess is None else guess
-        every = list(zip(lanes, starts, strict=True))
-        found = yield from each(every, partial(ended, 0))
+        every = zip(lanes, starts, strict=True)
+        found = workers.map(program, every, partial(ended, 0))
     return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *found))
 
 
@@ -142,11 +113,11 @@ def step_by_step(
     model: Model,
     lanes: Sequence[ConfigurationArrays],
     begin: Callable[[ConfigurationArrays, Float[Array, "n_points 3"]], Any],
-    go_on: Callable[[Sequence[tuple[ConfigurationArrays, Any]]], Batch],
+    go_on: Callable[[Iterable[tuple[ConfigurationArrays, Any]]], list[Any]],
     *,
     max_steps: int | Int[Array | HostArray, ""],
     told: OfLane,
-) -> Job[EquilibriumSolution]:
+) -> EquilibriumSolution:
     """Solve equilibria a few iterations at a time, and report in between.
 
     With rigid bodies each starts from the one before, as in `solve_from_rest`.
@@ -155,7 +126,7 @@ def step_by_step(
         model: The body.
         lanes: One per configuration.
         begin: Returns the state of Newton's method at a guess [m].
-        go_on: Batch of some iterations more, from configurations and their states to
+        go_on: Takes some iterations more, from configurations and their states to
             states and solutions.
         max_steps: Iterations after which a configuration is given up.
         told: Called after these iterations.
@@ -168,7 +139,7 @@ def step_by_step(
         states = {c: begin(lanes[c], guess) for c in group}
         while states:
             under_way = tuple(states)
-            ends = yield go_on([(lanes[c], states[c]) for c in under_way])
+            ends = go_on([(lanes[c], states[c]) for c in under_way])
             for c, (state, solution) in zip(under_way, ends, strict=True):
                 told(c, float(state.load_ok), int(state.step))
                 states[c], found[c] = state, solution
@@ -194,9 +165,9 @@ def _begin_lane(
 def _go_on_lane(
     model: Model,
     newton: NewtonSettings,
+    steps: Int[Array, ""],
     configuration: ConfigurationArrays,
     state: Any,
-    steps: Int[Array, ""],
 ):
     return continue_newton(model, configuration, state, steps, newton)
 
@@ -217,29 +188,16 @@ def equilibria(
     """
     lanes = [lane_of(configurations, c) for c in range(len(configurations.gravity))]
     shared = model, newton.as_arrays()
-    steps = jnp.asarray(STEPS_BETWEEN)
-
-    def call(solver, lane):
-        own = eqx.tree_at(lambda m: m.solver, model, solver)
-        configuration, state = lane
-        return jax.block_until_ready(
-            _go_on_lane(own, shared[1], configuration, state, steps)
-        )
-
-    def go_on(pairs):
-        key = program_key("equilibria", shared, pairs[0])
-        return Batch(call, pairs, key)
-
-    job = step_by_step(
-        model,
-        lanes,
-        partial(_begin_lane, *shared),
-        go_on,
-        max_steps=newton.max_steps,
-        told=told,
-    )
+    program = Program(_go_on_lane, *shared, jnp.asarray(STEPS_BETWEEN))
     with Workers(model, len(lanes)) as workers:
-        return workers.end_of(job)
+        return step_by_step(
+            model,
+            lanes,
+            partial(_begin_lane, *shared),
+            partial(workers.map, program),
+            max_steps=newton.max_steps,
+            told=told,
+        )
 
 
 def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:

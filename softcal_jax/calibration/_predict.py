@@ -1,6 +1,7 @@
 """Predict configurations that were held out of a fit."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -48,14 +49,16 @@ def predict(
     without equilibrium is left out with a note: it must neither count as a prediction
     nor cost the user the fit.
     """
-    evaluate = Evaluator(problem)
-    first, last = workers.ends(evaluate.from_rest(p) for p in (start, z))
+    evaluate = Evaluator(problem, workers)
+    first, last = workers.side_by_side(
+        partial(evaluate.from_rest, p) for p in (start, z)
+    )
     # A pose that only the start parameters cannot hold has no "before".
     held = first.equilibrium.converged[:, None, None]
     model, arrays = problem.at(z)
     guess, carried = _along_paths(model, arrays, last.equilibrium, problem.newton)
     if any(share == 1.0 for share in carried.values()):
-        last = workers.end_of(evaluate(z, guess))
+        last = evaluate(z, guess)
     fits = configuration_results(
         model,
         validation,

@@ -112,8 +112,3 @@ def n_measured(problem: CalibrationProblem) -> int:
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     spent = 0 if problem.noise is None else problem.noise.n_attachment_offsets(weight)
     return int(np.sum(weight > 0.0)) - spent
-
-
-def with_solver(problem: CalibrationProblem, solver) -> CalibrationProblem:
-    """Return the calibration with another sparse solver of its pattern."""
-    return eqx.tree_at(lambda p: p.model.solver, problem, solver)

@@ -1,6 +1,7 @@
 """Confidence intervals from the profile of the likelihood."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,7 +22,7 @@ from softcal_jax.calibration._profile_search import (
 )
 from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.calibration._state import CalibrationSettings
-from softcal_jax.equilibrium import Job, Workers
+from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Pin
 
 FIRM = 10.0
@@ -104,18 +105,20 @@ def profile_ends(
     # The covariance to first order; the bounds count, to keep it finite.
     size = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
     known = 1.0 / size**2 + np.asarray(problem.prior_weights()) ** 2
-    at = _Fit(
-        evaluate=Evaluator(problem),
-        settings=settings,
-        z=np.asarray(z),
-        cost=cost,
-        rise=rise,
-        covariance=np.linalg.inv(W_ep.T @ W_ep + np.diag(known)),
-    )
-    jobs = [_end(_Profile(at, column, sign)) for column in which for sign in (-1, 1)]
-    lanes = len(jobs) * len(problem.configurations.gravity)
+    sides = [(column, sign) for column in which for sign in (-1, 1)]
+    lanes = len(sides) * len(problem.configurations.gravity)
     with Workers(problem.model, lanes) as workers:
-        ends = workers.ends(jobs)
+        at = _Fit(
+            evaluate=Evaluator(problem, workers),
+            settings=settings,
+            z=np.asarray(z),
+            cost=cost,
+            rise=rise,
+            covariance=np.linalg.inv(W_ep.T @ W_ep + np.diag(known)),
+        )
+        ends = workers.side_by_side(
+            partial(_end, _Profile(at, column, sign)) for column, sign in sides
+        )
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 
@@ -130,7 +133,7 @@ class _Fit(NamedTuple):
     covariance: Float[HostArray, "n_p n_p"]
 
 
-def _end(profile: "_Profile") -> Job[ProfileEnd]:
+def _end(profile: "_Profile") -> ProfileEnd:
     """Find one end of the interval of one parameter.
 
     A fit with the parameter far away may end in a worse optimum than one that follows
@@ -141,22 +144,20 @@ def _end(profile: "_Profile") -> Job[ProfileEnd]:
     steep = STEEP
     try:
         for _ in range(MOST_RESUMED):
-            span = span or (
-                yield from bracket(
-                    excess,
-                    rise=rise,
-                    inside=inside,
-                    reach=profile.reach,
-                    limit=profile.limit,
-                )
+            span = span or bracket(
+                excess,
+                rise=rise,
+                inside=inside,
+                reach=profile.reach,
+                limit=profile.limit,
             )
             if span is None:
                 return ProfileEnd(max(profile.limit, 0.0), "bound")
-            inside, outside = yield from root(excess, *span, steep=steep * rise)
+            inside, outside = root(excess, *span, steep=steep * rise)
             if inside == outside:
                 return ProfileEnd(profile.seen[outside].distance, "likelihood")
             before = profile.seen[outside].excess
-            value = yield from profile.follow(inside, outside)
+            value = profile.follow(inside, outside)
             if value == before and np.isinf(steep):
                 return ProfileEnd(profile.seen[outside].distance, "likelihood")
             # The same again: no fit in another valley, but a profile that is steep.
@@ -194,22 +195,22 @@ class _Profile:
         self.path = sign * at.covariance[column] / variance
         self.seen = {0.0: _Rest(0.0, at.z, -at.rise)}
 
-    def excess(self, distance: float) -> Job[float]:
+    def excess(self, distance: float) -> float:
         """Return the excess of the fit at a distance; 0 within the tolerance."""
         if distance not in self.seen:
             within = [other for other, rest in self.seen.items() if rest.excess <= 0.0]
             near = min(within, key=lambda other: abs(other - distance))
-            self.seen[distance] = yield from self._fit(near, distance)
+            self.seen[distance] = self._fit(near, distance)
         return self.seen[distance].excess
 
-    def follow(self, inside: float, distance: float) -> Job[float]:
+    def follow(self, inside: float, distance: float) -> float:
         """Repeat a fit from a neighbour inside; return the lower excess of both."""
-        again = yield from self._fit(inside, distance)
+        again = self._fit(inside, distance)
         if again.excess < self.seen[distance].excess:
             self.seen[distance] = again
         return self.seen[distance].excess
 
-    def _fit(self, near: float, distance: float) -> Job[_Rest]:
+    def _fit(self, near: float, distance: float) -> _Rest:
         at = self.at
         start = self.seen[near].z + (distance - near) * self.path
         firm = FIRM if distance < self.limit else 10.0 * FIRM
@@ -218,11 +219,11 @@ class _Profile:
             jnp.asarray(at.z[self.column] + self.sign * distance),
             jnp.asarray(firm / self.std) / at.evaluate.numbered.level,
         )
-        run = yield from self._pinned(self.space, pin, start)
+        run = self._pinned(self.space, pin, start)
         rest = self._rest(distance, pin, run)
         if rest is None or (not run.converged and rest.excess > 0.0):
             again = run.z if np.isfinite(run.cost) else self.seen[near].z
-            run = yield from self._pinned(in_plain_steps(self.space), pin, again)
+            run = self._pinned(in_plain_steps(self.space), pin, again)
             rest = self._rest(distance, pin, run)
         if rest is None:
             raise NotFound
@@ -258,7 +259,7 @@ class _Profile:
             return False
         return bool(squares[-1 - steps] - squares[-1] <= least)
 
-    def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Job[Run]:
+    def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Run:
         """Calibrate with the parameter held."""
         own = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
         evaluate = self.at.evaluate.with_space(own)

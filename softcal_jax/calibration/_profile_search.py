@@ -4,8 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from softcal_jax.equilibrium import Job
-
 CLOSE_ENOUGH = 0.005
 """Relative error allowed in the root of the rise at an end of an interval [-]."""
 
@@ -23,12 +21,12 @@ class NotFound(Exception):
     """Fits along the profile did not converge."""
 
 
-Excess = Callable[[float], Job[float]]
+Excess = Callable[[float], float]
 
 
 def root(
     excess: Excess, inside: float, outside: float, *, steep: float = np.inf
-) -> Job[tuple[float, float]]:
+) -> tuple[float, float]:
     """Find the zero of an excess between two distances where its signs differ.
 
     Uses inverse quadratic interpolation, and bisection where that is not safe
@@ -46,7 +44,7 @@ def root(
         The root, twice; or the distances on both sides of a jump, the inner one first.
     """
     a, b = outside, inside  # the newest point, and one where the sign differs
-    f_a, f_b = (yield from excess(a)), (yield from excess(b))
+    f_a, f_b = excess(a), excess(b)
     share, smallest = f_a / (f_a - f_b), 0.01 * CLOSE_ENOUGH * outside
     while f_a != 0.0:
         width, jump = abs(b - a), abs(f_a - f_b)
@@ -56,7 +54,7 @@ def root(
             return min(a, b), max(a, b)
         least = smallest / abs(b - a)
         x = a + float(np.clip(share, least, 1.0 - least)) * (b - a)
-        f_x = yield from excess(x)
+        f_x = excess(x)
         if np.sign(f_x) == np.sign(f_a):
             c, f_c = a, f_a
         else:
@@ -71,7 +69,7 @@ def root(
 
 def bracket(
     excess: Excess, *, rise: float, inside: float, reach: float, limit: float
-) -> Job[tuple[float, float] | None]:
+) -> tuple[float, float] | None:
     """Return two distances with the end between them; None if it is beyond the limit.
 
     The distance grows step by step; where a fit does not converge, the step is halved.
@@ -80,7 +78,7 @@ def bracket(
     while inside < limit:
         outside = min(outside, limit)
         try:
-            value = yield from excess(outside)
+            value = excess(outside)
         except NotFound:
             value, lost = -rise, outside
         else:

@@ -19,7 +19,6 @@ from softcal_jax.calibration._state import (
     initial_state,
 )
 from softcal_jax.calibration._step import decide, propose
-from softcal_jax.equilibrium import Job
 from softcal_jax.fields import ParameterSpace
 
 NOTHING_LEFT = 1e-6
@@ -69,7 +68,7 @@ def descend(
     state: CalibrationState,
     note: Callable[[CalibrationState], None],
     enough: Callable[[CalibrationState], bool] = lambda _: False,
-) -> Job[CalibrationState]:
+) -> CalibrationState:
     """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
 
     Args:
@@ -87,9 +86,7 @@ def descend(
         tried = state.evaluation
         if not proposal.vanishes:
             before = tried.equilibrium.displacement
-            tried = yield from evaluate(
-                proposal.z, proposal.guess, before, proposal.precise
-            )
+            tried = evaluate(proposal.z, proposal.guess, before, proposal.precise)
         state = _decide(problem, settings, state, proposal, tried)
         note(state)
     return state
@@ -101,7 +98,7 @@ def minimise(
     start: Float[Array, " n_p"],
     *,
     steady: tuple[int, float] | None = None,
-) -> Job[Run]:
+) -> Run:
     """Run the outer loop from one start, in scaled parameters, to its end.
 
     Args:
@@ -112,7 +109,7 @@ def minimise(
             stop before it has converged; none by default.
     """
     z = admissible(evaluate.numbered.space, start)
-    state = initial_state(settings, z, (yield from evaluate.from_rest(z)))
+    state = initial_state(settings, z, evaluate.from_rest(z))
     costs = [float(state.evaluation.cost)]
     note = lambda state: costs.append(float(state.evaluation.cost))
 
@@ -121,7 +118,7 @@ def minimise(
             return False
         return 2.0 * (costs[-1 - steady[0]] - costs[-1]) <= steady[1]
 
-    state = yield from descend(evaluate, settings, state, note, enough)
+    state = descend(evaluate, settings, state, note, enough)
     errors = np.full(settings.max_steps + 1, np.nan)
     errors[: len(costs)] = np.sqrt(2.0 * np.array(costs))
     return Run(
@@ -152,7 +149,7 @@ def settle(
     settings: CalibrationSettings,
     state: CalibrationState,
     note: Callable[[CalibrationState], None],
-) -> Job[CalibrationState]:
+) -> CalibrationState:
     """Take steps to an optimum, also to one where both moduli of an axis are equal.
 
     Steps of tensors do not end there, see `in_plain_steps`: plain ones go on where they
@@ -161,7 +158,7 @@ def settle(
     """
     space = evaluate.numbered.space
     if space.chart is None:
-        return (yield from descend(evaluate, settings, state, note))
+        return descend(evaluate, settings, state, note)
     small, large = space.chart.small, space.chart.large
 
     def to_and_fro(state: CalibrationState) -> bool:
@@ -170,7 +167,7 @@ def settle(
             return False
         return bool(np.min(z[large] - z[small]) <= LITTLE)
 
-    state = yield from descend(evaluate, settings, state, note, to_and_fro)
+    state = descend(evaluate, settings, state, note, to_and_fro)
     plain = evaluate.with_space(in_plain_steps(space))
 
     def again(state: CalibrationState) -> CalibrationState:
@@ -182,10 +179,10 @@ def settle(
         done = state.converged or state.step >= settings.max_steps
         if done or not state.evaluation.ok:
             break
-        end = yield from descend(plain, settings, again(state), note)
+        end = descend(plain, settings, again(state), note)
         if not end.converged:
             return end
-        state = yield from descend(evaluate, settings, again(end), lambda _: None)
+        state = descend(evaluate, settings, again(end), lambda _: None)
         fall = float(end.evaluation.cost) - float(state.evaluation.cost)
         if fall <= NO_FALL * float(end.evaluation.cost):
             return end
@@ -311,7 +308,7 @@ def run_start(
     images: Sequence[Image],
     begun: Begun | None = None,
     note: Callable[[Begun], None] = lambda _: None,
-) -> Job[Run]:
+) -> Run:
     """Run the outer loop from a start and its images, and return the best end.
 
     Args:
@@ -326,7 +323,7 @@ def run_start(
     for i, image in enumerate(images[tried:], start=tried):
         if wanted(evaluate.problem, best, image):
             z = jnp.asarray(origin(best, image, np.asarray(start)))
-            end = yield from minimise(evaluate, settings, z)
+            end = minimise(evaluate, settings, z)
             best = better(best, end)
             if end.converged:
                 here = np.arange(len(images)) == i

@@ -109,8 +109,7 @@ def multi_start(
     lanes = len(starts) * len(problem.configurations.gravity)
     with journal, Workers(problem.model, lanes) as workers:
         return search(
-            workers,
-            Evaluator(problem),
+            Evaluator(problem, workers),
             settings,
             starts,
             mirror=mirror,
@@ -120,7 +119,6 @@ def multi_start(
 
 
 def search(
-    workers: Workers,
     evaluate: Evaluator,
     settings: CalibrationSettings,
     starts: Float[Array, "n_starts n_p"],
@@ -135,7 +133,7 @@ def search(
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
     run_from = partial(run_start, evaluate, settings, images=images)
-    jobs, ended, begun = [], {}, {}
+    tasks, ended, begun = [], {}, {}
 
     def keep(i: int, now: Begun) -> None:
         begun[i] = now
@@ -147,7 +145,8 @@ def search(
         begun[i] = journal.kept(f"run{i}", none) or none
         if begun[i].images == len(images):
             ended[i] = begun[i].best
-        jobs.append(run_from(start, begun=begun[i], note=partial(keep, i)))
+        note = partial(keep, i)
+        tasks.append(partial(run_from, start, begun=begun[i], note=note))
 
     def told(i: int, run: Run) -> None:
         if i in ended:  # it had ended before this search was resumed
@@ -159,9 +158,9 @@ def search(
             progress(SearchProgress(len(ended), len(starts), converged, lowest))
 
     try:
-        runs = workers.ends(jobs, told)
+        runs = evaluate.workers.side_by_side(tasks, told)
     except KeyboardInterrupt:
-        runs = [begun[i].best for i in range(len(jobs))]
+        runs = [begun[i].best for i in range(len(tasks))]
         if not any(np.isfinite(run.cost) for run in runs):
             raise
         journal.interrupted = True

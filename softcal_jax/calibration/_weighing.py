@@ -28,7 +28,6 @@ from softcal_jax.calibration._state import (
 )
 from softcal_jax.calibration._uncertainty import EXACT
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Job
 from softcal_jax.fields import OFFSET
 
 SETTLED = 0.01
@@ -119,7 +118,7 @@ def weighed_fit(
     unknown: Unknown,
     motion: Float[HostArray, "n_c n_rows 3"],
     note: Callable[[CalibrationState, CorrelatedNoise], None],
-) -> Job[Weighed]:
+) -> Weighed:
     """Take steps to the optimum, update the noise, and go on until both stand still.
 
     Args:
@@ -135,7 +134,7 @@ def weighed_fit(
     assert noise is not None
     for n in range(MOST_ROUNDS):
         told = lambda state, noise=noise: note(state, noise)
-        state = yield from settle(evaluate, settings, state, told)
+        state = settle(evaluate, settings, state, told)
         if not state.converged:
             break
         errors = linear_errors(evaluate.problem, state)

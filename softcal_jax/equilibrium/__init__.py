@@ -64,27 +64,24 @@ from softcal_jax.equilibrium._solve import (
     solve_from_rest,
 )
 from softcal_jax.equilibrium._workers import (
-    Batch,
-    Job,
+    Program,
     Workers,
-    program_key,
     usable_cores,
 )
 
 __all__ = [
     "RESULTS",
     "ActuatorState",
-    "Batch",
     "BodyPlace",
     "EquilibriumPath",
     "EquilibriumSolution",
     "Formulation",
     "InputRows",
-    "Job",
     "Linearisation",
     "LoadPath",
     "Model",
     "NewtonSettings",
+    "Program",
     "Reaction",
     "Readings",
     "RobotState",
@@ -113,7 +110,6 @@ __all__ = [
     "marker_positions",
     "model_for_law",
     "no_equilibrium",
-    "program_key",
     "refined_model",
     "residual",
     "robot_states",

@@ -1,12 +1,18 @@
 """Compiled programs in parallel, one per core of this machine."""
 
 import os
-from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager, ExitStack, nullcontext
-from heapq import heappop, heappush
+import threading
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_EXCEPTION,
+    CancelledError,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from queue import SimpleQueue
-from threading import Lock, RLock
+from threading import Event, Lock, RLock
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -42,34 +48,57 @@ def _forget_as_jax() -> None:
         _remembered()
 
 
-class Batch(NamedTuple):
-    """Lanes of one program whose results a job waits for.
+class Program:
+    """A compiled function of lanes, with what all of them share.
 
-    Attributes:
-        function: Runs the program with a solver and a lane, and blocks until it ends.
-        lanes: Arguments of the function, one entry per lane.
-        program: Key from `program_key`; one thread compiles, while the others wait.
+    One thread compiles it, while the others wait.
     """
-
-    function: Callable[[AbstractLinearSolver, Any], Any]
-    lanes: Sequence[Any]
-    program: Hashable
 
     __repr__ = one_line
 
+    def __init__(self, function: Callable[..., Any], *shared: Any):
+        """Take a function of what is shared and of the values of a lane.
 
-Job = Generator[Batch, list[Any], T]
-"""Generator that yields batches, is sent their results, and returns its result."""
+        Args:
+            function: The compiled function; all its lanes must be of one shape.
+            shared: Its first arguments, without names; sparse solvers among them are
+                replaced by that of the thread.
+        """
+        self._function, self._shared = function, shared
+        self._key: Hashable = None
+        self._on: dict[int, tuple[AbstractLinearSolver, Any]] = {}
+
+    def run(self, solver: AbstractLinearSolver, lane: Sequence[Any]) -> Any:
+        """Run one lane with a solver, and block until it ends."""
+        if self._key is None:
+            self._key = _key(self._function, self._shared, lane)
+        if self._key not in _COMPILED:
+            with _COMPILING.setdefault(self._key, Lock()):
+                if self._key not in _COMPILED:
+                    result = self._result(solver, lane)
+                    _COMPILED.add(self._key)
+                    return result
+        return self._result(solver, lane)
+
+    def _result(self, solver: AbstractLinearSolver, lane: Sequence[Any]) -> Any:
+        # The solver is kept beside, so that its id is not given to another one.
+        if id(solver) not in self._on:
+            self._on[id(solver)] = solver, _with_solver(self._shared, solver)
+        return jax.block_until_ready(self._function(*self._on[id(solver)][1], *lane))
 
 
-def program_key(name: str, *arguments: Any) -> Hashable:
-    """Build a key that identifies a compiled program of a function of this name.
-
-    Arrays among the arguments, which all lanes share, count by shape and type only.
-    """
-    leaves, tree = jax.tree.flatten(arguments)
+def _key(function: Callable, shared: Any, lane: Any) -> Hashable:
+    """Identify the compiled program: arrays count by shape and type only."""
+    leaves, tree = jax.tree.flatten((shared, lane))
     kind = lambda leaf: (leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf
-    return name, tree, tuple(map(kind, leaves))
+    return function.__module__, function.__qualname__, tree, tuple(map(kind, leaves))
+
+
+def _with_solver(tree: T, solver: AbstractLinearSolver) -> T:
+    """Return a model, or what holds one, with another sparse solver."""
+    is_solver = lambda node: isinstance(node, AbstractLinearSolver)
+    replaced = lambda node: solver if is_solver(node) else node
+    return jax.tree.map(replaced, tree, is_leaf=is_solver)
 
 
 def usable_cores() -> int:
@@ -79,12 +108,73 @@ def usable_cores() -> int:
     processes that share the machine, like the workers of a sweep.
     """
     n = available_cores()
-    told = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
-    return min(n, int(told)) if told.isdigit() and int(told) else n
+    limit = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    return min(n, int(limit)) if limit.isdigit() and int(limit) else n
+
+
+class _Run(NamedTuple):
+    """What a thread of `Workers.side_by_side` needs to know.
+
+    Attributes:
+        thinks: Held by the one thread that computes between its lanes. So what runs
+            share needs no locks, and what they compile is compiled once.
+        stopped: Set when no result is wanted any more.
+        outer: The run within which these are side by side, if any.
+    """
+
+    thinks: Lock
+    stopped: Event
+    outer: "_Run | None"
+
+    def check(self) -> None:
+        """Raise CancelledError if no result is wanted any more."""
+        if self.stopped.is_set():
+            raise CancelledError
+        if self.outer is not None:
+            self.outer.check()
+
+
+class _Thread(threading.local):
+    """What a thread is to the workers: whether it shares their turn, and its run."""
+
+    shares_turn: bool = False
+    run: _Run | None = None
+
+
+_THREAD = _Thread()
+
+
+def _begin_thread(run: _Run | None = None) -> None:
+    _THREAD.shares_turn, _THREAD.run = True, run
+
+
+@contextmanager
+def _lets_others_think() -> Iterator[None]:
+    """Let other runs compute while this thread waits, if it is that of a run."""
+    run = _THREAD.run
+    if run is None:
+        yield
+        return
+    run.thinks.release()
+    try:
+        yield
+    finally:
+        run.thinks.acquire()
+
+
+def _join(futures: Sequence[Future]) -> None:
+    """Cancel what has not begun, and wait for the rest also if it is interrupted."""
+    for future in futures:
+        future.cancel()
+    try:
+        wait(futures)
+    except KeyboardInterrupt:
+        _join(futures)
+        raise
 
 
 class Workers:
-    """Context whose threads share the lanes of all running jobs.
+    """Context whose threads run lanes of compiled programs side by side.
 
     Each thread runs whole lanes on one core, with a sparse solver of its own, because
     threads that share one would overwrite its factors. The result of a lane does not
@@ -104,7 +194,7 @@ class Workers:
 
         Args:
             model: The model.
-            lanes: Number of lanes of all jobs, an upper limit of the threads.
+            lanes: Number of lanes that may run at once, an upper limit of the threads.
             n: Number of threads; by default that of usable cores.
 
         Raises:
@@ -120,128 +210,115 @@ class Workers:
         self._free: SimpleQueue[AbstractLinearSolver] = SimpleQueue()
 
     def __enter__(self) -> "Workers":
-        with ExitStack() as turn:
-            turn.enter_context(_TURN)
+        with ExitStack() as opened:
+            if not _THREAD.shares_turn:
+                opened.enter_context(_TURN)
             if self.n > 1:
                 _forget_as_jax()
-                self._pool = ThreadPoolExecutor(self.n)
+                pool = ThreadPoolExecutor(self.n, initializer=_begin_thread)
+                self._pool = opened.enter_context(pool)
                 with self._solver.on_one_core():
                     for k in range(1, self.n + 1):
                         self._free.put(jax.block_until_ready(self._solver.another(k)))
-            self._turn = turn.pop_all()
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(self, *error) -> None:
-        if self.n > 1:
-            self._pool.shutdown(cancel_futures=True)
-        self._turn.close()
+        self._opened.close()
 
-    def end_of(self, job: Job[T]) -> T:
-        """Run one job and return its result; see `ends`."""
-        return self.ends([job])[0]
+    def map(
+        self,
+        program: Program,
+        lanes: Iterable[Sequence[Any]],
+        ended: Callable[[int, Any], None] = lambda *_: None,
+    ) -> list[Any]:
+        """Run all lanes of a program and return their results in order.
 
-    def ends(
-        self, jobs: Iterable[Job[T]], told: Callable[[int, T], None] | None = None
-    ) -> list[T]:
-        """Run jobs with their lanes in parallel; return their results in order.
-
-        Lanes of earlier jobs go first, and a new job starts only when the others do not
-        fill the threads. Jobs therefore finish one after the other, and few are lost if
-        this is interrupted. Between batches a job computes in the caller's thread.
-        `told` is called with the index and the result of each job as it ends.
+        Args:
+            program: The program.
+            lanes: Arguments of its function after those that are shared.
+            ended: Called with the index of a lane and its result when it has ended, in
+                the thread that computed it.
         """
-        return _Round(self, list(jobs), told or (lambda *_: None)).ends()
+        lanes, run = list(lanes), _THREAD.run
+        jax.block_until_ready(lanes)  # so that no thread waits for them
 
-    def submit(self, batch: Batch, lane: int) -> Future:
-        """Submit one lane by its index; with a single worker it runs at once."""
-        if self.n > 1:
-            return self._pool.submit(self._run, batch, lane)
-        done: Future = Future()
-        done.set_result(batch.function(self._solver, batch.lanes[lane]))
-        return done
+        def one(index: int) -> Any:
+            if run is not None:
+                run.check()
+            solver = self._free.get() if self.n > 1 else self._solver
+            try:
+                result = program.run(solver, lanes[index])
+            finally:
+                if self.n > 1:
+                    self._free.put(solver)
+            ended(index, result)
+            return result
 
-    def _run(self, batch: Batch, lane: int) -> Any:
-        solver = self._free.get()
-        call = lambda: batch.function(solver, batch.lanes[lane])
-        try:
-            if batch.program not in _COMPILED:
-                with _COMPILING.setdefault(batch.program, Lock()):
-                    if batch.program not in _COMPILED:
-                        first = call()
-                        _COMPILED.add(batch.program)
-                        return first
-            return call()
-        finally:
-            self._free.put(solver)
+        if self.n == 1:
+            return [one(index) for index in range(len(lanes))]
+        futures: list[Future] = []
+        with self._on_one_core(), _lets_others_think():
+            try:
+                for index in range(len(lanes)):
+                    futures.append(self._pool.submit(one, index))
+                wait(futures, return_when=FIRST_EXCEPTION)
+            finally:
+                _join(futures)
+        # Lanes begin in order, so that the first error is that of one worker.
+        return [future.result() for future in futures]
 
-    def on_one_core(self) -> AbstractContextManager[None]:
+    def side_by_side(
+        self,
+        runs: Iterable[Callable[[], T]],
+        ended: Callable[[int, T], None] = lambda *_: None,
+    ) -> list[T]:
+        """Call functions that use `map`, side by side; return their results in order.
+
+        They begin in order, in threads that mostly wait for their lanes, and few are
+        under way at once: little is lost if this is interrupted. Between their lanes
+        they compute one at a time. If some of them raise, the error is that of the
+        first in their order, as with one worker.
+
+        Args:
+            runs: The functions.
+            ended: Called with the index and the result of each in their order, in the
+                caller's thread.
+        """
+        results: list[T] = []
+
+        def keep(result: T) -> None:
+            results.append(result)
+            ended(len(results) - 1, result)
+
+        if self.n == 1:
+            for call in runs:
+                keep(call())
+            return results
+        outer, stopped = _THREAD.run, Event()
+        run = _Run(Lock() if outer is None else outer.thinks, stopped, outer)
+
+        def one(call: Callable[[], T]) -> T:
+            with run.thinks:
+                run.check()
+                return call()
+
+        futures: list[Future] = []
+        # One more than lanes can run, so that none idles while a run computes its step.
+        pool = ThreadPoolExecutor(
+            self.n + 1, initializer=_begin_thread, initargs=(run,)
+        )
+        with self._on_one_core(), _lets_others_think(), pool:
+            try:
+                for call in runs:
+                    futures.append(pool.submit(one, call))
+                for future in futures:
+                    keep(future.result())
+            finally:
+                stopped.set()
+                _join(futures)
+        return results
+
+    def _on_one_core(self) -> AbstractContextManager[None]:
         """Return the context in which the workers' solvers must run."""
         return self._solver.on_one_core() if self.n > 1 else nullcontext()
-
-
-class _Round:
-    """State of the jobs of one call of `Workers.ends`."""
-
-    def __init__(self, workers: Workers, jobs: list[Job], told):
-        self._workers, self._jobs, self._told = workers, jobs, told
-        self._ends: list[Any] = [None] * len(jobs)
-        self._to_begin = iter(range(len(jobs)))
-        self._batches: dict[int, Batch] = {}
-        self._found: dict[int, dict[int, Any]] = {}
-        self._waiting: list[tuple[int, int]] = []  # a heap of (job, lane)
-        self._under_way: dict[Future, tuple[int, int]] = {}
-        self._one_core = ExitStack()
-        # Two lanes per thread, so that none idles while a job computes its step.
-        self._most = 2 * workers.n if workers.n > 1 else 1
-
-    def ends(self) -> list[Any]:
-        try:
-            while self._fill():
-                self._take()
-            return self._ends
-        finally:
-            for future in self._under_way:
-                future.cancel()
-            wait(self._under_way)
-            self._one_core.close()
-
-    def _fill(self) -> bool:
-        """Submit lanes; return whether any is running."""
-        while len(self._under_way) < self._most:
-            if self._waiting:
-                if not self._under_way:
-                    self._one_core.enter_context(self._workers.on_one_core())
-                job, lane = heappop(self._waiting)
-                future = self._workers.submit(self._batches[job], lane)
-                self._under_way[future] = job, lane
-            elif (job := next(self._to_begin, None)) is not None:
-                self._go_on(job, None)
-            else:
-                break
-        return bool(self._under_way)
-
-    def _take(self) -> None:
-        """Wait for lanes to end, and send complete batches to their jobs."""
-        done, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
-        places = {future: self._under_way.pop(future) for future in done}
-        if not self._under_way:
-            # Between batches the caller may use all cores again.
-            self._one_core.close()
-        for future, (job, lane) in places.items():
-            found = self._found[job]
-            found[lane] = future.result()
-            if len(found) == len(self._batches[job].lanes):
-                self._go_on(job, [found[k] for k in range(len(found))])
-
-    def _go_on(self, job: int, found: list[Any] | None) -> None:
-        try:
-            # A new generator must be sent None.
-            batch = self._jobs[job].send(found)  # pyright: ignore[reportArgumentType]
-        except StopIteration as end:
-            self._ends[job] = end.value
-            self._told(job, end.value)
-            return
-        jax.block_until_ready(batch.lanes)  # so that no thread waits for them
-        self._batches[job], self._found[job] = batch, {}
-        for lane in range(len(batch.lanes)):
-            heappush(self._waiting, (job, lane))

@@ -307,21 +307,18 @@ def survey(
     arrays, uncertain = lanes.arrays, uncertain or Uncertain()
     check_parameters(model, space, _lane(arrays, 0))
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
-    evaluator, names = Evaluator(problem), tuple(c.name for c in configurations)
+    names = tuple(c.name for c in configurations)
     required = len(names) if required is None else required
     with Workers(model, len(names)) as workers:
-        solution, moved = workers.end_of(
-            evaluator.simulated(z, told_of_lane(progress, names))
-        )
+        evaluator = Evaluator(problem, workers)
+        solution, moved = evaluator.simulated(z, told_of_lane(progress, names))
         if required:
             there = jax.tree.map(lambda leaf: leaf[:required], solution)
             check_converged(there, names)
         u = solution.displacement
-        compliance = workers.end_of(evaluator.energy_compliances(z, u))
-        errors = workers.end_of(
-            considered_errors(
-                problem, configurations, uncertain, z=z, equilibrium=solution
-            )
+        compliance = evaluator.energy_compliances(z, u)
+        errors = considered_errors(
+            workers, problem, configurations, uncertain, z=z, equilibrium=solution
         )
     weights = np.asarray(arrays.effectors.inverse_std).reshape(len(names), -1)
     if noise is not None:

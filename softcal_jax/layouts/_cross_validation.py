@@ -1,6 +1,7 @@
 """Layouts of control points judged by what they predict (Sec. V-C)."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ from softcal_jax.calibration import (
     whitened,
 )
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Job, Model, NewtonSettings, Workers
+from softcal_jax.equilibrium import Model, NewtonSettings, Workers
 from softcal_jax.fields import (
     ControlPoints,
     Entry,
@@ -91,20 +92,22 @@ def _fit(
     starts: Float[Array, "n_starts n_p"],
 ) -> list[_Fit]:
     """Fit all folds, side by side."""
-    whole, images = Evaluator(problem), images_of(problem.space, mirror=True)
+    images = images_of(problem.space, mirror=True)
 
-    def fit(fold: _Fold) -> Job[_Fit]:
-        own = Evaluator(_fold_problem(problem, fold))
-        runs = []
-        for start in map(jnp.asarray, np.asarray(starts)):
-            runs.append((yield from run_start(own, settings, start, images=images)))
+    def fit(whole: Evaluator, fold: _Fold) -> _Fit:
+        own = Evaluator(_fold_problem(problem, fold), whole.workers)
+        runs = [
+            run_start(own, settings, start, images=images)
+            for start in map(jnp.asarray, np.asarray(starts))
+        ]
         cost = np.array([run.cost for run in runs])
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]
-        return _Fit(run, (yield from whole.from_rest(jnp.asarray(run.z))))
+        return _Fit(run, whole.from_rest(jnp.asarray(run.z)))
 
     n_c = len(problem.configurations.gravity)
     with Workers(problem.model, n_c * (n_c + 1)) as workers:
-        return workers.ends(fit(fold) for fold in _folds(n_c))
+        whole = Evaluator(problem, workers)
+        return workers.side_by_side(partial(fit, whole, fold) for fold in _folds(n_c))
 
 
 def compare_layouts(

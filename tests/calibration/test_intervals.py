@@ -162,7 +162,7 @@ def test_fits_that_do_not_converge_give_no_end(result, poses, monkeypatch):
     """They bound the profile from above, which shows no value to be excluded."""
 
     def given_up(*given, **named):
-        run = yield from minimise(*given, **named)
+        run = minimise(*given, **named)
         return replace(run, converged=False, errors=run.errors[:1])
 
     monkeypatch.setattr("softcal_jax.calibration._profile.minimise", given_up)
@@ -177,23 +177,6 @@ def test_an_angle_that_the_data_do_not_see():
     ends = ("bound", "bound")
     found = ParameterInterval("theta", 0.95, -1.0, np.pi - 1.0, *ends, "rad")
     assert str(found) == "any angle"
-
-
-def end_of(job):
-    """What a job returns that needs no lanes."""
-    with pytest.raises(StopIteration) as end:
-        next(job)
-    return end.value.value
-
-
-def known(excess):
-    """A function as a job that needs no lanes."""
-
-    def job(distance):
-        return excess(distance)
-        yield
-
-    return job
 
 
 class Valleys:
@@ -218,21 +201,19 @@ class Valleys:
         value = known.excess if known else high
         self.seen[distance] = SimpleNamespace(distance=distance, excess=value)
         return value
-        yield
 
     def follow(self, inside, distance):
         assert 0.0 < distance - inside < 0.03 * distance
         value = self.value(distance)
         self.seen[distance] = SimpleNamespace(distance=distance, excess=value)
         return value
-        yield
 
 
 @pytest.mark.parametrize(
     ("end", "other"), [(2.3, 1.0), (1.2, 1.3), (2.3, 2.0), (6.0, 1.0)]
 )
 def test_a_fit_in_another_valley_is_repeated_from_inside(end, other):
-    found = end_of(_end(Valleys(end, other)))
+    found = _end(Valleys(end, other))
     assert found.why == "likelihood"
     np.testing.assert_allclose(found.distance, end, rtol=1e-3)
 
@@ -241,7 +222,7 @@ def test_a_profile_that_jumps_ends_there():
     """Beyond 1 the cost is far too high, from wherever a fit begins."""
     jumps = Valleys(20.0, 1.0)
     jumps.value = lambda distance: 50.0 if distance > 1.0 else -1.0
-    found = end_of(_end(jumps))
+    found = _end(jumps)
     assert found.why == "likelihood"
     np.testing.assert_allclose(found.distance, 1.0, rtol=1e-3)
 
@@ -263,7 +244,7 @@ def test_an_end_is_found_in_few_fits(excess, most):
         value = excess(distance)
         return 0.0 if abs(value) < 1e-3 else value
 
-    found, same = end_of(root(known(rounded), 0.0, 2.0))
+    found, same = root(rounded, 0.0, 2.0)
     assert found == same
     assert rounded(found) == 0.0
     assert len(tried) - 1 <= most
@@ -278,17 +259,17 @@ def test_a_fit_that_is_lost_is_gone_back_from():
                 raise NotFound
             return distance - end
 
-        return known(of)
+        return of
 
     def of(end, limit):
         sizes = {"rise": end, "inside": 0.0, "reach": 2.0, "limit": limit}
         return bracket(excess(end), **sizes)
 
-    inside, outside = end_of(of(1.2, 10.0))
+    inside, outside = of(1.2, 10.0)
     assert inside <= 1.2 <= outside <= 1.4
     with pytest.raises(NotFound):
-        next(of(1.5, 10.0))
-    assert end_of(of(1.2, 1.1)) is None
+        of(1.5, 10.0)
+    assert of(1.2, 1.1) is None
 
 
 def test_bad_input(result, poses):

@@ -75,14 +75,15 @@ def considered_at_start(problem, configurations):
     at = evaluate(problem, z)
     assert np.all(at.equilibrium.converged)
     with Workers(problem.model, len(configurations)) as workers:
-        job = considered_errors(
+        errors = considered_errors(
+            workers,
             problem,
             configurations,
             ONLY_THE_MESH,
             z=z,
             equilibrium=at.equilibrium,
         )
-        return at.effectors, workers.end_of(job)
+        return at.effectors, errors
 
 
 def both_by_pose(problem, configurations):

@@ -115,7 +115,7 @@ def test_a_cost_that_is_not_finite_is_never_converged():
     problem = build_problem(MODEL, unknowns(), tiny)
     with Workers(problem.model, 2) as workers:
         start = problem.space.start()
-        end = workers.end_of(minimise(Evaluator(problem), FROM_ANYWHERE, start))
+        end = minimise(Evaluator(problem, workers), FROM_ANYWHERE, start)
     assert end.cost == np.inf
     assert not end.converged
     match = "the cost at the start is not finite.* 1e-300 in SI units, in configuration"

@@ -147,9 +147,10 @@ def test_order_of_the_starts_changes_nothing(measured, mirrored):
 def test_one_start_alone_ends_as_among_others(measured, mirrored):
     """In the thread of the caller, with all cores for each solve; images included."""
     images = images_of(measured.beam.space, True)
-    evaluate, start = Evaluator(measured.problem), measured.starts[2]
+    start = measured.starts[2]
     with Workers(measured.beam.model, 2, 1) as workers:
-        alone = workers.end_of(run_start(evaluate, FROM_ANYWHERE, start, images=images))
+        evaluate = Evaluator(measured.problem, workers)
+        alone = run_start(evaluate, FROM_ANYWHERE, start, images=images)
     assert alone.converged
     assert alone.steps == mirrored.steps[2]
     np.testing.assert_allclose(alone.z, mirrored.z[2], rtol=0, atol=1e-8)

@@ -1,16 +1,18 @@
 """Lanes side by side on several threads, against the same lanes one after the other."""
 
+import signal
+import time
+from functools import partial
 from threading import Barrier, BrokenBarrierError, Event, Thread
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from problems import lane_of
 
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
-from softcal_jax.equilibrium import Batch, Workers, build_model, solve_equilibrium
+from softcal_jax.equilibrium import Program, Workers, build_model, solve_equilibrium
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -32,106 +34,181 @@ def _solve(model, configuration, E):
     return solve_equilibrium(model, configuration)
 
 
-def solve(cantilever):
-    """Equilibrium for one modulus, as a function of the solver and the modulus."""
-    model, configuration = cantilever
-
-    def one(solver, E):
-        model_there = eqx.tree_at(lambda m: m.solver, model, solver)
-        found = _solve(model_there, configuration, E)
-        return jax.block_until_ready(found.displacement), bool(found.converged)
-
-    return one
-
-
-def mapped(workers, function, lanes, program):
-    """Results of one batch."""
-
-    def job():
-        return (yield Batch(function, list(lanes), program))
-
-    return workers.end_of(job())
-
-
 def test_threads_give_what_one_gives_in_the_same_order(cantilever):
-    model, one = cantilever[0], solve(cantilever)
-    moduli = jnp.asarray(MODULI)
-    serial = [one(model.solver, E) for E in moduli]
+    model, moduli = cantilever[0], jnp.asarray(MODULI)
+    program = Program(_solve, *cantilever)
+    solve = lambda E: program.run(model.solver, (E,))
+    serial = [solve(E) for E in moduli]
     with Workers(model, len(moduli), 3) as workers:
         assert workers.n == 3
         for _ in range(3):  # threads meet in another order each time
-            for (u, ok), (expected, _) in zip(
-                mapped(workers, one, moduli, "solve"), serial, strict=True
-            ):
-                assert ok
-                np.testing.assert_allclose(u, expected, rtol=0, atol=1e-13)
+            solutions = workers.map(program, [(E,) for E in moduli])
+            for found, expected in zip(solutions, serial, strict=True):
+                assert found.converged
+                np.testing.assert_allclose(
+                    found.displacement, expected.displacement, rtol=0, atol=1e-13
+                )
     # The solver of the model still plans for all cores.
-    u, ok = one(model.solver, moduli[0])
-    assert ok
-    np.testing.assert_array_equal(u, serial[0][0])
+    again = solve(moduli[0])
+    assert again.converged
+    np.testing.assert_array_equal(again.displacement, serial[0].displacement)
+
+
+def same(lane):
+    return lane
+
+
+def lanes(*values):
+    return [(value,) for value in values]
 
 
 def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
-    def fails(solver, lane):
-        if lane == 2:
-            raise ValueError("lane 2")
+    def fails(lane):
+        if lane >= 2:
+            raise ValueError(f"lane {lane}")
         return lane
 
     with Workers(cantilever[0], 8, 2) as workers:
-        for _ in range(4):
+        for _ in range(4):  # the first of both, however they meet
             with pytest.raises(ValueError, match="lane 2"):
-                mapped(workers, fails, range(5), "fails")
-        assert mapped(workers, fails, [0, 1, 3], "fails") == [0, 1, 3]
+                workers.map(Program(fails), lanes(0, 1, 2, 3, 4))
+        assert workers.map(Program(fails), lanes(0, 1, -3)) == [0, 1, -3]
+
+
+def test_the_end_of_each_lane_is_told(cantilever):
+    told = []
+    with Workers(cantilever[0], 8, 2) as workers:
+        workers.map(Program(same), lanes(5, 6, 7), lambda *end: told.append(end))
+    assert sorted(told) == [(0, 5), (1, 6), (2, 7)]
 
 
 def test_the_first_lane_of_a_new_program_goes_ahead_alone(cantilever):
     """It compiles for all; afterwards none waits for another, in a new context too."""
     meeting = Barrier(2, timeout=20.0)
-    meet = lambda solver, lane: meeting.wait() >= 0
+
+    def meet(lane):
+        return lane == 0 or meeting.wait() >= 0
+
     with Workers(cantilever[0], 8, 2) as workers:
         # Two that wait for each other would wait for ever if one went ahead.
-        assert mapped(workers, lambda _, lane: lane, [7], "meeting") == [7]
-        assert mapped(workers, meet, range(2), "meeting") == [True, True]
+        assert workers.map(Program(meet), lanes(np.zeros(()))) == [True]
+        assert workers.map(Program(meet), lanes(np.ones(()), np.ones(()))) == [
+            True,
+            True,
+        ]
     with Workers(cantilever[0], 8, 2) as workers:
-        assert mapped(workers, meet, range(2), "meeting") == [True, True]
+        assert workers.map(Program(meet), lanes(np.ones(()), np.ones(()))) == [
+            True,
+            True,
+        ]
         impatient = Barrier(2, timeout=0.2)
         with pytest.raises(BrokenBarrierError):
-            mapped(workers, lambda *_: impatient.wait(), range(2), "another")
+            workers.map(Program(lambda lane: impatient.wait()), lanes(0, 1))
 
 
-def counting(first, n_batches, seen):
-    """A job of batches of two lanes each; it returns the sum of all lanes."""
+def counting(workers, first, n_maps, seen):
+    """Sum of the lanes of some calls, of two lanes each."""
     total = 0
-    for i in range(n_batches):
-        total += sum((yield Batch(lambda _, lane: lane, [first + i, 1], "count")))
+    for i in range(n_maps):
+        total += sum(workers.map(Program(same), lanes(first + i, 1)))
         seen.append(first)
     return total
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_jobs_that_end_leave_their_place_to_the_next(cantilever, n):
+def test_runs_that_end_leave_their_place_to_the_next(cantilever, n):
     """Each gets its own results, whatever else is under way, and few are at once."""
     seen, told = [], []
     firsts = range(0, 100, 10)
     with Workers(cantilever[0], 8, n) as workers:
-        jobs = [counting(first, 3, seen) for first in firsts]
-        ends = workers.ends(jobs, lambda *end: told.append(end))
+        runs = [partial(counting, workers, first, 3, seen) for first in firsts]
+        ends = workers.side_by_side(runs, lambda *end: told.append(end))
     assert ends == [3 * first + 3 + 3 for first in firsts]
-    assert sorted(told) == list(enumerate(ends))
+    assert told == list(enumerate(ends))
     assert sorted(seen) == sorted(3 * list(firsts))
     # The first has long ended when the last begins.
     assert max(i for i, first in enumerate(seen) if first == 0) < seen.index(90)
-    if n == 1:
-        assert [i for i, _ in told] == list(range(10))
 
 
-def test_a_job_without_lanes_to_run_ends_at_once(cantilever):
-    def nothing():
-        return 7
-        yield
+def test_one_run_at_a_time_computes_between_its_lanes(cantilever):
+    """So what they share needs no locks, and what they compile is compiled once."""
+    computing = []
+
+    def run(workers):
+        for _ in range(5):
+            computing.append(1)
+            assert len(computing) == 1
+            time.sleep(0.001)
+            computing.pop()
+            workers.map(Program(same), lanes(0, 1))
+
+    with Workers(cantilever[0], 8, 3) as workers:
+        workers.side_by_side([partial(run, workers)] * 8)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_error_of_the_first_run_is_raised_and_the_others_stop(cantilever, n):
+    begun = []
+
+    def run(workers, i):
+        begun.append(i)
+        for _ in range(3 if i == 1 else 10_000 * (i > 1)):
+            workers.map(Program(same), lanes(i))
+        if i in (1, 2):
+            raise ValueError(f"run {i}")
+
+    with Workers(cantilever[0], 8, n) as workers:
+        with pytest.raises(ValueError, match="run 1"):
+            workers.side_by_side(partial(run, workers, i) for i in range(100))
+        assert workers.map(Program(same), lanes(3, 4)) == [3, 4]
+    assert len(begun) < 10
+
+
+def test_an_interrupt_stops_runs_between_lanes(cantilever):
+    """As Ctrl-C does, which reaches the thread that waits for them."""
+    ends = []
+
+    def run(workers, i):
+        for k in range(3 if i == 0 else 10_000):
+            ends.append(workers.map(Program(same), lanes(i, k)))
+        return i
+
+    def ctrl_c(i, _):
+        signal.raise_signal(signal.SIGINT)
 
     with Workers(cantilever[0], 8, 2) as workers:
-        assert workers.ends([nothing(), nothing()]) == [7, 7]
+        runs = [partial(run, workers, i) for i in range(50)]
+        with pytest.raises(KeyboardInterrupt):
+            workers.side_by_side(runs, ctrl_c)
+        assert [0, 2] in ends
+        stopped = len(ends)
+        assert workers.map(Program(same), lanes(3, 4)) == [3, 4]
+    assert len(ends) == stopped < 20_000
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_runs_within_runs_end(cantilever, n):
+    """Also in workers of their own, in more threads than there are."""
+
+    def inner(workers, i):
+        return sum(workers.map(Program(same), lanes(i, i)))
+
+    def outer(workers, i):
+        with Workers(cantilever[0], 2, n) as others:
+            first = inner(others, i)
+        return first + sum(
+            workers.side_by_side(partial(inner, workers, i) for _ in range(4))
+        )
+
+    with Workers(cantilever[0], 8, n) as workers:
+        runs = [partial(outer, workers, i) for i in range(6)]
+        assert workers.side_by_side(runs) == [10 * i for i in range(6)]
+
+
+def test_a_run_without_lanes_ends_at_once(cantilever):
+    with Workers(cantilever[0], 8, 2) as workers:
+        assert workers.side_by_side([lambda: 7, lambda: 7]) == [7, 7]
+        assert workers.side_by_side([]) == workers.map(Program(same), []) == []
 
 
 def test_threads_of_a_program_take_turns(cantilever):
