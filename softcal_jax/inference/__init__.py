@@ -1,0 +1,73 @@
+"""Statistics of a fit: one linear model of all unknowns, and what follows from it."""
+
+from softcal_jax.inference._agreement import (
+    RecordingEstimate,
+    agreement_sentences,
+    disagreeing,
+    recording_estimates,
+)
+from softcal_jax.inference._budget import (
+    REMEDIES,
+    Cause,
+    ErrorBudget,
+    error_budget,
+)
+from softcal_jax.inference._linear_model import (
+    ATTACHMENTS,
+    NOISE,
+    ErrorColumns,
+    LinearModel,
+    no_errors,
+)
+from softcal_jax.inference._rank import RANK, Determined, determined, span
+from softcal_jax.inference._reml import freedom_between, restricted_likelihood
+from softcal_jax.inference._residuals import (
+    LackOfFit,
+    PosePrediction,
+    chance,
+    jitter_freedom,
+    lack_of_fit,
+    predicted_by_others,
+)
+from softcal_jax.inference._uncertainty import (
+    EXACT,
+    UNLIKELY,
+    Uncertainty,
+    uncertainty,
+)
+from softcal_jax.inference._whitening import Whitened, whitened, whitened_rows
+
+__all__ = [
+    "ATTACHMENTS",
+    "EXACT",
+    "NOISE",
+    "RANK",
+    "REMEDIES",
+    "UNLIKELY",
+    "Cause",
+    "Determined",
+    "ErrorBudget",
+    "ErrorColumns",
+    "LackOfFit",
+    "LinearModel",
+    "PosePrediction",
+    "RecordingEstimate",
+    "Uncertainty",
+    "Whitened",
+    "agreement_sentences",
+    "chance",
+    "determined",
+    "disagreeing",
+    "error_budget",
+    "freedom_between",
+    "jitter_freedom",
+    "lack_of_fit",
+    "no_errors",
+    "predicted_by_others",
+    "recording_estimates",
+    "restricted_likelihood",
+    "span",
+    "uncertainty",
+    "whitened",
+    "whitened_rows",
+]

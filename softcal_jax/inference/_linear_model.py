@@ -1,0 +1,275 @@
+"""The one linear model of a fit, of which everything statistical is a function.
+
+After an equilibrium, every measured coordinate is off by
+
+    r + W dz + W_c dc + e,   cov e = s^2 (I + B B^T),
+
+with the fitted unknowns z (Eq. 9), what is considered and not fitted, dc with unit
+variance (Schmidt, Adv. Control Systems 3, 1966; Tapley, Schutz, Born, Statistical Orbit
+Determination, 2004, ch. 6), and noise e of which the columns B are marginalised. Priors
+of z are rows of their own. The best dz, its covariance by each cause, what is left of r,
+and what any subset of rows would give follow by generalised least squares (Seber and
+Wild, Nonlinear Regression, 1989, sec. 2.1.4).
+"""
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
+from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax.inference._rank import Determined, determined, span
+from softcal_jax.inference._whitening import Whitened, whitened, whitened_rows
+
+NOISE = "noise"
+"""Name of what remains if everything that is held fixed is right: the jitter."""
+
+ATTACHMENTS = "attachments"
+"""Name of the unknown offsets of points and frames whose displacement is fitted.
+
+No cause of an error: a fit to displacements does not feel them.
+"""
+
+
+class ErrorColumns(Module):
+    """Errors of several causes: change of each row per standard deviation of each.
+
+    Attributes:
+        values: One column per error, in stated standard deviations of the rows [-].
+        causes: What each error is counted under, like "loads".
+        names: Name of each, like "load_factor tip".
+    """
+
+    values: Float[HostArray, "n n_errors"]
+    causes: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+
+    def of(self, cause: str) -> Float[HostArray, "n n_of_cause"]:
+        """Return the columns of one cause."""
+        return self.values[:, [own == cause for own in self.causes]]
+
+
+def no_errors(n: int) -> ErrorColumns:
+    """Return columns of no error for `n` rows."""
+    return ErrorColumns(np.zeros((n, 0)))
+
+
+class LinearModel(Module):
+    """Errors of measured coordinates to first order in every unknown; see the module.
+
+    Attributes:
+        names: The fitted unknowns.
+        poses: The configurations.
+        pose: Index of the configuration of each row.
+        fitted: Which rows were fitted; the others, of configurations that were held
+            out, have no weight.
+        r: Simulated minus measured values, in stated standard deviations [-].
+        W: Their change per unit of lambda_p [-].
+        correlated: Errors that are marginalised: offsets of recordings, creep,
+            mountings of markers; per `scale` of the noise.
+        considered: Errors that are considered.
+        scale: s, the standard deviation of independent errors over the stated one [-].
+        from_prior: Distances from the priors, in their standard deviations [-].
+        prior_weights: 1 / standard deviations of the priors, 0 without one [-].
+        held: Unknowns on a bound; they count as known.
+    """
+
+    names: tuple[str, ...]
+    poses: tuple[str, ...]
+    pose: Int[HostArray, " n"]
+    fitted: Bool[HostArray, " n"]
+    r: Float[HostArray, " n"]
+    W: Float[HostArray, "n n_p"]
+    correlated: ErrorColumns
+    considered: ErrorColumns
+    scale: float
+    from_prior: Float[HostArray, " n_p"]
+    prior_weights: Float[HostArray, " n_p"]
+    held: Bool[HostArray, " n_p"]
+
+    def only(self, rows: Bool[HostArray, " n"]) -> "LinearModel":
+        """Return the model of some rows alone.
+
+        Args:
+            rows: Flags of the rows that stay.
+        """
+        take = lambda columns: replace(columns, values=columns.values[rows])
+        cut = {name: getattr(self, name)[rows] for name in ("pose", "fitted", "r", "W")}
+        return replace(
+            self,
+            **cut,
+            correlated=take(self.correlated),
+            considered=take(self.considered),
+        )
+
+    def without(self, *poses: str) -> "LinearModel":
+        """Return the model as if configurations had not been measured.
+
+        Args:
+            poses: Their names.
+
+        Raises:
+            ValueError: If there is no such configuration.
+        """
+        for name in poses:
+            if name not in self.poses:
+                raise unknown_name("configuration", name, self.poses)
+        left_out = [self.poses.index(name) for name in poses]
+        return self.only(~np.isin(self.pose, left_out))
+
+    def of_fit(self) -> "LinearModel":
+        """Return the model of the fitted rows."""
+        return self if self.fitted.all() else self.only(self.fitted)
+
+    def per(self, unit: Float[HostArray, " n_p"]) -> "LinearModel":
+        """Return the model with unknowns counted in other units.
+
+        Args:
+            unit: Units, in units of lambda_p [-].
+        """
+        return replace(self, W=self.W * unit, prior_weights=self.prior_weights * unit)
+
+    def by_data_alone(self) -> "LinearModel":
+        """Return the model without priors."""
+        none = np.zeros(len(self.names))
+        return replace(self, from_prior=none, prior_weights=none)
+
+    def all_fitted(self) -> "LinearModel":
+        """Return the model as if all of its rows were fitted."""
+        return replace(self, fitted=np.ones(len(self.r), bool))
+
+    def with_scale(self, scale: float) -> "LinearModel":
+        """Return the model with all errors of the noise larger by a factor.
+
+        Args:
+            scale: The standard deviation of the independent ones over the stated one
+                [-].
+        """
+        return replace(self, scale=scale)
+
+    def with_free(self, *columns: int) -> "LinearModel":
+        """Return the model with unknowns free, all by default, on a bound or not."""
+        free = np.arange(len(self.names)) if not columns else np.array(columns)
+        return replace(self, held=self.held & ~np.isin(np.arange(len(self.held)), free))
+
+    def with_jitter(self, scale: float) -> "LinearModel":
+        """Return the model with other independent errors beside the same others.
+
+        Args:
+            scale: Their standard deviation over the stated one [-].
+        """
+        per_scale = self.correlated.values * (self.scale / scale)
+        correlated = replace(self.correlated, values=per_scale)
+        return replace(self, scale=scale, correlated=correlated)
+
+    def whiten(self, x: Float[HostArray, "n ..."]) -> Float[HostArray, "n ..."]:
+        """Compute (I + B B^T)^-1/2 x: errors become independent, of size s each."""
+        return whitened(self.correlated.values, x)
+
+    def whitened(self) -> Whitened:
+        """Return the rows of fitted data and of priors, each of standard deviation s."""
+        fit = self.of_fit()
+        return whitened_rows(
+            fit.correlated.values,
+            error=fit.r,
+            W=fit.W,
+            from_prior=self.scale * self.from_prior,
+            prior_weights=self.scale * self.prior_weights,
+        )
+
+    @property
+    def n_data(self) -> int:
+        """Number of fitted coordinates, less those that find mountings of markers."""
+        fit = self.of_fit()
+        spent = span(fit.correlated.of(ATTACHMENTS)).shape[1]
+        return len(fit.r) - spent
+
+    @cached_property
+    def _free(self) -> Int[HostArray, " n_free"]:
+        return np.flatnonzero(~self.held)
+
+    @cached_property
+    def solution(self) -> Determined:
+        """What the rows of fitted data and priors determine of the free unknowns."""
+        return determined(self.whitened().W[:, self._free])
+
+    @cached_property
+    def known(self) -> Bool[HostArray, " n_p"]:
+        """Which unknowns have a standard error: free, and in no unseen direction."""
+        known = np.zeros(len(self.names), bool)
+        known[self._free] = ~self.solution.blind
+        return known
+
+    def covariance(self) -> Float[HostArray, "n_p n_p"]:
+        """Compute C = (W^T V^-1 W + P)^-1: that by noise and priors [-].
+
+        NaN for unknowns that have no standard error.
+        """
+        C = np.full((len(self.names),) * 2, np.nan)
+        F = self.solution.factor[~self.solution.blind]
+        C[np.ix_(self.known, self.known)] = self.scale**2 * F @ F.T
+        return C
+
+    def pull(self) -> Float[HostArray, "n_p n"]:
+        """Compute C W^T V^-1 along what is seen; zero for rows that are held out."""
+        fit, solution = self.of_fit(), self.solution
+        of_data = solution.basis[: len(fit.r)]
+        pull = np.zeros((len(self.names), len(self.r)))
+        pull[np.ix_(self._free, self.fitted)] = solution.factor @ fit.whiten(of_data).T
+        return pull
+
+    def gain(self) -> Float[HostArray, "n_p n"]:
+        """Compute G = C W^T V^-1: a change of the rows moves the estimate by -G of it.
+
+        NaN for unknowns that have no standard error; zero for rows that are held out.
+        """
+        return np.where(self.known[:, None], self.pull(), np.nan)
+
+    def step(self) -> Float[HostArray, " n_p"]:
+        """Compute the dz that minimises the errors; NaN for what is not known [-]."""
+        dz = np.full(len(self.names), np.nan)
+        dz[self._free] = -self.solution.factor @ (
+            self.solution.basis.T @ self.whitened().error
+        )
+        dz[~self.known] = np.nan
+        return dz
+
+    def deviations(self) -> dict[str, Float[HostArray, "n_p n_errors"]]:
+        """Compute how far each error moves the unknowns, by cause [-].
+
+        Per standard deviation of each, and NaN where there is no standard error.
+
+        The jitter and what the priors leave come first, as `NOISE`; then what is
+        marginalised, and what is considered. Their squares sum to the covariance of
+        the estimate by all causes.
+        """
+        gain = self.gain()
+        by_prior = np.nan_to_num(self.covariance()) * self.prior_weights
+        by_prior[~self.known] = np.nan
+        parts = {NOISE: np.concatenate([self.scale * gain, by_prior], axis=1)}
+        for columns, size in ((self.correlated, self.scale), (self.considered, 1.0)):
+            for cause in dict.fromkeys(columns.causes):
+                if cause != ATTACHMENTS:
+                    parts[cause] = -size * gain @ columns.of(cause)
+        return parts
+
+    def standard_errors(self) -> Float[HostArray, " n_p"]:
+        """Compute the standard errors of the unknowns by all causes, scaled [-]."""
+        return np.linalg.norm(np.concatenate([*self.deviations().values()], axis=1), axis=1)
+
+    def left(self, x: Float[HostArray, "n ..."]) -> Float[HostArray, "n ..."]:
+        """Compute M x, M = V^-1 - V^-1 W C W^T V^-1: what the fit leaves of rows.
+
+        All rows must be fitted.
+        """
+        white = self.whiten(x)
+        of_data = self.solution.basis[: len(self.r)]
+        return self.whiten(white - of_data @ (of_data.T @ white)) / self.scale**2
+
+    def errors_left(self) -> Float[HostArray, " n"]:
+        """Compute V^-1 times the errors at the best dz; all rows must be fitted."""
+        error, basis = self.whitened().error, self.solution.basis
+        rest = (error - basis @ (basis.T @ error))[: len(self.r)]
+        return self.whiten(rest) / self.scale**2
