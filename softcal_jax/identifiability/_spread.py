@@ -8,6 +8,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax.inference import RANK, LinearModel
 
 Verdict = Literal["identifiable", "weakly identifiable", "not identifiable"]
 
@@ -20,12 +21,6 @@ WEAK_UP_TO = 3.0
 With the default precision that is 30 % of a value, or 17 degrees of an axis: an order
 of magnitude, which no part can be designed with.
 """
-
-BLIND = 1e-6
-"""Singular value below which a direction is only rounding, for unit columns [-]."""
-
-VANISHED = 1e-12
-"""Relative sensitivity below which a parameter has no effect [-]."""
 
 SHARE = 0.1
 """Squared component of a unit vector from which on its parameter is named [-]."""
@@ -90,7 +85,7 @@ class Spread(Module):
             rows: Their derivatives by the parameters, in units of the asked errors.
         """
         size = np.linalg.norm(rows, axis=1)
-        astray = np.linalg.norm(rows @ self.unseen.T, axis=1) > BLIND * size
+        astray = np.linalg.norm(rows @ self.unseen.T, axis=1) > RANK * size
         return np.where(astray, np.inf, np.linalg.norm(rows @ self.factor, axis=1))
 
 
@@ -101,53 +96,35 @@ def verdict(ratio: float) -> Verdict:
     return "weakly identifiable" if ratio <= WEAK_UP_TO else "not identifiable"
 
 
-# Below, G holds noise-weighted compliances per asked standard error, so that moduli and
-# angles are comparable; W_c the noise-weighted change of the data per standard
-# deviation of each error that is considered, see `ErrorBudget`; and `weights` the asked
-# standard errors over those of stated priors, 0 without one [-].
-
-
-def spread_of(
-    G: Float[HostArray, "n_e n_p"],
-    W_c: Float[HostArray, "n_e n_errors"],
-    weights: Float[HostArray, " n_p"],
-) -> Spread:
+def spread_of(linear: LinearModel) -> Spread:
     """Compute the covariance of an estimate from data and priors.
 
-    With C = (G^T G + P)^-1 and P the information of the priors, which count like
-    measurements, the errors W_c move the parameters by D = C G^T W_c, so that their
-    covariance is C + D D^T, as in `ErrorBudget`. Bounds are no measurement: what
-    neither data nor prior see has no finite error.
+    That of the noise and the priors, C, plus D D^T with D = -G W_c of the errors that
+    are considered, as in `ErrorBudget`. Bounds are no measurement: what neither data nor
+    prior see has no finite error.
+
+    Args:
+        linear: The fit, its unknowns in units of their asked standard errors, so that
+            moduli and angles are comparable.
     """
-    rows = np.concatenate([G, np.diag(weights)])
-    size = np.linalg.norm(rows, axis=0)
-    active = np.flatnonzero(size > VANISHED * np.max(size, initial=0.0))
-    n, size = len(size), size[active]
-    # Columns of unit length: a parameter of little effect is not a blind one.
-    _, singular, Vt = np.linalg.svd(rows[:, active] / size, full_matrices=False)
-    seen = singular > BLIND * np.max(singular, initial=0.0)
-    inverse = np.zeros((n, int(seen.sum())))
-    inverse[active] = Vt[seen].T / singular[seen] / size[:, None]
-    moved = inverse @ ((G @ inverse).T @ W_c)
-    # Any component above rounding in an unseen direction makes a parameter uncertain.
-    blind = np.ones(n, bool)
-    blind[active] = np.max(np.abs(Vt[~seen]), axis=0, initial=0.0) > BLIND
-    unseen = np.zeros((int((~seen).sum()), n))
-    unseen[:, active] = Vt[~seen] / size
-    without = np.delete(np.eye(n), active, axis=0)
-    basis, _ = np.linalg.qr(np.concatenate([unseen, without]).T)
-    return Spread(np.concatenate([inverse, moved], axis=1), basis.T, blind)
+    seen = linear.solution
+    moved = -linear.pull() @ linear.considered.values
+    factor = np.concatenate([linear.scale * seen.factor, moved], axis=1)
+    return Spread(factor, seen.unseen, seen.blind)
 
 
-def information(
-    G: Float[HostArray, "n_e n_p"], W_c: Float[HostArray, "n_e n_errors"]
-) -> Float[HostArray, "n_p n_p"]:
+def information(linear: LinearModel) -> Float[HostArray, "n_p n_p"]:
     """Compute the information of the data alone: the inverse of `spread_of`'s.
 
-    G^T U (I + B B^T)^-1 U^T G with G = U S V^T and B = U^T W_c, which exists where the
-    covariance does not.
+    W^T U (I + B B^T)^-1 U^T W with whitened W = U S V^T and B = U^T W_c, which exists
+    where the covariance does not.
+
+    Args:
+        linear: The fit, in the units of `spread_of`.
     """
-    U, singular, Vt = np.linalg.svd(G, full_matrices=False)
+    fit = linear.of_fit()
+    W, W_c = (fit.whiten(x) / fit.scale for x in (fit.W, fit.considered.values))
+    U, singular, Vt = np.linalg.svd(W, full_matrices=False)
     B = U.T @ W_c
     A = singular[:, None] * Vt
     return A.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, A)
