@@ -1,15 +1,6 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
-from softcal_jax.calibration._agreement import RecordingEstimate
 from softcal_jax.calibration._begin import EquilibriumProgress, told_of_lane
-from softcal_jax.calibration._budget import (
-    MESH,
-    NOISE,
-    Cause,
-    ErrorBudget,
-    considered_errors,
-    unknown_causes,
-)
 from softcal_jax.calibration._build import as_sequence, build_problem
 from softcal_jax.calibration._calibrate import calibrate
 from softcal_jax.calibration._checked_intervals import LEVEL
@@ -25,15 +16,13 @@ from softcal_jax.calibration._configuration_result import (
     SimulationResult,
     simulation_result,
 )
+from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
 from softcal_jax.calibration._lanes import equilibria, simulate
-from softcal_jax.calibration._noise import (
-    CorrelatedNoise,
-    correlated_noise,
-    whitened,
-)
+from softcal_jax.calibration._linear import linear_model
+from softcal_jax.calibration._noise import CorrelatedNoise, correlated_noise
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -44,7 +33,6 @@ from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._references import check_references
 from softcal_jax.calibration._residual_checks import LeftOut, ResidualChecks
-from softcal_jax.calibration._residuals import LackOfFit
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
@@ -68,32 +56,26 @@ from softcal_jax.calibration._state import (
     initial_state,
 )
 from softcal_jax.calibration._step import FLAT, KKT_TOLERANCE, SMALLEST_FALL, propose
-from softcal_jax.calibration._uncertainty import EXACT, Uncertainty, uncertainty
 
 __all__ = [
-    "EXACT",
     "FLAT",
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
     "LEVEL",
     "MESH",
-    "NOISE",
     "SMALLEST_FALL",
     "CalibrationProblem",
     "CalibrationResult",
     "CalibrationSettings",
     "CalibrationState",
     "CalibrationWarning",
-    "Cause",
     "Clock",
     "ConfigurationResult",
     "CorrelatedNoise",
     "EquilibriumProgress",
-    "ErrorBudget",
     "Evaluation",
     "Evaluator",
     "HistoryEntry",
-    "LackOfFit",
     "LeftOut",
     "LowerCostFound",
     "MultiStartResult",
@@ -102,13 +84,11 @@ __all__ = [
     "ParameterInterval",
     "ProjectSource",
     "QPStep",
-    "RecordingEstimate",
     "ResidualChecks",
     "Run",
     "SearchProgress",
     "SimulationResult",
     "SourceFile",
-    "Uncertainty",
     "as_sequence",
     "at_rest",
     "best_of",
@@ -126,6 +106,7 @@ __all__ = [
     "images_of",
     "initial_state",
     "levenberg_marquardt",
+    "linear_model",
     "multi_start",
     "n_measured",
     "profile_ends",
@@ -138,9 +119,6 @@ __all__ = [
     "simulation_result",
     "synthetic_measurements",
     "told_of_lane",
-    "uncertainty",
-    "unknown_causes",
-    "whitened",
     "with_measured",
     "without_names",
 ]

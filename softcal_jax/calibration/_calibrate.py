@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 from softcal_jax._typing import Array, Float
@@ -14,7 +13,8 @@ from softcal_jax.calibration._checked_intervals import (
     check_level,
     with_intervals,
 )
-from softcal_jax.calibration._fit import Resume, fit
+from softcal_jax.calibration._build import as_sequence
+from softcal_jax.calibration._fit import Resume, Task, Watch, fit
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
@@ -128,27 +128,22 @@ def calibrate(
     check_precision(precision)
     if intervals is not None:
         check_level(intervals)
-    run = partial(
-        fit,
-        model,
-        parameters,
-        configurations,
-        validation=validation,
+    task = Task(
+        model=model,
+        space=as_space(parameters),
+        fitted=as_sequence(configurations),
+        held_out=as_sequence(validation),
         noise=noise,
-        uncertain=uncertain,
-        settings=settings,
-        newton=newton,
+        uncertain=uncertain or Uncertain(),
+        settings=settings or CalibrationSettings(),
+        newton=newton or NewtonSettings(),
         precision=precision,
+        starts=starts,
         seed=seed,
         start=start,
     )
-    first = run(
-        starts=starts,
-        checkpoint=checkpoint,
-        progress=progress,
-        search_progress=search_progress,
-        equilibrium_progress=equilibrium_progress,
-    )
+    watch = Watch(checkpoint, progress, search_progress, equilibrium_progress)
+    first = fit(task, watch)
     if intervals is None or first.result.interrupted:
         return first.result
 
@@ -165,7 +160,8 @@ def calibrate(
             if progress is not None and entry.step:
                 progress(later(entry))
 
-        new = run(starts=1, progress=told, resume=Resume(z, old.noise))
+        again = Watch(progress=told)
+        new = fit(task._replace(starts=1), again, Resume(z, old.noise))
         history = (*old.history, *map(later, new.result.history[1:]))
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         changed = {"history": history, "starts": old.starts, "timing_s": timing}

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._budget import MESH
 from softcal_jax.calibration._checkpoint import Clock
+from softcal_jax.calibration._considered import MESH
 from softcal_jax.calibration._evaluation import Evaluation, in_other_units
 from softcal_jax.calibration._first_order import first_order_holds
 from softcal_jax.calibration._interval import (
@@ -21,7 +21,8 @@ from softcal_jax.calibration._interval import (
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends, room_beside
 from softcal_jax.calibration._result import CalibrationResult, Optimum
-from softcal_jax.calibration._uncertainty import EXACT, estimator
+from softcal_jax.configurations import Configuration
+from softcal_jax.inference import EXACT
 
 LEVEL = 0.95
 """Confidence of intervals unless another one is asked for [-]."""
@@ -35,6 +36,7 @@ class Fitted(NamedTuple):
 
     result: CalibrationResult
     problem: CalibrationProblem
+    configurations: tuple[Configuration, ...]
     evaluation: Evaluation
 
 
@@ -94,10 +96,10 @@ def _settled(
         except LowerCostFound as lower:
             other = go_on(fitted, lower.z)
         # Where the noise follows the motion, each fit has weights of its own.
-        cost = in_other_units(fitted.problem, other.evaluation, other.problem).cost
+        cost = in_other_units(fitted.problem, other.result.z, other.evaluation).cost
         if not (other.result.converged and float(cost) < float(fitted.evaluation.cost)):
             break
-        fitted = Fitted(_with_optimum(other.result), *other[1:])
+        fitted = other._replace(result=_with_optimum(other.result))
     why = "the cost still falls along its profile: calibrate from more `starts`"
     return fitted, _none(fitted, level, why)
 
@@ -122,7 +124,7 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
     Raises:
         LowerCostFound: If a cost is lower than that of the calibration.
     """
-    result, problem, at = fitted
+    result, problem, configurations, at = fitted
     spread = result.uncertainty
     if not result.converged:
         return _none(fitted, level, "the calibration did not converge")
@@ -140,9 +142,10 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
     else:
         holds = first_order_holds(
             problem,
+            configurations,
             z=result.z,
             at=at,
-            spread=spread,
+            linear=result.linear.of_fit(),
             quantile=quantile,
             which=known,
         )
@@ -161,8 +164,7 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
             problem,
             result.settings,
             z=result.z,
-            W_ep=np.asarray(at.W_ep),
-            cost=float(at.cost),
+            rows=at.rows,
             rise=quantile * spread.noise_scale,
             which=bent,
         )
@@ -197,12 +199,9 @@ def _considered_error(result: CalibrationResult, column: int) -> float:
 
     A parameter on a bound counts as free: its interval ends inside.
     """
-    at_bound = result.uncertainty.at_bound.copy()
-    at_bound[column] = False
-    spread = replace(result.uncertainty, at_bound=at_bound)
-    prior = np.asarray(result.space.prior_weights())
-    gain = estimator(result.W_ep, spread, prior)[column]
-    return float(np.nan_to_num(np.linalg.norm(gain @ result.budget.W_c)))
+    linear = result.linear.with_free(column)
+    moved = linear.gain()[column] @ linear.considered.values
+    return float(np.nan_to_num(np.linalg.norm(moved)))
 
 
 def whole_interval(

@@ -226,7 +226,7 @@ def _history_entry(
     # On the host: on the device, each shape of the data would be more programs.
     weight, delta_e = np.asarray(effectors.inverse_std), np.asarray(evaluation.delta_e)
     if problem.noise is not None:
-        delta_e = problem.noise.without_attachments(delta_e, weight)
+        delta_e = problem.noise.without_attachments(effectors, delta_e)
     seen = weight[:, :n_points] > 0.0
     squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
     markers = max(int(np.sum(np.any(seen, axis=-1))), 1)

@@ -145,10 +145,10 @@ def levenberg_marquardt(
     def errors(z, problem: CalibrationProblem):
         solution, positions = simulate(*problem.at(z), problem.newton, guess)
         delta_e = effector_errors(problem, positions)
+        none = jnp.zeros((delta_e.size, z.shape[0]))
+        error = problem.rows(z, delta_e, none).error
         # A step to parameters without equilibrium must be refused.
-        of_data = problem.in_noise_units(jnp.ravel(delta_e))
-        of_data = jnp.where(jnp.all(solution.converged), of_data, jnp.inf)
-        return jnp.concatenate([of_data, problem.from_prior(z)])
+        return jnp.where(jnp.all(solution.converged), error, jnp.inf)
 
     solution = optx.least_squares(
         errors,

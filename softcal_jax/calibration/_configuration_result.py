@@ -12,8 +12,7 @@ from scipy.special import chdtrc
 
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._noise import CorrelatedNoise, whitened
-from softcal_jax.calibration._uncertainty import UNLIKELY
+from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -29,6 +28,8 @@ from softcal_jax.equilibrium import (
     effector_values,
     robot_states,
 )
+from softcal_jax.inference import UNLIKELY, whitened
+from softcal_jax.sensitivity import Response
 
 Role = Literal["calibration", "validation", "simulation"]
 Misfit = Literal["worse than before", "unexplained"]
@@ -256,38 +257,49 @@ def configuration_results(
     configurations: Sequence[Configuration],
     lanes: ConfigurationLanes,
     *,
-    role: Role,
-    before: Float[Array, "n_c n_rows 3"],
-    after: Float[Array, "n_c n_rows 3"],
-    solution: EquilibriumSolution,
+    n_fitted: int,
+    before: Float[AnyArray, "n_c n_rows 3"],
+    response: Response,
     noise: CorrelatedNoise | None,
-    W_ep: Float[Array, "n_e n_p"] | None = None,
 ) -> tuple[ConfigurationResult, ...]:
-    """Describe the fitted or predicted configurations that have an equilibrium.
+    """Describe fitted and held-out configurations that have an equilibrium.
 
-    Effectors `before` are those with the start parameters; `model`, effectors `after`,
-    stacked compliances `W_ep` and `solution` those with the calibrated ones. `noise` is
-    theirs.
+    Args:
+        model: The model with the calibrated parameters.
+        configurations: The configurations, the fitted ones first.
+        lanes: Their arrays and effectors.
+        n_fitted: Number of those that were fitted.
+        before: Effectors with the start parameters.
+        response: Equilibria, effectors and compliances with the calibrated ones.
+        noise: Their noise.
     """
     effectors = [
         tuple(
             replace(e, simulated_before=e.among(first), simulated=e.among(last))
-            for e in own
+            for e in of_pose
         )
-        for own, first, last in zip(
-            lanes.effectors, np.asarray(before), np.asarray(after), strict=True
+        for of_pose, first, last in zip(
+            lanes.effectors,
+            np.asarray(before),
+            np.asarray(response.effectors),
+            strict=True,
         )
     ]
-    found = _results(
-        model, configurations, lanes.arrays, solution, role=role, effectors=effectors
+    n_c = len(configurations)
+    roles: list[Role] = ["calibration"] * n_fitted + ["validation"] * (n_c - n_fitted)
+    results = _results(
+        model,
+        configurations,
+        lanes.arrays,
+        response.equilibrium,
+        roles=roles,
+        effectors=effectors,
     )
-    compliances = [None] * len(found)
-    if W_ep is not None:
-        compliances = np.asarray(W_ep).reshape(*np.shape(after), -1)
+    W_ep = np.asarray(response.W_ep).reshape(*np.shape(response.effectors), -1)
     columns = _columns(lanes, noise)
     return tuple(
         replace(result, W_ep=W, columns=A)
-        for result, W, A in zip(found, compliances, columns, strict=True)
+        for result, W, A in zip(results, W_ep, columns, strict=True)
         if result.converged
     )
 
@@ -332,10 +344,15 @@ def simulation_result(
         _simulated(own, model, _lane(arrays, i), _lane(solution, i))
         for i, own in enumerate(lanes.effectors)
     ]
-    found = _results(
-        model, configurations, arrays, solution, role="simulation", effectors=effectors
+    results = _results(
+        model,
+        configurations,
+        arrays,
+        solution,
+        roles=["simulation"] * len(configurations),
+        effectors=effectors,
     )
-    return SimulationResult(model, found)
+    return SimulationResult(model, results)
 
 
 _effector_values = eqx.filter_jit(effector_values)
@@ -368,14 +385,14 @@ def _simulated(
 
 
 def _results(
-    model, configurations, arrays, solution, *, role: Role, effectors
+    model, configurations, arrays, solution, *, roles: Sequence[Role], effectors
 ) -> tuple[ConfigurationResult, ...]:
     """Describe every configuration of a batch."""
     states = robot_states(model, configurations, solution, arrays)
     return tuple(
         ConfigurationResult(
             name=configuration.name,
-            role=role,
+            role=roles[i],
             converged=bool(solution.converged[i]),
             outcome=_outcome(solution, i),
             effectors=effectors[i],

@@ -1,29 +1,47 @@
-"""The errors of a calibration that are considered, and which lanes share each."""
+"""The errors of a calibration that are considered, and what each does to its rows."""
 
 from collections.abc import Hashable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Bool, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._held_faces import grounded, held_nodes, outward_motion
+from softcal_jax.calibration._lanes import lane_of
+from softcal_jax.calibration._mesh_error import MeshErrors, mesh_errors
 from softcal_jax.calibration._noise import not_calibrated
 from softcal_jax.calibration._present import with_forces, with_gravity, with_loads
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Model
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    Program,
+    Workers,
+    effector_values,
+    linearise,
+    sensitivity,
+)
 from softcal_jax.fields import (
     QUANTITIES,
     AbstractError,
     FieldError,
+    ParameterSpace,
     SetupError,
     Uncertain,
 )
+from softcal_jax.inference import ErrorColumns
 from softcal_jax.materials import is_point_values
+from softcal_jax.sensitivity import clamp_row, parameter_rows, stiffness_row
 
 INCOMPRESSIBLE = 0.5
 """Largest Poisson's ratio [-]."""
+
+MESH = "mesh"
+"""Name of the error of the mesh, see `mesh_errors`."""
 
 
 class Considered(NamedTuple):
@@ -50,19 +68,19 @@ class Considered(NamedTuple):
         """Whether any configuration has it."""
         return any(key is not None for key in self.shared)
 
-    def groups(
-        self, first: int | None = None
-    ) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
+    def groups(self, n_fitted: int) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
         """List its independent errors: their names, and which configurations share.
 
-        Only in the `first` so many configurations, by default in all.
+        Args:
+            n_fitted: Number of configurations that are fitted, which come first; names
+                do not depend on the others.
         """
-        shared = self.shared[:first]
-        keys = [key for key in dict.fromkeys(shared) if key is not None]
+        fitted = set(self.shared[:n_fitted]) - {None}
+        keys = [key for key in dict.fromkeys(self.shared) if key is not None]
         for n, key in enumerate(keys, start=1):
-            own = key if isinstance(key, str) else f"group {n}" * (len(keys) > 1)
-            name = f"{self.name} in {own}" if own else self.name
-            yield name, np.array([other == key for other in shared])
+            group = key if isinstance(key, str) else f"group {n}" * (len(fitted) > 1)
+            name = f"{self.name} in {group}" if group else self.name
+            yield name, np.array([other == key for other in self.shared])
 
 
 def considered(
@@ -225,3 +243,145 @@ def _uncalibrated(own: Considered, posed: _Posed) -> tuple[Hashable, ...]:
         posed.space, posed.configurations, entry.kind, of=entry.of, axis=entry.axis
     )
     return posed.where(own.shared, free)
+
+
+class ConsideredErrors(NamedTuple):
+    """What is held fixed and may be wrong, and what it does to configurations.
+
+    Attributes:
+        errors: The errors, and which configurations share each.
+        columns: Change of the effectors per standard deviation of each, as if each
+            configuration had it.
+        mesh: That by the mesh; None if this is right.
+    """
+
+    errors: tuple[Considered, ...]
+    columns: Float[HostArray, "n_errors n_c n_e"]
+    mesh: MeshErrors | None
+
+    def in_std(
+        self, n_fitted: int, weight: Float[HostArray, "n_c n_e"]
+    ) -> ErrorColumns:
+        """Return W_c of all rows, in stated standard deviations.
+
+        A change is zero in configurations that do not have the error. The error of the
+        mesh is not among them where it is not known of a fitted configuration, and zero
+        in one that was held out.
+
+        Args:
+            n_fitted: Number of configurations that are fitted, which come first.
+            weight: 1 / stated standard deviations, 0 where nothing is measured.
+        """
+        parts: list[tuple[str, str, HostArray]] = []
+        for error, column in zip(self.errors, self.columns, strict=True):
+            for name, sharing in error.groups(n_fitted):
+                shared = np.where(sharing[:, None], column, 0.0)
+                parts.append((error.cause, name, shared))
+        if self.mesh is not None and np.all(self.mesh.known[:n_fitted]):
+            changes = np.where(self.mesh.known[:, None], self.mesh.changes, 0.0)
+            parts.append((MESH, self.mesh.name, changes))
+        causes, names = (tuple(part[k] for part in parts) for k in (0, 1))
+        changes = [np.ravel(weight * change) for *_, change in parts]
+        values = np.stack([np.zeros(weight.size), *changes], axis=1)[:, 1:]
+        return ErrorColumns(values, causes, names)
+
+
+    def unknown(self, n_fitted: int) -> tuple[str, ...]:
+        """Return causes that count, but of unknown size: that of the mesh, or none."""
+        missing = self.mesh is not None and not np.all(self.mesh.known[:n_fitted])
+        return (MESH,) if missing else ()
+
+
+def considered_errors(
+    workers: Workers,
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
+    uncertain: Uncertain,
+    *,
+    z: Float[Array, " n_p"],
+    equilibrium: EquilibriumSolution,
+) -> ConsideredErrors:
+    """Compute W_c: change of the effectors per standard deviation of each error.
+
+    Args:
+        workers: Run the configurations.
+        problem: The calibration.
+        configurations: Its configurations.
+        uncertain: What is uncertain.
+        z: Scaled parameters [-].
+        equilibrium: The equilibria, one lane per configuration.
+    """
+    found, of_mesh = considered(uncertain, problem, configurations), uncertain.mesh > 0
+    problem = without_names(problem)
+    if not of_mesh and not any(own.happens for own in found):
+        found = ()
+    columns = _all_columns(
+        workers, problem, found, z, equilibrium.displacement, of_stiffness=of_mesh
+    )
+    if not of_mesh:
+        return ConsideredErrors(found, columns, None)
+    mesh = mesh_errors(
+        problem,
+        configurations,
+        z,
+        forces=equilibrium.multipliers,
+        of_stiffness=columns[-1],
+    )
+    mesh = mesh._replace(changes=uncertain.mesh * mesh.changes)
+    return ConsideredErrors(found, columns[:-1], mesh)
+
+
+def _all_columns(
+    workers: Workers,
+    problem: CalibrationProblem,
+    found: Sequence[Considered],
+    z,
+    displacement,
+    *,
+    of_stiffness: bool,
+) -> Float[HostArray, "n_rows n_c n_e"]:
+    """Compute W_c as if each configuration had each error, see `_columns`."""
+    n_c, n_rows = len(displacement), len(found) + of_stiffness
+    n_e = problem.configurations.effectors.measured.size // n_c
+    if n_e * n_rows == 0:
+        return np.zeros((n_rows, n_c, n_e))
+    entries = tuple(own.entry for own in found if own.entry is not None)
+    errors = ParameterSpace(entries) if entries else None
+    motions = [own.motions for own in found if own.entry is None]
+    lanes = [
+        (
+            tuple(jax.device_put(own[c]) for own in motions),
+            z,
+            lane_of(problem.configurations, c),
+            lane_of(displacement, c),
+        )
+        for c in range(n_c)
+    ]
+    program = Program(_columns, problem.model, problem.space, errors, of_stiffness)
+    of_lanes = workers.map(program, lanes)
+    return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
+
+
+@eqx.filter_jit
+def _columns(
+    model,
+    space: ParameterSpace,
+    errors: ParameterSpace | None,
+    of_stiffness: bool,
+    motions: tuple[Float[Array, "n_nodes 3"], ...],
+    z,
+    c,
+    u,
+) -> Float[Array, "n_e n_rows"]:
+    """Compute W_c of one configuration, in the units of its effectors; Eq. (9).
+
+    The last column is that of the stiffness where it is asked for, see `mesh_errors`.
+    """
+    lin = linearise(*space.apply(model, c, z), u)
+    rows = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
+    rows += [clamp_row(lin, motion) for motion in motions]
+    rows += [stiffness_row(lin)] if of_stiffness else []
+    stacked = jax.tree.map(lambda *own: jnp.concatenate(own), *rows)
+    fewer = len(stacked.force) > c.effectors.measured.size
+    found = sensitivity(lin, stacked, effector_values, adjoint=fewer)
+    return jnp.where(found.ok, found.W_ep, jnp.nan)

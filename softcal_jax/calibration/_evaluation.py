@@ -26,6 +26,7 @@ from softcal_jax.equilibrium import (
     Workers,
 )
 from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference import Whitened
 from softcal_jax.sensitivity import (
     EnergyCompliance,
     Response,
@@ -38,28 +39,29 @@ class Evaluation(Module):
     """Equilibria, errors and compliances of all configurations at one z.
 
     Attributes:
-        equilibrium: Solutions, one lane per configuration.
-        effectors: Simulated effector coordinates: positions [m], turns [rad], ...
+        response: Equilibria, effectors and W_ep, one lane per configuration.
         delta_e: Simulated minus measured values; 0 where nothing is measured.
-        compliance: Stacked W_ep in the units of the effectors, per unit of lambda_p.
-        error: Stacked delta_e in units of the noise, see `in_noise_units` [-].
-        W_ep: The same in units of the noise, per unit of lambda_p [-].
-        prior: Distance of the parameters from the middle of their priors, in standard
-            deviations of these [-].
-        tangents: du/dz of each lane, or None where W_ep came from the adjoint side [m].
+        rows: Errors and their derivatives in units of the noise, and those of the
+            priors behind: what the QP of Eq. (10) minimises.
         ok: Whether every lane has an equilibrium and a regular tangent, and the cost is
             finite.
     """
 
-    equilibrium: EquilibriumSolution
-    effectors: Float[Array, "n_c n_rows 3"]
+    response: Response
     delta_e: Float[Array, "n_c n_rows 3"]
-    compliance: Float[Array, "n_e n_p"]
-    error: Float[Array, " n_e"]
-    W_ep: Float[Array, "n_e n_p"]
-    prior: Float[Array, " n_p"]
-    tangents: Float[Array, "n_c n_p n_points 3"] | None
+    rows: Whitened
     ok: Bool[Array, ""]
+
+    @property
+    def equilibrium(self) -> EquilibriumSolution:
+        """Equilibria, one lane per configuration."""
+        return self.response.equilibrium
+
+    @property
+    def compliance(self) -> Float[Array, "n_e n_p"]:
+        """Stacked W_ep in the units of the effectors, per unit of lambda_p."""
+        W_ep = self.response.W_ep
+        return W_ep.reshape(-1, W_ep.shape[-1])
 
     @property
     def cost(self) -> Float[Array, ""]:
@@ -67,13 +69,12 @@ class Evaluation(Module):
 
         Distances from the prior count like errors.
         """
-        return _cost(self.ok, self.error, self.prior)
+        return _cost(self.ok, self.rows.error)
 
 
 @jax.jit
-def _cost(ok, error, prior) -> Float[Array, ""]:
-    squares = jnp.sum(error**2) + jnp.sum(prior**2)
-    return jnp.where(ok, 0.5 * squares, jnp.inf)
+def _cost(ok, error) -> Float[Array, ""]:
+    return jnp.where(ok, 0.5 * jnp.sum(error**2), jnp.inf)
 
 
 def effector_errors(
@@ -109,46 +110,23 @@ def evaluate_lane(
     )
 
 
-def stacked(
-    problem: CalibrationProblem, z: Float[Array, " n_p"], lanes: Response
+@eqx.filter_jit
+def _weighed(
+    problem: CalibrationProblem, z: Float[Array, " n_p"], response: Response
 ) -> Evaluation:
-    """Stack the errors and compliances of all lanes."""
-    delta_e = effector_errors(problem, lanes.effectors)
-    compliance = lanes.W_ep.reshape(-1, z.shape[0])
-    error = problem.in_noise_units(jnp.ravel(delta_e))
-    W = problem.in_noise_units(compliance)
-    prior = problem.from_prior(z)
-    ok = jnp.all(lanes.equilibrium.converged) & jnp.all(lanes.ok)
+    delta_e = effector_errors(problem, response.effectors)
+    rows = problem.rows(z, delta_e, response.W_ep.reshape(-1, z.shape[0]))
+    ok = jnp.all(response.equilibrium.converged) & jnp.all(response.ok)
     # A tiny `std` makes the squares overflow, and an infinite cost never falls.
-    finite = jnp.isfinite(_cost(ok, error, prior)) & jnp.all(jnp.isfinite(W))
-    return Evaluation(
-        equilibrium=lanes.equilibrium,
-        effectors=lanes.effectors,
-        delta_e=delta_e,
-        compliance=compliance,
-        error=error,
-        W_ep=W,
-        prior=prior,
-        tangents=lanes.displacement,
-        ok=finite,
-    )
+    finite = jnp.isfinite(_cost(ok, rows.error)) & jnp.all(jnp.isfinite(rows.W))
+    return Evaluation(response, delta_e, rows, finite)
 
 
 def in_other_units(
-    problem: CalibrationProblem, old: Evaluation, before: CalibrationProblem
+    problem: CalibrationProblem, z: Float[Array, " n_p"], old: Evaluation
 ) -> Evaluation:
-    """Return an evaluation in the units of another noise.
-
-    Args:
-        problem: The calibration with that noise.
-        old: The evaluation.
-        before: The calibration with the noise that it was made with.
-    """
-    where = lambda e: (e.error, e.W_ep, e.prior)
-    both = np.ravel(old.delta_e), np.asarray(old.compliance)
-    units = [problem.on_host_in_noise_units(x) for x in both]
-    prior = np.asarray(problem.level) / np.asarray(before.level) * np.asarray(old.prior)
-    return eqx.tree_at(where, old, tuple(jax.device_put([*units, prior])))
+    """Return an evaluation in the units of another noise, that of `problem`."""
+    return _weighed(without_names(problem), z, old.response)
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
@@ -219,14 +197,14 @@ class Evaluator:
         other.numbered = self.numbered.with_noise(noise)
         return other
 
-    def __call__(
+    def response(
         self,
         z: Float[Array, " n_p"],
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
-    ) -> Evaluation:
-        """Compute equilibria, stacked errors and compliances W_ep (paper Eqs. 9, 10).
+    ) -> Response:
+        """Compute equilibria and compliances W_ep (paper Eq. 9) of all lanes.
 
         Args:
             z: Scaled parameters [-].
@@ -238,8 +216,18 @@ class Evaluator:
         before = guess if before is None else before
         lanes = zip(self.lanes, guess, before, strict=True)
         arguments = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
-        found = self.workers.map(self._program, arguments)
-        return _stacked(self.numbered, z, found)
+        return _stacked(self.workers.map(self._program, arguments))
+
+    def __call__(
+        self,
+        z: Float[Array, " n_p"],
+        guess: Float[Array, "n_c n_points 3"],
+        before: Float[Array, "n_c n_points 3"] | None = None,
+        precise: bool | Bool[Array, ""] = False,
+    ) -> Evaluation:
+        """Weigh the errors and compliances of `response` (paper Eqs. 9, 10)."""
+        response = self.response(z, guess, before, precise)
+        return _weighed(self.numbered, z, response)
 
     def simulated(
         self, z: Float[Array, " n_p"], told: OfLane = lambda *_: None
@@ -251,11 +239,15 @@ class Evaluator:
 
     def from_rest(self, z: Float[Array, " n_p"]) -> Evaluation:
         """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
+        return _weighed(self.numbered, z, self.response_from_rest(z))
+
+    def response_from_rest(self, z: Float[Array, " n_p"]) -> Response:
+        """Respond without a guess from another evaluation, likewise."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
             found, _ = self.simulated(z)
             guess = as_guess(found)
-        return self(z, guess)
+        return self.response(z, guess)
 
     def energy_compliances(
         self, z: Float[Array, " n_p"], u: Float[Array, "n_c n_points 3"]
@@ -284,6 +276,6 @@ def evaluate(
         return evaluator.from_rest(z) if guess is None else evaluator(z, guess)
 
 
-@eqx.filter_jit
-def _stacked(problem, z, lanes: list[Response]) -> Evaluation:
-    return stacked(problem, z, jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes))
+@jax.jit
+def _stacked(lanes: list[Response]) -> Response:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)

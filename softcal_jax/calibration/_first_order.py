@@ -9,10 +9,12 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._profile import LOWER, LowerCostFound, room_beside
-from softcal_jax.calibration._uncertainty import Uncertainty
+from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
+from softcal_jax.inference import LinearModel
 
 CURVED = 0.1
 """Relative error of the root of the rise at which an end is no longer first-order [-].
@@ -24,47 +26,37 @@ error. With both ends a tenth too close to the fit, an interval that says 95 % h
 
 
 class _Checked(NamedTuple):
-    """A calibration at its end, in units of the noise that its residuals show."""
+    """A calibration at its end, in units of the noise that its residuals show.
+
+    `quantile` is the distance of an end, in standard errors.
+    """
 
     evaluate: Evaluator
+    configurations: Sequence[Configuration]
     z: HostArray
     at: Evaluation
-    spread: Uncertainty
+    linear: LinearModel
     quantile: float
-    prior_weights: HostArray
 
-    @property
-    def rise(self) -> float:
-        """Root of the rise of twice the cost at an end, in stated units [-]."""
-        return self.quantile * self.spread.noise_scale
-
-    def cost(self, at: Evaluation) -> float:
-        """Return twice the cost."""
-        errors = np.sum(np.asarray(at.error) ** 2) / self.spread.noise_scale**2
-        return float(errors + np.sum(self.prior(at) ** 2))
-
-    def prior(self, at: Evaluation) -> HostArray:
-        """Return distances from the prior, in its standard deviations."""
-        return np.asarray(at.prior) / np.asarray(self.evaluate.problem.level)
-
-    def slope(self, at: Evaluation) -> HostArray:
-        """Return the derivative of the cost by the scaled parameters."""
-        W, error = np.asarray(at.W_ep), np.asarray(at.error)
-        own = W.T @ error / self.spread.noise_scale**2
-        return own + self.prior_weights * self.prior(at)
-
-    def curvature(self, at: Evaluation) -> HostArray:
-        """Return the second derivative of the cost, of the linearised errors."""
-        W = np.asarray(at.W_ep) / self.spread.noise_scale
-        return W.T @ W + np.diag(self.prior_weights**2)
+    def moved(self, z: Float[Array, " n_p"], there: Evaluation) -> LinearModel:
+        """Return the linear model about other values of the parameters."""
+        model = linear_model(
+            self.evaluate.problem,
+            self.configurations,
+            z=z,
+            response=there.response,
+            delta_e=there.delta_e,
+        )
+        return model.with_scale(self.linear.scale)
 
 
 def first_order_holds(
     problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
     *,
     z: Float[Array, " n_p"],
     at: Evaluation,
-    spread: Uncertainty,
+    linear: LinearModel,
     quantile: float,
     which: Sequence[int],
 ) -> list[bool]:
@@ -78,31 +70,30 @@ def first_order_holds(
 
     Args:
         problem: The calibration.
+        configurations: The configurations that were fitted.
         z: Where the fit ended, scaled [-].
         at: Evaluation there.
-        spread: Uncertainty by the noise.
+        linear: Its linear model, in units of the noise.
         quantile: Standard errors between the fit and an end [-].
         which: Indices of the parameters; each must have a standard error.
 
     Raises:
         LowerCostFound: If the cost is lower at an end than at the fit.
     """
-    weights = np.asarray(problem.space.prior_weights())
     sides = [(column, sign) for column in which for sign in (-1, 1)]
-    lanes = len(sides) * len(problem.configurations.gravity)
+    lanes = len(sides) * len(configurations)
     with Workers(problem.model, max(lanes, 1)) as workers:
         evaluate = Evaluator(problem, workers)
-        fit = _Checked(evaluate, np.asarray(z), at, spread, quantile, weights)
-        ends = workers.side_by_side(
-            partial(_end_holds, fit, column, sign) for column, sign in sides
-        )
+        fit = _Checked(evaluate, configurations, np.asarray(z), at, linear, quantile)
+        ends = workers.side_by_side(partial(_end_holds, fit, *side) for side in sides)
     return [low and high for low, high in zip(ends[::2], ends[1::2], strict=True)]
 
 
 def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     """Check one end."""
-    space, covariance = fit.evaluate.problem.space, fit.spread.covariance
-    free = np.isfinite(np.diag(covariance))
+    space, linear = fit.evaluate.problem.space, fit.linear
+    covariance = linear.covariance()
+    free = linear.known
     std = np.sqrt(covariance[column, column])
     if fit.quantile * std >= room_beside(space, fit.z, column, sign):
         return False
@@ -115,18 +106,20 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     there = fit.evaluate(z, fit.at.equilibrium.displacement)
     if not there.ok:
         return False
-    if float(there.cost) < float(fit.at.cost) - 0.5 * LOWER * fit.rise**2:
+    rise_of_end = (fit.quantile * linear.scale) ** 2
+    if float(there.cost) < float(fit.at.cost) - 0.5 * LOWER * rise_of_end:
         raise LowerCostFound(z, float(there.cost), float(fit.at.cost))
+    moved = fit.moved(z, there)
     # The fit stops where its slope has nearly vanished, and what is left counts here.
-    slope = np.where(fit.spread.at_bound, 0.0, fit.slope(fit.at))
-    rise = fit.cost(there) - fit.cost(fit.at) - 2.0 * slope @ step
-    left = fit.slope(there) - slope
+    slope = np.where(linear.held, 0.0, linear.slope())
+    rise = moved.squares() - linear.squares() - 2.0 * slope @ step
+    left = moved.slope() - slope
     # What ended on a bound may leave it again, now that this parameter has moved.
-    leaves = np.where(left < 0.0, up > 0.0, down < 0.0) & fit.spread.at_bound
+    leaves = np.where(left < 0.0, up > 0.0, down < 0.0) & linear.held
     others = np.flatnonzero((free & (step > down) & (step < up)) | leaves)
     others = others[others != column]
     left = left[others]
-    curvature = fit.curvature(there)[np.ix_(others, others)]
+    curvature = moved.curvature()[np.ix_(others, others)]
     fall = left @ np.linalg.lstsq(curvature, left, rcond=None)[0] if len(left) else 0.0
     roots = np.sqrt(np.maximum([rise, rise - fall], 0.0))
     return bool(np.all(np.abs(roots - fit.quantile) <= CURVED * fit.quantile))

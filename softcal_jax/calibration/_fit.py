@@ -1,33 +1,35 @@
-"""One fit: search, loop, noise, error budget, checks and predictions."""
+"""One fit, stage by stage: start, search, descend, predict, judge.
+
+    Task -> Batch -> Start -> Place -> Weighed -> Predicted -> LinearModel -> result
+
+One batch holds all configurations, the fitted ones first. The steps evaluate these
+alone; those held out are solved once with what was found, by the same program, and are
+rows without weight in the linear model.
+"""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Literal, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._agreement import (
-    Posed,
-    errors_of_all,
-    not_asked,
-    single_recordings,
-    that_stack_up,
-)
-from softcal_jax.calibration._begin import EquilibriumProgress, begin
-from softcal_jax.calibration._budget import error_budget
-from softcal_jax.calibration._build import as_sequence, build
-from softcal_jax.calibration._checked_intervals import (
-    Fitted,
-)
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._begin import Beginning, EquilibriumProgress, begin
+from softcal_jax.calibration._build import build
+from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
+    ConfigurationResult,
     configuration_results,
 )
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._considered import ConsideredErrors, considered_errors
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator, effector_errors
+from softcal_jax.calibration._held_out import held_out_responses
+from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import (
     fit_notes,
@@ -40,13 +42,13 @@ from softcal_jax.calibration._nothing_to_learn import (
     check_sensitive,
 )
 from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
-from softcal_jax.calibration._predict import predict
-from softcal_jax.calibration._problem import CalibrationProblem, n_measured
-from softcal_jax.calibration._references import check_references
-from softcal_jax.calibration._residual_checks import residual_checks
+from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._references import check_references, independent_recordings
+from softcal_jax.calibration._residual_checks import ResidualChecks, residual_checks
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
+    MultiStartResult,
     parameter_estimates,
 )
 from softcal_jax.calibration._runs import admissible
@@ -57,25 +59,55 @@ from softcal_jax.calibration._search import (
     search,
 )
 from softcal_jax.calibration._state import CalibrationSettings, initial_state
-from softcal_jax.calibration._uncertainty import Uncertainty, uncertainty
 from softcal_jax.calibration._weighing import (
-    Unknown,
+    SoughtNoise,
     Weighed,
-    unknown_noise,
+    sought_noise,
     weighed_fit,
 )
-from softcal_jax.configurations import (
-    Configuration,
-    shared_names,
-)
+from softcal_jax.configurations import Configuration, ConfigurationLanes
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers
-from softcal_jax.fields import (
-    Entry,
-    ParameterSpace,
-    Uncertain,
-    check_scopes,
-    unnamed,
+from softcal_jax.fields import ParameterSpace, Uncertain, check_scopes, unnamed
+from softcal_jax.inference import (
+    ErrorBudget,
+    LinearModel,
+    Uncertainty,
+    error_budget,
+    recording_estimates,
+    uncertainty,
 )
+from softcal_jax.sensitivity import Response
+
+
+class Task(NamedTuple):
+    """What is to be calibrated, and how; as `calibrate` is told."""
+
+    model: Model
+    space: ParameterSpace
+    fitted: tuple[Configuration, ...]
+    held_out: tuple[Configuration, ...]
+    noise: Literal["estimated", "stated"]
+    uncertain: Uncertain
+    settings: CalibrationSettings
+    newton: NewtonSettings
+    precision: float
+    starts: int
+    seed: int
+    start: Float[Array, " n_p"] | None
+
+    @property
+    def configurations(self) -> tuple[Configuration, ...]:
+        """All of them, the fitted ones first."""
+        return (*self.fitted, *self.held_out)
+
+
+class Watch(NamedTuple):
+    """Where a fit is saved and reported; see `calibrate`."""
+
+    checkpoint: str | os.PathLike[str] | None = None
+    progress: Callable[[HistoryEntry], None] | None = None
+    search_progress: Callable[[SearchProgress], None] | None = None
+    equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None
 
 
 class Resume(NamedTuple):
@@ -85,186 +117,204 @@ class Resume(NamedTuple):
     noise: CorrelatedNoise
 
 
-def fit(
-    model: Model,
-    parameters: ParameterSpace | Entry | Sequence[Entry],
-    configurations: Configuration | Sequence[Configuration],
-    *,
-    validation: Configuration | Sequence[Configuration],
-    noise: Literal["estimated", "stated"],
-    uncertain: Uncertain | None,
-    settings: CalibrationSettings | None,
-    newton: NewtonSettings | None,
-    precision: float,
-    starts: int,
-    seed: int,
-    start: Float[Array, " n_p"] | None,
-    checkpoint: str | os.PathLike[str] | None = None,
-    progress: Callable[[HistoryEntry], None] | None = None,
-    search_progress: Callable[[SearchProgress], None] | None = None,
-    equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
-    resume: Resume | None = None,
-) -> Fitted:
+class _Batch(NamedTuple):
+    """All configurations as arrays, and the calibration to those that are fitted."""
+
+    everything: CalibrationProblem
+    fitted: CalibrationProblem
+    lanes: ConfigurationLanes
+
+
+class _Start(NamedTuple):
+    """The first equilibria: an evaluator of the fitted configurations, and where."""
+
+    evaluate: Evaluator
+    begun: Beginning
+
+
+class _Place(NamedTuple):
+    """Where the steps begin, the noise that weighs them, and the search before."""
+
+    z: Float[Array, " n_p"]
+    evaluation: Evaluation
+    noise: CorrelatedNoise
+    search: MultiStartResult | None
+
+
+class _Predicted(NamedTuple):
+    """All configurations with the calibrated parameters, and their noise."""
+
+    problem: CalibrationProblem
+    response: Response
+    delta_e: Float[HostArray, "n_c n_rows 3"]
+    fits: tuple[ConfigurationResult, ...]
+    notes: tuple[str, ...]
+
+
+class _Judged(NamedTuple):
+    """What may be said of the values."""
+
+    linear: LinearModel
+    spread: Uncertainty
+    budget: ErrorBudget
+    checks: ResidualChecks
+
+
+def fit(task: Task, watch: Watch, resume: Resume | None = None) -> Fitted:
     """Calibrate as `calibrate` does, without intervals.
 
-    `resume` is where the loop begins; what is reported as start is still `start`.
+    `resume` is where the loop begins; what is reported as start is still that of the
+    task.
     """
-    settings, uncertain = settings or CalibrationSettings(), uncertain or Uncertain()
-    configurations = as_sequence(configurations)
-    validation = as_sequence(validation)
-    shared = shared_names((*configurations, *validation))
-    stack = partial(build, model, parameters, uncertain=uncertain)
-    problem, lanes = stack(configurations, newton, shared)
-    assert problem.noise is not None
-    check_scopes(problem.space, configurations)
-    check_effects(problem)
-    # Built now, so that a wrong held-out configuration is found before the fit.
-    held_out = None
-    if validation:
-        held_out = stack(validation, newton, shared)
-    names = tuple(c.name for c in configurations)
-    every = (*lanes.effectors, *(held_out[1].effectors if held_out else ()))
-    check_references((*configurations, *validation), every, fitted=configurations)
-    for c in validation:
-        if c.name in names:
-            raise ValueError(f"configuration {c.name!r} is named more than once.")
-    warn_if_too_few_data(problem)
-
-    given = () if start is None else tuple(start.tolist())
-    mark = (starts, seed, *given, noise, uncertain.recordings)
-    journal = Journal(problem, settings, checkpoint, progress, search=mark)
-    most = starts * max(len(configurations), 2 * len(validation))
-    with journal, Clock() as clock, Workers(model, most) as workers:
-        evaluate = Evaluator(problem, workers)
-        first = _admissible(problem.space, start)
-        begun = begin(evaluate, first, names, equilibrium_progress)
-        before = there = begun.evaluation
-        if begun.notes:
-            first = start = begun.z
-        check_cost(problem, before, names)
-        check_sensitive(problem, before)
-        found, place, weights = None, first, problem.noise
-        if resume is not None:
-            place, weights = resume
-            evaluate = evaluate.with_noise(weights)
-            there = evaluate.from_rest(place)
-        elif starts > 1:
-            others = random_starts(problem.space, starts - 1, seed=seed)
-            found = search(
-                evaluate,
-                FROM_ANYWHERE,
-                jnp.concatenate([first[None], others]),
-                mirror=True,
-                journal=journal,
-                progress=search_progress,
-            )
-            place = jnp.asarray(found.z[found.best])
-            there = evaluate.from_rest(place)
-        state, weights = journal.begin(initial_state(settings, place, there), weights)
-        unknown = unknown_noise(
-            configurations,
-            jitter=noise == "estimated",
-            offset=uncertain.recordings == "estimated",
-        )
-        to_its_end = partial(
-            weighed_fit,
-            evaluate.with_noise(weights),
-            settings,
-            state,
-            unknown=unknown,
-            motion=np.asarray(problem.noise.motion),
-            note=journal.note,
-        )
-        weighed = _to_its_end(to_its_end, journal, unknown)
-        begin_noise, state = problem.noise, weighed.state
-        problem = problem.with_noise(weighed.noise)
-        evaluation, (fitted, arrays) = state.evaluation, problem.at(state.z)
-        offsets = attachment_offsets(problem, configurations, lanes, evaluation)
-        fits = configuration_results(
-            fitted,
-            configurations,
-            with_offsets(configurations, lanes._replace(arrays=arrays), offsets),
-            role="calibration",
-            before=before.effectors,
-            after=evaluation.effectors,
-            W_ep=evaluation.compliance,
-            solution=evaluation.equilibrium,
-            noise=weighed.noise,
-        )
-        spread = _uncertainty(problem, state.z, evaluation, noise, weighed.scale)
-        predicted, missing, others = (), [], None
-        if held_out is not None:
-            other, records = held_out
-            assert begin_noise is not None
-            assert other.noise is not None
-            weights = weighed.of_others(begin_noise, other.noise, validation)
-            other = other.with_noise(weights)
-            predicted, missing, others = predict(
-                workers,
-                validation,
-                other,
-                with_offsets(validation, records, offsets),
-                start=first,
-                z=state.z,
-            )
-        posed = Posed(configurations, problem, evaluation)
-        parts = that_stack_up(posed, others)
-        errors = errors_of_all(workers, parts, uncertain, state.z)
-        budget = error_budget(
-            problem,
-            configurations,
-            uncertain,
-            errors.by_cause(len(configurations)),
-            z=state.z,
-            at=evaluation,
-            spread=spread,
-        )
-        checks = residual_checks(
-            problem,
-            configurations,
-            state=state,
-            W_c=budget.W_c,
-            spread=spread,
-            fits=fits,
-        )
-        singles = single_recordings(parts, errors, z=state.z, spread=spread)
-        checks = replace(checks, recordings=singles)
-        fits += predicted
+    batch = _batch(task)
+    journal = _journal(task, watch, batch)
+    most = task.starts * max(len(task.fitted), 2 * len(task.held_out))
+    with journal, Clock() as clock, Workers(task.model, most) as workers:
+        start = _start(task, watch, batch, workers)
+        place = _place(task, watch, start, journal, resume)
+        weighed = _descended(task, start, place, journal)
+        predicted = _predicted(task, batch, start, weighed)
+        judged = _judged(task, weighed, predicted, workers)
+    state, space = weighed.state, task.space
+    first = task.start if not start.begun.notes else start.begun.z
     result = CalibrationResult(
         converged=bool(state.converged),
-        parameters=parameter_estimates(problem.space, state.z, spread, budget, start),
-        uncertainty=spread,
-        budget=budget,
-        configurations=fits,
+        parameters=parameter_estimates(
+            space, state.z, judged.spread, judged.budget, first
+        ),
+        uncertainty=judged.spread,
+        budget=judged.budget,
+        configurations=predicted.fits,
         history=tuple(journal.history),
-        space=problem.space,
-        model=fitted,
+        space=space,
+        model=space.model_at(task.model, state.z),
         z=state.z,
-        W_ep=np.asarray(evaluation.W_ep),
-        settings=settings,
-        newton=problem.newton,
+        linear=judged.linear,
+        settings=task.settings,
+        newton=task.newton,
         noise=weighed.noise,
         noise_settled=weighed.settled,
-        checks=checks,
+        checks=judged.checks,
         timing_s=clock.seconds,
         notes=(
-            *begun.notes,
-            *(() if journal.interrupted else fit_notes(state, settings)),
+            *start.begun.notes,
+            *(() if journal.interrupted else fit_notes(state, task.settings)),
             *journal.notes,
             *weighed.notes,
-            *missing,
-            *(not_asked(posed, others) if spread.has_noise else ()),
-            *result_notes(problem, fits, state.z, spread),
+            *predicted.notes,
+            *result_notes(batch.fitted, predicted.fits, state.z, judged.spread),
         ),
-        starts=found,
-        precision=precision,
+        starts=place.search,
+        precision=task.precision,
         interrupted=journal.interrupted,
     )
-    return Fitted(result, problem, evaluation)
+    problem = batch.fitted.with_noise(weighed.noise)
+    return Fitted(result, problem, task.fitted, state.evaluation)
+
+
+def _batch(task: Task) -> _Batch:
+    """Stack all configurations, and check them before the first solve."""
+    everything, lanes = build(
+        task.model,
+        task.space,
+        task.configurations,
+        task.newton,
+        uncertain=task.uncertain,
+    )
+    fitted = everything.of_first(len(task.fitted))
+    check_scopes(task.space, task.fitted)
+    check_effects(fitted)
+    check_references(task.configurations, lanes.effectors, fitted=task.fitted)
+    names = [c.name for c in task.configurations]
+    for c in task.held_out:
+        if names.count(c.name) > 1:
+            raise ValueError(f"configuration {c.name!r} is named more than once.")
+    warn_if_too_few_data(fitted)
+    return _Batch(everything, fitted, lanes)
+
+
+def _journal(task: Task, watch: Watch, batch: _Batch) -> Journal:
+    """Open the history; a checkpoint is of one set of starts and one noise."""
+    start = () if task.start is None else tuple(task.start.tolist())
+    mark = (task.starts, task.seed, *start, task.noise, task.uncertain.recordings)
+    return Journal(
+        batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
+    )
+
+
+def _start(task: Task, watch: Watch, batch: _Batch, workers: Workers) -> _Start:
+    """Solve the first equilibria, with moduli raised where there are none."""
+    evaluate = Evaluator(batch.fitted, workers)
+    z = task.space.start() if task.start is None else task.start
+    if z.shape != (len(task.space.names),):
+        raise ValueError(
+            f"start must have one scaled value for each of the {len(task.space.names)} "
+            f"parameters, got shape {z.shape}."
+        )
+    first = admissible(unnamed(task.space), z)
+    names = [c.name for c in task.fitted]
+    begun = begin(evaluate, first, names, watch.equilibrium_progress)
+    check_cost(batch.fitted, begun.evaluation, names)
+    check_sensitive(batch.fitted, begun.evaluation)
+    return _Start(evaluate, begun)
+
+
+def _place(
+    task: Task,
+    watch: Watch,
+    start: _Start,
+    journal: Journal,
+    resume: Resume | None,
+) -> _Place:
+    """Return where the steps begin: after a search, where one is asked for."""
+    evaluate, (first, evaluation, _) = start
+    noise = evaluate.problem.noise
+    assert noise is not None
+    if resume is not None:
+        evaluate = evaluate.with_noise(resume.noise)
+        return _Place(resume.z, evaluate.from_rest(resume.z), resume.noise, None)
+    if task.starts == 1:
+        return _Place(first, evaluation, noise, None)
+    others = random_starts(task.space, task.starts - 1, seed=task.seed)
+    runs = search(
+        evaluate,
+        FROM_ANYWHERE,
+        jnp.concatenate([first[None], others]),
+        mirror=True,
+        journal=journal,
+        progress=watch.search_progress,
+    )
+    z = jnp.asarray(runs.z[runs.best])
+    return _Place(z, evaluate.from_rest(z), noise, runs)
+
+
+def _descended(task: Task, start: _Start, place: _Place, journal: Journal) -> Weighed:
+    """Take steps to the optimum, and weigh the data by the noise that they show."""
+    state, noise = journal.begin(
+        initial_state(task.settings, place.z, place.evaluation), place.noise
+    )
+    sought = sought_noise(
+        task.fitted,
+        jitter=task.noise == "estimated",
+        offset=task.uncertain.recordings == "estimated",
+    )
+    as_measured = start.evaluate.problem.noise
+    assert as_measured is not None
+    to_its_end = partial(
+        weighed_fit,
+        start.evaluate.with_noise(noise),
+        task.settings,
+        state,
+        configurations=task.fitted,
+        sought=sought,
+        motion=np.asarray(as_measured.motion),
+        note=journal.note,
+    )
+    return _to_its_end(to_its_end, journal, sought)
 
 
 def _to_its_end(
-    run: Callable[[], Weighed], journal: Journal, unknown: Unknown
+    run: Callable[[], Weighed], journal: Journal, sought: SoughtNoise
 ) -> Weighed:
     """Run a fit to its end, or to its last step before the user interrupts it."""
     if not journal.interrupted:
@@ -283,36 +333,105 @@ def _to_its_end(
     return Weighed(
         state=state,
         noise=noise,
-        unknown=unknown,
+        sought=sought,
         scale=None,
         notes=(note,),
         settled=True,
     )
 
 
-def _admissible(
-    space: ParameterSpace, start: Float[Array, " n_p"] | None
-) -> Float[Array, " n_p"]:
-    """Return the first start, moved within bounds and order."""
-    if start is None:
-        start = space.start()
-    if start.shape != (len(space.names),):
-        raise ValueError(
-            f"start must have one scaled value for each of the {len(space.names)} "
-            f"parameters, got shape {start.shape}."
-        )
-    return admissible(unnamed(space), start)
-
-
-def _uncertainty(
-    problem: CalibrationProblem, z, at: Evaluation, noise, scale: float | None
-) -> Uncertainty:
-    return uncertainty(
-        np.asarray(at.W_ep),
-        np.asarray(at.error),
-        n_measured=n_measured(problem),
-        at_bound=problem.space.at_bound(z),
+def _predicted(
+    task: Task, batch: _Batch, start: _Start, weighed: Weighed
+) -> _Predicted:
+    """Describe all configurations at the optimum; solve those that were held out."""
+    z, n_fitted, everything = weighed.state.z, len(task.fitted), batch.everything
+    at, notes = weighed.state.evaluation, ()
+    before, response = start.begun.evaluation.response.effectors, at.response
+    if task.held_out:
+        others = Evaluator(everything.without_first(n_fitted), start.evaluate.workers)
+        held = held_out_responses(others, task.held_out, start=start.begun.z, z=z)
+        join = lambda *parts: np.concatenate([*map(np.asarray, parts)])
+        before, notes = join(before, held.before), held.notes
+        response = jax.device_put(jax.tree.map(join, response, held.response))
+    assert everything.noise is not None
+    noise = weighed.of_all(everything.noise, task.configurations)
+    problem = everything.with_noise(noise)
+    offsets = attachment_offsets(batch.fitted, task.fitted, batch.lanes, at.delta_e)
+    lanes = batch.lanes._replace(arrays=everything.at(z)[1])
+    fits = configuration_results(
+        task.space.model_at(task.model, z),
+        task.configurations,
+        with_offsets(task.configurations, lanes, offsets),
+        n_fitted=n_fitted,
+        before=before,
+        response=response,
         noise=noise,
-        prior_weights=np.asarray(problem.space.prior_weights()),
-        scale=scale,
     )
+    delta_e = np.asarray(effector_errors(problem, response.effectors))
+    return _Predicted(problem, response, delta_e, fits, notes)
+
+
+def _judged(
+    task: Task, weighed: Weighed, predicted: _Predicted, workers: Workers
+) -> _Judged:
+    """Judge the values by the linear model at the optimum."""
+    z, n_fitted, problem = weighed.state.z, len(task.fitted), predicted.problem
+    doubts = considered_errors(
+        workers,
+        problem,
+        task.configurations,
+        task.uncertain,
+        z=z,
+        equilibrium=predicted.response.equilibrium,
+    )
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    linear = linear_model(
+        problem,
+        task.configurations,
+        z=z,
+        response=predicted.response,
+        delta_e=predicted.delta_e,
+        n_fitted=n_fitted,
+        considered=doubts.in_std(n_fitted, weight.reshape(len(weight), -1)),
+    )
+    spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
+    noise_is_known = bool(np.isfinite(spread.noise_scale))
+    linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
+    budget = error_budget(
+        linear.of_fit(),
+        task.space,
+        z,
+        noise_is_known=noise_is_known,
+        unknown=doubts.unknown(n_fitted),
+    )
+    checks = residual_checks(
+        linear.of_fit(),
+        task.fitted,
+        effectors=problem.of_first(n_fitted).configurations.effectors,
+        spread=spread,
+        fits=predicted.fits[:n_fitted],
+    )
+    recordings = recording_estimates(
+        linear,
+        _witnesses(task, doubts),
+        space=task.space,
+        z=z,
+        spread=spread,
+    )
+    return _Judged(linear, spread, budget, replace(checks, recordings=recordings))
+
+
+def _witnesses(task: Task, doubts: ConsideredErrors) -> list[str | None]:
+    """Return the recording of each configuration that may be asked alone.
+
+    None for those held out of a recording that is fitted, too, and where the error of
+    the mesh, which counts elsewhere, is not known.
+    """
+    recordings = independent_recordings(task.configurations)
+    n = len(task.fitted)
+    known = [True] * len(recordings) if doubts.mesh is None else doubts.mesh.known
+    counts = doubts.mesh is None or not np.all(doubts.mesh.known[:n])
+    return [
+        name if k < n or (name not in recordings[:n] and (counts or known[k])) else None
+        for k, name in enumerate(recordings)
+    ]

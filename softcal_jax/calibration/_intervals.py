@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from softcal_jax._names import unknown_name
 from softcal_jax.calibration._build import as_sequence, build_problem
 from softcal_jax.calibration._checked_intervals import (
@@ -97,8 +95,7 @@ def profile_intervals(
         problem,
         result.settings,
         z=result.z,
-        W_ep=np.asarray(now.W_ep),
-        cost=cost,
+        rows=now.rows,
         rise=rise,
         which=[space.names.index(name) for name in names],
     )

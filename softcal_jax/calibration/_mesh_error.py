@@ -48,12 +48,11 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference import REMEDIES
 from softcal_jax.mesh import Refinement, node_indices
 from softcal_jax.sensitivity import stiffness_row
 
-REMEDIES = {"locking": "use quadratic tets", "refinement": "take a finer mesh"}
-"""What helps against the error, by its name: that of linear tets, of quadratic ones."""
-
+LOCKING, REFINEMENT = REMEDIES
 MOST_TETS = {1: 50_000, 2: 12_500}
 """Most tets whose error is estimated, by order: the finer mesh has at most 100 000
 quadratic tets, hence about 150 000 nodes."""
@@ -108,7 +107,7 @@ def mesh_errors(
             stiffness.
     """
     model, n_c = problem.model, len(configurations)
-    name = "locking" if model.mesh.order == 1 else "refinement"
+    name = LOCKING if model.mesh.order == 1 else REFINEMENT
     if of_stiffness.size == 0:
         return MeshErrors(name, of_stiffness, np.ones(n_c, bool))
     unknown = MeshErrors(name, of_stiffness, np.zeros(n_c, bool))

@@ -14,9 +14,9 @@ by (I + A A^T)^-1/2, after which they are independent with the variance s^2 in u
 sec. 2.1.4).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, overload
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration._references import attachments
 from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
 from softcal_jax.fields import OFFSET, ParameterSpace, SetupParameter, Uncertain
+from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
 
 AnyArray = Array | HostArray
 
@@ -105,69 +106,51 @@ class CorrelatedNoise(Module):
 
     def attachment_offsets(
         self,
-        delta_e: Float[HostArray, "n_c n_rows 3"],
-        weight: Float[HostArray, "n_c n_rows 3"],
+        effectors: EffectorArrays,
+        delta_e: Float[AnyArray, "n_c n_rows 3"],
+        fitted: Bool[HostArray, " n_c"] | None = None,
     ) -> Float[HostArray, "n_attachments 3"]:
         """Return what the errors of each have in common, by least squares [m, rad].
 
         Args:
+            effectors: The effectors.
             delta_e: Simulated minus measured values of the effectors.
-            weight: 1 / standard deviations.
+            fitted: Configurations that they are found from; by default all.
         """
-        has, B = self._attached()
-        weighed = np.asarray(weight)[has] ** 2 * np.asarray(delta_e)[has]
-        right = np.zeros((self.attachment_std.shape[-1], 3))
-        along = np.einsum("rxy,rx->ry", B, weighed)
-        np.add.at(right, np.asarray(self.attachment)[has], along)
-        inverse = np.linalg.pinv(self._attachment_weights(weight), hermitian=True)
-        return np.einsum("axy,ay->ax", inverse, right)
-
-    def n_attachment_offsets(self, weight: Float[HostArray, "n_c n_rows 3"]) -> int:
-        """Return how many coordinates of offsets are found from the data."""
-        total = self._attachment_weights(weight)
-        return int(np.sum(np.linalg.matrix_rank(total, hermitian=True)))
+        weight = np.asarray(effectors.inverse_std)
+        rows = np.ones(len(weight), bool) if fitted is None else fitted
+        A, errors = self._attached(effectors), weight * np.asarray(delta_e)
+        share, *_ = np.linalg.lstsq(
+            A[rows].reshape(-1, A.shape[-1]), errors[rows].ravel(), rcond=RANK
+        )
+        return share.reshape(-1, 3) * np.asarray(self.attachment_std)[:, None]
 
     def without_attachments(
         self,
-        delta_e: Float[HostArray, "n_c n_rows 3"],
-        weight: Float[HostArray, "n_c n_rows 3"],
+        effectors: EffectorArrays,
+        delta_e: Float[AnyArray, "n_c n_rows 3"],
         fitted: Bool[HostArray, " n_c"] | None = None,
     ) -> Float[HostArray, "n_c n_rows 3"]:
         """Subtract from errors what those of each attachment have in common.
 
-        Args:
-            delta_e: Simulated minus measured values of the effectors.
-            weight: 1 / standard deviations.
-            fitted: Configurations that the offsets are found from; by default all.
+        Arguments are those of `attachment_offsets`.
         """
         if self.attachment_std.shape[-1] == 0:
             return np.asarray(delta_e)
-        known = np.asarray(weight)
-        if fitted is not None:
-            known = np.where(fitted[:, None, None], known, 0.0)
-        offsets = self.attachment_offsets(delta_e, known)
-        has, B = self._attached()
-        rest = np.array(delta_e)
-        of = np.asarray(self.attachment)[has]
-        rest[has] -= np.einsum("rxy,ry->rx", B, offsets[of])
-        return np.where(np.asarray(weight) > 0.0, rest, 0.0)
+        weight = np.asarray(effectors.inverse_std)
+        offsets = self.attachment_offsets(effectors, delta_e, fitted)
+        share = offsets / np.asarray(self.attachment_std)[:, None]
+        common = self._attached(effectors) @ share.ravel()
+        std = 1.0 / np.where(weight > 0.0, weight, np.inf)
+        return np.where(weight > 0.0, np.asarray(delta_e) - std * common, 0.0)
 
     def _attached(
-        self,
-    ) -> tuple[Bool[HostArray, "n_c n_rows"], Float[HostArray, "n 3 3"]]:
-        """Return which rows have an attachment, and the axes of these."""
-        has = np.asarray(self.attachment) >= 0
-        return has, np.asarray(self.attachment_axes)[has]
-
-    def _attachment_weights(
-        self, weight: Float[HostArray, "n_c n_rows 3"]
-    ) -> Float[HostArray, "n_attachments 3 3"]:
-        """Return the normal matrix of the offset of each."""
-        has, B = self._attached()
-        squares = np.einsum("rxy,rx,rxz->ryz", B, np.asarray(weight)[has] ** 2, B)
-        total = np.zeros((self.attachment_std.shape[-1], 3, 3))
-        np.add.at(total, np.asarray(self.attachment)[has], squares)
-        return total
+        self, effectors: EffectorArrays
+    ) -> Float[HostArray, "n_c n_rows 3 n_columns"]:
+        """Return the columns of the attachments, per stated standard deviation."""
+        noise, effectors = jax.tree.map(np.asarray, (self, effectors))
+        A = noise.columns(effectors)[:, self.n_common :] * noise.jitter
+        return np.asarray(A).reshape(*np.shape(effectors.inverse_std), -1)
 
     def following(
         self,
@@ -188,6 +171,20 @@ class CorrelatedNoise(Module):
         moved = np.array(measured)
         moved[:, :n_points] += np.asarray(delta_e)[:, :n_points]
         return replace(self, motion=_on_device(moved, like=self.motion))
+
+    def moving(
+        self, motion: Float[AnyArray, "n n_rows 3"], first: int
+    ) -> "CorrelatedNoise":
+        """Return it with another motion of the first few configurations [m]."""
+        moved = np.array(self.motion)
+        moved[:first] = motion
+        return replace(self, motion=_on_device(moved, like=self.motion))
+
+    def of_first(self, n: int) -> "CorrelatedNoise":
+        """Return that of the first few configurations of the batch."""
+        per_lane = ("recording", "offset", "motion", "share")
+        per_lane += ("attachment", "attachment_axes")
+        return replace(self, **{name: getattr(self, name)[:n] for name in per_lane})
 
     def scaled(
         self, *, jitter: float, offset: float, share: float, of: Bool[HostArray, " n_c"]
@@ -212,38 +209,6 @@ class CorrelatedNoise(Module):
 def _on_device(new: Any, *, like: Float[AnyArray, "..."]) -> Float[Array, "..."]:
     """Put values on the device, typed like others, without a program of its own."""
     return jax.device_put(np.asarray(new, like.dtype))
-
-
-@overload
-def whitened(A: HostArray, x: HostArray) -> HostArray: ...
-
-
-@overload
-def whitened(A: Array, x: Array) -> Array: ...
-
-
-def whitened(
-    A: Float[AnyArray, "n_e n_columns"], x: Float[AnyArray, "n_e ..."]
-) -> Float[AnyArray, "n_e ..."]:
-    """Compute (I + A A^T)^-1/2 x.
-
-    With A^T A = P diag(a^2) P^T and r = sqrt(1 + a^2) it is
-    x - A P diag(1 / (r (1 + r))) P^T A^T x, which is regular at a = 0.
-    """
-    xp = jnp if isinstance(A, jax.Array) else np
-    square, P = xp.linalg.eigh(A.T @ A)
-    root = xp.sqrt(1.0 + xp.maximum(square, 0.0))
-    along = (P / (root * (1.0 + root))[None, :]) @ (P.T @ (A.T @ x))
-    return x - A @ along
-
-
-def coloured(
-    A: Float[HostArray, "n_e n_columns"], x: Float[HostArray, "n_e ..."]
-) -> Float[HostArray, "n_e ..."]:
-    """Compute (I + A A^T)^1/2 x, the inverse of `whitened`."""
-    square, P = np.linalg.eigh(A.T @ A)
-    root = np.sqrt(1.0 + np.maximum(square, 0.0))
-    return x + A @ ((P / (1.0 + root)[None, :]) @ (P.T @ (A.T @ x)))
 
 
 def correlated_noise(
@@ -330,37 +295,36 @@ def not_calibrated(
     return free
 
 
-def named_columns(
-    configurations: Sequence[Configuration],
-    noise: CorrelatedNoise,
+def noise_columns(
+    noise: CorrelatedNoise | None,
     effectors: EffectorArrays,
-) -> Mapping[str, Mapping[str, Float[HostArray, " n_e"]]]:
-    """Return the columns of U Sigma^1/2 that are not zero, by cause and name.
-
-    Those of attachments are left out: a fit to displacements does not feel them.
+    configurations: Sequence[Configuration],
+) -> ErrorColumns:
+    """Return the columns A of a noise on the host, by cause and name, without zeros.
 
     Args:
-        configurations: The configurations.
-        noise: Their noise.
-        effectors: Their effectors.
-
-    Returns:
-        Columns in the units of the effectors.
+        noise: The noise; None for one without columns.
+        effectors: The effectors of a batch.
+        configurations: Its configurations.
     """
-    noise, effectors = jax.tree.map(np.asarray, (noise, effectors))
-    weight = effectors.inverse_std.reshape(-1, 1)
-    std = 1.0 / np.where(weight > 0.0, weight, np.inf)
-    U = std * np.asarray(noise.columns(effectors)) * noise.jitter
+    host, effectors = jax.tree.map(np.asarray, (noise, effectors))
+    if host is None:
+        return no_errors(effectors.inverse_std.size)
+    A = np.asarray(host.columns(effectors))
     recordings = recording_names(configurations)
     several = len(set(recordings)) > 1
-    names = [
+    labels = [
         (RECORDINGS, f"recording_offset {axis}" + f" in {name}" * several)
         for name in recordings
         for axis in AXES
     ]
-    names += [(CREEP, f"creep in {c.name}") for c in configurations]
-    found: dict[str, dict[str, HostArray]] = {}
-    for (cause, name), column in zip(names, U.T[: noise.n_common], strict=True):
-        if np.any(column):
-            found.setdefault(cause, {})[name] = column
-    return found
+    labels += [(CREEP, creep_of(c)) for c in configurations]
+    labels += [(ATTACHMENTS, "")] * (A.shape[1] - len(labels))
+    used = np.flatnonzero(np.any(A != 0.0, axis=0))
+    causes, names = (tuple(labels[k][i] for k in used) for i in (0, 1))
+    return ErrorColumns(A[:, used], causes, names)
+
+
+def creep_of(configuration: Configuration) -> str:
+    """Name the share of the motion of a configuration that is noise."""
+    return f"creep in {configuration.name}"

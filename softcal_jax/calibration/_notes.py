@@ -11,10 +11,10 @@ from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._problem import CalibrationProblem, n_measured
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
-from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace, SetupParameter
+from softcal_jax.inference import Uncertainty
 
 EQUAL = 1e-6
 """Difference of scaled parameters below which they count as equal [-]."""

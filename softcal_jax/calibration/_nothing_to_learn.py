@@ -110,8 +110,9 @@ def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
         ValueError: If none does; the text names the parameters.
     """
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    size = np.max(weight * np.abs(np.asarray(first.effectors)), initial=0.0)
-    W = np.asarray(first.W_ep)
+    effectors = np.abs(np.asarray(first.response.effectors))
+    size = np.max(weight * effectors, initial=0.0)
+    W = np.asarray(first.rows.W)[: weight.size]
     if not np.all(np.isfinite(W)) or np.max(np.abs(W)) > ROUNDING * size:
         return
     names = ", ".join(map(repr, problem.space.names))
@@ -136,9 +137,9 @@ def check_cost(
         ValueError: If a standard deviation is so small that the cost overflows; the
             text names it.
     """
-    error, prior = np.asarray(first.error), np.asarray(first.prior)
+    error = np.asarray(first.rows.error)
     with np.errstate(over="ignore", invalid="ignore"):
-        if np.isfinite(np.sum(error**2) + np.sum(prior**2)):
+        if np.isfinite(error @ error):
             return
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     c = int(np.argmax(np.max(weight, axis=(1, 2))))

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration._evaluation import Evaluation
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._references import Attachment, attachments
 from softcal_jax.configurations import Configuration, ConfigurationLanes
@@ -19,16 +18,17 @@ def attachment_offsets(
     problem: CalibrationProblem,
     configurations: Sequence[Configuration],
     lanes: ConfigurationLanes,
-    evaluation: Evaluation,
+    delta_e: Float[Array, "n_c n_rows 3"],
 ) -> Offsets:
     """Return the offset of every effector whose displacement was fitted."""
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
-    keys = attachments(configurations, lanes.effectors, weight.shape[1]).keys
+    effectors = problem.configurations.effectors
+    n_rows = effectors.measured.shape[1]
+    keys = attachments(configurations, lanes.effectors, n_rows).keys
     if not keys:
         return {}
     assert problem.noise is not None
-    found = problem.noise.attachment_offsets(np.asarray(evaluation.delta_e), weight)
-    return dict(zip(keys, found, strict=True))
+    offsets = problem.noise.attachment_offsets(effectors, delta_e)
+    return dict(zip(keys, offsets, strict=True))
 
 
 def with_offsets(

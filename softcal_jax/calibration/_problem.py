@@ -9,13 +9,14 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._noise import CorrelatedNoise, whitened
+from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
 )
 from softcal_jax.fields import ParameterSpace, unnamed
+from softcal_jax.inference import Whitened, span, whitened_rows
 
 T = TypeVar("T")
 
@@ -46,34 +47,36 @@ class CalibrationProblem(Module):
             configurations = jax.vmap(apply)(configurations)
         return model, configurations
 
-    def in_noise_units(self, x: Float[Array, "n_e ..."]) -> Float[Array, "n_e ..."]:
-        """Convert stacked values from the units of the effectors to those of the noise.
-
-        They are divided by the standard deviations and made independent, see
-        `CorrelatedNoise` [-].
-        """
+    def noise_columns(self) -> Float[Array, "n_e n_columns"]:
+        """Return A of the noise in a program, see `CorrelatedNoise` [-]."""
         effectors = self.configurations.effectors
-        weight = jnp.asarray(effectors.inverse_std)
-        x = weight.reshape(-1, *(1,) * (x.ndim - 1)) * x
         if self.noise is None:
-            return x
-        return whitened(jnp.asarray(self.noise.columns(effectors)), x)
+            return jnp.zeros((effectors.inverse_std.size, 0))
+        return jnp.asarray(self.noise.columns(effectors))
 
-    def on_host_in_noise_units(
-        self, x: Float[HostArray, "n_e ..."]
-    ) -> Float[HostArray, "n_e ..."]:
-        """Convert as `in_noise_units`, without a compiled program for each shape."""
-        weight = np.asarray(self.configurations.effectors.inverse_std)
-        return whitened(
-            self.noise_columns(), weight.reshape(-1, *(1,) * (x.ndim - 1)) * x
+    def rows(
+        self,
+        z: Float[AnyArray, " n_p"],
+        delta_e: Float[AnyArray, "n_c n_rows 3"],
+        compliance: Float[AnyArray, "n_e n_p"],
+    ) -> Whitened:
+        """Return errors and their derivatives in units of the noise, priors behind.
+
+        The QP of Eq. (10) is of these rows.
+
+        Args:
+            z: Scaled parameters [-].
+            delta_e: Simulated minus measured values.
+            compliance: W_ep in the units of the effectors.
+        """
+        weight = jnp.ravel(jnp.asarray(self.configurations.effectors.inverse_std))
+        return whitened_rows(
+            self.noise_columns(),
+            error=weight * jnp.ravel(delta_e),
+            W=weight[:, None] * compliance,
+            from_prior=jnp.asarray(self.level) * self.space.from_prior(z),
+            prior_weights=jnp.asarray(self.level) * self.space.prior_weights(),
         )
-
-    def noise_columns(self) -> Float[HostArray, "n_e n_columns"]:
-        """Return A of the noise on the host, see `CorrelatedNoise` [-]."""
-        effectors = jax.tree.map(np.asarray, self.configurations.effectors)
-        if self.noise is None:
-            return np.zeros((effectors.inverse_std.size, 0))
-        return np.asarray(jax.tree.map(np.asarray, self.noise).columns(effectors))
 
     @property
     def level(self) -> Float[Array | HostArray, ""] | float:
@@ -84,13 +87,19 @@ class CalibrationProblem(Module):
         """
         return 1.0 if self.noise is None else self.noise.jitter
 
-    def prior_weights(self) -> Float[Array, " n_p"]:
-        """Return 1 / standard deviations of the prior, in units of the errors [-]."""
-        return jnp.asarray(self.level) * self.space.prior_weights()
+    def of_first(self, n: int) -> "CalibrationProblem":
+        """Return the calibration to the first few configurations."""
+        of_lanes = self.with_noise(None).of_lanes(slice(n))
+        return of_lanes.with_noise(self.noise and self.noise.of_first(n))
 
-    def from_prior(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Return distances from the prior, in units of the errors [-]."""
-        return jnp.asarray(self.level) * self.space.from_prior(z)
+    def without_first(self, n: int) -> "CalibrationProblem":
+        """Return the calibration to the others, without a noise."""
+        return self.with_noise(None).of_lanes(slice(n, None))
+
+    def of_lanes(self, which: slice) -> "CalibrationProblem":
+        """Return the calibration to some configurations; it must have no noise."""
+        some = lane_of(self.configurations, which)
+        return eqx.tree_at(lambda p: p.configurations, self, some)
 
     def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
         """Return the calibration with another noise."""
@@ -108,7 +117,9 @@ def without_names(problem: CalibrationProblem) -> CalibrationProblem:
 
 
 def n_measured(problem: CalibrationProblem) -> int:
-    """Return the number of measured coordinates, less those that find offsets."""
+    """Return the number of measured coordinates, less those that find mountings."""
+    A = np.asarray(problem.noise_columns())
+    n_common = 0 if problem.noise is None else problem.noise.n_common
+    spent = span(A[:, n_common:]).shape[1]
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    spent = 0 if problem.noise is None else problem.noise.n_attachment_offsets(weight)
     return int(np.sum(weight > 0.0)) - spent

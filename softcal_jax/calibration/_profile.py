@@ -24,6 +24,7 @@ from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Pin
+from softcal_jax.inference import Whitened
 
 FIRM = 10.0
 """Precision of the pin of a held parameter, relative to that of the data [-].
@@ -75,8 +76,7 @@ def profile_ends(
     settings: CalibrationSettings,
     *,
     z: Float[Array, " n_p"],
-    W_ep: Float[HostArray, "n_e n_p"],
-    cost: float,
+    rows: Whitened,
     rise: float,
     which: Sequence[int],
 ) -> list[tuple[ProfileEnd, ProfileEnd]]:
@@ -90,8 +90,7 @@ def profile_ends(
         problem: The calibration.
         settings: Settings of the outer loop, for the fits along the profile.
         z: Where the calibration ended, scaled [-].
-        W_ep: Stacked compliances there, in noise units [-].
-        cost: Half the sum of squared errors there, in noise units [-].
+        rows: Its errors and compliances there, in noise units, priors included [-].
         rise: Root of the rise of twice the cost at the end of an interval [-].
         which: Indices of the parameters.
 
@@ -104,7 +103,7 @@ def profile_ends(
     space = problem.space
     # The covariance to first order; the bounds count, to keep it finite.
     size = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
-    known = 1.0 / size**2 + np.asarray(problem.prior_weights()) ** 2
+    error, W = map(np.asarray, rows)
     sides = [(column, sign) for column in which for sign in (-1, 1)]
     lanes = len(sides) * len(problem.configurations.gravity)
     with Workers(problem.model, lanes) as workers:
@@ -112,9 +111,9 @@ def profile_ends(
             evaluate=Evaluator(problem, workers),
             settings=settings,
             z=np.asarray(z),
-            cost=cost,
+            cost=0.5 * float(error @ error),
             rise=rise,
-            covariance=np.linalg.inv(W_ep.T @ W_ep + np.diag(known)),
+            covariance=np.linalg.inv(W.T @ W + np.diag(size**-2.0)),
         )
         ends = workers.side_by_side(
             partial(_end, _Profile(at, column, sign)) for column, sign in sides
@@ -294,5 +293,5 @@ def _without_pin(problem: CalibrationProblem, pin: Pin, z, cost):
     space = problem.space
     middle = space.start().at[pin.column].set(pin.value)
     far = space.shorter(z - middle)[pin.column]
-    own = problem.from_prior(z)[pin.column]
+    own = problem.level * space.from_prior(z)[pin.column]
     return far, cost - 0.5 * (problem.level * pin.weight * far) ** 2 + 0.5 * own**2

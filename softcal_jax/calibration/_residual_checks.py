@@ -2,33 +2,28 @@
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from scipy.special import chdtrc
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
-from softcal_jax.calibration._agreement import (
-    RecordingEstimate,
-    agreement_sentences,
-    disagreeing,
-)
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._noise import coloured
-from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._residuals import (
+from softcal_jax.configurations import Configuration, EffectorArrays
+from softcal_jax.inference import (
+    UNLIKELY,
     LackOfFit,
-    LinearFit,
-    Prediction,
+    LinearModel,
+    PosePrediction,
+    RecordingEstimate,
+    Uncertainty,
+    agreement_sentences,
     chance,
+    disagreeing,
+    jitter_freedom,
     lack_of_fit,
-    left_out,
+    predicted_by_others,
 )
-from softcal_jax.calibration._state import CalibrationState
-from softcal_jax.calibration._uncertainty import UNLIKELY, Uncertainty
-from softcal_jax.calibration._weighing import linear_errors
-from softcal_jax.configurations import Configuration
 
 FEWEST = 3
 """Fewest configurations of which one is left out: the others must say something."""
@@ -130,61 +125,48 @@ class ResidualChecks(Module):
 
 
 def residual_checks(
-    problem: CalibrationProblem,
+    linear: LinearModel,
     configurations: Sequence[Configuration],
     *,
-    state: CalibrationState,
-    W_c: Float[HostArray, "n_e n_errors"],
+    effectors: EffectorArrays,
     spread: Uncertainty,
     fits: Sequence[ConfigurationResult],
 ) -> ResidualChecks:
     """Check a fit by its residuals.
 
     Args:
-        problem: The calibration.
+        linear: The fit, without what was held out.
         configurations: The fitted configurations.
-        state: Where the fit ended.
-        W_c: Change of the stacked errors per standard deviation of what is held fixed,
-            in noise units.
+        effectors: Their effectors.
         spread: Uncertainty by the noise.
         fits: Fits of the configurations.
     """
-    effectors = jax.tree.map(np.asarray, problem.configurations.effectors)
-    assert problem.noise is not None
-    weight = effectors.inverse_std
-    seen, n_c = weight.ravel() > 0.0, len(configurations)
-    lane = np.repeat(np.arange(n_c), weight[0].size)
-    B = problem.noise_columns()
-    in_std = coloured(B, W_c)[seen]
-    A = float(problem.noise.jitter) * B[seen][:, np.any(B != 0.0, axis=0)]
-    errors, estimated = linear_errors(problem, state), spread.noise == "estimated"
-    names = tuple(c.name for c in configurations)
-    test = None
+    weight, estimated = np.asarray(effectors.inverse_std), spread.noise == "estimated"
+    names, test = tuple(c.name for c in configurations), None
     if estimated and spread.has_noise:
-        Z, of = _shared_errors(weight, effectors.nodes.shape[-2], fits)
-        test = lack_of_fit(errors, A=A, W_c=in_std, Z=Z[seen], lane=of, n_c=n_c)
+        shared, pose = _shared_errors(weight, effectors.nodes.shape[-2], fits)
+        test = lack_of_fit(linear, shared[weight.ravel() > 0.0], pose)
     predicted: tuple[LeftOut, ...] = ()
-    if n_c >= FEWEST and (spread.has_noise or not estimated):
-        leave = lambda jitter: left_out(
-            errors, A=A, W_c=in_std, jitter=jitter, lane=lane[seen]
-        )
-        by_scatter = leave(test.jitter) if test is not None else [None] * n_c
+    if len(names) >= FEWEST and (spread.has_noise or not estimated):
+        by_scatter = [None] * len(names)
+        if test is not None:
+            by_scatter = predicted_by_others(linear.with_jitter(test.jitter))
         predicted = tuple(
             _left_out(
                 fit,
-                own,
+                prediction,
                 weight[c],
                 of=spread.degrees_of_freedom if estimated else None,
                 by_scatter=_by_scatter(other, test),
             )
-            for c, (fit, own, other) in enumerate(
-                zip(fits, leave(spread.noise_scale), by_scatter, strict=True)
+            for c, (fit, prediction, other) in enumerate(
+                zip(fits, predicted_by_others(linear), by_scatter, strict=True)
             )
         )
     level = probability = float("nan")
     if estimated and spread.has_noise and all(c.states_noise for c in configurations):
         level = spread.noise_scale
-        dof = LinearFit(errors, A, 1.0).jitter_freedom()
+        dof = jitter_freedom(linear.with_jitter(1.0))
         probability = float(chdtrc(dof, dof * level**2))
     return ResidualChecks(names, test, predicted, level=level, probability=probability)
 
@@ -211,16 +193,17 @@ def _shared_errors(
     return np.stack(columns, axis=1), np.array(of)
 
 
-def _by_scatter(own: Prediction | None, test: LackOfFit | None) -> float:
+def _by_scatter(prediction: PosePrediction | None, test: LackOfFit | None) -> float:
     """Return the chance of a prediction by the noise within configurations."""
-    if own is None or test is None:
+    if prediction is None or test is None:
         return float("nan")
-    return chance(own.chi_squared, own.degrees_of_freedom, of=test.within)
+    squares, dof = prediction.chi_squared, prediction.degrees_of_freedom
+    return chance(squares, dof, of=test.within)
 
 
 def _left_out(
     fit: ConfigurationResult,
-    own: Prediction,
+    prediction: PosePrediction,
     weight: Float[HostArray, "n_rows 3"],
     *,
     of: int | None,
@@ -229,7 +212,7 @@ def _left_out(
     """Describe a prediction in metres."""
     seen = weight > 0.0
     rms = []
-    for values in (own.error, own.std):
+    for values in (prediction.error, prediction.std):
         rows = np.zeros(weight.shape)
         rows[seen] = values / weight[seen]
         squares = [np.sum(rows[e.index] ** 2) for e in fit.points]
@@ -240,7 +223,10 @@ def _left_out(
         expected=rms[1],
         motion=fit.motion,
         probability=chance(
-            own.chi_squared, own.degrees_of_freedom, of=of, jitter_is_of_all=True
+            prediction.chi_squared,
+            prediction.degrees_of_freedom,
+            of=of,
+            jitter_is_of_all=True,
         ),
         by_scatter=by_scatter,
     )

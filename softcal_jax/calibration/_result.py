@@ -8,7 +8,6 @@ from softcal_jax._module import Module, Result
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate
-from softcal_jax.calibration._budget import ErrorBudget
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._noise import CorrelatedNoise
@@ -16,9 +15,9 @@ from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._source import ProjectSource
 from softcal_jax.calibration._state import CalibrationSettings
-from softcal_jax.calibration._uncertainty import Uncertainty
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
+from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty
 
 MOST_OPTIMA = 5
 """Most optima that are listed; the others are only counted."""
@@ -252,7 +251,8 @@ class CalibrationResult(Result):
         space: The parameters, with start and bounds.
         model: The model with the calibrated parameters.
         z: Scaled parameters [-].
-        W_ep: Stacked compliances in noise units, for identifiability [-].
+        linear: The fit to first order, with what is considered: of it all statistics
+            are functions. `result.linear.without("load 3")` is the fit without a pose.
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         precision: Standard error that is asked for, relative to the value [-].
@@ -275,7 +275,7 @@ class CalibrationResult(Result):
     space: ParameterSpace
     model: Model
     z: Float[Array, " n_p"]
-    W_ep: Float[HostArray, "n_e n_p"]
+    linear: LinearModel
     settings: CalibrationSettings
     newton: NewtonSettings
     timing_s: dict[str, float]

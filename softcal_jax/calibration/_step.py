@@ -7,6 +7,7 @@ highest of the last few (`MEMORY`). The model is linear in the errors (Gauss-New
 includes their curvature from past steps where that predicts the cost better.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._qp import Limits, QPStep, ScaledQP, scaled_qp, solved_qp
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference import Whitened
 
 KKT_TOLERANCE = 1e-6
 """Largest optimality residual with which a vanishing QP step is trusted [-]."""
@@ -74,24 +76,15 @@ def propose(
     return _proposal(problem, settings, state, models, both)
 
 
-class _LinearModel(NamedTuple):
-    """Errors to first order in step coordinates, those of the prior included.
-
-    `J` is the change of z per coordinate.
-    """
-
-    W: Float[Array, "n_rows n_p"]
-    error: Float[Array, " n_rows"]
-    J: Float[Array, "n_p n_p"]
-
-
 class _Models(NamedTuple):
-    """The linear model of a step, and two QPs stacked: of it, and with curvature.
+    """The rows of a step, and two QPs stacked: of them, and with curvature.
 
-    `needed` tells which of the QPs have to be solved.
+    `J` is the change of z per step coordinate; `needed` tells which of the QPs have to
+    be solved.
     """
 
-    linear: _LinearModel
+    rows: Whitened
+    J: Float[Array, "n_p n_p"]
     qps: ScaledQP
     needed: Bool[Array, "2"]
 
@@ -100,14 +93,14 @@ class _Models(NamedTuple):
 def _models(
     problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
 ) -> _Models:
-    linear = _linear_model(problem, state.z, state.evaluation)
-    W, error, J = linear
+    J = _step_coordinates(problem.space, state.z)
+    error, W = rows = _along(state.evaluation.rows, J)
     limits = _limits(problem, settings, state, J)
     models = (W, error), convex_model(W, error, state.curvature.matrix)
     scaled = [scaled_qp(*model, limits) for model in models]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *scaled)
     needed = jnp.stack([jnp.array(True), state.curvature.used])
-    return _Models(linear, stacked, needed)
+    return _Models(rows, J, stacked, needed)
 
 
 @jax.jit
@@ -136,7 +129,7 @@ def _proposal(
 ) -> Proposal:
     """Return the step of the model that is used, and what it predicts."""
     now, space = state.evaluation, problem.space
-    (W, error, J), S = models.linear, state.curvature.matrix
+    (error, W), J, S = models.rows, models.J, state.curvature.matrix
     used = state.curvature.used.astype(jnp.int32)
     qp = jax.tree.map(lambda steps: steps[used], both)
 
@@ -151,9 +144,9 @@ def _proposal(
     vanishes = _small(problem, settings, state, qp, cost) & now.ok
     vanishes &= _small(problem, settings, state, linear, costs(linear.lambda_p)[0])
     guess = before = now.equilibrium.displacement
-    if now.tangents is not None:
+    if now.response.displacement is not None:
         dz = J @ qp.lambda_p
-        guess = before + jnp.einsum("p,cpni->cni", dz, now.tangents)
+        guess = before + jnp.einsum("p,cpni->cni", dz, now.response.displacement)
     stay = lambda new, old: jnp.where(vanishes, old, new)
     return Proposal(
         qp=qp,
@@ -166,17 +159,18 @@ def _proposal(
     )
 
 
-def _linear_model(
-    problem: CalibrationProblem, z: Float[Array, " n_p"], evaluation: Evaluation
-) -> _LinearModel:
-    W_ep, error, space = evaluation.W_ep, evaluation.error, problem.space
-    if space.has_prior:
-        W_ep = jnp.concatenate([W_ep, jnp.diag(problem.prior_weights())])
-        error = jnp.concatenate([error, evaluation.prior])
+def _step_coordinates(
+    space: ParameterSpace, z: Float[Array, " n_p"]
+) -> Float[Array, "n_p n_p"]:
+    """Return the change of z per step coordinate: tensors where axes have a chart."""
     if space.chart is None:
-        return _LinearModel(W_ep, error, jnp.eye(z.shape[0]))
-    J = jax.jacfwd(space.chart.from_tensor)(space.chart.to_tensor(z))
-    return _LinearModel(W_ep @ J, error, J)
+        return jnp.eye(z.shape[0])
+    return jax.jacfwd(space.chart.from_tensor)(space.chart.to_tensor(z))
+
+
+def _along(rows: Whitened, J: Float[Array, "n_p n_p"]) -> Whitened:
+    """Return rows by step coordinates."""
+    return Whitened(rows.error, rows.W @ J)
 
 
 def _moved(
@@ -291,8 +285,9 @@ def _after(
 ) -> Curvature:
     """Update the curvature from the compliances at both ends of a step."""
     now = state.evaluation
-    here = _linear_model(problem, state.z, now)
-    there = _linear_model(problem, proposal.z, tried)
+    J = partial(_step_coordinates, problem.space)
+    here = _along(now.rows, J(state.z))
+    there = _along(tried.rows, J(proposal.z))
     error = jnp.where(tried.cost <= now.cost, there.error, here.error)
     new = learned(
         state.curvature,

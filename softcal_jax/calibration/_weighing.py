@@ -13,12 +13,12 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator, in_other_units
-from softcal_jax.calibration._noise import FIRST_SHARE, CorrelatedNoise
-from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._reml import (
-    Residuals,
-    freedom_between,
-    restricted_likelihood,
+from softcal_jax.calibration._linear import linear_model
+from softcal_jax.calibration._noise import (
+    FIRST_SHARE,
+    RECORDINGS,
+    CorrelatedNoise,
+    creep_of,
 )
 from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._state import (
@@ -26,9 +26,16 @@ from softcal_jax.calibration._state import (
     CalibrationState,
     initial_state,
 )
-from softcal_jax.calibration._uncertainty import EXACT
 from softcal_jax.configurations import Configuration
 from softcal_jax.fields import OFFSET
+from softcal_jax.inference import (
+    ATTACHMENTS,
+    EXACT,
+    LinearModel,
+    freedom_between,
+    restricted_likelihood,
+    span,
+)
 
 SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""
@@ -43,7 +50,7 @@ FEWEST_SHARES = 3
 """Fewest residuals from which a share of the motion is estimated."""
 
 
-class Unknown(NamedTuple):
+class SoughtNoise(NamedTuple):
     """Which components of the noise are estimated.
 
     Attributes:
@@ -63,7 +70,7 @@ class Weighed(NamedTuple):
     Attributes:
         state: End of the fit, in units of the noise.
         noise: The noise.
-        unknown: What of it was estimated in the end.
+        sought: What of it was estimated in the end.
         scale: Factor on the stated standard deviations of coordinates that was
             estimated beside correlated noise; None if it was not [-].
         notes: What went otherwise than asked for.
@@ -72,42 +79,42 @@ class Weighed(NamedTuple):
 
     state: CalibrationState
     noise: CorrelatedNoise
-    unknown: Unknown
+    sought: SoughtNoise
     scale: float | None
     notes: tuple[str, ...]
     settled: bool
 
-    def of_others(
-        self,
-        begin: CorrelatedNoise,
-        others: CorrelatedNoise,
-        configurations: Sequence[Configuration],
+    def of_all(
+        self, start: CorrelatedNoise, configurations: Sequence[Configuration]
     ) -> CorrelatedNoise:
-        """Return the noise of other configurations with what was found.
+        """Return the noise of all configurations with what the fitted ones showed.
 
         Args:
-            begin: The noise of the fitted ones to begin with.
-            others: That of the others to begin with.
-            configurations: These others.
+            start: The noise of all to begin with.
+            configurations: All of them, the fitted ones first.
         """
-        which, noise = self.unknown.share, self.noise
+        n = len(self.sought.share)
         largest = lambda a: float(np.max(np.abs(a), initial=0.0))
         ratio = lambda a, b: largest(a) / largest(b) if largest(b) > 0.0 else 1.0
-        shares = (np.asarray(n.share)[which] for n in (noise, begin))
-        return others.scaled(
-            jitter=float(noise.jitter),
-            offset=ratio(noise.offset, begin.offset),
-            share=ratio(*shares),
+        of_fit = np.asarray(start.share)[:n], np.asarray(start.offset)[:n]
+        scaled = start.scaled(
+            jitter=float(self.noise.jitter),
+            offset=ratio(self.noise.offset, of_fit[1]),
+            share=ratio(
+                np.asarray(self.noise.share)[self.sought.share],
+                of_fit[0][self.sought.share],
+            ),
             of=np.array([c.relative_std == "estimated" for c in configurations]),
         )
+        return scaled.moving(self.noise.motion, n)
 
 
-def unknown_noise(
+def sought_noise(
     configurations: Sequence[Configuration], *, jitter: bool, offset: bool
-) -> Unknown:
+) -> SoughtNoise:
     """Say which components of the noise of configurations are to be estimated."""
     share = np.array([c.relative_std == "estimated" for c in configurations])
-    return Unknown(jitter, offset, share)
+    return SoughtNoise(jitter, offset, share)
 
 
 def weighed_fit(
@@ -115,7 +122,8 @@ def weighed_fit(
     settings: CalibrationSettings,
     state: CalibrationState,
     *,
-    unknown: Unknown,
+    configurations: Sequence[Configuration],
+    sought: SoughtNoise,
     motion: Float[HostArray, "n_c n_rows 3"],
     note: Callable[[CalibrationState, CorrelatedNoise], None],
 ) -> Weighed:
@@ -125,7 +133,8 @@ def weighed_fit(
         evaluate: Evaluator of the calibration, with the noise to begin with.
         settings: Settings of the outer loop.
         state: State to begin with.
-        unknown: What of the noise is estimated.
+        configurations: The configurations.
+        sought: What of the noise is estimated.
         motion: Measured motion of the points [m].
         note: Called with state and noise after each step.
     """
@@ -133,15 +142,21 @@ def weighed_fit(
     n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
     assert noise is not None
     for n in range(MOST_ROUNDS):
-        told = lambda state, noise=noise: note(state, noise)
-        state = settle(evaluate, settings, state, told)
+        noted = lambda state, noise=noise: note(state, noise)
+        state = settle(evaluate, settings, state, noted)
         if not state.converged:
             break
-        errors = linear_errors(evaluate.problem, state)
+        linear = linear_model(
+            evaluate.problem,
+            configurations,
+            z=state.z,
+            response=state.evaluation.response,
+            delta_e=state.evaluation.delta_e,
+        )
         if n == 0:
-            unknown, notes = _enough(errors, evaluate.problem, unknown)
-        new = _estimated(errors, evaluate.problem, unknown)
-        known = new is not None and unknown.jitter
+            sought, notes = _enough(linear, sought, configurations)
+        new = _estimated(linear, noise, sought, configurations)
+        known = new is not None and sought.jitter
         scale = float(noise.jitter) if known else None
         new = (new or noise).following(motion, state.evaluation.delta_e, n_points)
         if _change(noise, new) <= SETTLED:
@@ -154,69 +169,50 @@ def weighed_fit(
                 'the effectors with noise = "stated", or the offset of recordings.'
             )
             break
-        before = evaluate.numbered
         noise, evaluate = new, evaluate.with_noise(new)
-        evaluation = in_other_units(evaluate.numbered, state.evaluation, before)
+        evaluation = in_other_units(evaluate.numbered, state.z, state.evaluation)
         state = initial_state(settings, state.z, evaluation)
-    notes += _found(noise, unknown)
+    notes += _noise_notes(noise, sought)
     return Weighed(
         state=state,
         noise=noise,
-        unknown=unknown,
+        sought=sought,
         scale=scale,
         notes=tuple(notes),
         settled=settled,
     )
 
 
-def linear_errors(problem: CalibrationProblem, state: CalibrationState) -> Residuals:
-    """Return errors and compliances in units of the stated standard deviations."""
-    at, space = state.evaluation, problem.space
-    weight = np.asarray(problem.configurations.effectors.inverse_std).ravel()
-    seen = weight > 0.0
-    free = ~space.at_bound(state.z)
-    prior = np.asarray(space.prior_weights())
-    known = prior[free] > 0.0
-    return Residuals(
-        r=(weight * np.asarray(at.delta_e).ravel())[seen],
-        W=(weight[:, None] * np.asarray(at.compliance))[np.ix_(seen, free)],
-        r_prior=(np.asarray(at.prior) / np.asarray(problem.level))[free][known],
-        W_prior=np.diag(prior[free])[known],
-    )
-
-
-class _Columns(NamedTuple):
-    """Columns of the noise by component, in stated units, and which is estimated."""
+class _Components(NamedTuple):
+    """Columns of the noise in stated units, by whether they are estimated, and how."""
 
     offsets: Float[HostArray, "n k"]
     shares: Float[HostArray, "n l"]
     stated: Float[HostArray, "n m"]
 
 
-def _columns(problem: CalibrationProblem, unknown: Unknown) -> _Columns:
-    assert problem.noise is not None
-    seen = np.ravel(problem.configurations.effectors.inverse_std) > 0.0
-    A = float(problem.noise.jitter) * problem.noise_columns()[seen]
-    n_c = len(unknown.share)
-    is_offset = np.arange(A.shape[1]) < 3 * n_c
-    is_share = np.zeros(A.shape[1], bool)
-    is_share[3 * n_c : 4 * n_c] = unknown.share
-    offsets = is_offset & unknown.offset
-    used = np.any(A != 0.0, axis=0)
-    pick = lambda which: A[:, which & used]
-    return _Columns(pick(offsets), pick(is_share), pick(~offsets & ~is_share))
+def _components(
+    linear: LinearModel, sought: SoughtNoise, configurations: Sequence[Configuration]
+) -> _Components:
+    columns = linear.correlated
+    pairs = zip(configurations, sought.share, strict=True)
+    moving = {creep_of(c) for c, is_sought in pairs if is_sought}
+    offsets = np.array([c == RECORDINGS and sought.offset for c in columns.causes], bool)
+    shares = np.array([name in moving for name in columns.names], bool)
+    A = linear.scale * columns.values
+    return _Components(A[:, offsets], A[:, shares], A[:, ~offsets & ~shares])
 
 
 def _enough(
-    errors: Residuals, problem: CalibrationProblem, unknown: Unknown
-) -> tuple[Unknown, list[str]]:
+    linear: LinearModel, sought: SoughtNoise, configurations: Sequence[Configuration]
+) -> tuple[SoughtNoise, list[str]]:
     """Drop what the data cannot tell, with a note that says what counts instead."""
-    columns, notes = _columns(problem, unknown), []
+    columns, notes = _components(linear, sought, configurations), []
 
     def too_few(
         what: str, A: HostArray, fewest: int, *, taken: str, remedy: str
     ) -> bool:
-        between, within = freedom_between(errors, A)
+        between, within = freedom_between(linear, A)
         if between >= fewest and within >= 1:
             return False
         notes.append(
@@ -226,81 +222,69 @@ def _enough(
         )
         return True
 
-    if unknown.offset and too_few(
+    if sought.offset and too_few(
         "The offset of the recordings",
         columns.offsets,
         FEWEST_OFFSETS,
         taken=f"{1e3 * OFFSET:g} mm",
         remedy="recordings",
     ):
-        unknown = unknown._replace(offset=False)
-    if unknown.share.any() and too_few(
+        sought = sought._replace(offset=False)
+    if sought.share.any() and too_few(
         "The share of the motion",
         columns.shares,
         FEWEST_SHARES,
         taken=f"{100.0 * FIRST_SHARE:g} %",
         remedy="relative_std",
     ):
-        unknown = unknown._replace(share=np.zeros_like(unknown.share))
-    correlated = np.concatenate(_columns(problem, unknown), axis=1)
-    if unknown.jitter and correlated.shape[1] > 0:
-        _, within = freedom_between(errors, correlated)
+        sought = sought._replace(share=np.zeros_like(sought.share))
+    if sought.jitter and linear.correlated.values.shape[1] > 0:
+        _, within = freedom_between(linear, linear.correlated.values)
         if within < 1:
             notes.append(
                 "Jitter cannot be told from offsets: each residual that parameters "
                 "leave may be either. Their ratio is taken as stated, and their size "
                 "from the residuals; measure more points in each recording."
             )
-            unknown = unknown._replace(jitter=False)
-    return unknown, notes
+            sought = sought._replace(jitter=False)
+    return sought, notes
 
 
 def _estimated(
-    errors: Residuals, problem: CalibrationProblem, unknown: Unknown
+    linear: LinearModel,
+    noise: CorrelatedNoise,
+    sought: SoughtNoise,
+    configurations: Sequence[Configuration],
 ) -> CorrelatedNoise | None:
-    """Estimate what is unknown of a noise; None where nothing is, or can be."""
-    noise = problem.noise
-    assert noise is not None
-    columns = _columns(problem, unknown)
-    parts = [columns.offsets, columns.shares, columns.stated]
-    used = [part.shape[1] > 0 for part in parts]
-    dof = len(errors.r) - errors.W.shape[1] + len(errors.r_prior)
-    level = 0.0
-    if len(errors.r):
-        level = float(np.sqrt(np.mean(_without_offsets(errors.r, problem) ** 2)))
+    """Estimate what is sought of a noise; None where nothing is, or can be."""
+    columns = _components(linear, sought, configurations)
+    free = ~linear.held
+    n_prior = int(np.sum(linear.prior_weights[free] > 0.0))
+    dof = len(linear.r) - int(free.sum()) + n_prior
+    mountings = span(linear.correlated.of(ATTACHMENTS))
+    rest = linear.r - mountings @ (mountings.T @ linear.r)
+    level = float(np.sqrt(np.mean(rest**2))) if len(rest) else 0.0
+    used = [part.shape[1] > 0 for part in columns]
     # Alone the jitter weighs nothing: `uncertainty` finds it in closed form.
-    if not (any(used) or len(errors.r_prior)) or dof <= 0 or level < EXACT:
+    if not (any(used) or n_prior) or dof <= 0 or level < EXACT:
         return None
-    free = [unknown.jitter, used[0], used[1], False]
-    if not any(free):
+    estimated = [sought.jitter, used[0], used[1], False]
+    if not any(estimated):
         return None
     jitter, offset, share, _ = restricted_likelihood(
-        errors, parts, factors=[float(noise.jitter), 1.0, 1.0, 1.0], free=free
+        linear, columns, factors=[linear.scale, 1.0, 1.0, 1.0], free=estimated
     )
-    return noise.scaled(jitter=jitter, offset=offset, share=share, of=unknown.share)
+    return noise.scaled(jitter=jitter, offset=offset, share=share, of=sought.share)
 
 
-def _without_offsets(
-    r: Float[HostArray, " n"], problem: CalibrationProblem
-) -> Float[HostArray, " n"]:
-    """Return errors in stated units without the offsets of attachments."""
-    noise = problem.noise
-    assert noise is not None
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
-    delta_e = np.zeros(weight.shape)
-    delta_e[weight > 0.0] = r / weight[weight > 0.0]
-    rest = noise.without_attachments(delta_e, weight)
-    return (weight * rest)[weight > 0.0]
-
-
-def _found(noise: CorrelatedNoise, unknown: Unknown) -> list[str]:
-    """Say what was found for offsets and shares of the motion."""
+def _noise_notes(noise: CorrelatedNoise, sought: SoughtNoise) -> list[str]:
+    """Say what was estimated of offsets and shares of the motion."""
     notes = []
-    if unknown.offset:
+    if sought.offset:
         size = 1e3 * float(np.max(noise.offset, initial=0.0))
         notes.append(f"The residuals show recordings to be off by {size:.2g} mm.")
-    if unknown.share.any():
-        size = 100.0 * float(np.max(np.asarray(noise.share)[unknown.share]))
+    if sought.share.any():
+        size = 100.0 * float(np.max(np.asarray(noise.share)[sought.share]))
         notes.append(
             f"The residuals show {size:.2g} % of the motion to be creep or hysteresis."
         )

@@ -50,6 +50,15 @@ class ErrorColumns(Module):
         """Return the columns of one cause."""
         return self.values[:, [own == cause for own in self.causes]]
 
+    def only(self, rows: Bool[HostArray, " n"]) -> "ErrorColumns":
+        """Return the errors that some rows have, of these rows."""
+        values = self.values[rows]
+        used = np.flatnonzero(np.any(values != 0.0, axis=0))
+        causes, names = (
+            tuple(texts[k] for k in used) for texts in (self.causes, self.names)
+        )
+        return ErrorColumns(values[:, used], causes, names)
+
 
 def no_errors(n: int) -> ErrorColumns:
     """Return columns of no error for `n` rows."""
@@ -90,18 +99,17 @@ class LinearModel(Module):
     held: Bool[HostArray, " n_p"]
 
     def only(self, rows: Bool[HostArray, " n"]) -> "LinearModel":
-        """Return the model of some rows alone.
+        """Return the model of some rows alone, and of the errors that these have.
 
         Args:
             rows: Flags of the rows that stay.
         """
-        take = lambda columns: replace(columns, values=columns.values[rows])
         cut = {name: getattr(self, name)[rows] for name in ("pose", "fitted", "r", "W")}
         return replace(
             self,
             **cut,
-            correlated=take(self.correlated),
-            considered=take(self.considered),
+            correlated=self.correlated.only(rows),
+            considered=self.considered.only(rows),
         )
 
     def without(self, *poses: str) -> "LinearModel":
@@ -178,6 +186,20 @@ class LinearModel(Module):
             from_prior=self.scale * self.from_prior,
             prior_weights=self.scale * self.prior_weights,
         )
+
+    def squares(self) -> float:
+        """Compute the sum of squared errors of data and priors, in units of s [-]."""
+        return float(np.sum(self.whitened().error ** 2)) / self.scale**2
+
+    def slope(self) -> Float[HostArray, " n_p"]:
+        """Compute half the derivative of `squares` by the unknowns [-]."""
+        error, W = self.whitened()
+        return W.T @ error / self.scale**2
+
+    def curvature(self) -> Float[HostArray, "n_p n_p"]:
+        """Compute half the second derivative of `squares`: W^T V^-1 W + P [-]."""
+        W = self.whitened().W
+        return W.T @ W / self.scale**2
 
     @property
     def n_data(self) -> int:

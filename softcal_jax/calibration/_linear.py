@@ -1,0 +1,65 @@
+"""The linear model of a calibration at an optimum: rows, priors, noise and doubts."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._noise import noise_columns
+from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.configurations import Configuration
+from softcal_jax.inference import ErrorColumns, LinearModel, no_errors
+from softcal_jax.sensitivity import Response
+
+
+def linear_model(
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
+    *,
+    z: Float[Array, " n_p"],
+    response: Response,
+    delta_e: Float[Array | HostArray, "n_c n_rows 3"],
+    n_fitted: int | None = None,
+    considered: ErrorColumns | None = None,
+) -> LinearModel:
+    """Make the linear model of measured coordinates, in stated standard deviations.
+
+    Rows of a held-out configuration that has no equilibrium, or no regular tangent, are
+    left out.
+
+    Args:
+        problem: The calibration, with the noise that weighed its data.
+        configurations: Its configurations.
+        z: Scaled parameters [-].
+        response: Equilibria and compliances there, one lane per configuration.
+        delta_e: Simulated minus measured values.
+        n_fitted: Number of configurations that were fitted, which come first; all by
+            default.
+        considered: Errors that are considered, of all rows; none by default.
+    """
+    space, n_c = problem.space, len(configurations)
+    n_fitted = n_c if n_fitted is None else n_fitted
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    W_ep = np.asarray(response.W_ep)
+    considered = no_errors(weight.size) if considered is None else considered
+    doubts = considered.values.reshape(n_c, weight[0].size, -1)
+    regular = np.asarray(response.ok) & np.isfinite(doubts).all(axis=(1, 2))
+    used = regular | (np.arange(n_c) < n_fitted)
+    rows = ((weight > 0.0) & used[:, None, None]).ravel()
+    pose = np.repeat(np.arange(n_c), weight[0].size)
+    correlated = noise_columns(problem.noise, problem.configurations.effectors, configurations)
+    whole = LinearModel(
+        names=tuple(space.names),
+        poses=tuple(c.name for c in configurations),
+        pose=pose,
+        fitted=pose < n_fitted,
+        r=np.ravel(weight * np.asarray(delta_e)),
+        W=weight.reshape(-1, 1) * W_ep.reshape(weight.size, -1),
+        correlated=correlated,
+        considered=considered,
+        scale=float(problem.level),
+        from_prior=np.asarray(space.from_prior(z)),
+        prior_weights=np.asarray(space.prior_weights()),
+        held=space.at_bound(z),
+    )
+    return whole.only(rows)
