@@ -28,6 +28,7 @@ LAYERS = [
     {"camera"},
     {"equilibrium"},
     {"sensitivity"},
+    {"inference"},
     {"calibration"},
     {"identifiability", "control"},
     {"layouts"},

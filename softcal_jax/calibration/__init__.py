@@ -20,7 +20,7 @@ from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._lanes import equilibria, simulate
+from softcal_jax.calibration._lanes import equilibria, lane_of, simulate
 from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import CorrelatedNoise, correlated_noise
 from softcal_jax.calibration._notes import CalibrationWarning
@@ -105,6 +105,7 @@ __all__ = [
     "evaluate",
     "images_of",
     "initial_state",
+    "lane_of",
     "levenberg_marquardt",
     "linear_model",
     "multi_start",

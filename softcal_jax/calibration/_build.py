@@ -13,7 +13,6 @@ from softcal_jax.calibration._references import check_references
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
-    SharedNames,
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings
@@ -50,17 +49,17 @@ def build_problem(
             `displacement_from` names no configuration with the same effectors.
     """
     posed, uncertain = as_sequence(configurations), uncertain or exactly_known()
-    problem, lanes = build(model, parameters, posed, newton, uncertain=uncertain)
+    space, newton = as_space(parameters), newton or NewtonSettings()
+    problem, lanes = build(model, space, posed, newton, uncertain=uncertain)
     check_references(posed, lanes.effectors)
     return problem
 
 
 def build(
     model: Model,
-    parameters: ParameterSpace | Entry | Sequence[Entry],
+    space: ParameterSpace,
     configurations: Sequence[Configuration],
-    newton: NewtonSettings | None,
-    shared: SharedNames | None = None,
+    newton: NewtonSettings,
     *,
     uncertain: Uncertain,
 ) -> tuple[CalibrationProblem, ConfigurationLanes]:
@@ -72,11 +71,9 @@ def build(
                 f"configuration {configuration.name!r} has no measured positions: give "
                 "`markers` and `measured`, or `effectors` with measured values."
             )
-    space = as_space(parameters)
-    lanes = configuration_lanes(model.mesh, configurations, model.mechanism, shared)
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
-    newton = newton or NewtonSettings()
     noise = correlated_noise(
         configurations,
         space=space,

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from softcal_jax._module import Module, Result
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
 from softcal_jax.configurations import (
     Configuration,
@@ -285,8 +285,8 @@ def configuration_results(
             strict=True,
         )
     ]
-    n_c = len(configurations)
-    roles: list[Role] = ["calibration"] * n_fitted + ["validation"] * (n_c - n_fitted)
+    held_out = len(configurations) - n_fitted
+    roles = ("calibration",) * n_fitted + ("validation",) * held_out
     results = _results(
         model,
         configurations,
@@ -349,7 +349,7 @@ def simulation_result(
         configurations,
         arrays,
         solution,
-        roles=["simulation"] * len(configurations),
+        roles=("simulation",) * len(configurations),
         effectors=effectors,
     )
     return SimulationResult(model, results)

@@ -280,11 +280,10 @@ class ConsideredErrors(NamedTuple):
         if self.mesh is not None and np.all(self.mesh.known[:n_fitted]):
             changes = np.where(self.mesh.known[:, None], self.mesh.changes, 0.0)
             parts.append((MESH, self.mesh.name, changes))
-        causes, names = (tuple(part[k] for part in parts) for k in (0, 1))
         changes = [np.ravel(weight * change) for *_, change in parts]
         values = np.stack([np.zeros(weight.size), *changes], axis=1)[:, 1:]
-        return ErrorColumns(values, causes, names)
-
+        causes = tuple(cause for cause, *_ in parts)
+        return ErrorColumns(values, causes, tuple(name for _, name, _ in parts))
 
     def unknown(self, n_fitted: int) -> tuple[str, ...]:
         """Return causes that count, but of unknown size: that of the mesh, or none."""

@@ -49,7 +49,7 @@ class Evaluation(Module):
 
     response: Response
     delta_e: Float[Array, "n_c n_rows 3"]
-    rows: Whitened
+    rows: Whitened[Array]
     ok: Bool[Array, ""]
 
     @property

@@ -44,7 +44,8 @@ class _Checked(NamedTuple):
             self.evaluate.problem,
             self.configurations,
             z=z,
-            response=there.response,
+            W_ep=there.response.W_ep,
+            ok=there.response.ok,
             delta_e=there.delta_e,
         )
         return model.with_scale(self.linear.scale)

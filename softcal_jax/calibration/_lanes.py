@@ -33,7 +33,7 @@ OfLane = Callable[[int, float, int], None]
 """Told the index of a configuration, the share of its load, and its iterations."""
 
 
-def lane_of(batch: T, index: int | Int[HostArray, " n"]) -> T:
+def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
     """Return one lane of a batch, or a batch of several."""
     # Sliced on the host: on the device, each shape compiles two more programs.
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))

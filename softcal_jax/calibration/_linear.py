@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import noise_columns
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import Configuration
 from softcal_jax.inference import ErrorColumns, LinearModel, no_errors
-from softcal_jax.sensitivity import Response
 
 
 def linear_model(
@@ -17,7 +16,8 @@ def linear_model(
     configurations: Sequence[Configuration],
     *,
     z: Float[Array, " n_p"],
-    response: Response,
+    W_ep: Float[Array | HostArray, "n_c n_e n_p"],
+    ok: Sequence[bool] | Bool[Array, " n_c"],
     delta_e: Float[Array | HostArray, "n_c n_rows 3"],
     n_fitted: int | None = None,
     considered: ErrorColumns | None = None,
@@ -31,7 +31,8 @@ def linear_model(
         problem: The calibration, with the noise that weighed its data.
         configurations: Its configurations.
         z: Scaled parameters [-].
-        response: Equilibria and compliances there, one lane per configuration.
+        W_ep: Compliances there, in the units of the effectors.
+        ok: Which configurations have an equilibrium with a regular tangent.
         delta_e: Simulated minus measured values.
         n_fitted: Number of configurations that were fitted, which come first; all by
             default.
@@ -39,23 +40,22 @@ def linear_model(
     """
     space, n_c = problem.space, len(configurations)
     n_fitted = n_c if n_fitted is None else n_fitted
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
-    W_ep = np.asarray(response.W_ep)
+    effectors = problem.configurations.effectors
+    weight = np.asarray(effectors.inverse_std)
     considered = no_errors(weight.size) if considered is None else considered
     doubts = considered.values.reshape(n_c, weight[0].size, -1)
-    regular = np.asarray(response.ok) & np.isfinite(doubts).all(axis=(1, 2))
+    regular = np.asarray(ok) & np.isfinite(doubts).all(axis=(1, 2))
     used = regular | (np.arange(n_c) < n_fitted)
     rows = ((weight > 0.0) & used[:, None, None]).ravel()
     pose = np.repeat(np.arange(n_c), weight[0].size)
-    correlated = noise_columns(problem.noise, problem.configurations.effectors, configurations)
     whole = LinearModel(
         names=tuple(space.names),
         poses=tuple(c.name for c in configurations),
         pose=pose,
         fitted=pose < n_fitted,
         r=np.ravel(weight * np.asarray(delta_e)),
-        W=weight.reshape(-1, 1) * W_ep.reshape(weight.size, -1),
-        correlated=correlated,
+        W=weight.reshape(-1, 1) * np.asarray(W_ep).reshape(weight.size, -1),
+        correlated=noise_columns(problem.noise, effectors, configurations),
         considered=considered,
         scale=float(problem.level),
         from_prior=np.asarray(space.from_prior(z)),

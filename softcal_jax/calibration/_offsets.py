@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._references import Attachment, attachments

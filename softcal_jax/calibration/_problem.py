@@ -9,7 +9,8 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
+from softcal_jax.calibration._lanes import lane_of
+from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     Model,
@@ -56,10 +57,10 @@ class CalibrationProblem(Module):
 
     def rows(
         self,
-        z: Float[AnyArray, " n_p"],
-        delta_e: Float[AnyArray, "n_c n_rows 3"],
-        compliance: Float[AnyArray, "n_e n_p"],
-    ) -> Whitened:
+        z: Float[Array, " n_p"],
+        delta_e: Float[Array, "n_c n_rows 3"],
+        compliance: Float[Array, "n_e n_p"],
+    ) -> Whitened[Array]:
         """Return errors and their derivatives in units of the noise, priors behind.
 
         The QP of Eq. (10) is of these rows.

@@ -76,7 +76,7 @@ def profile_ends(
     settings: CalibrationSettings,
     *,
     z: Float[Array, " n_p"],
-    rows: Whitened,
+    rows: Whitened[Array],
     rise: float,
     which: Sequence[int],
 ) -> list[tuple[ProfileEnd, ProfileEnd]]:

@@ -83,7 +83,7 @@ class _Models(NamedTuple):
     be solved.
     """
 
-    rows: Whitened
+    rows: Whitened[Array]
     J: Float[Array, "n_p n_p"]
     qps: ScaledQP
     needed: Bool[Array, "2"]
@@ -168,7 +168,7 @@ def _step_coordinates(
     return jax.jacfwd(space.chart.from_tensor)(space.chart.to_tensor(z))
 
 
-def _along(rows: Whitened, J: Float[Array, "n_p n_p"]) -> Whitened:
+def _along(rows: Whitened[Array], J: Float[Array, "n_p n_p"]) -> Whitened[Array]:
     """Return rows by step coordinates."""
     return Whitened(rows.error, rows.W @ J)
 

@@ -150,7 +150,8 @@ def weighed_fit(
             evaluate.problem,
             configurations,
             z=state.z,
-            response=state.evaluation.response,
+            W_ep=state.evaluation.response.W_ep,
+            ok=state.evaluation.response.ok,
             delta_e=state.evaluation.delta_e,
         )
         if n == 0:
@@ -197,7 +198,8 @@ def _components(
     columns = linear.correlated
     pairs = zip(configurations, sought.share, strict=True)
     moving = {creep_of(c) for c, is_sought in pairs if is_sought}
-    offsets = np.array([c == RECORDINGS and sought.offset for c in columns.causes], bool)
+    recorded = np.array([cause == RECORDINGS for cause in columns.causes], bool)
+    offsets = recorded & sought.offset
     shares = np.array([name in moving for name in columns.names], bool)
     A = linear.scale * columns.values
     return _Components(A[:, offsets], A[:, shares], A[:, ~offsets & ~shares])

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from softcal_jax.calibration import ErrorBudget
 from softcal_jax.export._plain import plain
+from softcal_jax.inference import ErrorBudget
 
 
 def budget_dict(budget: ErrorBudget) -> dict[str, Any]:

@@ -4,15 +4,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from softcal_jax._module import Result
-from softcal_jax.calibration import (
-    MESH,
-    CalibrationResult,
-    ErrorBudget,
-    MultiStartResult,
-)
+from softcal_jax.calibration import MESH, CalibrationResult, MultiStartResult
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._prediction import Prediction, predict_spread
 from softcal_jax.identifiability._result import Identifiability
+from softcal_jax.inference import ErrorBudget
 
 
 class Assessment(Result):
@@ -86,11 +82,9 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     """
     spread = result.uncertainty
     report = identifiability(
-        result.W_ep,
+        result.linear.with_scale(spread.level),
         result.space,
         result.z,
-        noise_scale=spread.level,
-        W_c=result.budget.W_c,
         precision=result.precision if precision is None else precision,
         unknown=result.budget.unknown,
     )

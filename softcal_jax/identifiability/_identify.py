@@ -10,7 +10,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._process import check_process
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
     EquilibriumProgress,
@@ -19,9 +19,9 @@ from softcal_jax.calibration import (
     check_references,
     considered_errors,
     correlated_noise,
+    lane_of,
+    linear_model,
     told_of_lane,
-    unknown_causes,
-    whitened,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -30,6 +30,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import (
     RESULTS,
+    EquilibriumSolution,
     Model,
     NewtonSettings,
     Workers,
@@ -55,68 +56,53 @@ from softcal_jax.identifiability._spread import (
     spread_of,
     verdict,
 )
+from softcal_jax.inference import LinearModel, independent
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
 AnyVector = Array | HostArray
 
 
 def identifiability(
-    W: Float[HostArray, "n_e n_p"],
+    linear: LinearModel,
     space: ParameterSpace,
     z: Float[AnyVector, " n_p"],
     *,
-    noise_scale: float = 1.0,
-    n_data: int | None = None,
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
-    W_c: Float[HostArray, "n_e n_errors"] | None = None,
     precision: float = PRECISION,
     unknown: tuple[str, ...] = (),
 ) -> Identifiability:
-    """Judge what data with these compliances tell about the parameters; Sec. V-C.
+    """Judge what the data of a linear model tell about the parameters; Sec. V-C.
 
     The verdict compares the predicted standard error of each parameter with the one
     that is asked for (`IDENTIFIABLE_UP_TO`, `WEAK_UP_TO`), which is relative to the
     value, or absolute for angles and errors of the setup: the table is in
     `softcal_jax.fields._precision`. A stated prior (`prior_std`) counts like a
     measurement. Bounds do not count: a parameter that no data see has no finite error,
-    however narrow they are.
+    however narrow they are, and one on a bound counts as free.
 
     The verdict is local: at E_l = E_t, for example, the fibre angle has no effect.
 
     Args:
-        W: Stacked compliances in units of the noise, per unit of lambda_p, such as
-            `CalibrationResult.W_ep` [-].
+        linear: The fit, such as `CalibrationResult.linear`.
         space: The parameters.
         z: Their scaled values, such as `CalibrationResult.z` [-].
-        noise_scale: Factor on the noise, such as `Uncertainty.noise_scale` [-].
-        n_data: Number of measured coordinates; by default of the rows of `W` that are
-            not zero.
-        W_ep: `W` in metres, for condition numbers [m].
+        W_ep: Compliances in metres, for condition numbers [m].
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
-        W_c: Change of the data per standard deviation of what is held fixed and may be
-            wrong, in units of the noise, such as `ErrorBudget.W_c`; none by default.
         precision: Standard error that is asked for, relative to the value [-].
-        unknown: Causes of errors that `W_c` lacks, such as `ErrorBudget.unknown`.
+        unknown: Causes of errors that `linear` lacks, such as `ErrorBudget.unknown`.
 
     Raises:
-        ValueError: If `W` is not finite or has not one column per parameter, or the
-            noise scale or the precision is not positive.
+        ValueError: If a compliance is not finite, or the scale of the noise or the
+            precision is not positive.
     """
-    W = np.asarray(W, float)
-    n_p = len(space.names)
-    if W.ndim != 2 or W.shape[1] != n_p:
-        raise ValueError(
-            f"W must have one column for each of the {n_p} parameters, got the shape "
-            f"{W.shape}."
-        )
-    if not 0.0 < noise_scale < np.inf:
-        raise ValueError(f"noise_scale must be positive, got {noise_scale:g}.")
-    numbers = conditioning(W / noise_scale, W_ep=W_ep, W_pp=W_pp)
+    if not 0.0 < linear.scale < np.inf:
+        raise ValueError(f"the scale must be positive, got {linear.scale:g}.")
+    fit = linear.of_fit().with_free()
+    numbers = conditioning(fit.whiten(fit.W) / fit.scale, W_ep=W_ep, W_pp=W_pp)
     asked = asked_errors(space, z, precision)
-    G, prior = W / noise_scale * asked, asked * np.asarray(space.prior_weights())
-    W_c = np.zeros((len(W), 0)) if W_c is None else W_c / noise_scale
-    spread, alone = (spread_of(G, W_c, weights) for weights in (prior, 0.0 * prior))
+    in_asked = fit.per(asked)
+    spread, alone = spread_of(in_asked), spread_of(in_asked.by_data_alone())
     outlooks = _outlooks(space, z, asked, spread=spread, alone=alone)
     return Identifiability(
         verdict=verdict(max(p.ratio for p in outlooks)),
@@ -126,9 +112,9 @@ def identifiability(
         asked=asked,
         precision=precision,
         has_prior=space.has_prior,
-        informed=count_informed(information(G, W_c), prior),
+        informed=count_informed(information(in_asked), in_asked.prior_weights),
         conditioning=numbers,
-        n_data=int(np.any(W != 0.0, axis=1).sum()) if n_data is None else n_data,
+        n_data=len(fit.r),
         unknown=unknown,
     )
 
@@ -203,71 +189,47 @@ def identify(
         RuntimeError: If a configuration has no equilibrium; the text names it.
     """
     check_precision(precision)
-    measured = as_sequence(configurations)
-    found = survey(
+    poses = as_sequence(configurations)
+    seen = survey(
         model,
         parameters,
-        measured,
+        poses,
         at=at,
         noise=noise,
         newton=newton,
         uncertain=uncertain,
         progress=progress,
     )
-    n_p = len(found.space.names)
-    none = np.zeros((0, n_p))
-    W_ep = np.concatenate([none, *(s.W_ep for s in found.sensed)])
-    W, W_c = in_noise_units(found.sensed) if found.sensed else (none, None)
-    W_pp = sum((s.W_pp for s in found.sensed), np.zeros((n_p, n_p)))
     return identifiability(
-        W,
-        found.space,
-        found.z,
-        n_data=len(W),
-        W_ep=W_ep,
-        W_pp=W_pp,
-        W_c=W_c,
+        seen.linear,
+        seen.space,
+        seen.z,
+        W_ep=seen.W_ep,
+        W_pp=np.sum(seen.W_pp, axis=0),
         precision=precision,
-        unknown=found.unknown,
+        unknown=seen.unknown,
     )
-
-
-class Sensed(Module):
-    """Compliances of one configuration [m], in units of its jitter (W), and W_pp [J].
-
-    W_c is the change per standard deviation of each error that is considered, and A
-    that of each offset of a recording and share of a motion, in units of the jitter
-    too; see `considered_errors` and `CorrelatedNoise`.
-    `failure` says why there is no equilibrium; it is empty if there is one.
-    """
-
-    name: str
-    W_ep: Float[HostArray, "n_e n_p"]
-    W: Float[HostArray, "n_e n_p"]
-    W_c: Float[HostArray, "n_e n_errors"]
-    A: Float[HostArray, "n_e n_columns"]
-    W_pp: Float[HostArray, "n_p n_p"]
-    failure: str
-
-
-def in_noise_units(
-    sensed: Sequence[Sensed],
-) -> tuple[Float[HostArray, "n_e n_p"], Float[HostArray, "n_e n_errors"]]:
-    """Stack compliances and errors of configurations in units of their noise [-]."""
-    stack = lambda name: np.concatenate([getattr(s, name) for s in sensed])
-    A = stack("A")
-    return whitened(A, stack("W")), whitened(A, stack("W_c"))
 
 
 class Survey(Module):
     """Compliances of configurations at scaled values z of the parameters [-].
 
-    `unknown` are causes of errors that they lack, see `ErrorBudget`.
+    Attributes:
+        space: The parameters.
+        z: Their scaled values [-].
+        linear: Rows of what would be measured, without errors.
+        W_ep: Compliances of these rows, in their units, per unit of lambda_p.
+        W_pp: That of each configuration [J].
+        failures: Why a configuration has no equilibrium; empty if it has one.
+        unknown: Causes of errors that `linear` lacks, see `ErrorBudget`.
     """
 
     space: ParameterSpace
     z: Float[Array, " n_p"]
-    sensed: tuple[Sensed, ...]
+    linear: LinearModel
+    W_ep: Float[HostArray, "n_e n_p"]
+    W_pp: Float[HostArray, "n_c n_p n_p"]
+    failures: tuple[str, ...]
     unknown: tuple[str, ...] = ()
 
 
@@ -293,9 +255,12 @@ def survey(
         raise ValueError(f"noise must be positive and finite [m], got {noise:g}.")
     space = as_space(parameters)
     z = _scaled_values(space, at)
+    names = tuple(c.name for c in configurations)
     if not configurations:
         check_parameters(model, space)
-        return Survey(space, z, ())
+        n_p = len(space.names)
+        linear = independent(np.zeros((0, n_p)), tuple(space.names))
+        return Survey(space, z, linear, linear.W, np.zeros((0, n_p, n_p)), ())
     mesh, mechanism = model.mesh, model.mechanism
     # A configuration without effectors is no error: the verdict says it sees nothing.
     posed = [
@@ -305,63 +270,72 @@ def survey(
     lanes = configuration_lanes(mesh, posed, mechanism)
     check_references(configurations, lanes.effectors)
     arrays, uncertain = lanes.arrays, uncertain or Uncertain()
-    check_parameters(model, space, _lane(arrays, 0))
+    check_parameters(model, space, lane_of(arrays, 0))
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
-    names = tuple(c.name for c in configurations)
     required = len(names) if required is None else required
     with Workers(model, len(names)) as workers:
         evaluator = Evaluator(problem, workers)
         solution, moved = evaluator.simulated(z, told_of_lane(progress, names))
         if required:
-            there = jax.tree.map(lambda leaf: leaf[:required], solution)
-            check_converged(there, names)
-        u = solution.displacement
-        compliance = evaluator.energy_compliances(z, u)
-        errors = considered_errors(
+            check_converged(lane_of(solution, slice(required)), names)
+        compliance = evaluator.energy_compliances(z, solution.displacement)
+        doubts = considered_errors(
             workers, problem, configurations, uncertain, z=z, equilibrium=solution
         )
-    weights = np.asarray(arrays.effectors.inverse_std).reshape(len(names), -1)
+    failures = _failures(solution, np.asarray(compliance.ok))
+    for name, failure in zip(names[:required], failures, strict=False):
+        if failure:
+            raise RuntimeError(f"configuration {name!r}: {failure}.")
+    weight = np.asarray(arrays.effectors.inverse_std)
     if noise is not None:
-        weights = np.where(weights > 0.0, 1.0 / noise, 0.0)
+        weight = np.where(weight > 0.0, 1.0 / noise, 0.0)
+    weighed = eqx.tree_at(
+        lambda p: p.configurations.effectors.inverse_std, problem, weight
+    )
     # Nothing is measured yet: the motion is that of the model.
     records = [
-        tuple(replace(e, measured=e.among(rows)) for e in own)
-        for own, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
+        tuple(replace(e, measured=e.among(rows)) for e in of_pose)
+        for of_pose, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
     ]
-    weighed = eqx.tree_at(
-        lambda e: e.inverse_std,
-        jax.tree.map(np.asarray, arrays.effectors),
-        weights.reshape(len(names), -1, 3),
-    )
     correlated = correlated_noise(
         configurations,
         space=space,
-        effectors=weighed,
+        effectors=weighed.configurations.effectors,
         records=records,
         uncertain=uncertain,
     )
-    all_A = np.asarray(jax.tree.map(np.asarray, correlated).columns(weighed))
-    all_A = all_A.reshape(len(names), -1, all_A.shape[1])
-    causes = errors.by_cause()
-    columns = [error for own in causes.values() for error in own.values()]
-    all_W_c = np.stack([np.zeros_like(weights), *columns], axis=2)[:, :, 1:]
-    sensed, compliance = [], jax.tree.map(np.asarray, compliance)
-    for i, name in enumerate(names):
-        W_ep, W_pp, ok = _lane(compliance, i)
-        seen, one = weights[i] > 0.0, _lane(solution, i)
+    linear = linear_model(
+        weighed.with_noise(correlated),
+        configurations,
+        z=z,
+        W_ep=compliance.W_ep,
+        ok=[not failure for failure in failures],
+        delta_e=np.zeros(weight.shape),
+        n_fitted=required,
+        considered=doubts.in_std(len(names), weight.reshape(len(names), -1)),
+    )
+    seen = (weight > 0.0) & ~np.array(failures, bool)[:, None, None]
+    return Survey(
+        space=space,
+        z=z,
+        linear=linear.all_fitted(),
+        W_ep=np.asarray(compliance.W_ep).reshape(weight.size, -1)[seen.ravel()],
+        W_pp=np.asarray(compliance.W_pp),
+        failures=failures,
+        unknown=doubts.unknown(len(names)),
+    )
+
+
+def _failures(
+    solution: EquilibriumSolution, regular: Bool[HostArray, " n_c"]
+) -> tuple[str, ...]:
+    """Say why configurations have no equilibrium, or no regular tangent there."""
+    outcomes = []
+    for c, ok in enumerate(regular):
+        one = lane_of(solution, c)
         outcome = one.result if not one.converged else RESULTS.singular
-        failure = "" if one.converged and ok else str(RESULTS[outcome])
-        if failure and i < required:
-            raise RuntimeError(f"configuration {name!r}: {failure}.")
-        W, W_c = (weights[i, seen, None] * own[seen] for own in (W_ep, all_W_c[i]))
-        A = all_A[i, seen]
-        sensed.append(Sensed(name, W_ep[seen], W, W_c, A, W_pp, failure))
-    return Survey(space, z, tuple(sensed), unknown_causes(uncertain, causes))
-
-
-def _lane(batch, i: int):
-    """Pick one configuration of a batch."""
-    return jax.tree.map(lambda leaf: leaf[i], batch)
+        outcomes.append("" if one.converged and ok else str(RESULTS[outcome]))
+    return tuple(outcomes)
 
 
 def _scaled_values(

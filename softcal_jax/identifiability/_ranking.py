@@ -11,13 +11,11 @@ from softcal_jax._units import readable_unit
 from softcal_jax.calibration import EquilibriumProgress, as_sequence
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import PRECISION, Uncertain, asked_errors
+from softcal_jax.fields import PRECISION, ParameterSpace, Uncertain, asked_errors
 from softcal_jax.identifiability._identify import (
     AnyVector,
     Parameters,
-    Sensed,
     Survey,
-    in_noise_units,
     survey,
 )
 from softcal_jax.identifiability._result import Tabulated, number, table
@@ -27,6 +25,7 @@ from softcal_jax.identifiability._spread import (
     named_directions,
     spread_of,
 )
+from softcal_jax.inference import LinearModel
 
 NOTHING = 10.0
 """Standard error, over the asked one, that stands for knowing nothing [-].
@@ -230,7 +229,7 @@ def rank_configurations(
     known, tried = as_sequence(configurations), as_sequence(candidates)
     if not tried:
         raise ValueError("at least one candidate is needed, got none.")
-    found = survey(
+    seen = survey(
         model,
         parameters,
         (*known, *tried),
@@ -241,44 +240,48 @@ def rank_configurations(
         required=len(known),
         progress=progress,
     )
-    asked = asked_errors(found.space, found.z, precision)
-    measured = found.sensed[: len(known)]
-    before = _told(found, measured, asked)
+    names = [c.name for c in tried]
+    asked = asked_errors(seen.space, seen.z, precision)
+    in_asked = seen.linear.per(asked)
+    before = _told(in_asked.without(*names), seen.space)
     gains, unranked = [], []
-    for s in found.sensed[len(known) :]:
-        reason = s.failure or ("" if len(s.W) else "it has no markers to measure")
+    for k, name in enumerate(names, start=len(known)):
+        reason = seen.failures[k]
+        if not reason and not np.any(in_asked.pose == k):
+            reason = "it has no markers to measure"
         if reason:
-            unranked.append(Unranked(s.name, reason))
-        else:
-            after = _told(found, (*measured, s), asked)
-            gains.append(_gain(s.name, found, asked, before=before, after=after))
+            unranked.append(Unranked(name, reason))
+            continue
+        others = [other for other in names if other != name]
+        after = _told(in_asked.without(*others), seen.space)
+        gains.append(_gain(name, seen, asked, before=before, after=after))
     gains.sort(key=lambda gain: -gain.d_gain)
-    blind = _blind_count(before, found)
-    return Ranking(tuple(gains), tuple(unranked), len(asked), blind)
+    return Ranking(tuple(gains), tuple(unranked), len(asked), before.blind)
 
 
 class _Told(NamedTuple):
-    """What configurations tell together, in units of the asked standard errors."""
+    """What configurations tell together, in units of the asked standard errors.
+
+    `blind` is the number of directions that are not identifiable.
+    """
 
     spread: Spread
     information: Float[HostArray, "n_p n_p"]
+    blind: int
 
 
-def _told(
-    found: Survey, sensed: Sequence[Sensed], asked: Float[HostArray, " n_p"]
-) -> _Told:
+def _told(linear: LinearModel, space: ParameterSpace) -> _Told:
     """Sum up what configurations tell."""
-    W, W_c = np.zeros((0, len(asked))), np.zeros((0, 0))
-    if sensed:
-        W, W_c = in_noise_units(sensed)
-    prior = asked * np.asarray(found.space.prior_weights())
-    least = np.diag(prior**2 + NOTHING**-2.0)
-    return _Told(spread_of(W * asked, W_c, prior), least + information(W * asked, W_c))
+    spread = spread_of(linear)
+    directions = named_directions(spread, space.names)
+    blind = sum(d.verdict == "not identifiable" for d in directions)
+    least = np.diag(linear.prior_weights**2 + NOTHING**-2.0)
+    return _Told(spread, least + information(linear), blind)
 
 
 def _gain(
     name: str,
-    found: Survey,
+    seen: Survey,
     asked: Float[HostArray, " n_p"],
     *,
     before: _Told,
@@ -287,24 +290,18 @@ def _gain(
     """Compare what is told without and with a candidate."""
     bounded = [np.sqrt(np.diag(np.linalg.inv(t.information))) for t in (before, after)]
     best = int(np.argmax(bounded[0] - bounded[1]))
-    parameter = found.space.parameters[best]
-    in_si = (found.space.slopes(found.z) * asked)[best]
-    value = np.asarray(found.space.from_scaled(found.z))[best]
+    parameter = seen.space.parameters[best]
+    in_si = (seen.space.slopes(seen.z) * asked)[best]
+    value = np.asarray(seen.space.from_scaled(seen.z))[best]
     old, new = (np.linalg.eigvalsh(t.information) for t in (before, after))
     return Gain(
         name=name,
         d_gain=float(np.sum(np.log(new)) - np.sum(np.log(old))),
         e_gain=float(new[0] - old[0]),
-        blind_left=_blind_count(after, found),
+        blind_left=after.blind,
         parameter=parameter.name,
         before=float(in_si * before.spread.errors()[best]),
         after=float(in_si * after.spread.errors()[best]),
         value=float(value),
         unit=parameter.unit,
     )
-
-
-def _blind_count(told: _Told, found: Survey) -> int:
-    """Count the directions that are not identifiable."""
-    directions = named_directions(told.spread, found.space.names)
-    return sum(d.verdict == "not identifiable" for d in directions)

@@ -100,8 +100,8 @@ def spread_of(linear: LinearModel) -> Spread:
     """Compute the covariance of an estimate from data and priors.
 
     That of the noise and the priors, C, plus D D^T with D = -G W_c of the errors that
-    are considered, as in `ErrorBudget`. Bounds are no measurement: what neither data nor
-    prior see has no finite error.
+    are considered, as in `ErrorBudget`. Bounds are no measurement: what neither data
+    nor prior see has no finite error.
 
     Args:
         linear: The fit, its unknowns in units of their asked standard errors, so that

@@ -17,6 +17,7 @@ from softcal_jax.inference._linear_model import (
     NOISE,
     ErrorColumns,
     LinearModel,
+    independent,
     no_errors,
 )
 from softcal_jax.inference._rank import RANK, Determined, determined, span
@@ -60,6 +61,7 @@ __all__ = [
     "disagreeing",
     "error_budget",
     "freedom_between",
+    "independent",
     "jitter_freedom",
     "lack_of_fit",
     "no_errors",

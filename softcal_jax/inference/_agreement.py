@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._names import listed
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable_unit
 from softcal_jax.fields import ParameterSpace, asked_errors
 from softcal_jax.inference._linear_model import LinearModel
@@ -63,7 +63,7 @@ def recording_estimates(
     z: Float[Array, " n_p"],
     spread: Uncertainty,
 ) -> tuple[RecordingEstimate, ...]:
-    """Estimate parameters from each recording, fitted or held out, that determines them.
+    """Estimate parameters from each recording alone, fitted or held out.
 
     With the gains G_k of one recording and G of all, their estimates differ by
     (G_k E_k - G) times the errors, of which the covariance is that of the noise, and

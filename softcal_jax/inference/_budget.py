@@ -3,9 +3,10 @@
 What is held fixed is a consider parameter c, with a standard deviation and no estimate
 (Schmidt, Adv. Control Systems 3, 1966; Tapley, Schutz, Born, Statistical Orbit
 Determination, 2004, ch. 6): an error dc moves the optimum by dz = -G W_c dc, with the
-gain G of `LinearModel`, and the covariance of the estimate is that of the noise plus the
-sum of G W_c W_c^T G^T over the causes. Offsets of recordings and creep belong to the
-noise; they are causes too, by the same gain, and what the noise has left is its jitter.
+gain G of `LinearModel`, and the covariance of the estimate is that of the noise plus
+the sum of G W_c W_c^T G^T over the causes. Offsets of recordings and creep belong to
+the noise; they are causes too, by the same gain, and what the noise has left is its
+jitter.
 """
 
 import numpy as np
@@ -99,7 +100,9 @@ class ErrorBudget(Module):
         errors = {cause: float(std[i]) for cause, std in self.by_cause().items()}
         shown = [c for c in errors if c == NOISE or errors[c] >= SMALL * total]
         shown.sort(key=lambda c: (c != NOISE, -errors[c]))
-        text = ", ".join(f"{cause} {self.readable(i, errors[cause])}" for cause in shown)
+        text = ", ".join(
+            f"{cause} {self.readable(i, errors[cause])}" for cause in shown
+        )
         text += "".join(f", {cause} unknown" for cause in self.unknown)
         worst = max(errors, key=lambda c: errors[c])
         if worst == NOISE:

@@ -5,11 +5,11 @@ After an equilibrium, every measured coordinate is off by
     r + W dz + W_c dc + e,   cov e = s^2 (I + B B^T),
 
 with the fitted unknowns z (Eq. 9), what is considered and not fitted, dc with unit
-variance (Schmidt, Adv. Control Systems 3, 1966; Tapley, Schutz, Born, Statistical Orbit
-Determination, 2004, ch. 6), and noise e of which the columns B are marginalised. Priors
-of z are rows of their own. The best dz, its covariance by each cause, what is left of r,
-and what any subset of rows would give follow by generalised least squares (Seber and
-Wild, Nonlinear Regression, 1989, sec. 2.1.4).
+variance (Schmidt, Adv. Control Systems 3, 1966; Tapley, Schutz, Born, Statistical
+Orbit Determination, 2004, ch. 6), and noise e of which the columns B are marginalised.
+Priors of z are rows of their own. The best dz, its covariance by each cause, what is
+left of r, and what any subset of rows would give follow by generalised least squares
+(Seber and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
 """
 
 from dataclasses import replace
@@ -176,8 +176,8 @@ class LinearModel(Module):
         """Compute (I + B B^T)^-1/2 x: errors become independent, of size s each."""
         return whitened(self.correlated.values, x)
 
-    def whitened(self) -> Whitened:
-        """Return the rows of fitted data and of priors, each of standard deviation s."""
+    def whitened(self) -> Whitened[HostArray]:
+        """Return rows of fitted data and of priors, each of standard deviation s."""
         fit = self.of_fit()
         return whitened_rows(
             fit.correlated.values,
@@ -279,7 +279,9 @@ class LinearModel(Module):
 
     def standard_errors(self) -> Float[HostArray, " n_p"]:
         """Compute the standard errors of the unknowns by all causes, scaled [-]."""
-        return np.linalg.norm(np.concatenate([*self.deviations().values()], axis=1), axis=1)
+        return np.linalg.norm(
+            np.concatenate([*self.deviations().values()], axis=1), axis=1
+        )
 
     def left(self, x: Float[HostArray, "n ..."]) -> Float[HostArray, "n ..."]:
         """Compute M x, M = V^-1 - V^-1 W C W^T V^-1: what the fit leaves of rows.
@@ -295,3 +297,35 @@ class LinearModel(Module):
         error, basis = self.whitened().error, self.solution.basis
         rest = (error - basis @ (basis.T @ error))[: len(self.r)]
         return self.whiten(rest) / self.scale**2
+
+
+def independent(
+    W: Float[HostArray, "n n_p"],
+    names: tuple[str, ...],
+    *,
+    r: Float[HostArray, " n"] | None = None,
+    scale: float = 1.0,
+) -> LinearModel:
+    """Make the model of one configuration with independent errors and no prior.
+
+    Args:
+        W: Compliances in stated standard deviations, per unit of lambda_p [-].
+        names: The unknowns.
+        r: Errors in stated standard deviations; 0 by default [-].
+        scale: Standard deviation of the errors over the stated one [-].
+    """
+    n, n_p = W.shape
+    return LinearModel(
+        names=names,
+        poses=("",),
+        pose=np.zeros(n, int),
+        fitted=np.ones(n, bool),
+        r=np.zeros(n) if r is None else r,
+        W=W,
+        correlated=no_errors(n),
+        considered=no_errors(n),
+        scale=scale,
+        from_prior=np.zeros(n_p),
+        prior_weights=np.zeros(n_p),
+        held=np.zeros(n_p, bool),
+    )

@@ -1,11 +1,11 @@
 """What rows of a linear system determine: one rule for every rank in the statistics.
 
-A column that is smaller than `NO_EFFECT` times the largest is what a factorization leaves
-of zero. The others are scaled to unit length, so that the unit of an unknown decides
-nothing, and a direction is seen if its singular value is above `RANK` times the largest.
-Compliances are exact to about 1e-9 and their squares, which weigh a direction, to the
-square root of the rounding unit; what lies below a millionth is noise of the arithmetic,
-and an error a million times that of the best direction is no knowledge.
+A column that is smaller than `NO_EFFECT` times the largest is what a factorization
+leaves of zero. The others are scaled to unit length, so that the unit of an unknown
+decides nothing, and a direction is seen if its singular value is above `RANK` times the
+largest. Compliances are exact to about 1e-9, and their squares, which weigh a
+direction, to the square root of that; what lies below a millionth is rounding, and an
+error a million times that of the best direction is no knowledge.
 """
 
 import numpy as np
@@ -48,7 +48,9 @@ def determined(rows: Float[HostArray, "n n_unknowns"]) -> Determined:
     unit = rows[:, active] / size[active]
     # At least as many rows as columns, so that directions without a row are listed.
     padding = np.zeros((max(0, len(active) - n), len(active)))
-    U, singular, Vt = np.linalg.svd(np.concatenate([unit, padding]), full_matrices=False)
+    U, singular, Vt = np.linalg.svd(
+        np.concatenate([unit, padding]), full_matrices=False
+    )
     seen = singular > RANK * np.max(singular, initial=0.0)
     factor = np.zeros((n_unknowns, int(seen.sum())))
     factor[active] = Vt[seen].T / singular[seen] / size[active, None]

@@ -116,9 +116,7 @@ def restricted_likelihood(
     return [float(factor) for factor in result]
 
 
-def freedom_between(
-    linear: LinearModel, A: Float[HostArray, "n k"]
-) -> tuple[int, int]:
+def freedom_between(linear: LinearModel, A: Float[HostArray, "n k"]) -> tuple[int, int]:
     """Count the residual directions that show a component, and those free of it.
 
     Args:

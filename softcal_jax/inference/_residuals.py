@@ -17,7 +17,7 @@ from softcal_jax.inference._rank import span
 from softcal_jax.inference._whitening import whitened
 
 ABSORBED = 1e-3
-"""Share of an error common to a configuration that parameters must leave to test it [-].
+"""Share of an error common to a configuration below which parameters take it up [-].
 
 No question of rank: a modulus moves a pose almost along its motion, and what is left
 beside it is curvature, not an error of the pose.

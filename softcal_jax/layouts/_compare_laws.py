@@ -77,7 +77,7 @@ def compare_laws(
             raise ValueError(f"law {name!r}: {error}") from error
     return compare_models(
         problems,
-        [configuration.name for configuration in configurations],
+        configurations,
         settings=settings,
         starts=starts,
         seed=seed,
@@ -87,7 +87,7 @@ def compare_laws(
 
 def compare_models(
     problems: Mapping[str, CalibrationProblem],
-    names: Sequence[str],
+    configurations: Sequence[Configuration],
     *,
     settings: CalibrationSettings | None = None,
     starts: int | None = None,
@@ -98,7 +98,7 @@ def compare_models(
 
     Args:
         problems: Calibrations by name of the model, as `build_problem` makes them.
-        names: Names of the configurations, in their order.
+        configurations: The configurations, in their order.
         settings: Settings of the outer loop; by default `FOR_PREDICTION`.
         starts: Number of starts of each fit; by default see `default_starts`.
         seed: Seed of the random starts.
@@ -110,10 +110,15 @@ def compare_models(
     """
     if not problems:
         raise ValueError("at least one law is needed, got none.")
-    check_folds(len(names), starts)
+    check_folds(len(configurations), starts)
     _check_same_data(problems)
     scores = cross_validated(
-        problems, names, settings=settings, starts=starts, seed=seed, progress=progress
+        problems,
+        configurations,
+        settings=settings,
+        starts=starts,
+        seed=seed,
+        progress=progress,
     )
     return ModelComparison.ranked(scores)
 

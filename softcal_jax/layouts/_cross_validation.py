@@ -22,10 +22,9 @@ from softcal_jax.calibration import (
     check_starts,
     default_starts,
     images_of,
-    n_measured,
+    linear_model,
     random_starts,
     run_start,
-    whitened,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers
@@ -37,6 +36,7 @@ from softcal_jax.fields import (
     as_space,
 )
 from softcal_jax.identifiability import identifiability
+from softcal_jax.inference import whitened
 from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, ModelScore
 
 MakeParameters = Callable[[ControlPoints], ParameterSpace | Entry | Sequence[Entry]]
@@ -177,7 +177,7 @@ def compare_layouts(
             raise ValueError(f"layout {name!r}: {error}") from error
     scores = cross_validated(
         problems,
-        [c.name for c in configurations],
+        configurations,
         settings=settings,
         starts=starts,
         seed=seed,
@@ -199,7 +199,7 @@ def check_folds(n: int, starts: int | None) -> None:
 
 def cross_validated(
     problems: Mapping[str, CalibrationProblem],
-    names: Sequence[str],
+    configurations: Sequence[Configuration],
     *,
     settings: CalibrationSettings | None,
     starts: int | None,
@@ -211,7 +211,7 @@ def cross_validated(
 
     Args:
         problems: Calibrations to all configurations, by name of the model.
-        names: Names of the configurations.
+        configurations: The configurations.
         settings: Settings of the outer loop; by default `FOR_PREDICTION`.
         starts: Number of starts of each fit; None for `default_starts`.
         seed: Seed of the random ones.
@@ -227,7 +227,9 @@ def cross_validated(
             others = random_starts(problem.space, n - 1, seed=seed)
             start = jnp.concatenate([start, others])
         fits = _fit(problem, settings or FOR_PREDICTION, start)
-        scores.append(_score(name, n_points.get(name, 0), problem, list(names), fits))
+        scores.append(
+            _score(name, n_points.get(name, 0), problem, configurations, fits)
+        )
     return scores
 
 
@@ -235,18 +237,19 @@ def _score(
     name: str,
     control_points: int,
     problem: CalibrationProblem,
-    names: list[str],
+    configurations: Sequence[Configuration],
     fits: list[_Fit],
 ) -> ModelScore:
     """Score the folds of one model and the fit to all configurations."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    columns, noise = problem.noise_columns(), problem.noise
+    effectors, noise = problem.configurations.effectors, problem.noise
+    columns = np.asarray(problem.noise_columns())
     if noise is not None:
         columns = columns[:, : noise.n_common]
     A = columns.reshape(*weight.shape, columns.shape[1])
     # Distances are of points; turns and forces count in units of the noise.
     n_points = problem.configurations.effectors.nodes.shape[-2]
-    every = np.arange(len(names))
+    every = np.arange(len(configurations))
 
     def rms(
         fit: _Fit, failure: str, fold: _Fold, lanes: Int[HostArray, " n"]
@@ -259,7 +262,7 @@ def _score(
             return np.nan, np.nan
         error, of_lanes = np.asarray(fit.after.delta_e), weight[lanes]
         if noise is not None:
-            error = noise.without_attachments(error, weight, fold.counts)
+            error = noise.without_attachments(effectors, error, fold.counts)
         error = error[lanes]
         squares = np.sum(error[:, :n_points] ** 2, axis=2)
         there = np.any(of_lanes[:, :n_points] > 0.0, axis=2)
@@ -269,18 +272,27 @@ def _score(
         mean = lambda squares: float(np.sqrt(np.mean(squares)))
         return mean(squares[there]), mean(over_noise**2)
 
-    *held_out_folds, whole = _folds(len(names))
+    *held_out_folds, whole = _folds(len(configurations))
     folds = []
     for i, fold in enumerate(held_out_folds):
         fit, failure = fits[i], _failure(fits[i], i)
         distance, over_noise = rms(fit, failure, fold, every[i : i + 1])
         fitted, _ = rms(fit, failure, fold, every[fold.counts])
-        folds.append(FoldScore(names[i], distance, over_noise, fitted, failure))
+        folds.append(
+            FoldScore(configurations[i].name, distance, over_noise, fitted, failure)
+        )
     last, failure = fits[-1], _failure(fits[-1], None)
     seen = None
     if np.all(last.after.equilibrium.converged):
-        W, n_data = np.asarray(last.after.W_ep), n_measured(problem)
-        seen = identifiability(W, problem.space, last.run.z, n_data=n_data)
+        linear = linear_model(
+            problem,
+            configurations,
+            z=jnp.asarray(last.run.z),
+            W_ep=last.after.response.W_ep,
+            ok=last.after.response.ok,
+            delta_e=last.after.delta_e,
+        )
+        seen = identifiability(linear.with_scale(1.0), problem.space, last.run.z)
     distance, over_noise = rms(last, failure, whole, every)
     return ModelScore(
         name=name,

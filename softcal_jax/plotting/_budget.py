@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import NOISE, CalibrationResult
+from softcal_jax.calibration import CalibrationResult
+from softcal_jax.inference import NOISE
 from softcal_jax.plotting._colours import FAINT, SERIES, TEXT
 from softcal_jax.plotting._save import DPI, save
 

@@ -46,7 +46,11 @@ def compare_projects(
         for name, project in projects_by_name(projects).items()
     }
     return compare_models(
-        problems, names, starts=first.starts, seed=first.seed, progress=progress
+        problems,
+        first.calibration,
+        starts=first.starts,
+        seed=first.seed,
+        progress=progress,
     )
 
 

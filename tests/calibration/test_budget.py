@@ -7,12 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from softcal_jax.calibration._budget import ConsideredErrors
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
 from softcal_jax.calibration import NOISE, build_problem, simulated_measurements
 from softcal_jax.calibration import calibrate as calibrate_with
-from softcal_jax.calibration._budget import ConsideredErrors
 from softcal_jax.calibration._considered import Considered, considered
 from softcal_jax.calibration._mesh_error import MeshErrors
 from softcal_jax.calibration._noise import named_columns

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from softcal_jax.calibration._agreement import Posed, not_asked
 
 from softcal_jax.calibration import (
     _weighing,
@@ -15,7 +16,6 @@ from softcal_jax.calibration import (
     levenberg_marquardt,
     simulated_measurements,
 )
-from softcal_jax.calibration._agreement import Posed, not_asked
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import Parameter, exactly_known

@@ -6,6 +6,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from softcal_jax.calibration._uncertainty import uncertainty
 
 from softcal_jax.calibration import (
     CalibrationWarning,
@@ -14,7 +15,6 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._notes import warn_if_too_few_data
-from softcal_jax.calibration._uncertainty import uncertainty
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace

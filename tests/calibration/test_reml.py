@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from softcal_jax.calibration._reml import (
     Residuals,
     freedom_between,

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 from scipy.stats import f as f_distribution
-
-from softcal_jax.calibration._noise import coloured, whitened
 from softcal_jax.calibration._reml import Residuals, restricted_likelihood
 from softcal_jax.calibration._residuals import (
     LinearFit,
@@ -13,6 +11,8 @@ from softcal_jax.calibration._residuals import (
     lack_of_fit,
     left_out,
 )
+
+from softcal_jax.calibration._noise import coloured, whitened
 
 N_C, MARKERS, N_P = 4, 4, 2
 SHAPE = (N_C, MARKERS, 3)

@@ -6,6 +6,7 @@ from functools import partial
 import equinox as eqx
 import numpy as np
 import pytest
+from softcal_jax.calibration._uncertainty import UNLIKELY
 
 from softcal_jax.calibration import (
     MESH,
@@ -17,7 +18,6 @@ from softcal_jax.calibration import (
     synthetic_measurements,
     with_measured,
 )
-from softcal_jax.calibration._uncertainty import UNLIKELY
 from softcal_jax.configurations import (
     Configuration,
     Markers,
