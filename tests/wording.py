@@ -21,12 +21,15 @@ def says(text: object, *parts: str) -> bool:
         AssertionError: If no text does. It shows what was looked for and where.
     """
     texts = list(map(str, text)) if type(text) in (list, tuple) else [str(text)]
-    expected = " ... ".join(parts)
-    pattern = ".*?".join(map(_whole, expected.split(" ... ")))
-    if not any(re.search(pattern, shown, re.DOTALL) for shown in texts):
+    if not any(re.search(saying(*parts), shown) for shown in texts):
         lines = "\n".join(texts)
-        raise AssertionError(f"nothing says {expected!r} here:\n{lines}")
+        raise AssertionError(f"nothing says {' ... '.join(parts)!r} here:\n{lines}")
     return True
+
+
+def saying(*parts: str) -> str:
+    """The pattern of a text that `says` these parts, for `pytest.raises(match=...)`."""
+    return "(?s)" + ".*?".join(map(_whole, " ... ".join(parts).split(" ... ")))
 
 
 def _whole(part: str) -> str:
