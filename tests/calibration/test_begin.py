@@ -4,9 +4,12 @@ St. Venant-Kirchhoff without Poisson effect: force per area E s (s^2 - 1) / 2 at
 stretch s, at most 0.19245 E in compression, at s = 1 / sqrt(3).
 """
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from wording import says
 
 from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
@@ -52,10 +55,9 @@ def test_a_start_that_is_too_soft_is_raised_and_said():
     assert result.parameters[0].start == pytest.approx(0.8)
     carried = 100.0 * LIMIT * 0.4 / PUSH
     note = result.notes[0]
-    assert note.startswith("No equilibrium at the start values. pushed carries ")
+    assert says(note, "No equilibrium", "pushed", "stiffer", "E = 0.8 Pa")
     # The last equilibrium is at most one smallest load step, 0.1 %, below the limit.
     assert carried - 0.2 <= float(note.split("carries ")[1].split(" %")[0]) <= carried
-    assert note.endswith("The fit began with stiffer moduli: E = 0.8 Pa.")
     # Said while it ran, too: configuration, load, step and the factor on the moduli.
     assert {p.configuration for p in told} == {"pushed"}
     assert {p.stiffer for p in told} == {1.0, 2.0}
@@ -63,8 +65,7 @@ def test_a_start_that_is_too_soft_is_raised_and_said():
     assert max(p.load for p in told if p.stiffer == 1.0) == pytest.approx(
         carried / 100.0, abs=2e-3
     )
-    assert "pushed: 100 % of the load, step " in str(told[-1])
-    assert str(told[-1]).endswith("moduli 2 times the start")
+    assert says(told[-1], "pushed", "100 %", "moduli 2 times")
 
 
 def test_without_being_told_the_fit_is_the_same():
@@ -85,11 +86,8 @@ def test_bounds_that_are_too_soft_are_named(told):
     with pytest.raises(RuntimeError) as error:
         fitted(0.4, 0.5, equilibrium_progress=told)
     text = str(error.value)
-    assert text.startswith("no equilibrium found.\nconfiguration 'pushed': at 51")
-    assert "% of the load the body balloons or buckles: " in text
-    assert (
-        "Nor is there one with stiffer moduli up to their bounds (E = 0.5 Pa)" in text
-    )
+    assert re.search("no equilibrium.*'pushed': at 51.*balloons or buckles", text, re.S)
+    assert says(text, "stiffer moduli", "bounds", "E = 0.5 Pa")
     carried = float(text.split("pushed carries ")[1].split(" %")[0])
     assert carried == pytest.approx(100.0 * LIMIT * 0.5 / PUSH, abs=0.2)
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
@@ -306,12 +307,12 @@ def test_configuration_without_equilibrium_is_named(model):
 
 
 def test_unmeasured_configuration_is_refused(model):
-    with pytest.raises(ValueError, match="'hang' has no measured positions"):
+    with pytest.raises(ValueError, match=r"'hang'.*no measured"):
         calibrate(model, [parameter()], [posed("hang")])
 
 
 def test_name_used_for_fit_and_validation_is_refused(model, exact):
-    with pytest.raises(ValueError, match="'hang' is named more than once"):
+    with pytest.raises(ValueError, match=r"'hang'.*more than once"):
         calibrate(model, [parameter()], exact[:1], validation=exact[:1])
 
 
@@ -358,7 +359,7 @@ def test_blind_direction_is_left_alone(model):
     ratio = np.sqrt(E_TRUE / 1e5)
     assert result.value("E") == pytest.approx(1e5 * ratio, rel=1e-2)
     assert result.value("rho") == pytest.approx(1e3 / ratio, rel=1e-2)
-    assert any("the data cannot tell them apart" in note for note in result.notes)
+    assert says(result.notes, "cannot tell them apart")
 
 
 def test_pose_that_the_model_cannot_explain_is_named(model, exact):
@@ -388,7 +389,7 @@ def test_held_out_poses_that_are_not_found_from_rest(model, exact):
     assert calibrated.configurations[-1].rms_after < 1e-7
     (note,) = [note for note in calibrated.notes if "is not predicted" in note]
     assert note.startswith("crushed ")
-    carried = re.search(r"carries at most ([\d.]+) % of its load", note)
+    carried = re.search(r"carries at most ([\d.]+) %", note)
     assert carried is not None
     assert 0.0 < float(carried[1]) < 10.0
 
@@ -404,7 +405,7 @@ def _measured_of(model, pose):
 def test_stated_noise_that_is_too_small_is_flagged(model):
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-3)
     result = calibrate(model, parameter(), data, noise="stated")
-    assert any("larger than the stated noise" in note for note in result.notes)
+    assert says(result.notes, "larger", "stated noise")
     honest = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=1e-3)
     result = calibrate(model, parameter(), honest, noise="stated")
     assert result.notes == result.notes[:1]  # only the one on linear tets

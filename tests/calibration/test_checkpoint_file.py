@@ -62,7 +62,7 @@ def test_checkpoint_of_another_robot_is_refused(tmp_path, changed):
 def test_a_checkpoint_names_the_version_that_wrote_it(tmp_path, monkeypatch):
     path = saved(tmp_path)
     monkeypatch.setattr(_checkpoint_file, "version", lambda name: "9.0")
-    message = r"fit\.npz was written by softcal_jax .*, and this is 9\.0: remove it to"
+    message = r"fit\.npz.*softcal_jax .*9\.0.*remove"
     with pytest.raises(ValueError, match=message), journal(path):
         pass
 
@@ -95,7 +95,7 @@ def of_another_kind(content):
 def test_a_checkpoint_that_was_edited_is_refused_and_kept(tmp_path, edit, key):
     path = saved(tmp_path)
     changed = edit_saved(path, edit)
-    message = rf"fit\.npz is not as a calibration wrote it: {key} differ"
+    message = rf"fit\.npz.*: {key} differ"
     with pytest.raises(ValueError, match=message), journal(path):
         pass
     assert path.read_bytes() == changed
@@ -124,7 +124,7 @@ def edit_saved(path, edit):
 def test_a_checkpoint_whose_texts_are_nonsense_is_refused(tmp_path, value, name):
     path = saved(tmp_path)
     edit_saved(path, lambda content: content.update({name: np.array(value)}))
-    message = r"fit\.npz is not a checkpoint of a calibration \(.*\); give another"
+    message = r"fit\.npz is not a checkpoint.*give another"
     with pytest.raises(ValueError, match=message), journal(path):
         pass
 
@@ -164,7 +164,7 @@ def test_a_checkpoint_of_another_development_version_is_refused(tmp_path):
     for other in ((a, b, b), (a, np.zeros(4)), (a, b.astype(int))):
         with (
             journal(path) as again,
-            pytest.raises(ValueError, match=r"fit\.npz was written by another version"),
+            pytest.raises(ValueError, match=r"fit\.npz.*another version"),
         ):
             again.kept("state", other)
 
@@ -176,7 +176,7 @@ def test_a_file_that_is_no_checkpoint_is_refused_and_kept(tmp_path, damage):
     path = saved(tmp_path)
     damage(path)
     before = path.read_bytes()
-    message = r"fit\.npz is not a checkpoint of a calib"
+    message = r"fit\.npz is not a checkpoint"
     with pytest.raises(ValueError, match=message), journal(path):
         pass
     assert path.read_bytes() == before

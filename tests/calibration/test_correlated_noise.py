@@ -6,7 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import chi2
+<<<<<<< HEAD
 from softcal_jax.calibration._agreement import Posed, not_asked
+=======
+from wording import says
+>>>>>>> tests
 
 from softcal_jax.calibration import (
     _weighing,
@@ -200,7 +204,7 @@ def test_what_the_data_cannot_tell_is_taken_as_stated_with_a_note():
     asked = replace(exactly_known(), recordings="estimated")
     result = fit(measured(recording="monday"), asked)
     assert float(result.noise.offset[0, 0]) == OFFSET
-    assert any("offset of the recordings cannot be estim" in n for n in result.notes)
+    assert says(result.notes, "offset of the recordings", "cannot")
 
 
 def test_a_left_out_pose_is_that_of_a_fit_to_the_others():
@@ -223,9 +227,7 @@ def test_a_pose_with_a_wrong_load_is_named_with_either_noise():
     data[2] = replace(data[2], loads=poses()[1].loads)
     for noise in ("stated", "estimated"):
         result = fit(data, known, noise=noise)
-        assert "load 2 is not predicted by the others" in " ".join(
-            result.checks.reasons
-        ), noise
+        assert says(result.checks.reasons, "load 2", "not predicted"), noise
         assert set(result.checks.reasons) <= set(assess(result).reasons)
 
 
@@ -268,7 +270,7 @@ def test_an_error_that_all_recordings_share_cancels_in_their_difference():
 
 
 def test_a_share_of_the_motion_is_zero_or_more():
-    with pytest.raises(ValueError, match="relative_std of configuration 'load 0' must"):
+    with pytest.raises(ValueError, match=r"relative_std.*'load 0'.*-0.1"):
         poses(relative_std=-0.1)
 
 
@@ -329,7 +331,7 @@ def test_jitter_that_offsets_explain_as_well_is_not_estimated():
     seen = Markers(MARKERS.names[2:], MARKERS.positions[2:], STD)
     data = [replace(c, markers=seen, measured=c.measured[2:]) for c in measured(2)]
     result = fit(data, noise="estimated")
-    assert any("Jitter cannot be told from offsets" in n for n in result.notes)
+    assert says(result.notes, "Jitter", "cannot", "offsets")
     assert float(result.noise.jitter) == 1.0
     dof = 3 * len(data) - 1
     assert result.uncertainty.degrees_of_freedom == dof
@@ -345,8 +347,8 @@ def test_noise_that_still_changes_at_the_end_is_not_settled(monkeypatch):
     monkeypatch.setattr(_weighing, "MOST_ROUNDS", 1)
     result = fit(data, noise="estimated")
     assert not result.noise_settled
-    assert "The noise did not settle" in " ".join(result.notes)
-    assert "noise did not settle beside the fit" in " ".join(assess(result).reasons)
+    assert says(result.notes, "noise did not settle")
+    assert says(assess(result).reasons, "noise did not settle")
 
 
 def test_held_out_recordings_that_are_not_asked_are_named():
@@ -358,4 +360,4 @@ def test_held_out_recordings_that_are_not_asked_are_named():
     other = replace(data[3], markers=tip, measured=data[3].measured[2:])
     assert not_asked(posed(data[:3]), posed(data[3:])) == ()
     (note,) = not_asked(posed(data[:3]), posed([other]))
-    assert note.startswith("Held-out 'load 3' cannot be asked alone")
+    assert says(note, "'load 3'", "alone")

@@ -208,12 +208,12 @@ def test_rows_are_the_differences_of_both_compliances(data):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"displacement_from": "nowhere"}, "displacement_from of configuration 'up'"),
-        ({"displacement_from": "up"}, "which has a reference itself"),
-        ({"displacement_from": "side"}, "which has a reference itself"),
+        ({"displacement_from": "nowhere"}, "displacement_from of .*'up'"),
+        ({"displacement_from": "up"}, "has a reference"),
+        ({"displacement_from": "side"}, "has a reference"),
         (
             {"markers": Markers(["tip", "end"], [TIP, TIP], STD)},
-            "where 'end' was not measured",
+            "'end'.*not measured",
         ),
     ],
 )

@@ -143,7 +143,7 @@ def test_a_lower_cost_is_no_interval(result, poses):
     problem = build_problem(result.model, result.space, poses, result.newton)
     W, cost = np.asarray(result.W_ep), result.history[-1].cost
     off = result.z + jnp.array([3.0 * relative_error(result), 0.0])
-    with pytest.raises(LowerCostFound, match="not in the best optimum") as caught:
+    with pytest.raises(LowerCostFound, match="best optimum") as caught:
         profile_ends(
             problem,
             result.settings,
@@ -279,9 +279,9 @@ def test_bad_input(result, poses):
         profile_intervals(result, poses, parameters="EE")
     with pytest.raises(ValueError, match="did not converge"):
         profile_intervals(replace(result, converged=False), poses)
-    with pytest.raises(ValueError, match="fitted hanging, pushed; got hanging"):
+    with pytest.raises(ValueError, match="hanging, pushed; got hanging"):
         profile_intervals(result, poses[0])
-    with pytest.raises(ValueError, match="give those that were calibrated"):
+    with pytest.raises(ValueError, match="give those"):
         profile_intervals(result, measured(noise=5.0))
 
 
@@ -348,4 +348,4 @@ def test_a_badly_known_parameter_has_a_note(poses, result):
     for std, said in ((0.29, False), (0.31, True)):
         spread = replace(result.uncertainty, covariance=np.diag([std**2, 1e-4]))
         notes = " ".join(uncertainty_notes(problem, spread))
-        assert ("The data determine E so badly" in notes) == said
+        assert ("determine E so badly" in notes) == said

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from wording import says
 
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import _mesh_error, calibrate
@@ -184,10 +185,10 @@ def test_before_measuring_an_unknown_error_of_the_mesh_is_named(monkeypatch):
     monkeypatch.setattr(_mesh_error, "MOST_TETS", {1: 1, 2: 1})
     outlook = identify(MODEL, E, poses(), newton=TIGHT)
     assert outlook.unknown == ("mesh",)
-    assert "Errors of the mesh are not among these" in str(outlook)
+    assert says(outlook, "mesh", "not among these")
 
 
 def test_an_unknown_reference_is_named_before_solving():
     wrong = replace(poses()[1], displacement_from="nowhere")
-    with pytest.raises(ValueError, match="displacement_from of configuration 'up'"):
+    with pytest.raises(ValueError, match=r"displacement_from of .*'up'"):
         identify(MODEL, E, [poses()[0], wrong])

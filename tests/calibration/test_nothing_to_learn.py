@@ -51,7 +51,7 @@ def refused(model, parameters, configuration, match):
 
 
 def test_all_markers_on_the_clamp(model):
-    refused(model, E, pose(CLAMPED), "nothing to learn: all markers are on parts that")
+    refused(model, E, pose(CLAMPED), "nothing to learn: all markers")
 
 
 def test_a_marker_on_the_clamp_tells_where_the_recording_is(model):
@@ -64,8 +64,7 @@ def test_a_marker_on_the_clamp_tells_where_the_recording_is(model):
 def test_a_region_that_is_held(model):
     cell = np.flatnonzero(model.mesh.points[:, 0] < 0.026)
     own = Parameter("E of first", "E", 1e5, 3e4, 1e6, region="first", unit="Pa")
-    match = "nothing to learn of 'E of first': all tets of 'first' are held in every"
-    refused(model, own, pose(held=cell), match)
+    refused(model, own, pose(held=cell), "nothing to learn of 'E of first'.*held")
 
 
 @pytest.mark.parametrize(
@@ -81,7 +80,7 @@ def test_a_region_that_is_held(model):
         ),
         (
             load_factor(prior_std=0.05),
-            "'factor of loads': no configuration has such a dead load",
+            "'factor of loads': no configuration has .*dead load",
         ),
     ],
     ids=["density", "tilt", "loads"],
@@ -93,7 +92,7 @@ def test_what_no_configuration_depends_on(model, entry, match):
 def test_a_body_without_any_load_is_refused_at_its_first_equilibrium(model):
     """It stays as it is with any modulus; once "converged, E = 1e5 +- nan"."""
     still = pose(gravity=(0.0, 0.0, 0.0))
-    match = r"nothing to learn of 'E': no measured coordinate moves .*Check that a load"
+    match = "nothing to learn of 'E'.*Check that a load"
     refused(model, E, still, match)
     # The question what it would tell has an answer.
     found = identify(model, E, still, uncertain=exactly_known())
@@ -118,5 +117,4 @@ def test_a_cost_that_is_not_finite_is_never_converged():
         end = minimise(Evaluator(problem, workers), FROM_ANYWHERE, start)
     assert end.cost == np.inf
     assert not end.converged
-    match = "the cost at the start is not finite.* 1e-300 in SI units, in configuration"
-    refused(MODEL, unknowns(), tiny, match)
+    refused(MODEL, unknowns(), tiny, "cost.*not finite.* 1e-300.* configuration")

@@ -302,9 +302,9 @@ def test_damping_shortens_a_step_and_moves_no_minimum():
 
 def test_wrong_calls_say_so():
     one = jnp.ones(1)
-    with pytest.raises(ValueError, match="A and b describe the rows together"):
+    with pytest.raises(ValueError, match=r"A and b.*together"):
         bounded_step(jnp.eye(1), one, -one, one, A=jnp.eye(1))
-    with pytest.raises(ValueError, match=r"damping must be positive, got 0\.0"):
+    with pytest.raises(ValueError, match=r"damping.*got 0\.0"):
         bounded_step(jnp.eye(1), one, -one, one, damping=0.0)
 
 

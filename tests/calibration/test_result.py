@@ -3,6 +3,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 from export.handmade import AT_REST, make_simulation, small_model
+from wording import says
 
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.calibration._configuration_result import configuration_results
@@ -53,7 +54,4 @@ def test_a_pose_in_balance_up_to_rounding_alone_is_noted():
     stopped = replace(fit, residual=3e-6, rounding=5e-6, at_rounding=True)
     idle = replace(fit, residual=0.1, rounding=1.0, at_rounding=True)
     (note,) = _rounding_notes([fit, stopped, idle])
-    assert note.startswith(
-        "droop is in balance only up to 3.0e-06 of its forces, where"
-    )
-    assert "rounding, estimated at 5.0e-06, stopped Newton before its rtol" in note
+    assert says(note, "droop", "3.0e-06", "rounding", "5.0e-06", "rtol")

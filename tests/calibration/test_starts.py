@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
@@ -141,7 +142,7 @@ def test_order_of_the_starts_changes_nothing(measured, mirrored):
     assert again.steps[1] == 1
     assert again.best in (0, 2)
     assert all(1 not in optimum.starts for optimum in again.optima)
-    assert "1 without equilibrium at the start (starts 1)." in str(again)
+    assert says(again, "1 without equilibrium", "starts 1")
 
 
 def test_one_start_alone_ends_as_among_others(measured, mirrored):
@@ -204,7 +205,7 @@ def with_other_points(space, names):
 
 def test_without_any_equilibrium_it_is_an_error(measured):
     lost = jnp.full_like(measured.starts, jnp.nan)
-    with pytest.raises(RuntimeError, match="none of 3 starts has an equilibrium"):
+    with pytest.raises(RuntimeError, match="none of 3 starts"):
         multi_start(measured.problem, lost)
 
 
@@ -343,13 +344,13 @@ def test_only_a_few_optima_are_listed():
 
 
 def test_calibrate_needs_a_start(measured):
-    with pytest.raises(ValueError, match="starts must be at least 1, got 0"):
+    with pytest.raises(ValueError, match=r"starts.*got 0"):
         calibrate(measured.beam.model, measured.beam.space, measured.data, starts=0)
 
 
 @pytest.mark.parametrize("shape", [(0, 6), (3, 5), (6,)])
 def test_starts_that_do_not_fit_the_parameters(measured, shape, unchecked):
-    message = r"starts must have the shape \(number, 6\), at least one; got \("
+    message = r"starts .* shape \(number, 6\).*got \("
     with pytest.raises(ValueError, match=message):
         multi_start(measured.problem, jnp.zeros(shape))
 
@@ -411,14 +412,13 @@ def test_report_lists_optima_unfinished_and_lost_runs():
         [True, True, True, False, False, False],
     )
     values = "E_t of CP 1 8e+05, E_t of CP 2 7e+05, E_l of CP 1 3e+05, E_l of CP 2 2e"
-    assert str(found).splitlines() == [
-        "6 starts, 3 converged, 2 distinct optima.",
-        "  The second-best costs 3 more than the best.",
-        f"  cost 2 from 1 starts: {values}+05, theta of CP 1 0.3491, theta of CP 2 0.4",
-        f"  cost 5 from 2 starts: {values}+05, theta of CP 1 0.1745, theta of CP 2 0.4",
-        "  2 not converged (starts 3, 4), lowest cost 3.25.",
-        "  1 without equilibrium at the start (starts 5).",
-    ]
+    whole, second, best, worse, unfinished, lost = str(found).splitlines()
+    assert says(whole, "6 starts", "3 converged", "2 distinct")
+    assert says(second, "second-best", "3 more")
+    assert says(best, "cost 2", "1 starts", f"{values}+05, theta of CP 1 0.3491")
+    assert says(worse, "cost 5", "2 starts", f"{values}+05, theta of CP 1 0.1745")
+    assert says(unfinished, "2 not converged", "starts 3, 4", "3.25")
+    assert says(lost, "1 without equilibrium", "starts 5")
 
 
 @pytest.mark.parametrize("tensor_steps", [True, False])
@@ -473,5 +473,5 @@ def test_chain_of_orders_and_bounds_of_their_own():
 
 @pytest.mark.parametrize("n", [0, -3])
 def test_random_starts_are_at_least_one(n):
-    with pytest.raises(ValueError, match=f"must be at least 1, got {n}"):
+    with pytest.raises(ValueError, match=f"at least 1, got {n}"):
         random_starts(SPACE, n)

@@ -102,19 +102,19 @@ def test_measured_positions_are_replaced_and_all_else_is_kept(exact):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"E": 2e5}, "'rho' is not given. Parameters: E, rho"),
-        (VALUES | {"nu": 0.3}, "'nu' is no parameter. Parameters: E, rho"),
-        ({}, "'E' is not given"),
+        ({"E": 2e5}, "'rho'.*not given.* E, rho"),
+        (VALUES | {"nu": 0.3}, "'nu'.*no parameter.* E, rho"),
+        ({}, "'E'.*not given"),
     ],
 )
 def test_values_must_name_every_parameter(model, poses, values, message):
-    with pytest.raises(ValueError, match="every parameter once; " + message):
+    with pytest.raises(ValueError, match=message):
         synthetic_measurements(model, SPACE, poses, values)
 
 
 def test_configuration_without_markers_is_named(model, poses):
     blind = Configuration("blind", "x_min")
-    with pytest.raises(ValueError, match="configuration 'blind' has no markers"):
+    with pytest.raises(ValueError, match=r"'blind'.*no markers"):
         synthetic_measurements(model, SPACE, [*poses, blind], VALUES)
 
 

@@ -6,7 +6,7 @@ from functools import partial
 import equinox as eqx
 import numpy as np
 import pytest
-from softcal_jax.calibration._uncertainty import UNLIKELY
+from wording import says
 
 from softcal_jax.calibration import (
     MESH,
@@ -18,6 +18,7 @@ from softcal_jax.calibration import (
     synthetic_measurements,
     with_measured,
 )
+from softcal_jax.calibration._uncertainty import UNLIKELY
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -87,7 +88,8 @@ def test_a_good_fit_is_identified(good):
     assert verdict.identified
     assert verdict.reasons == ()
     assert verdict.identifiability.verdict == "identifiable"
-    assert str(verdict).startswith("Identified.\nIdentifiable at these values: 12 m")
+    assert str(verdict).startswith("Identified")
+    assert says(verdict, "Identifiable", "12 measured")
     # And it may say so: two standard errors around what made the data.
     for estimate in good.parameters:
         off = abs(estimate.value - TARGET[estimate.name])
@@ -112,14 +114,12 @@ def test_model_error_shows_above_the_stated_noise(model, data):
     assert not stated.identified
     assert stated.misfit_probability < 1e-6
     (reason,) = stated.reasons
-    assert reason.startswith("The model cannot match the data within the stated noise:")
-    assert "for 10 degrees of freedom" in reason
-    assert str(stated).startswith("Not identified:\n  The model cannot match")
+    assert says(reason, "cannot match", "stated noise", "10 degrees of freedom")
+    assert says(stated, "Not identified", "cannot match")
     # Estimated from these residuals the noise holds the error, but not as stated.
     estimated = assess(fit(model, space(), wrong))
     assert estimated.misfit_probability is None
-    (reason,) = [r for r in estimated.reasons if "stated std" in r]
-    assert reason.startswith("The residuals are ")
+    assert says(estimated.reasons, "residuals", "stated std")
     right = assess(fit(model, space(), data))
     assert not any("stated std" in reason for reason in right.reasons)
 
@@ -145,15 +145,9 @@ def test_a_pose_that_is_not_explained_reaches_the_verdict(model, data):
     wrong = with_measured(pulled, rest - (pulled.measured - rest) * [1.0, 1.0, -1.0])
     verdict = assess(fit(model, space(), [data[0], wrong]))
     assert not verdict.identified
-    assert any(
-        reason.startswith("pull is fitted with its markers ")
-        and "the model contradicts it" in reason
-        for reason in verdict.reasons
-    )
+    assert says(verdict.reasons, "pull", "fitted", "contradicts")
     held_out = assess(fit(model, space(), data[:1], validation=wrong))
-    assert any(
-        reason.startswith("pull is predicted with") for reason in held_out.reasons
-    )
+    assert says(held_out.reasons, "pull", "predicted")
 
 
 def test_a_pose_at_rest_is_described_without_its_motion(good):
@@ -162,7 +156,8 @@ def test_a_pose_at_rest_is_described_without_its_motion(good):
     still = tuple(replace(e, measured=e.at_rest) for e in fitted.points)
     result = replace(good, configurations=(replace(fitted, effectors=still),))
     (reason,) = assess(result).reasons
-    assert reason.endswith(" mm off: the model contradicts it.")
+    assert says(reason, "mm off", "contradicts")
+    assert "%" not in reason
 
 
 def test_what_the_stated_noise_explains_is_no_misfit(model):
@@ -203,8 +198,7 @@ def test_another_optimum_that_fits_as_well_reaches_the_verdict(good):
         optima=optima(1.9),
     )
     (reason,) = assess(replace(good, starts=found)).reasons
-    assert reason.startswith("Other values fit as well: E of root 3e+05, E of tip 4e")
-    assert "(cost 6.9, the best 5)" in reason
+    assert says(reason, "E of root 3e+05, E of tip 4e+04", "6.9", "best 5")
     far = replace(good, starts=replace(found, optima=optima(1.95)))
     assert assess(far).identified
 
@@ -221,19 +215,19 @@ def test_fit_that_did_not_converge(model, data):
     result = fit(model, space(), data, settings=settings)
     verdict = assess(result)
     assert not verdict.identified
-    assert verdict.reasons[0] == "The calibration did not converge."
+    assert says(verdict.reasons[0], "not converge")
 
 
 def test_noise_that_did_not_settle(good):
     verdict = assess(eqx.tree_at(lambda r: r.noise_settled, good, False))
     assert not verdict.identified
-    assert any("noise did not settle beside the fit" in r for r in verdict.reasons)
+    assert says(verdict.reasons, "noise did not settle")
 
 
 def test_parameter_on_its_bound(model, data):
     verdict = assess(fit(model, space(root_upper=1.2e5), data))
     assert not verdict.identified
-    assert "E of root ended on a bound." in verdict.reasons
+    assert says(verdict.reasons, "E of root ended", "bound")
     assert not any("E of tip ended" in reason for reason in verdict.reasons)
 
 
@@ -246,8 +240,8 @@ def test_data_too_coarse_to_tell(model, data):
     verdict = assess(fit(model, space(), coarse, noise="stated"))
     assert not verdict.identified
     assert verdict.identifiability.verdict == "not identifiable"
-    assert any(r.startswith("The data do not determine: E") for r in verdict.reasons)
-    wide = [r for r in verdict.reasons if "less certain than its bounds are wide" in r]
+    assert says(verdict.reasons, "not determine", "E of")
+    wide = [r for r in verdict.reasons if "less certain" in r and "bounds" in r]
     assert len(wide) == 2
     assert not any("cannot match" in reason for reason in verdict.reasons)
 
@@ -296,15 +290,12 @@ def test_linear_tets_reach_the_verdict(good):
     locking = Cause(MESH, ("locking",), np.array([[0.05], [0.2]]))
     with_error = lambda **changed: replace(good, budget=replace(good.budget, **changed))
     (reason,) = assess(with_error(causes=(locking,))).reasons
-    assert reason == (
-        "Linear tets lock in bending: E of tip may be off by 20 % by the mesh alone. "
-        "Use quadratic tets (to_quadratic)."
-    )
+    assert says(reason, "Linear tets", "E of tip", "20 %", "to_quadratic")
     (reason,) = assess(with_error(unknown=(MESH,))).reasons
-    assert reason.startswith("Linear tets lock in bending, by an unknown amount here.")
+    assert says(reason, "Linear tets", "unknown")
     on_bounds = replace(locking, deviations=np.full((2, 1), np.nan))
     (reason,) = assess(with_error(causes=(on_bounds,))).reasons
-    assert "by an unknown amount here" in reason
+    assert says(reason, "Linear tets", "unknown")
 
 
 def test_an_unknown_error_of_quadratic_tets_reaches_the_verdict(good):
@@ -312,7 +303,7 @@ def test_an_unknown_error_of_quadratic_tets_reaches_the_verdict(good):
     unknown = replace(quadratic, budget=replace(good.budget, unknown=(MESH,)))
     assert assess(quadratic).identified
     (reason,) = assess(unknown).reasons
-    assert reason.startswith("How far the mesh moves the values could not be estimated")
+    assert says(reason, "mesh", "not be estimated")
 
 
 def test_the_precision_that_is_asked_for_decides(good):
@@ -322,7 +313,7 @@ def test_the_precision_that_is_asked_for_decides(good):
     assert asked_less.identified
     assert not assess(good, precision=0.99 * relative).identified
     assert not assess(replace(good, precision=0.99 * relative)).identified
-    with pytest.raises(ValueError, match="precision must be positive and finite, got"):
+    with pytest.raises(ValueError, match=r"precision.*got 0"):
         assess(good, precision=0.0)
 
 
@@ -336,7 +327,7 @@ def test_poses_are_predicted_with_the_error_of_the_parameters(good):
     assert [p.name for p in verdict.predictions] == ["hang", "pull"]
     np.testing.assert_allclose([p.std for p in verdict.predictions], expected)
     mm = 1e3 * np.sqrt(np.mean(expected**2))
-    assert f"moves the markers of the fitted poses by {mm:.2g} mm" in str(verdict)
+    assert says(verdict, "markers of the fitted poses", f"{mm:.2g} mm")
 
 
 def test_a_pose_that_stays_at_rest_is_compared_with_the_noise(good):
@@ -359,4 +350,4 @@ def test_a_pose_that_stays_at_rest_is_compared_with_the_noise(good):
     )
     assert assess(result).identified
     finer = eqx.tree_at(lambda r: r.uncertainty.noise_scale, result, 0.1)
-    assert any("hang is fitted with its" in reason for reason in assess(finer).reasons)
+    assert says(assess(finer).reasons, "hang", "fitted")

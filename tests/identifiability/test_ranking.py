@@ -18,6 +18,7 @@ from two_part_beam import (
     pose,
     two_part_beam,
 )
+from wording import says
 
 from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import Configuration, Support
@@ -114,11 +115,9 @@ def test_a_candidate_that_cannot_be_judged_is_named_with_its_reason(ranking):
 
 def test_text(ranking):
     lines = str(ranking).splitlines()
-    assert lines[0].startswith("Candidate 'swap' adds most: it divides a standard ")
-    assert "of E of tip: " in lines[0]
+    assert says(lines[0], "'swap'", "E of tip")
     assert [line.split()[0] for line in lines[2:4]] == ["swap", "pull"]
-    assert "1 of 2 directions are blind" in lines[6]
-    assert "in units of what the asked standard error tells" in lines[6]
+    assert says(lines[6], "1 of 2 directions", "blind", "asked standard error")
     assert sum(line.startswith("Not ranked") for line in lines) == 2
     assert "nan" not in str(ranking)
 
@@ -129,7 +128,7 @@ def test_a_repetition_in_words():
     known = [pose("a", TIP, std=1e-5), pose("b", SWAP.markers.positions, clamp="x_max")]
     worse = pose("c", TIP, std=1e-3)
     found = rank_configurations(model, SPACE, known, worse)
-    assert found.gains[0].words == "hardly changes any standard error"
+    assert says(found.gains[0].words, "hardly")
 
 
 def test_a_candidate_that_passes_on_more_error_than_it_tells():
@@ -144,13 +143,10 @@ def test_a_candidate_that_passes_on_more_error_than_it_tells():
     fine = replace(pose("fine", TIP, std=1e-5), loads=PULL.loads)
     found = rank_with(model, SPACE, known, [fine], uncertain=unsure)
     assert found.gains[0].d_gain < 0.0
-    assert found.headline == (
-        "No candidate makes the values more certain as a whole: know better what is "
-        "held fixed."
-    )
+    assert says(found.headline, "No candidate", "held fixed")
     blind = replace(found, blind_before=1).headline
-    assert blind.endswith("held fixed, or calibrate fewer parameters.")
-    assert "D gain below 0: the fit weighs readings by their noise" in str(found)
+    assert says(blind, "held fixed", "fewer parameters")
+    assert says(found, "D gain below 0", "noise")
 
 
 def test_with_nothing_known_a_candidate_gives_its_own_verdict():
@@ -162,16 +158,15 @@ def test_with_nothing_known_a_candidate_gives_its_own_verdict():
         found.gains[0].after, alone.parameters[index].standard_error, rtol=1e-9
     )
     assert found.gains[0].before == np.inf
-    assert found.gains[0].words.startswith("sees what nothing saw before, E of ")
-    assert ": blind to " in found.gains[0].words
+    assert says(found.gains[0].words, "nothing saw before", "E of", "blind to")
     assert found.blind_before == 2
 
 
 def test_wrong_calls():
     rank = partial(rank_configurations, two_part_beam(), SPACE)
-    with pytest.raises(ValueError, match="at least one candidate is needed"):
+    with pytest.raises(ValueError, match="at least one candidate"):
         rank(HANG, ())
-    with pytest.raises(ValueError, match="'hang' is named more than once"):
+    with pytest.raises(ValueError, match=r"'hang'.*more than once"):
         rank(HANG, [HANG])
     with pytest.raises(RuntimeError, match="configuration 'crushed'"):
         rank(crushed(), HANG)

@@ -22,6 +22,7 @@ from two_part_beam import (
     pose,
     two_part_beam,
 )
+from wording import says
 
 from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
@@ -168,7 +169,7 @@ def test_one_pose_sees_a_mixture():
     assert found.verdict == "not identifiable"
     assert found.conditioning.condition_weighted == np.inf
     assert all(p.data_only == np.inf for p in found.parameters)
-    assert "At least 1 more measured coordinate is needed" in str(found)
+    assert says(found, "1 more measured coordinate")
 
 
 def test_measurements_are_not_looked_at():
@@ -235,11 +236,11 @@ def test_wrong_calls():
     call = partial(identify, two_part_beam(), SPACE)
     with pytest.raises(RuntimeError, match=r"configuration 'crushed'.*Newton steps"):
         call([HANG, crushed()])
-    with pytest.raises(ValueError, match="2 finite scaled values, one per parameter"):
+    with pytest.raises(ValueError, match="2 finite scaled values"):
         call(HANG, at=jnp.zeros(3))
     with pytest.raises(ValueError, match="2 finite scaled values"):
         call(HANG, at=np.array([np.nan, 0.0]))
-    with pytest.raises(ValueError, match="noise must be positive and finite"):
+    with pytest.raises(ValueError, match=r"noise.*positive"):
         call(HANG, noise=-1e-3)
     with pytest.raises(ValueError, match="named more than once"):
         call([pose("a", ROOT), pose("a", TIP)])

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from judged import angle, judge, modulus
+from wording import says
 
 from softcal_jax.calibration import uncertainty
 from softcal_jax.export import identifiability_dict
@@ -202,13 +203,11 @@ def test_one_parameter():
 def test_report_is_in_the_units_of_a_person():
     found = judge([[30.0, 0.0], [0.0, 0.0]], modulus("E"), angle("theta of CP 2"))
     text = str(found)
-    lines = text.splitlines()
-    first = "Not identifiable at these values: 1 measured coordinate for 2 parameters."
-    assert lines[0] == first
-    assert "100 kPa    3.33 kPa (3.3 %)  10 kPa    identifiable" in text
-    assert "17.19 deg  blind             5.73 deg  not identifiable" in text
+    assert says(text.splitlines()[0], "Not identifiable", "1 measured", "2 parameters")
+    assert says(text, "100 kPa", "3.33 kPa (3.3 %)", "10 kPa", "identifiable")
+    assert says(text, "17.19 deg", "blind", "5.73 deg", "not identifiable")
     assert "theta of CP 2 (blind)" in text
-    assert "At least 1 more measured coordinate is needed." in text
+    assert says(text, "1 more measured coordinate")
     assert "ranking candidates" in text
     assert "Bounds do not count." in text
 
@@ -235,9 +234,9 @@ def test_noise_scale_divides_the_signal():
 
 @pytest.mark.usefixtures("unchecked")
 def test_wrong_calls():
-    with pytest.raises(ValueError, match="one column for each of the 1 parameters"):
+    with pytest.raises(ValueError, match="column for each of the 1 param"):
         judge(np.zeros((3, 2)), modulus())
-    with pytest.raises(ValueError, match="noise_scale must be positive, got 0"):
+    with pytest.raises(ValueError, match=r"noise_scale.*got 0"):
         judge([[1.0]], modulus(), noise_scale=0.0)
     with pytest.raises(ValueError, match="had no equilibrium"):
         judge([[np.nan]], modulus())
@@ -287,6 +286,6 @@ def test_the_principal_errors_of_a_covariance_are_the_directions():
 
 def test_errors_of_unknown_size_are_named():
     found = judge([[200.0]], modulus(), unknown=("mesh",))
-    assert "Errors of the mesh are not among these" in str(found)
+    assert says(found, "mesh", "not among these")
     assert identifiability_dict(found)["unknown"] == ["mesh"]
     assert "not among these" not in str(judge([[200.0]], modulus()))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from anisotropic_project import write_anisotropic_project
 from small_project import write_small_project
+from wording import says
 
 from softcal_jax.calibration import synthetic_measurements
 from softcal_jax.fields import ControlPointParameters
@@ -213,7 +214,7 @@ def test_core_of_the_angle(tmp_path):
 
 def test_a_core_without_axes_is_refused(tmp_path):
     path = write_anisotropic_project(tmp_path, CORE, ("axes = [[", "# [["))
-    with pytest.raises(ProjectError, match=r"theta has a core, .* say which in axes"):
+    with pytest.raises(ProjectError, match=r"theta has a core.* axes"):
         load_project(path)
 
 
@@ -299,11 +300,10 @@ def test_only_a_calibration_needs_measurements(tmp_path):
     assert [c.measured for c in project.configurations] == [None, None]
     with pytest.raises(ProjectError) as caught:
         project.calibrate()
-    assert str(caught.value) == (
-        f"{project.path}: 2 problems.\n"
-        "- configurations.pose 1: it has no `measured` positions or effectors.\n"
-        "- configurations.pose 3: it has no `measured` positions or effectors."
-    )
+    number, *problems = str(caught.value).splitlines()
+    assert number == f"{project.path}: 2 problems."
+    for name, problem in zip(("pose 1", "pose 3"), problems, strict=True):
+        assert says(problem, f"configurations.{name}: ... no `measured`")
 
 
 def test_candidates_alone(tmp_path):
@@ -314,7 +314,7 @@ def test_candidates_alone(tmp_path):
     path.write_text(text[:start] + text[end:])
     project = load_project(path)
     project.check_identify()
-    with pytest.raises(ProjectError, match="configurations: there is none to simul"):
+    with pytest.raises(ProjectError, match="configurations: there is none"):
         project.simulate()
     with pytest.raises(ProjectError, match='none has role = "calibration"'):
         project.calibrate()
@@ -326,7 +326,7 @@ def test_nothing_to_identify(tmp_path):
     cut = text.index("[markers]"), text.index("[shared]")
     last = text.index("[[candidates]]")
     path.write_text(text[: cut[0]] + text[cut[1] : last])
-    with pytest.raises(ProjectError, match=r"markers: there are none to measure; add "):
+    with pytest.raises(ProjectError, match="markers: there are none"):
         load_project(path).identify()
     project = load_project(path)
     with pytest.raises(ProjectError, match=r"markers: there are none"):
@@ -335,7 +335,7 @@ def test_nothing_to_identify(tmp_path):
 
 def test_ranking_needs_candidates(tmp_path):
     project = load_project(write_small_project(tmp_path))
-    with pytest.raises(ProjectError, match=r"candidates: there are none; add \[\[can"):
+    with pytest.raises(ProjectError, match=r"candidates: .*add \[\[candidates"):
         project.rank_candidates()
 
 

@@ -7,6 +7,7 @@ import jax
 import meshio
 import pytest
 from small_project import write_small_project
+from wording import says
 
 from softcal_jax.project import ProjectError, load_project
 
@@ -25,125 +26,118 @@ def refusal(folder, *changes):
 CASES = {
     "unknown key": (
         ('element = "linear"', 'elemnt = "linear"'),
-        'mesh.elemnt: unknown key. Did you mean "element"? Known here: element, beam.',
+        'mesh.elemnt: unknown key ... mean "element" ... Known here: element, beam',
     ),
     "key of the other kind of mesh": (
         ('element = "linear"', 'unused_nodes = "drop"'),
-        "mesh.unused_nodes: unused_nodes belongs to file and length_unit. This is beam,"
-        " which has element, beam.",
+        "mesh.unused_nodes: ... file and length_unit ... beam",
     ),
     "unknown key of an entry": (
         ('group = "x_min"', 'grup = "x_min", group = "x_min"'),
-        'shared.supports[1].grup: unknown key. Did you mean "group"?',
+        'shared.supports[1].grup: unknown key ... mean "group"',
     ),
     "unknown key of a shared table": (
         ("displacement_from =", "displacement_form ="),
-        'shared.measured.displacement_form: unknown key. Did you mean "displacement_f',
+        'shared.measured.displacement_form: unknown key ... mean "displacement_from"',
     ),
     "unknown shared key": (
         ("[shared.measured]", "[shared.measurd]"),
-        'shared.measurd: unknown key. Did you mean "measured"?',
+        'shared.measurd: unknown key ... mean "measured"',
     ),
     "unknown key of a marker": (
         ('std = "0.2 mm"', 'sdt = "0.2 mm"'),
-        'markers.positions.side.sdt: unknown key. Did you mean "std"?',
+        'markers.positions.side.sdt: unknown key ... mean "std"',
     ),
     "unknown table": (
         ("[groups.tip]", "[group.tip]"),
-        'group: unknown key. Did you mean "groups"? Known here: name, mesh,',
+        'group: unknown key ... mean "groups" ... Known here: name, mesh',
     ),
     "missing key": (
         ("nu = 0.3\n", ""),
-        "material.nu: missing. Expected Poisson's ratio: 0.499.",
+        "material.nu: missing ... 0.499",
     ),
     "missing gravity": (
         ('gravity = "(0, 0, -9.81) m/s^2"\n', ""),
-        'configurations.weight.gravity: missing. Expected "(0, 0, -9.81) m/s^2", '
-        "here or for all in [shared].",
+        'configurations.weight.gravity: missing ... "(0, 0, -9.81) m/s^2" ... [shared]',
     ),
     "unknown unit": (
         ('E = "200 kPa"', 'E = "200 kpa"'),
-        'material.E: "200 kpa": unknown unit "kpa"; expected a pressure or modulus, '
-        'like "200 kPa". Did you mean "kPa"?',
+        'material.E: "200 kpa": unknown unit "kpa" ... "200 kPa" ... mean "kPa"',
     ),
     "wrong dimension": (
         ('density = "1 g/cm^3"', 'density = "1 g/cm^2"'),
-        'material.density: "1 g/cm^2": "g/cm^2" is not a density; expected a density, '
-        'like "1070 kg/m^3".',
+        'material.density: "1 g/cm^2": "g/cm^2" is not a density ... "1070 kg/m^3"',
     ),
     "bare number": (
         ('lower = "100 kPa"', "lower = 100000"),
-        "parameters.E.lower: 100000 has no unit; expected a pressure or modulus, in "
-        'quotes and with its unit, like "200 kPa".',
+        'parameters.E.lower: 100000 has no unit ... "200 kPa"',
     ),
     "text for a number": (
         ("nu = 0.3", 'nu = "0.3"'),
-        'material.nu: got "0.3"; expected a number.',
+        'material.nu: got "0.3" ... number',
     ),
     "fraction of a cell": (
         ("cells = [3, 1, 1]", "cells = [3, 1.5, 1]"),
-        "mesh.beam.cells[2]: got 1.5; expected a whole number.",
+        "mesh.beam.cells[2]: got 1.5 ... whole number",
     ),
     "two cells": (
         ("cells = [3, 1, 1]", "cells = [3, 1]"),
-        "mesh.beam.cells[3]: missing; the list is too short.",
+        "mesh.beam.cells[3]: missing",
     ),
     "four cells": (
         ("cells = [3, 1, 1]", "cells = [3, 1, 1, 1]"),
-        "mesh.beam.cells: expected 3 values, got 4.",
+        "mesh.beam.cells: ... 3 values, got 4",
     ),
     "no cells": (
         ("cells = [3, 1, 1]", "cells = [3, 0, 1]"),
-        "mesh: cells must be three positive integers, got (3, 0, 1).",
+        "mesh: cells ... positive integers, got (3, 0, 1)",
     ),
     "unknown law": (
         ('law = "neo-hookean"', 'law = "neo-hokean"'),
-        'material.law: got "neo-hokean"; expected one of "neo-hookean", '
-        '"mooney-rivlin", "yeoh", "ogden", "gent", "corotational", '
-        '"classical-corotational", "st-venant-kirchhoff", "transverse-hyperelastic", '
-        '"fibre-reinforced". Did you mean "neo-hookean"?',
+        'material.law: got "neo-hokean" ... "neo-hookean", "mooney-rivlin", "yeoh", '
+        '"ogden", "gent", "corotational", "classical-corotational", '
+        '"st-venant-kirchhoff", "transverse-hyperelastic", "fibre-reinforced" ... '
+        'mean "neo-hookean"',
     ),
     "a law that is a list": (
         ('law = "neo-hookean"', 'law = ["neo-hookean"]'),
-        "material.law: got ['neo-hookean']; expected one of \"neo-hookean\", ",
+        "material.law: got ['neo-hookean'] ... \"neo-hookean\"",
     ),
     "nu": (
         ("nu = 0.3", "nu = 0.5"),
-        "material: nu must lie in (-1, 0.5), got 0.5. For an incompressible rubber",
+        "material: nu ... (-1, 0.5), got 0.5",
     ),
     "unknown region": (
         ("[[parameters]]", '[material.regions.tipp]\nE = "1 MPa"\n\n[[parameters]]'),
-        "material: unknown tet group 'tipp': the mesh has none. Name the parts where",
+        "material: unknown tet group 'tipp'",
     ),
     "unknown parameter": (
         ('field = "E"', 'field = "young"'),
-        'parameters.young.field: got "young"; expected one of "E", "nu", "density".',
+        'parameters.young.field: got "young" ... "E", "nu", "density"',
     ),
     "bounds crossed": (
         ('lower = "100 kPa"', 'lower = "2 MPa"'),
-        "parameters.E: parameter 'E': the bounds are crossed, lower 2 MPa is not below "
-        "upper 1 MPa.",
+        "parameters.E: ... crossed ... lower 2 MPa ... upper 1 MPa",
     ),
     "start outside": (
         ('lower = "100 kPa"', 'lower = "250 kPa"'),
-        "parameters.E: parameter 'E': the start 200 kPa does not lie between lower "
-        "250 kPa and upper 1 MPa.",
+        "parameters.E: ... start 200 kPa ... lower 250 kPa ... upper 1 MPa",
     ),
     "bounds in another unit": (
         ('lower = "100 kPa"', 'lower = "0.25 MPa"'),
-        "parameters.E: parameter 'E': the start 200 kPa does not lie between "
-        'lower 250 kPa and upper 1 MPa. The file has lower = "0.25 MPa".',
+        "parameters.E: ... start 200 kPa ... lower 250 kPa ... upper 1 MPa ... lower "
+        '= "0.25 MPa"',
     ),
     "negative modulus": (
         ('lower = "100 kPa"', 'lower = "-1 Pa"\nscale = "linear"'),
-        "parameters.E: lower of E must lie in (0, inf), got -1 Pa.",
+        "parameters.E: lower of E ... (0, inf), got -1 Pa",
     ),
     "bounds of nu": (
         (
             'field = "E"\nlower = "100 kPa"\nupper = "1 MPa"',
             'field = "nu"\nlower = 0.2\nupper = 0.5',
         ),
-        "parameters.nu: upper of nu must lie in (-1, 0.5), got 0.5.",
+        "parameters.nu: upper of nu ... (-1, 0.5), got 0.5",
     ),
     "parameter twice": (
         (
@@ -151,86 +145,84 @@ CASES = {
             '[[parameters]]\nfield = "E"\nlower = "1 kPa"\nupper = "1 MPa"\n'
             "[markers]\n",
         ),
-        "parameters: parameter 'E' is named more than once.",
+        "parameters: ... 'E' ... more than once",
     ),
     "nothing clamped": (
         ('supports = [{ group = "x_min" }]', "supports = []"),
-        "configurations: configuration 'weight' is not held: its supports (0 nodes) "
-        "leave 6 of the 6 rigid motions free. Clamp a surface, add supports, "
-        "or hold a rigid body.",
+        "configurations: ... 'weight' is not held ... 0 nodes ... 6 of the 6 rigid "
+        "motions ... supports",
     ),
     "held too little": (
         ('group = "x_min"', 'group = "x_min", axes = "z"'),
-        "configurations: configuration 'weight' is not held: its supports (4 nodes)",
+        "configurations: ... 'weight' is not held ... 4 nodes",
     ),
     "unknown group": (
         ('group = "x_min"', 'group = "x_mn"'),
-        "configurations.weight.supports[1]: unknown group 'x_mn'. Did you mean 'x_min'",
+        "configurations.weight.supports[1]: unknown group 'x_mn' ... mean 'x_min'",
     ),
     "unknown axes": (
         ('group = "x_min"', 'group = "x_min", axes = "xw"'),
-        "configurations.weight.supports[1]: axes must be made of the letters x, y, z",
+        "configurations.weight.supports[1]: axes ... x, y, z",
     ),
     "empty group": (
         ('point = "(60, 0, 0) mm"', 'point = "(61, 0, 0) mm"'),
-        "groups.tip: no node lies in ",
+        "groups.tip: no node lies in",
     ),
     "group without a place": (
         ("plane = {", 'of = "faces"\n#'),
-        "groups.tip: expected exactly one of box, plane, sphere, cylinder, annulus, "
-        "face, reachable, inside; got none.",
+        "groups.tip: ... one of box, plane, sphere, cylinder, annulus, face, "
+        "reachable, inside; got none",
     ),
     "load without a force": (
         (', force = "(20, 0, -50) mN"', ""),
-        "configurations.pulled.loads[1]: expected exactly one of point and force, edge "
-        "and force, surface and force, surface and traction; got surface.",
+        "configurations.pulled.loads[1]: ... one of point and force, edge and force, "
+        "surface and force, surface and traction; got surface",
     ),
     "force at nothing that is known": (
         ('surface = "x_max", force', 'point = "(60, 0, 0) mm", forse'),
-        "configurations.pulled.loads[1].force: missing. Expected the total force: ",
+        "configurations.pulled.loads[1].force: missing",
     ),
     "load in two places": (
         ('surface = "x_max", force', 'surface = "x_max", edge = "x_max", force'),
-        "configurations.pulled.loads[1]: expected exactly one of point and force, ",
+        "configurations.pulled.loads[1]: ... one of point and force",
     ),
     "traction on an edge": (
         (
             'surface = "x_max", force = "(20, 0, -50) mN"',
             'edge = "x_max", traction = "(0, 0, 1) kPa"',
         ),
-        "configurations.pulled.loads[1]: expected exactly one of point and force, edge "
-        "and force, surface and force, surface and traction; got edge and traction.",
+        "configurations.pulled.loads[1]: ... one of point and force, edge and force, "
+        "surface and force, surface and traction; got edge and traction",
     ),
     "load on an unknown surface": (
         ('surface = "x_max"', 'surface = "tip"'),
-        "configurations.pulled.loads[1]: 'tip' is a group of nodes, and a surface is "
-        'asked for: of = "faces" under [groups.NAME] in a project file, ',
+        "configurations.pulled.loads[1]: 'tip' is a group of nodes ... of = \"faces\"",
     ),
     "marker far outside": (
         ('tip = "(60, 10, 10) mm"', 'tip = "(600, 10, 10) mm"'),
-        "configurations: markers tip, side of configuration 'weight': marker 'tip' at "
-        "(600, 10, 10) mm lies 540 mm from the mesh, farther than 10 mm. Check the ",
+        "configurations: ... 'weight': marker 'tip' ... (600, 10, 10) mm ... 540 mm "
+        "from the mesh ... 10 mm",
     ),
     "unknown marker": (
         ('markers = ["tip", "side"]', 'markers = ["tip", "sides"]'),
-        "configurations.weight.markers: unknown marker 'sides'. Did you mean \"side\"? "
-        "Known: tip, side, a, b, c.",
+        "configurations.weight.markers: unknown marker 'sides' ... mean \"side\" ... "
+        "tip, side, a, b, c",
     ),
     "marker twice": (
         ('markers = ["tip", "side"]', 'markers = ["tip", "tip"]'),
-        "configurations.weight.markers: marker 'tip' is named more than once.",
+        "configurations.weight.markers: ... 'tip' ... more than once",
     ),
     "marker of a wrong kind": (
         ('markers = ["tip", "side"]', "markers = [1]"),
-        "shared.markers[1]: got 1; expected a text in quotes.",
+        "shared.markers[1]: got 1 ... quotes",
     ),
     "no precision": (
         ('std = "0.1 mm"', 'std = "0 mm"'),
-        'markers.std: got "0 mm"; expected a finite value above zero.',
+        'markers.std: got "0 mm" ... above zero',
     ),
     "registration on a line": (
         ('markers = ["a", "b", "c"]', 'markers = ["a", "b"]'),
-        "configurations.weight.measured: registration needs at least 3 markers, got 2.",
+        "configurations.weight.measured: registration ... 3 markers, got 2",
     ),
     "missing file": (
         ('file = "markers.csv"', 'file = "marker.csv"'),
@@ -242,52 +234,51 @@ CASES = {
     ),
     "configuration twice": (
         ('name = "pulled"', 'name = "weight"'),
-        'configurations: "weight" is the name of configurations[1] and '
-        "configurations[2], counted from 1; give each a name of its own.",
+        'configurations: "weight" ... configurations[1] and configurations[2] ... name',
     ),
     "unknown role": (
         ('role = "validation"', 'role = "validaton"'),
-        'configurations.pulled.role: got "validaton"; expected one of "calibration", '
-        '"validation". Did you mean "validation"?',
+        'configurations.pulled.role: got "validaton" ... "calibration", "validation" '
+        '... mean "validation"',
     ),
     "gravity of one number": (
         ('gravity = "(0, 0, -9.81) m/s^2"', 'gravity = "9.81 m/s^2"'),
-        'shared.gravity: got "9.81 m/s^2"; expected three numbers with a unit',
+        'shared.gravity: got "9.81 m/s^2" ... three numbers with a unit',
     ),
     "direction of gravity": (
         (
             'gravity = "(0, 0, -9.81) m/s^2"',
             'gravity = { size = "9.81 m/s^2", direction = "down" }',
         ),
-        'shared.gravity.direction: got "down"; expected "-z" or [0, 0, -1].',
+        'shared.gravity.direction: got "down" ... "-z" or [0, 0, -1]',
     ),
     "tolerance": (
         (
             '[[configurations]]\nname = "weight"',
             '[settings]\ntol = 2.0\n\n[[configurations]]\nname = "weight"',
         ),
-        "settings: tol must lie in (0, 1), got 2.0.",
+        "settings: tol ... (0, 1), got 2.0",
     ),
     "level of intervals": (
         (
             '[[configurations]]\nname = "weight"',
             '[settings]\nintervals = 95\n\n[[configurations]]\nname = "weight"',
         ),
-        "settings.intervals: got 95; expected a level like 0.95, or 0 for none.",
+        "settings.intervals: got 95 ... 0.95",
     ),
     "precision": (
         (
             '[[configurations]]\nname = "weight"',
             '[settings]\nprecision = 0.0\n\n[[configurations]]\nname = "weight"',
         ),
-        "settings.precision: got 0; expected a share like 0.1, for 10 %.",
+        "settings.precision: got 0 ... 0.1",
     ),
     "newton": (
         (
             '[[configurations]]\nname = "weight"',
             '[newton]\nmax_steps = 0\n\n[[configurations]]\nname = "weight"',
         ),
-        "newton: max_steps must lie between 1 and 2147483647, got 0.",
+        "newton: max_steps ... between 1 and 2147483647, got 0",
     ),
     "newton overflow": (
         (
@@ -295,7 +286,7 @@ CASES = {
             "[newton]\nmax_steps_per_load = 99999999999\n\n"
             '[[configurations]]\nname = "weight"',
         ),
-        "newton: max_steps_per_load must lie between 1 and 2147483647, got 99999999999",
+        "newton: max_steps_per_load ... between 1 and 2147483647, got 99999999999",
     ),
     "settings overflow": (
         (
@@ -303,30 +294,29 @@ CASES = {
             "[settings]\nmax_steps = 99999999999\n\n"
             '[[configurations]]\nname = "weight"',
         ),
-        "settings: max_steps must lie between 1 and 1000000, got 99999999999.",
+        "settings: max_steps ... between 1 and 1000000, got 99999999999",
     ),
     "solver": (
         (
             '[[configurations]]\nname = "weight"',
             '[newton]\nsolver = "multi"\n\n[[configurations]]\nname = "weight"',
         ),
-        'newton.solver: got "multi"; expected one of "pardiso", "klu", "pardiso-host".',
+        'newton.solver: got "multi" ... "pardiso", "klu", "pardiso-host"',
     ),
     "removed solver": (
         (
             '[[configurations]]\nname = "weight"',
             '[newton]\nsolver = "auto"\n\n[[configurations]]\nname = "weight"',
         ),
-        "newton.solver: 'auto' was removed: leave solver out.",
+        "newton.solver: 'auto' ... leave solver out",
     ),
     "mesh from nowhere": (
         (BEAM, ""),
-        "mesh: expected exactly one of file and length_unit, file and size, beam; got "
-        "none.",
+        "mesh: ... one of file and length_unit, file and size, beam; got none",
     ),
     "mesh without a unit": (
         (BEAM, 'file = "robot.msh"'),
-        'mesh.length_unit: missing. Expected the length unit of the file: "mm".',
+        'mesh.length_unit: missing ... "mm"',
     ),
     "missing mesh": (
         (BEAM, 'file = "robot.msh"\nlength_unit = "mm"'),
@@ -334,7 +324,7 @@ CASES = {
     ),
     "no markers": (
         ("[markers.positions]", "[markers.position]"),
-        'markers.position: unknown key. Did you mean "positions"?',
+        'markers.position: unknown key ... mean "positions"',
     ),
 }
 
@@ -343,7 +333,7 @@ CASES = {
 def test_refused(tmp_path, case):
     change, message = CASES[case]
     lines = refusal(tmp_path, change).split("\n- ")
-    assert any(line.startswith(message) for line in lines), lines
+    assert says(lines, message)
 
 
 def test_every_problem_is_listed_once(tmp_path):
@@ -364,9 +354,7 @@ def test_every_problem_is_listed_once(tmp_path):
 
 def test_selection_lists_what_is_there(tmp_path):
     text = refusal(tmp_path, ('{ run = "pulled" }', '{ run = "pull" }'))
-    assert (
-        "no row has run = 'pull'. Did you mean 'pulled'? Values there: weight" in text
-    )
+    assert says(text, "run = 'pull' ... mean 'pulled' ... weight")
 
 
 TIP = "weight,loaded,tip,124.627615364"
@@ -401,18 +389,16 @@ def test_bad_mesh(tmp_path):
     points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]
     meshio.Mesh(points, [("tetra", [[0, 2, 1, 3]])]).write(tmp_path / "bad.vtu")
     text = refusal(tmp_path, (BEAM, 'file = "bad.vtu"\nlength_unit = "mm"'))
-    assert re.match(r"mesh: .*bad\.vtu: bad mesh: 1 of 1 tets are inverted", text)
+    assert re.match(r"mesh: .*bad\.vtu: .*1 of 1 tets", text)
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(
-        FileNotFoundError, match=r"project file .*no\.toml does not exist"
-    ):
+    with pytest.raises(FileNotFoundError, match=r"no\.toml does not exist"):
         load_project(tmp_path / "no.toml")
 
 
 def test_directory(tmp_path):
-    with pytest.raises(ProjectError, match="is a directory; name the file in it"):
+    with pytest.raises(ProjectError, match="is a directory"):
         load_project(tmp_path)
 
 
@@ -422,7 +408,7 @@ def test_directory(tmp_path):
 def test_no_toml(tmp_path, content):
     path = tmp_path / "project.toml"
     path.write_bytes(content)
-    with pytest.raises(ProjectError, match="cannot be read as TOML: "):
+    with pytest.raises(ProjectError, match="cannot be read as TOML"):
         load_project(path)
 
 
@@ -438,9 +424,7 @@ def test_empty_file(tmp_path):
 def test_nothing_to_calibrate(tmp_path):
     start = '[[parameters]]\nfield = "E"\nlower = "100 kPa"\nupper = "1 MPa"\n'
     project = load_project(write_small_project(tmp_path, (start, "")))
-    with pytest.raises(
-        ProjectError, match=r"parameters: nothing to calibrate; add \[\["
-    ):
+    with pytest.raises(ProjectError, match=r"parameters: .*add \[\["):
         project.calibrate()
 
 
@@ -456,11 +440,8 @@ def test_nothing_measured(tmp_path):
     project = load_project(path)
     with pytest.raises(ProjectError) as caught:
         project.calibrate()
-    assert (
-        "- configurations.weight: it has no `measured` positions or effectors."
-        in str(caught.value)
-    )
-    assert "- configurations.pulled: it has no `measured` pos" in str(caught.value)
+    for name in ("weight", "pulled"):
+        assert says(caught.value, f"- configurations.{name}: ... no `measured`")
 
 
 OF_WEIGHT = 'measured.recording = { run = "weight" }'
@@ -471,7 +452,7 @@ def test_not_measured_yet(tmp_path):
     path = write_small_project(tmp_path, (OF_WEIGHT, "measured = false"))
     project = load_project(path)
     assert [c.is_measured for c in project.configurations] == [False, True]
-    with pytest.raises(ProjectError, match=r"weight: it has no `measured` positions"):
+    with pytest.raises(ProjectError, match=r"weight: .*no `measured`"):
         project.calibrate()
 
 
@@ -486,17 +467,13 @@ def test_a_pose_that_selects_no_rows(tmp_path):
         ),
         (OF_WEIGHT, ""),
     )
-    assert text.startswith("configurations.weight.measured: ")
-    assert "is there twice, in lines 2 and 7; select the rows of one recording" in text
-    assert text.endswith(
-        " If this pose is not measured yet, give it `measured = false`."
-    )
+    assert says(text, "configurations.weight.measured: ... twice ... 2 and 7; select")
+    assert says(text, "not measured yet ... `measured = false`")
 
 
 def test_measured_is_a_table_or_false(tmp_path):
-    assert refusal(tmp_path, (OF_WEIGHT, "measured = true")).startswith(
-        "configurations.weight.measured: got true; expected a table, or false for a "
-    )
+    said = refusal(tmp_path, (OF_WEIGHT, "measured = true"))
+    assert says(said, "configurations.weight.measured: got true ... table, or false")
 
 
 def test_float32(tmp_path):

@@ -2,6 +2,7 @@
 
 import pytest
 from cable_project import FOLDER
+from wording import says
 
 from softcal_jax.project import ProjectError, load_project
 
@@ -19,74 +20,74 @@ CASES = {
     ),
     "no group": (
         (PLATE, "[bodies.plate]"),
-        'bodies.plate.group: missing. Expected a group of the mesh: "x_max", or ',
+        'bodies.plate.group: missing ... "x_max"',
     ),
     "unknown key of a body": (
         (PLATE, f'{PLATE}\nmas = "1 g"'),
-        'bodies.plate.mas: unknown key. Did you mean "mass"?',
+        'bodies.plate.mas: unknown key ... mean "mass"',
     ),
     "mass without a unit": (
         ('mass = "10 g"', "mass = 0.01"),
-        "bodies.plate.mass: 0.01 has no unit; expected a mass, in quotes and with its",
+        "bodies.plate.mass: 0.01 has no unit",
     ),
     "hinge and axes": (
         (PLATE, f'{PLATE}\nhinge = "z"\naxes = ["x", "y", "z"]'),
-        "bodies.plate: got hinge and axes; the hinge is the third of the axes",
+        "bodies.plate: got hinge and axes",
     ),
     "axes that are not orthogonal": (
         (PLATE, f'{PLATE}\naxes = ["x", "x", "z"]'),
-        "bodies.plate: axes of rigid body 'plate' must be three orthogonal unit",
+        "bodies.plate: axes ... 'plate' ... orthogonal",
     ),
     "tied to nothing": (
         (PLATE, f'{PLATE}\ntied_to = "plte"'),
-        "bodies: rigid body 'plate' is tied to 'plte', which is not a body. Did you",
+        "bodies: ... 'plate' ... 'plte' ... not a body",
     ),
     "a rotation without a unit": (
         (PLATE, f'{PLATE}\nmounting = {{ rotation_vector = "(0, 0, 1)" }}'),
-        'bodies.plate.mounting.rotation_vector: "(0, 0, 1)" has no unit; expected three'
-        ' numbers with a unit, like "(0, 0, -1) deg".',
+        'bodies.plate.mounting.rotation_vector: "(0, 0, 1)" has no unit ... "(0, 0, '
+        '-1) deg"',
     ),
     "unknown type": (
         (CABLE, CABLE.replace('"cable"', '"cabel"')),
-        'actuators.cable.type: got "cabel"; expected one of "cable", "chamber", ',
+        'actuators.cable.type: got "cabel" ... "cable", "chamber"',
     ),
     "another type's key": (
         (CABLE, f'{CABLE}\nbody = "plate"'),
-        'actuators.cable.body: body belongs to type = "motor". This is type = "cable", '
-        "which has guides, friction, pulled_from.",
+        'actuators.cable.body: ... "motor" ... "cable" ... guides, friction, '
+        "pulled_from",
     ),
     "a tag without its photographs": (
         (SLACK, "measured.effectors.sensor.tag = 3"),
-        "configurations.slack.measured.effectors.sensor.tag: tag belongs to photos and "
-        "tag and base_tag and size. Without these, it has azimuth, elevation, ",
+        "configurations.slack.measured.effectors.sensor.tag: ... photos and tag and "
+        "base_tag and size ... azimuth, elevation",
     ),
     "no type": (
         (CABLE, "[actuators.cable]"),
-        'actuators.cable.type: missing. Expected one of "cable", "chamber", "surface-p',
+        'actuators.cable.type: missing ... "cable", "chamber"',
     ),
     "no table": (
         (CABLE, f"[actuators]\nwinch = 3\n{CABLE}"),
-        "actuators.winch: got 3; expected a table.",
+        "actuators.winch: got 3 ... table",
     ),
     "a missing key of a type": (
         (CABLE, '[actuators.turn]\ntype = "motor"\n' + CABLE),
-        "actuators.turn.body: missing. Expected the rigid body that it turns, with a ",
+        "actuators.turn.body: missing ... rigid body",
     ),
     "a guide outside": (
         ('"(50, 10, 20) mm",', '"(50, 10, 20) cm",'),
-        "actuators.cable: cable 'cable', guide 1: the point [0.5, 0.1, 0.2] m lies ",
+        "actuators.cable: ... guide 1: ... [0.5, 0.1, 0.2] m",
     ),
     "a guide on an unknown body": (
         ('on = "plate"', 'on = "plat"'),
-        "actuators.cable: cable 'cable', guide 2 is on 'plat', expected 'mesh',",
+        "actuators.cable: ... guide 2 ... 'plat' ... 'mesh'",
     ),
     "a guide that is no point": (
         ('"(50, 10, 20) mm",', '{ pont = "(50, 10, 20) mm" },'),
-        'actuators.cable.guides[2].pont: unknown key. Did you mean "point"?',
+        'actuators.cable.guides[2].pont: unknown key ... mean "point"',
     ),
     "an open chamber": (
         (CABLE, f'[actuators.air]\ntype = "chamber"\nsurface = "z_max"\n{CABLE}'),
-        "actuators.air: chamber 'air': surface 'z_max' is not closed, it has ",
+        "actuators.air: ... 'z_max' is not closed",
     ),
     "no direction": (
         (
@@ -94,26 +95,25 @@ CASES = {
             '[actuators.push]\ntype = "surface-force"\nsurface = "z_max"\n'
             f'direction = "w"\n{CABLE}',
         ),
-        'actuators.push.direction: got "w"; expected "-z" or [0, 0, -1].',
+        'actuators.push.direction: got "w" ... "-z" or [0, 0, -1]',
     ),
     "an actuator that is not there": (
         (PULLED, 'actuation = { cabel = "1.5 N" }'),
-        'configurations.pulled.actuation.cabel: there is no actuator "cabel". Did you '
-        'mean "cable"? Known: cable.',
+        'configurations.pulled.actuation.cabel: ... "cabel" ... mean "cable" ... '
+        "Known: cable",
     ),
     "a pressure for a cable": (
         (PULLED, 'actuation = { cable = "1.5 kPa" }'),
-        'configurations.pulled.actuation.cable: got "1.5 kPa"; expected of a cable, its'
-        ' tension, like "2 N", or its shortening, like "5 mm".',
+        'configurations.pulled.actuation.cable: got "1.5 kPa" ... tension ... "2 N" '
+        '... shortening ... "5 mm"',
     ),
     "no unit": (
         (PULLED, "actuation = { cable = 1.5 }"),
-        "configurations.pulled.actuation.cable: got 1.5; expected of a cable, its ",
+        "configurations.pulled.actuation.cable: got 1.5 ... cable",
     ),
     "a cable that pushes": (
         (PULLED, 'actuation = { cable = "-1 N" }'),
-        "configurations.pulled.actuation.cable: configuration 'pulled': cable 'cable' "
-        "has the force -1 N: it only pulls, so the force must not be negative.",
+        "configurations.pulled.actuation.cable: ... -1 N ... only pulls",
     ),
     "a motor beyond half a turn": (
         (
@@ -121,22 +121,22 @@ CASES = {
             (CABLE, f'[actuators.turn]\ntype = "motor"\nbody = "plate"\n{CABLE}'),
             (PULLED, 'actuation = { turn = "270 deg" }'),
         ),
-        'configurations.pulled.actuation.turn: got "270 deg"; a motor turns by half a ',
+        'configurations.pulled.actuation.turn: got "270 deg" ... half a',
     ),
     "a body that is not there": (
         (PULLED, 'bodies = { plte = "held" }'),
-        'configurations.pulled.bodies.plte: there is no rigid body "plte". Did you ',
+        'configurations.pulled.bodies.plte: ... "plte" ... mean "plate"',
     ),
     "an unknown state": (
         (PULLED, 'bodies = { plate = "hold" }'),
-        'configurations.pulled.bodies.plate: got "hold"; expected one of "held", ',
+        'configurations.pulled.bodies.plate: got "hold" ... "held"',
     ),
     "a free body with a pose": (
         (
             PULLED,
             'bodies = { plate = { state = "free", translation = "(1, 0, 0) mm" } }',
         ),
-        'configurations.pulled.bodies.plate: state = "free" has no pose; to hold ',
+        'configurations.pulled.bodies.plate: ... "free" has no pose',
     ),
     "a hinge that is turned": (
         (
@@ -144,39 +144,39 @@ CASES = {
             'bodies = { plate = { state = "hinged", rotation_vector = "(1, 0, 0) deg" '
             "} }",
         ),
-        'configurations.pulled.bodies.plate: state = "hinged" turns as the balance ',
+        'configurations.pulled.bodies.plate: ... "hinged"',
     ),
     "an effector of no body": (
         (SENSOR, SENSOR.replace("plate", "plat")),
-        'effectors.sensor: there is no rigid body "plat". Did you mean "plate"?',
+        'effectors.sensor: ... "plat" ... mean "plate"',
     ),
     "std of another dimension": (
         ('std = "0.1 mm"\nstd_angle', 'std = "0.1 N"\nstd_angle'),
-        'effectors.sensor.std: "0.1 N": "N" is not a length; expected a length, like',
+        'effectors.sensor.std: "0.1 N": "N" is not a length',
     ),
     "std of nothing": (
         ('actuator = "cable"\nstd = "0.1 mm"', 'actuator = "cable"'),
-        "effectors.wound.std: missing. Expected standard deviation, with the unit of ",
+        "effectors.wound.std: missing ... standard deviation",
     ),
     "a zero std": (
         ('std = "0.1 mm"\nstd_angle', 'std = "0 mm"\nstd_angle'),
-        'effectors.sensor.std: got "0 mm"; expected a finite value above zero.',
+        'effectors.sensor.std: got "0 mm" ... above zero',
     ),
     "a choice of an unknown effector": (
         (PULLED, f'{PULLED}\neffectors = ["senser"]'),
-        'configurations.pulled.effectors: there is no effector "senser". Did you mean',
+        'configurations.pulled.effectors: ... "senser" ... mean "sensor"',
     ),
     "a measurement of an unknown effector": (
         ('wound = "1.96 mm"', 'wuond = "1.96 mm"'),
-        'configurations.pulled.measured.effectors.wuond: there is no effector "wuond".',
+        'configurations.pulled.measured.effectors.wuond: ... "wuond"',
     ),
     "a measurement of an effector that is not chosen": (
         (SLACK, f'effectors = ["wound"]\n{SLACK}'),
-        'configurations.slack.measured.effectors.sensor: there is no effector "sensor',
+        'configurations.slack.measured.effectors.sensor: ... "sensor"',
     ),
     "a length for a pose": (
         (SLACK, 'measured.effectors.sensor = "3 mm"'),
-        'configurations.slack.measured.effectors.sensor: got "3 mm"; expected a pose,',
+        'configurations.slack.measured.effectors.sensor: got "3 mm" ... pose',
     ),
     "a force for a length": (
         ('wound = "1.96 mm"', 'wound = "1.96 N"'),
@@ -184,8 +184,8 @@ CASES = {
     ),
     "a pose for a length": (
         ('wound = "1.96 mm"', 'wound = { position = "(1, 2, 3) mm" }'),
-        "configurations.pulled.measured.effectors.wound: got a table; expected a length"
-        ', since type = "actuator-displacement".',
+        "configurations.pulled.measured.effectors.wound: got a table ... length ... "
+        '"actuator-displacement"',
     ),
     "no such file": (
         ('file = "tracker.csv"', 'file = "trackr.csv"'),
@@ -197,28 +197,27 @@ CASES = {
     ),
     "pose and file": (
         (SLACK, 'measured.effectors.sensor.position = "(1, 2, 3) mm"'),
-        "configurations.slack.measured.effectors.sensor: got a pose and a file; give ",
+        "configurations.slack.measured.effectors.sensor: got a pose and a file",
     ),
     "neither pose nor file": (
         ('file = "tracker.csv"', 'sensor = "tip"'),
-        "configurations.slack.measured.effectors.sensor: expected the pose, ",
+        "configurations.slack.measured.effectors.sensor: expected the pose",
     ),
     "two forms of an orientation": (
         (
             'orientation = { azimuth = "0 deg" }',
             'orientation = { azimuth = "0 deg", quaternion = [1, 0, 0, 0] }',
         ),
-        "effectors.sensor.orientation: got azimuth and quaternion; give the ",
+        "effectors.sensor.orientation: got azimuth and quaternion",
     ),
     "a quaternion of another length": (
         ('azimuth = "90 deg" }\nstd', "quaternion = [1, 0, 0, 1] }\nstd"),
-        "configurations.slack.measured.effectors.sensor: quaternion has the length "
-        "1.41421, not 1: write four digits or more, the scalar part first.",
+        "configurations.slack.measured.effectors.sensor: quaternion ... 1.41421, not "
+        "1 ... four digits",
     ),
     "keys of the other format": (
         ('file = "tracker.csv"', 'file = "tracker.csv"\nstation = 1'),
-        "configurations.slack.measured.effectors.sensor: station does not go with "
-        'format = "table": a table has a header',
+        'configurations.slack.measured.effectors.sensor: station ... "table"',
     ),
     "no length unit of a tracker": (
         (
@@ -228,34 +227,32 @@ CASES = {
                 'measured.effectors.sensor = { file = "a", format = "polhemus" }',
             ),
         ),
-        'configurations.slack.measured.effectors.sensor: format = "polhemus" needs ',
+        'configurations.slack.measured.effectors.sensor: ... "polhemus" needs',
     ),
     "a selection of markers without their file": (
         (SLACK, f'{SLACK}\nmeasured.select = {{ pose = "slack" }}'),
-        "configurations.slack.measured: select is for the file of the markers; ",
+        "configurations.slack.measured: select ... file of the markers",
     ),
     "a setup without a motor": (
         (WOUND, f'[[setup]]\nmotor_zero = "cable"\nlimit = "3 deg"\n{WOUND}'),
-        'setup[1].motor_zero: there is no motor "cable"; the project has none: add ',
+        'setup[1].motor_zero: ... "cable" ... none',
     ),
     "a setup of another dimension": (
         (WOUND, f'[[setup]]\nmounting = "plate"\nlimit = "3 deg"\n{WOUND}'),
-        'setup[1].limit: "3 deg": "deg" is not a length; expected a length, like ',
+        'setup[1].limit: "3 deg": "deg" is not a length',
     ),
     "an empty setup": (
         (WOUND, f'[[setup]]\nlimit = "3 mm"\n{WOUND}'),
-        "setup[1]: expected exactly one of motor_zero, mounting, gravity_tilt, "
-        "recording_offset, load_factor, actuator_factor, clamp_stiffness, friction; "
-        "got none.",
+        "setup[1]: ... one of motor_zero, mounting, gravity_tilt, recording_offset, "
+        "load_factor, actuator_factor, clamp_stiffness, friction; got none",
     ),
     "an absolute prior on a log scale": (
         ("# prior_std = 0.3", 'prior_std = "50 kPa"'),
-        'parameters.E.prior_std: got "50 kPa"; on a log scale it is relative: expected '
-        "a number, like 0.3 for 30 %.",
+        'parameters.E.prior_std: got "50 kPa" ... relative ... 0.3',
     ),
     "a body that is held at its nodes": (
         ('supports = [{ group = "x_min" }]', 'supports = [{ group = "x_max" }]'),
-        "configurations: configuration 'slack': its supports hold ",
+        "configurations: ... 'slack': its supports hold",
     ),
 }
 
@@ -273,7 +270,7 @@ def test_refused_with_its_key(tmp_path, changes, message):
         load_project(path)
     said = str(caught.value).removeprefix(f"{path}: ")
     # What is shared is wrong in each configuration.
-    assert said.startswith(message) or f"\n- {message}" in said, said
+    assert says(said.split("\n- "), message)
 
 
 def test_all_that_is_wrong_is_said_at_once(tmp_path):
@@ -285,10 +282,9 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
     with pytest.raises(ProjectError) as caught:
         load_project(path)
     for message in (
-        'effectors.sensor.bdy: unknown key. Did you mean "body"?',
-        "effectors.sensor.body: missing. Expected name of a rigid body",
-        'actuators.cable.guides: guides belongs to type = "cable". This is type = "moto'
-        'r", which has body.',
-        "actuators.cable.body: missing. Expected the rigid body that it turns",
+        'effectors.sensor.bdy: unknown key ... mean "body"',
+        "effectors.sensor.body: missing ... rigid body",
+        'actuators.cable.guides: ... "cable" ... "motor" ... body',
+        "actuators.cable.body: missing ... rigid body",
     ):
-        assert f"\n- {message}" in str(caught.value)
+        assert says(str(caught.value).split("\n- "), message)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mesh.test_surfaces import open_block
+from wording import says
 
 from softcal_jax.mesh import write_mesh
 from softcal_jax.project import ProjectError, load_mesh, load_project
@@ -97,7 +98,7 @@ def test_a_mesh_and_groups_alone_are_enough_to_look_at(path):
     path.write_text(text)
     assert set(load_mesh(path).surface_groups) >= {"base", "wall", "around"}
     text = refusal(path, ("[groups.wall]", "[grups.wall]"), of=load_mesh)
-    assert 'grups: unknown key. Did you mean "groups"?' in text
+    assert says(text, 'grups: unknown key ... mean "groups"')
 
 
 def test_a_sealed_chamber(path):
@@ -110,46 +111,46 @@ def test_a_sealed_chamber(path):
     [
         (
             ("seal = true", ""),
-            "actuators.air: chamber 'air': surface 'wall' is not clo",
+            "actuators.air: ... 'wall' is not closed",
         ),
         (
             ("seal = true", "seal = 1"),
-            "actuators.air.seal: got 1; expected true or fal",
+            "actuators.air.seal: got 1 ... true or false",
         ),
         (
             ('stop_at = "base" }', 'stop_at = "bose" }'),
-            "groups.wall: unknown surface group 'bose'. Did you mean 'base'?",
+            "groups.wall: ... 'bose' ... mean 'base'",
         ),
         (
             (
                 'face = { points = ["(0, -400, -400) mm"] }',
                 'plane = { point = "(0, 0, 0) mm", normal = "-x" }',
             ),
-            "groups.wall: 'base' is a group of nodes, and a surface is asked for: of =",
+            "groups.wall: 'base' is a group of nodes ... of =",
         ),
         (
             (', stop_at = "base" }', " }"),
-            "groups.wall: no cavity surrounds the point (300, 0, 0) mm: what is reac",
+            "groups.wall: no cavity ... (300, 0, 0) mm",
         ),
         (
             ('["(0, -400, -400) mm"]', "[]"),
-            "groups.base.face.points: got no point; expected one or more",
+            "groups.base.face.points: got no point",
         ),
         (
             ('["(0, -400, -400) mm"]', '["(0, -400, -400) cm"]'),
-            "groups.base: the point (0, -4, -4) m is ",
+            "groups.base: ... (0, -4, -4) m",
         ),
         (
             ("face = {", 'of = "nodes"\nface = {'),
-            "groups.base.of: of belongs to box or plane or sphere or cylinder or annul",
+            "groups.base.of: ... box or plane or sphere or cylinder or annulus",
         ),
         (
             ('file = "block.msh"', 'file = "block.step"'),
-            "mesh.size: missing. Expected length of the edges of its tets",
+            "mesh.size: missing ... length",
         ),
         (
             ('length_unit = "mm"', 'length_unit = "mm"\nsize = "3 mm"'),
-            'mesh.size: size belongs to file = "finger.step" or "finger.stl". This is ',
+            'mesh.size: ... "finger.step" ... "finger.stl"',
         ),
         (
             ('file = "block.msh"', 'file = "block.stl"\nsize = "3 mm"'),
@@ -157,13 +158,13 @@ def test_a_sealed_chamber(path):
         ),
         (
             ('file = "block.msh"', 'file = "block.step"\nsize = "3 mm"'),
-            "a STEP file states its own. Leave it out.",
+            "Leave it out",
         ),
         (
             ('inner = "0.4 m"', 'inner = "0.9 m"'),
-            "groups.ring: the inner radius must be zero or more, and less than",
+            "groups.ring: ... inner radius",
         ),
     ],
 )
 def test_what_is_refused(path, change, message):
-    assert message in refusal(path, change)
+    assert says(refusal(path, change), message)

@@ -6,6 +6,7 @@ import meshio
 import numpy as np
 import pytest
 from small_project import write_small_project
+from wording import says
 
 from softcal_jax.materials import FibreReinforced, Yeoh
 from softcal_jax.mesh import beam
@@ -165,27 +166,27 @@ def refusal(path):
 @pytest.mark.parametrize(
     ("material", "message"),
     [
-        ("", "material.theta: missing. Expected angle of the fibre in its print plane"),
+        ("", "material.theta: missing ... angle"),
         (
             'directions = { type = "helix", axis = "x" }',
-            "material.theta: missing. Expected angle of the fibre",
+            "material.theta: missing ... angle",
         ),
         (
             'directions = { type = "spiral", axis = "x" }',
-            'material.directions.type: got "spiral"; expected one of "along", "hoop", '
-            '"helix", "cells".',
+            'material.directions.type: got "spiral" ... "along", "hoop", "helix", '
+            '"cells"',
         ),
         (
             'directions = { type = "hoop" }',
-            'material.directions.axis: missing. Expected direction of the axis: "z" or',
+            'material.directions.axis: missing ... "z"',
         ),
         (
             'directions = { type = "along", axis = "x", through = "(0, 0, 0) mm" }',
-            'material.directions.through: through belongs to type = "hoop" or type = ',
+            'material.directions.through: ... "hoop"',
         ),
         (
             'directions = { type = "cells", array = "fibre" }',
-            "material.directions: there is no mesh file to read 'fibre' from; the mesh",
+            "material.directions: ... no mesh file ... 'fibre'",
         ),
         (
             'theta = "0 deg"\nfamilies = 3',
@@ -193,26 +194,26 @@ def refusal(path):
         ),
         (
             'theta = "0 deg"\ntension_only = 1',
-            "material.tension_only: got 1; expected true or false.",
+            "material.tension_only: got 1 ... true or false",
         ),
         (
             'theta = "0 deg"\nmatrix = "transverse-hyperelastic"',
-            'material.matrix: got "transverse-hyperelastic"; expected one of "neo-hook',
+            'material.matrix: got "transverse-hyperelastic" ... "neo-hookean"',
         ),
         (
             'theta = "0 deg"\nE_t = "1 MPa"',
-            'material.E_t: E_t belongs to elasticity = "transverse-isotropic", '
-            'elasticity = "reduced-transverse-isotropic" or law = "transverse-hyper',
+            'material.E_t: ... "transverse-isotropic" ... '
+            '"reduced-transverse-isotropic" ... "transverse-hyperelastic"',
         ),
         (
             'theta = "0 deg"\nelasticity = "isotropic"',
-            'material.elasticity: elasticity belongs to law = "corotational", law = ',
+            'material.elasticity: ... "corotational"',
         ),
     ],
 )
 def test_what_is_refused(tmp_path, material, message):
     said = refusal(project_of(tmp_path, material))
-    assert said.startswith(message) or message in said.split("\n- ", 1)[-1]
+    assert says(said.split("\n- "), message)
 
 
 def test_a_helix_around_a_centroid_is_refused(tmp_path):
@@ -224,15 +225,15 @@ def test_a_helix_around_a_centroid_is_refused(tmp_path):
         f'directions = {{ type = "hoop", axis = "z", through = "{through}" }}',
     )
     said = refusal(path)
-    assert said.startswith("material.directions: 1 of 18 tets have their centroid on")
+    assert says(said, "material.directions: 1 of 18 tets ... centroid")
 
 
 def test_bad_arrays(tmp_path):
     ones = lambda mesh: np.ones((mesh.n_tets, 3))
     said = refusal(with_vectors(tmp_path / "a", ones, array="fiber"))
-    assert "unknown cell array 'fiber'. Did you mean 'fibre'? Known: 'fibre'." in said
+    assert says(said, "'fiber' ... mean 'fibre' ... Known: 'fibre'")
     zero = lambda mesh: (
         np.ones((mesh.n_tets, 3)) * (np.arange(mesh.n_tets) != 7)[:, None]
     )
     said = refusal(with_vectors(tmp_path / "b", zero))
-    assert said.startswith("material.directions: the fibre direction [0.0, 0.0, 0.0] w")
+    assert says(said, "material.directions: ... [0.0, 0.0, 0.0]")

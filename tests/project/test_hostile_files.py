@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from small_project import MARKERS, write_small_project
+from wording import says
 
 from softcal_jax.project import ProjectError, load_project
 
@@ -33,11 +34,11 @@ def with_more(folder: Path, more: str) -> Path:
     [
         (
             "\nx = " + "[\n" * 2000 + "]\n" * 2000,
-            "cannot be read as TOML: its lists or",
+            "cannot be read as TOML",
         ),
         (
             "\nx = " + "{a=" * 2000 + "1" + "}" * 2000,
-            "cannot be read as TOML: its lists",
+            "cannot be read as TOML",
         ),
         (
             "\n" + ".".join(["a"] * 20_000) + " = 1\n",
@@ -48,27 +49,26 @@ def with_more(folder: Path, more: str) -> Path:
             "configurations.pulled.a: nested more",
         ),
         ("\n[" + ".".join(["a"] * 500) + "]\n", "a.a.a: nested more than 30 levels"),
-        ("\n[uncertain]\nnu = " + "9" * 5000, "cannot be read as TOML: "),
+        ("\n[uncertain]\nnu = " + "9" * 5000, "cannot be read as TOML"),
         (
             "\n[newton]\nrtol = 0x" + "f" * 4000,
-            "newton.rtol: a whole number of 16000 bits",
+            "newton.rtol: ... 16000 bits",
         ),
     ],
 )
 def test_deep_or_endless(tmp_path, more, message):
-    assert refusal(with_more(tmp_path, more)).startswith(message)
+    assert says(refusal(with_more(tmp_path, more)), message)
 
 
 @pytest.mark.parametrize("when", ["1979-05-27", "1979-05-27T07:32:00Z"])
 def test_a_date(tmp_path, when):
     text = refusal(write_small_project(tmp_path, ("nu = 0.3", f"nu = {when}")))
-    assert text.startswith("material.nu: got the date 1979-05-27")
-    assert text.endswith(", which no key takes; put a text in quotes.")
+    assert says(text, f"material.nu: got the date {when[:10]}", "quotes")
 
 
 def test_a_time(tmp_path):
     text = refusal(write_small_project(tmp_path, ("nu = 0.3", "nu = 07:32:00")))
-    assert text.startswith("material.nu: got the time 07:32:00, which no key takes")
+    assert says(text, "material.nu: got the time 07:32:00")
 
 
 @pytest.mark.parametrize(
@@ -100,8 +100,7 @@ def test_few_of_many_problems_are_listed(tmp_path):
 def test_too_many_cells(tmp_path, n):
     text = refusal(write_small_project(tmp_path, (CELLS, f"cells = [{n}, 1, 1]")))
     assert text.startswith(f"mesh: cells = [{n}, 1, 1]: ")
-    assert " tets, more than the limit of 2 000 000. If that is meant, raise" in text
-    assert text.endswith("with the environment variable SOFTCAL_MAX_TETS.")
+    assert says(text, "limit of 2 000 000 ... raise ... SOFTCAL_MAX_TETS")
 
 
 def test_the_limit_of_cells_holds_for_the_pattern(tmp_path, monkeypatch):
@@ -109,9 +108,7 @@ def test_the_limit_of_cells_holds_for_the_pattern(tmp_path, monkeypatch):
     load_project(write_small_project(tmp_path))  # three cells of six tets
     centred = (CELLS, f'{CELLS}, pattern = "centred"')
     text = refusal(write_small_project(tmp_path, centred))
-    assert text.startswith(
-        "mesh: cells = [3, 1, 1]: 72 tets, more than the limit of 18"
-    )
+    assert says(text, "mesh: cells = [3, 1, 1]: 72 tets ... limit of 18")
 
 
 @pytest.mark.parametrize(
@@ -122,45 +119,45 @@ def test_the_limit_of_cells_holds_for_the_pattern(tmp_path, monkeypatch):
             "starts = 1_000_000_000_000",
             "settings.starts: starts = 1000000000000",
         ),
-        (SETTINGS, "starts = 0", "settings.starts: starts must be at least 1, got 0"),
-        (SETTINGS, "seed = -1", "settings.seed: got -1; expected at least 0."),
-        (SETTINGS, "precision = inf", "settings.precision: got inf; expected a share"),
+        (SETTINGS, "starts = 0", "settings.starts: ... got 0"),
+        (SETTINGS, "seed = -1", "settings.seed: got -1 ... 0"),
+        (SETTINGS, "precision = inf", "settings.precision: got inf"),
         (
             SETTINGS,
             "step_bound = inf",
-            "settings: step_bound must be positive and finite",
+            "settings: step_bound ... positive",
         ),
-        (SETTINGS, "max_step_bound = inf", "settings: max_step_bound must be positive"),
+        (SETTINGS, "max_step_bound = inf", "settings: max_step_bound ... positive"),
         (
             SETTINGS,
             "damping = 1e300",
-            "settings: damping must lie in (0, 1], got 1e+300",
+            "settings: damping ... (0, 1], got 1e+300",
         ),
         (
             NEWTON,
             "smallest_load_step = nan",
-            "newton: smallest_load_step is a share of",
+            "newton: smallest_load_step",
         ),
         (
             NEWTON,
             "smallest_load_step = 2.0",
-            "newton: smallest_load_step is a share of",
+            "newton: smallest_load_step",
         ),
         (
             NEWTON,
             "smallest_load_step = 0.0",
-            "newton: smallest_load_step is a share of",
+            "newton: smallest_load_step",
         ),
-        ("\n[uncertain]\n", "nu = inf", "uncertain.nu: got inf; expected zero or more"),
+        ("\n[uncertain]\n", "nu = inf", "uncertain.nu: got inf"),
         (
             "\n[uncertain]\n",
             "gravity = 1e300",
-            "uncertain.gravity: 1e+300 has no unit;",
+            "uncertain.gravity: 1e+300 has no unit",
         ),
     ],
 )
 def test_numbers_out_of_range(tmp_path, table, line, message):
-    assert refusal(with_more(tmp_path, table + line)).startswith(message)
+    assert says(refusal(with_more(tmp_path, table + line)), message)
 
 
 def test_a_cell_without_end(tmp_path):
@@ -168,10 +165,7 @@ def test_a_cell_without_end(tmp_path):
     path.with_name("markers.csv").write_text(
         f"{MARKERS}weight,rest,{'x' * 131_073},1,2,3"
     )
-    text = refusal(path)
-    assert (
-        "markers.csv, line 22: field larger than field limit (131072). Expect" in text
-    )
+    assert says(refusal(path), "markers.csv, line 22: ... limit (131072)")
 
 
 @pytest.mark.parametrize("name", ["project.toml", "markers.csv"])
@@ -184,9 +178,7 @@ def test_a_file_that_is_none(tmp_path, name, kind):
     os.mkfifo(other) if kind == "pipe" else other.symlink_to("/dev/zero")
     with pytest.raises(ProjectError) as caught:
         load_project(path)
-    assert f"{other} is a pipe or a device; expected a file on a disk." in str(
-        caught.value
-    )
+    assert says(caught.value, f"{other} is a pipe or a device")
 
 
 @pytest.mark.parametrize("name", ["project.toml", "markers.csv"])
@@ -195,25 +187,24 @@ def test_a_file_that_is_too_large(tmp_path, monkeypatch, name):
     path = write_small_project(tmp_path)
     with path.with_name(name).open("r+b") as file:
         file.truncate(11_000_000)
-    with pytest.raises(ProjectError, match=f"{name}: 11 MB, more than the limit of 10"):
+    with pytest.raises(ProjectError, match=rf"{name}: 11 MB.* limit of 10"):
         load_project(path)
 
 
 def test_a_misspelt_file_is_found_in_its_folder(tmp_path):
     text = refusal(write_small_project(tmp_path, ('"markers.csv"', '"makers.csv"')))
-    assert text.endswith("makers.csv does not exist. Did you mean 'markers.csv'?")
+    assert says(text, "makers.csv does not exist ... mean 'markers.csv'")
     elsewhere = ('"markers.csv"', '"data/markers.csv"')
     text = refusal(write_small_project(tmp_path, elsewhere))
-    assert text.endswith(f"does not exist. There is no folder {tmp_path / 'data'}.")
-    with pytest.raises(FileNotFoundError, match=r"Did you mean 'project\.toml'\?"):
+    assert says(text, f"does not exist ... no folder {tmp_path / 'data'}")
+    with pytest.raises(FileNotFoundError, match=r"mean 'project\.toml'\?"):
         load_project(tmp_path / "projct.toml")
 
 
 def test_a_negative_std_names_the_marker_and_what_was_typed(tmp_path):
     change = ('std = "0.2 mm"', 'std = "-0.2 mm"')
-    assert refusal(write_small_project(tmp_path, change)) == (
-        'markers.positions.side.std: got "-0.2 mm"; expected a finite value above zero.'
-    )
+    text = refusal(write_small_project(tmp_path, change))
+    assert says(text, 'markers.positions.side.std: got "-0.2 mm" ... above zero')
 
 
 @pytest.mark.parametrize(
@@ -230,13 +221,11 @@ def test_a_negative_std_names_the_marker_and_what_was_typed(tmp_path):
 )
 def test_messages_quote_what_was_typed(tmp_path, old, new, where):
     text = refusal(write_small_project(tmp_path, (f'"{old}"', f'"{new}"')))
-    assert text.startswith(f'{where}: got "{new}"; expected a finite value')
+    assert says(text, f'{where}: got "{new}" ... finite')
 
 
 def test_a_place_without_nodes_is_described(tmp_path):
     change = ('point = "(60, 0, 0) mm"', 'point = "(61, 0, 0) mm"')
-    assert refusal(write_small_project(tmp_path, change)) == (
-        "groups.tip: no node lies in the plane through (61, 0, 0) mm across (1, 0, 0). "
-        "The mesh spans (0, 0, 0) m to (60, 20, 20) mm. The nearest node is 1 mm away; "
-        "check the length unit."
-    )
+    text = refusal(write_small_project(tmp_path, change))
+    assert says(text, "groups.tip: no node ... plane ... (61, 0, 0) mm ... (1, 0, 0)")
+    assert says(text, "(0, 0, 0) m to (60, 20, 20) mm", "1 mm away", "unit")

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_project import write_small_project
+from wording import says
 
 from softcal_jax.project import ProjectError, load_project
 
@@ -118,38 +119,38 @@ def test_regions_have_its_constants(tmp_path, install):
     [
         (
             CONSTANTS.replace('c2 = "1 kPa"\n', ""),
-            'material.c2: missing. Expected hardening: "1 kPa".',
+            'material.c2: missing ... "1 kPa"',
         ),
         (
             CONSTANTS.replace('"1 kPa"', '"1 mm"'),
-            'material.c2: "1 mm": "mm" is not a pressure or modulus; expected a pressu',
+            'material.c2: "1 mm": "mm" is not a pressure',
         ),
         (
             CONSTANTS.replace("MJ", "MN"),
-            'material.bulk: "0.5 MN/m^3": "MN/m^3" is not a quantity in J/m3; expe',
+            'material.bulk: "0.5 MN/m^3": "MN/m^3" is not ... J/m3',
         ),
         (
             f'{CONSTANTS}E = "1 MPa"\n',
-            'material.E: E belongs to elasticity = "isotropic" or law = "neo-hookean". '
-            'This is law = "mine", which has c1, c2, bulk, skew, theta, phi, print_pl',
+            'material.E: ... "isotropic" ... "neo-hookean" ... "mine" ... c1, c2, '
+            "bulk, skew, theta",
         ),
         (
             f"{CONSTANTS}c3 = 1\n",
-            'material.c3: unknown key. Did you mean "c2"? Known here: law, density, ',
+            'material.c3: unknown key ... mean "c2" ... law, density',
         ),
     ],
 )
 def test_its_keys_are_checked(tmp_path, install, constants, message):
     install("mine = soft_yeoh:Yeoh")
     said = refusal(with_law(tmp_path, 'law = "mine"', constants))
-    assert said.startswith(message)
+    assert says(said, message)
 
 
 def test_an_unknown_law_lists_it(tmp_path, install):
     install("mine = soft_yeoh:Yeoh", code="raise RuntimeError")
     said = refusal(with_law(tmp_path, 'law = "min"', ""))
-    assert said.startswith('material.law: got "min"; expected one of "neo-hookean", ')
-    assert said.endswith('"fibre-reinforced", "mine". Did you mean "mine"?')
+    assert says(said, 'material.law: got "min" ... "neo-hookean", ... mean "mine"')
+    assert says(said, '"fibre-reinforced", "mine"')
     assert "soft_yeoh" not in sys.modules
 
 
@@ -159,26 +160,26 @@ def test_an_unknown_law_lists_it(tmp_path, install):
         (
             "soft_yeoh:Yeoh",
             "import not_there",
-            'material.law: the law "mine" of the package soft-yeoh (soft_yeoh:Yeoh) '
-            "cannot be loaded: ModuleNotFoundError: No module named 'not_there'. Up",
+            'material.law: ... "mine" ... soft-yeoh (soft_yeoh:Yeoh) cannot be '
+            "loaded ... 'not_there'",
         ),
         (
             "soft_yeoh:Yoeh",
             YEOH,
-            'material.law: the law "mine" of the package soft-yeoh (soft_yeoh:Yoeh) '
-            "cannot be loaded: AttributeError: ",
+            'material.law: ... "mine" ... soft-yeoh (soft_yeoh:Yoeh) cannot be '
+            "loaded: AttributeError",
         ),
         (
             "soft_yeoh:YEOH",
             "YEOH = 5",
-            'material.law: the law "mine" of the package soft-yeoh (soft_yeoh:YEOH) is '
-            "5, expected a subclass of softcal_jax.materials.AbstractLaw.",
+            'material.law: ... "mine" ... soft-yeoh (soft_yeoh:YEOH) ... 5 ... '
+            "AbstractLaw",
         ),
         (
             "soft_yeoh:Bare",
             YEOH,
-            'material.law: the law "mine" of the package soft-yeoh (soft_yeoh:Bare) '
-            "cannot be used: Bare.c1 has no unit: declare it with ",
+            'material.law: ... "mine" ... soft-yeoh (soft_yeoh:Bare) ... Bare.c1 has '
+            "no unit",
         ),
     ],
 )
@@ -188,15 +189,14 @@ def test_a_broken_package_matters_where_it_is_named(
     install(f"mine = {entry}", code=code)
     assert load_project(write_small_project(tmp_path / "other")).name == "small"
     assert "soft_yeoh" not in sys.modules
-    assert refusal(with_law(tmp_path, 'law = "mine"', "")).startswith(message)
+    assert says(refusal(with_law(tmp_path, 'law = "mine"', "")), message)
 
 
 def test_two_packages_with_one_name(tmp_path, install):
     install("mine = soft_yeoh:Yeoh")
     install("mine = other_yeoh:Yeoh", package="other-yeoh", module="other_yeoh")
     said = refusal(with_law(tmp_path, 'law = "mine"', CONSTANTS))
-    assert said.startswith("material.law: the packages ")
-    assert 'both have a law "mine"; uninstall one of them.' in said
+    assert says(said, 'material.law: ... packages ... "mine" ... uninstall')
     assert "other_yeoh" not in sys.modules
 
 
@@ -217,6 +217,6 @@ def test_a_file_on_disk_is_never_imported(tmp_path, install, monkeypatch, name):
     trace = "from pathlib import Path\nPath('imported').touch()\n"
     (tmp_path / "beside.py").write_text(trace + YEOH.replace("Yeoh", "Law"))
     said = refusal(with_law(tmp_path, f'law = "{name}"', CONSTANTS))
-    assert said.startswith(f'material.law: got "{name}"; expected one of "neo-hook')
+    assert says(said, f'material.law: got "{name}" ... "neo-hookean"')
     assert not (tmp_path / "imported").exists()
     assert not {"beside", "soft_yeoh"} & set(sys.modules)

@@ -1,9 +1,9 @@
 """Quantities with units, and what a reader is told about the others."""
 
 import math
-import re
 
 import pytest
+from wording import saying
 
 from softcal_jax.project import _quantities
 from softcal_jax.project._quantities import (
@@ -50,64 +50,59 @@ def test_scalar(text, dimension, value):
         (
             200000,
             PRESSURE,
-            "200000 has no unit; expected a pressure or modulus, in quotes and with "
-            'its unit, like "200 kPa".',
+            '200000 has no unit ... pressure ... "200 kPa"',
         ),
         (
             "0.5",
             FORCE,
-            "0.5 has no unit; expected a force, in quotes and with its unit, like "
-            '"0.51 N".',
+            '0.5 has no unit ... force ... "0.51 N"',
         ),
         (
             "200 kpa",
             PRESSURE,
-            '"200 kpa": unknown unit "kpa"; expected a pressure or modulus, like '
-            '"200 kPa". Did you mean "kPa"?',
+            '"200 kpa": unknown unit "kpa" ... pressure ... "200 kPa" ... mean "kPa"',
         ),
         (
             "200 kP",
             PRESSURE,
-            '"200 kP": "kP" is not a pressure or modulus; expected a pressure or '
-            'modulus, like "200 kPa". Did you mean "kPa"?',
+            '"200 kP": "kP" is not a pressure ... "200 kPa" ... mean "kPa"',
         ),
         (
             "3 furlongz",
             LENGTH,
-            '"3 furlongz": unknown unit "furlongz"; expected a length, like "100 mm".',
+            '"3 furlongz": unknown unit "furlongz" ... length ... "100 mm"',
         ),
         (
             "3 mm",
             FORCE,
-            '"3 mm": "mm" is not a force; expected a force, like "0.51 N".',
+            '"3 mm": "mm" is not a force ... "0.51 N"',
         ),
         (
             "3 m//s",
             LENGTH,
-            '"3 m//s": cannot read the unit "m//s"; expected a length, like "100 mm".',
+            '"3 m//s": ... unit "m//s" ... length ... "100 mm"',
         ),
         (
             20,
             ANGLE,
-            "20 has no unit; expected an angle, in quotes and with its unit, like "
-            '"20 deg".',
+            '20 has no unit ... angle ... "20 deg"',
         ),
         (
             "20 %",
             ANGLE,
-            '"20 %": "%" is not an angle; expected an angle, like "20 deg".',
+            '"20 %": "%" is not an angle ... "20 deg"',
         ),
         (
             True,
             LENGTH,
-            'got True; expected a length in quotes, like "100 mm".',
+            'got True ... length ... "100 mm"',
         ),
-        ("long", LENGTH, 'got "long"; expected a length in quotes, like "100 mm".'),
-        ("nan mm", LENGTH, 'got "nan mm"; expected a length in quotes, like "100 mm".'),
+        ("long", LENGTH, 'got "long" ... length ... "100 mm"'),
+        ("nan mm", LENGTH, 'got "nan mm" ... length ... "100 mm"'),
     ],
 )
 def test_bad_scalar(value, dimension, message):
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+    with pytest.raises(ValueError, match=saying(message)):
         parse_scalar(value, dimension)
 
 
@@ -128,20 +123,20 @@ def test_vector(value):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ("(0, 15) mm", "got 2 numbers; expected three numbers with a unit"),
-        ("0, 15, 36 mm", 'got "0, 15, 36 mm"; expected three numbers with a unit'),
+        ("(0, 15) mm", "got 2 numbers ... three numbers"),
+        ("0, 15, 36 mm", 'got "0, 15, 36 mm" ... three numbers'),
         (
             "(0, 15, 36)",
-            '"(0, 15, 36)" has no unit; expected three numbers with a unit',
+            '"(0, 15, 36)" has no unit ... three numbers',
         ),
-        ("(0, x, 36) mm", '"(0, x, 36) mm": "x" is not a number; expected three'),
-        ("(0, 15, 36) N", '"(0, 15, 36) N": "N" is not a length; expected a length'),
-        ([0, 15, 36], "0 has no unit; expected a length"),
-        (36, 'got 36; expected three numbers with a unit, like "(0, 0, -1) mm".'),
+        ("(0, x, 36) mm", '"(0, x, 36) mm": "x" is not a number'),
+        ("(0, 15, 36) N", '"(0, 15, 36) N": "N" is not a length'),
+        ([0, 15, 36], "0 has no unit ... length"),
+        (36, 'got 36 ... three numbers ... "(0, 0, -1) mm"'),
     ],
 )
 def test_bad_vector(value, message):
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
+    with pytest.raises(ValueError, match=saying(message)):
         parse_vector(value, LENGTH)
 
 

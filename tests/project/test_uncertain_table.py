@@ -84,7 +84,7 @@ def test_zero_needs_no_unit(tmp_path):
     ("line", "message"),
     [
         ('density = "3 kg"', r'uncertain.density: got "3 kg"; .* like "3 %"'),
-        ("loads = 0.02", r'uncertain.loads: got 0.02; expected a share, like "3 %"'),
+        ("loads = 0.02", r'uncertain.loads: got 0.02; .* like "3 %"'),
         ("clamp = 1", r"uncertain.clamp: 1 has no unit; expected a length"),
         ('clamp = "-1 mm"', r'uncertain.clamp: got "-1 mm"; expected zero or more'),
         ("nu = -0.1", r"uncertain.nu: got -0.1; expected zero or more"),
