@@ -18,7 +18,7 @@ from softcal_jax.calibration._interval import (
     interval_between,
     no_interval,
 )
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends, room_beside
 from softcal_jax.calibration._result import CalibrationResult, Optimum
 from softcal_jax.configurations import Configuration
@@ -96,7 +96,8 @@ def _settled(
         except LowerCostFound as lower:
             other = go_on(fitted, lower.z)
         # Where the noise follows the motion, each fit has weights of its own.
-        cost = in_other_units(fitted.problem, other.result.z, other.evaluation).cost
+        problem = without_names(fitted.problem)
+        cost = in_other_units(problem, other.result.z, other.evaluation).cost
         if not (other.result.converged and float(cost) < float(fitted.evaluation.cost)):
             break
         fitted = other._replace(result=_with_optimum(other.result))

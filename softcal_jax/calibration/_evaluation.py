@@ -49,13 +49,18 @@ class Evaluation(Module):
 
     response: Response
     delta_e: Float[Array, "n_c n_rows 3"]
-    rows: Whitened[Array]
+    rows: Whitened
     ok: Bool[Array, ""]
 
     @property
     def equilibrium(self) -> EquilibriumSolution:
         """Equilibria, one lane per configuration."""
         return self.response.equilibrium
+
+    @property
+    def effectors(self) -> Float[Array, "n_c n_rows 3"]:
+        """Simulated effector coordinates: positions [m], turns [rad], ..."""
+        return self.response.effectors
 
     @property
     def compliance(self) -> Float[Array, "n_e n_p"]:
@@ -125,8 +130,14 @@ def _weighed(
 def in_other_units(
     problem: CalibrationProblem, z: Float[Array, " n_p"], old: Evaluation
 ) -> Evaluation:
-    """Return an evaluation in the units of another noise, that of `problem`."""
-    return _weighed(without_names(problem), z, old.response)
+    """Return an evaluation in the units of another noise.
+
+    Args:
+        problem: The calibration with that noise, without names.
+        z: Scaled parameters [-].
+        old: The evaluation there.
+    """
+    return _weighed(problem, z, old.response)
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:

@@ -1,6 +1,6 @@
 """Whether first-order intervals hold: the cost at their ends, against its parabola."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._profile import LOWER, LowerCostFound, room_beside
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
+from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import LinearModel
 
 CURVED = 0.1
@@ -26,29 +27,26 @@ error. With both ends a tenth too close to the fit, an interval that says 95 % h
 
 
 class _Checked(NamedTuple):
-    """A calibration at its end, in units of the noise that its residuals show.
+    """A calibration at its end.
 
-    `quantile` is the distance of an end, in standard errors.
+    Attributes:
+        evaluate: Its evaluator.
+        about: Returns the linear model about other scaled parameters, from these and
+            their evaluation, with the noise of `linear`.
+        space: The parameters.
+        z: Where it ended, scaled [-].
+        at: Evaluation there.
+        linear: Linear model there.
+        quantile: Standard errors between the fit and an end [-].
     """
 
-    evaluate: Evaluator
-    configurations: Sequence[Configuration]
+    evaluate: Callable[..., Evaluation]
+    about: Callable[[Float[Array, " n_p"], Evaluation], LinearModel]
+    space: ParameterSpace
     z: HostArray
     at: Evaluation
     linear: LinearModel
     quantile: float
-
-    def moved(self, z: Float[Array, " n_p"], there: Evaluation) -> LinearModel:
-        """Return the linear model about other values of the parameters."""
-        model = linear_model(
-            self.evaluate.problem,
-            self.configurations,
-            z=z,
-            W_ep=there.response.W_ep,
-            ok=there.response.ok,
-            delta_e=there.delta_e,
-        )
-        return model.with_scale(self.linear.scale)
 
 
 def first_order_holds(
@@ -85,14 +83,41 @@ def first_order_holds(
     lanes = len(sides) * len(configurations)
     with Workers(problem.model, max(lanes, 1)) as workers:
         evaluate = Evaluator(problem, workers)
-        fit = _Checked(evaluate, configurations, np.asarray(z), at, linear, quantile)
+        fit = _Checked(
+            evaluate=evaluate,
+            about=partial(_about, problem, configurations, linear.scale),
+            space=problem.space,
+            z=np.asarray(z),
+            at=at,
+            linear=linear,
+            quantile=quantile,
+        )
         ends = workers.side_by_side(partial(_end_holds, fit, *side) for side in sides)
     return [low and high for low, high in zip(ends[::2], ends[1::2], strict=True)]
 
 
+def _about(
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
+    scale: float,
+    z: Float[Array, " n_p"],
+    there: Evaluation,
+) -> LinearModel:
+    """Return the linear model about other scaled parameters."""
+    model = linear_model(
+        problem,
+        configurations,
+        z=z,
+        W_ep=there.response.W_ep,
+        ok=there.response.ok,
+        delta_e=there.delta_e,
+    )
+    return model.with_scale(scale)
+
+
 def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     """Check one end."""
-    space, linear = fit.evaluate.problem.space, fit.linear
+    space, linear = fit.space, fit.linear
     covariance = linear.covariance()
     free = linear.known
     std = np.sqrt(covariance[column, column])
@@ -104,13 +129,13 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     if _breaks_order(space, fit.z + step):
         return False
     z = jax.device_put(fit.z + step)
-    there = fit.evaluate(z, fit.at.equilibrium.displacement)
+    there = fit.evaluate(z, fit.at.response.equilibrium.displacement)
     if not there.ok:
         return False
     rise_of_end = (fit.quantile * linear.scale) ** 2
     if float(there.cost) < float(fit.at.cost) - 0.5 * LOWER * rise_of_end:
         raise LowerCostFound(z, float(there.cost), float(fit.at.cost))
-    moved = fit.moved(z, there)
+    moved = fit.about(z, there)
     # The fit stops where its slope has nearly vanished, and what is left counts here.
     slope = np.where(linear.held, 0.0, linear.slope())
     rise = moved.squares() - linear.squares() - 2.0 * slope @ step

@@ -356,7 +356,9 @@ def _predicted(
     assert everything.noise is not None
     noise = weighed.of_all(everything.noise, task.configurations)
     problem = everything.with_noise(noise)
-    offsets = attachment_offsets(batch.fitted, task.fitted, batch.lanes, at.delta_e)
+    offsets = attachment_offsets(
+        batch.fitted, task.configurations, batch.lanes, at.delta_e
+    )
     lanes = batch.lanes._replace(arrays=everything.at(z)[1])
     fits = configuration_results(
         task.space.model_at(task.model, z),
@@ -393,7 +395,7 @@ def _judged(
         ok=predicted.response.ok,
         delta_e=predicted.delta_e,
         n_fitted=n_fitted,
-        considered=doubts.in_std(n_fitted, weight.reshape(len(weight), -1)),
+        considered=doubts.in_std(n_fitted, weight.reshape(len(weight), weight[0].size)),
     )
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))

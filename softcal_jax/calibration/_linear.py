@@ -43,7 +43,8 @@ def linear_model(
     effectors = problem.configurations.effectors
     weight = np.asarray(effectors.inverse_std)
     considered = no_errors(weight.size) if considered is None else considered
-    doubts = considered.values.reshape(n_c, weight[0].size, -1)
+    n_doubts = considered.values.shape[1]
+    doubts = considered.values.reshape(n_c, weight[0].size, n_doubts)
     regular = np.asarray(ok) & np.isfinite(doubts).all(axis=(1, 2))
     used = regular | (np.arange(n_c) < n_fitted)
     rows = ((weight > 0.0) & used[:, None, None]).ravel()
@@ -54,7 +55,8 @@ def linear_model(
         pose=pose,
         fitted=pose < n_fitted,
         r=np.ravel(weight * np.asarray(delta_e)),
-        W=weight.reshape(-1, 1) * np.asarray(W_ep).reshape(weight.size, -1),
+        W=weight.reshape(-1, 1)
+        * np.asarray(W_ep).reshape(weight.size, len(space.names)),
         correlated=noise_columns(problem.noise, effectors, configurations),
         considered=considered,
         scale=float(problem.level),

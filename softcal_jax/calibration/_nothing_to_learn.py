@@ -110,7 +110,7 @@ def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
         ValueError: If none does; the text names the parameters.
     """
     weight = np.asarray(problem.configurations.effectors.inverse_std)
-    effectors = np.abs(np.asarray(first.response.effectors))
+    effectors = np.abs(np.asarray(first.effectors))
     size = np.max(weight * effectors, initial=0.0)
     W = np.asarray(first.rows.W)[: weight.size]
     if not np.all(np.isfinite(W)) or np.max(np.abs(W)) > ROUNDING * size:

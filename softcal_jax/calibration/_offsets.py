@@ -18,7 +18,14 @@ def attachment_offsets(
     lanes: ConfigurationLanes,
     delta_e: Float[Array, "n_c n_rows 3"],
 ) -> Offsets:
-    """Return the offset of every effector whose displacement was fitted."""
+    """Return the offset of every effector whose displacement was fitted.
+
+    Args:
+        problem: The calibration to the fitted configurations, with its noise.
+        configurations: All configurations, the fitted ones first.
+        lanes: Their effectors.
+        delta_e: Simulated minus measured values of the fitted ones.
+    """
     effectors = problem.configurations.effectors
     n_rows = effectors.measured.shape[1]
     keys = attachments(configurations, lanes.effectors, n_rows).keys

@@ -60,7 +60,7 @@ class CalibrationProblem(Module):
         z: Float[Array, " n_p"],
         delta_e: Float[Array, "n_c n_rows 3"],
         compliance: Float[Array, "n_e n_p"],
-    ) -> Whitened[Array]:
+    ) -> Whitened:
         """Return errors and their derivatives in units of the noise, priors behind.
 
         The QP of Eq. (10) is of these rows.

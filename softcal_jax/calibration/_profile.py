@@ -76,7 +76,7 @@ def profile_ends(
     settings: CalibrationSettings,
     *,
     z: Float[Array, " n_p"],
-    rows: Whitened[Array],
+    rows: Whitened,
     rise: float,
     which: Sequence[int],
 ) -> list[tuple[ProfileEnd, ProfileEnd]]:

@@ -83,7 +83,7 @@ class _Models(NamedTuple):
     be solved.
     """
 
-    rows: Whitened[Array]
+    rows: Whitened
     J: Float[Array, "n_p n_p"]
     qps: ScaledQP
     needed: Bool[Array, "2"]
@@ -94,7 +94,8 @@ def _models(
     problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
 ) -> _Models:
     J = _step_coordinates(problem.space, state.z)
-    error, W = rows = _along(state.evaluation.rows, J)
+    rows = _along(state.evaluation.rows, J)
+    error, W = map(jnp.asarray, rows)
     limits = _limits(problem, settings, state, J)
     models = (W, error), convex_model(W, error, state.curvature.matrix)
     scaled = [scaled_qp(*model, limits) for model in models]
@@ -168,7 +169,7 @@ def _step_coordinates(
     return jax.jacfwd(space.chart.from_tensor)(space.chart.to_tensor(z))
 
 
-def _along(rows: Whitened[Array], J: Float[Array, "n_p n_p"]) -> Whitened[Array]:
+def _along(rows: Whitened, J: Float[Array, "n_p n_p"]) -> Whitened:
     """Return rows by step coordinates."""
     return Whitened(rows.error, rows.W @ J)
 
@@ -292,7 +293,7 @@ def _after(
     new = learned(
         state.curvature,
         step=proposal.qp.lambda_p,
-        change=(there.W - here.W).T @ error,
+        change=jnp.asarray(there.W - here.W).T @ error,
         before=now.cost,
         after=tried.cost,
         predicted=proposal.costs,

@@ -114,7 +114,7 @@ def identifiability(
         has_prior=space.has_prior,
         informed=count_informed(information(in_asked), in_asked.prior_weights),
         conditioning=numbers,
-        n_data=len(fit.r),
+        n_data=int(np.any(fit.W != 0.0, axis=1).sum()),
         unknown=unknown,
     )
 
@@ -312,14 +312,17 @@ def survey(
         ok=[not failure for failure in failures],
         delta_e=np.zeros(weight.shape),
         n_fitted=required,
-        considered=doubts.in_std(len(names), weight.reshape(len(names), -1)),
+        considered=doubts.in_std(
+            len(names), weight.reshape(len(names), weight[0].size)
+        ),
     )
-    seen = (weight > 0.0) & ~np.array(failures, bool)[:, None, None]
+    failed = np.array([bool(failure) for failure in failures])
+    seen = (weight > 0.0) & ~failed[:, None, None]
     return Survey(
         space=space,
         z=z,
         linear=linear.all_fitted(),
-        W_ep=np.asarray(compliance.W_ep).reshape(weight.size, -1)[seen.ravel()],
+        W_ep=np.concatenate(np.asarray(compliance.W_ep))[seen.ravel()],
         W_pp=np.asarray(compliance.W_pp),
         failures=failures,
         unknown=doubts.unknown(len(names)),

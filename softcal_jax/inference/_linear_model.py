@@ -176,7 +176,7 @@ class LinearModel(Module):
         """Compute (I + B B^T)^-1/2 x: errors become independent, of size s each."""
         return whitened(self.correlated.values, x)
 
-    def whitened(self) -> Whitened[HostArray]:
+    def whitened(self) -> Whitened:
         """Return rows of fitted data and of priors, each of standard deviation s."""
         fit = self.of_fit()
         return whitened_rows(
@@ -193,12 +193,12 @@ class LinearModel(Module):
 
     def slope(self) -> Float[HostArray, " n_p"]:
         """Compute half the derivative of `squares` by the unknowns [-]."""
-        error, W = self.whitened()
+        error, W = map(np.asarray, self.whitened())
         return W.T @ error / self.scale**2
 
     def curvature(self) -> Float[HostArray, "n_p n_p"]:
         """Compute half the second derivative of `squares`: W^T V^-1 W + P [-]."""
-        W = self.whitened().W
+        W = np.asarray(self.whitened().W)
         return W.T @ W / self.scale**2
 
     @property
@@ -215,7 +215,7 @@ class LinearModel(Module):
     @cached_property
     def solution(self) -> Determined:
         """What the rows of fitted data and priors determine of the free unknowns."""
-        return determined(self.whitened().W[:, self._free])
+        return determined(np.asarray(self.whitened().W)[:, self._free])
 
     @cached_property
     def known(self) -> Bool[HostArray, " n_p"]:
@@ -294,7 +294,7 @@ class LinearModel(Module):
 
     def errors_left(self) -> Float[HostArray, " n"]:
         """Compute V^-1 times the errors at the best dz; all rows must be fitted."""
-        error, basis = self.whitened().error, self.solution.basis
+        error, basis = np.asarray(self.whitened().error), self.solution.basis
         rest = (error - basis @ (basis.T @ error))[: len(self.r)]
         return self.whiten(rest) / self.scale**2
 

@@ -5,32 +5,32 @@ independent, each with the standard deviation s (generalised least squares; Sebe
 Wild, Nonlinear Regression, 1989, sec. 2.1.4).
 """
 
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
-from softcal_jax._typing import Array, HostArray
+from softcal_jax._typing import Array, Float, HostArray
 
 AnyArray = Array | HostArray
 OneKind = TypeVar("OneKind", Array, HostArray)
 """Arrays of JAX or of NumPy, but not of both."""
 
 
-class Whitened(NamedTuple, Generic[OneKind]):
+class Whitened(NamedTuple):
     """Rows of a least-squares problem, min ||error + W dz||, all equally certain.
 
     Distances from priors are rows like any other, behind those of the data.
 
     Attributes:
-        error: The errors, n [-].
-        W: Their change per unit of lambda_p, n x n_p [-].
+        error: The errors [-].
+        W: Their change per unit of lambda_p [-].
     """
 
-    error: OneKind
-    W: OneKind
+    error: Float[AnyArray, " n"]
+    W: Float[AnyArray, "n n_p"]
 
     __repr__ = one_line
 
@@ -59,7 +59,7 @@ def whitened_rows(
     W: OneKind,
     from_prior: OneKind,
     prior_weights: OneKind,
-) -> Whitened[OneKind]:
+) -> Whitened:
     """Whiten errors of data, and put those of priors behind them.
 
     Args:

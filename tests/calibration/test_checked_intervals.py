@@ -14,7 +14,6 @@ from wording import says
 from softcal_jax.calibration import (
     MESH,
     CalibrationResult,
-    ErrorBudget,
     Evaluation,
     Evaluator,
     LowerCostFound,
@@ -24,7 +23,6 @@ from softcal_jax.calibration import (
     ParameterInterval,
     build_problem,
     calibrate,
-    uncertainty,
 )
 from softcal_jax.calibration._checked_intervals import (
     MOST_RETURNS,
@@ -39,6 +37,7 @@ from softcal_jax.calibration._interval import (
     no_interval,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
+from softcal_jax.inference import ErrorColumns, Whitened, independent
 
 EXACTLY = {"noise": "stated", "uncertain": exactly_known()}
 CLOSE = 3e-3
@@ -89,7 +88,8 @@ def test_where_first_order_is_wrong_the_profile_is_printed(result):
 def test_where_the_error_of_the_mesh_is_unknown_no_interval_is_printed(result, poses):
     budget = replace(result.budget, unknown=(MESH,))
     problem = build_problem(MODEL, unknowns(), poses)
-    fitted = Fitted(replace(result, budget=budget), problem, bare(Evaluation))
+    unknown = replace(result, budget=budget)
+    fitted = Fitted(unknown, problem, tuple(poses), bare(Evaluation))
     found = with_intervals(fitted, 0.95, bare, bare)
     assert [own.kind for own in found.intervals] == ["none", "none"]
     assert says(found.intervals[0].why, "mesh", "not be estimated")
@@ -186,14 +186,12 @@ def test_what_is_held_fixed_widens_on_a_bound_too(on_bound):
     """An error of the data W_c moves least squares by pinv(W) W_c, bound or not."""
     random = np.random.default_rng(0)
     W, W_c = random.standard_normal((6, 2)), random.standard_normal((6, 3))
-    spread = uncertainty(W, np.ones(6), 6, np.array([on_bound, False]), "stated")
-    result = bare(
-        CalibrationResult,
-        uncertainty=spread,
-        space=SPACE,
-        W_ep=W,
-        budget=bare(ErrorBudget, W_c=W_c),
+    linear = replace(
+        independent(W, ("x", "y")),
+        considered=ErrorColumns(W_c, ("loads",) * 3, ("a", "b", "c")),
+        held=np.array([on_bound, False]),
     )
+    result = bare(CalibrationResult, linear=linear)
     expected = np.linalg.norm(np.linalg.pinv(W)[0] @ W_c)
     np.testing.assert_allclose(_considered_error(result, 0), expected, rtol=1e-12)
 
@@ -202,27 +200,34 @@ def holds(errors, jacobian, *, column=0, W=None, on_bound=False, space=SPACE):
     """Whether two standard errors of a column hold for errors that are known."""
     W = jacobian(0.0, 0.0) if W is None else W
 
+    held = np.array([False, on_bound])  # the second one is held there
+
+    def rows(z):
+        return np.asarray(errors(*z), float), np.asarray(jacobian(*z), float)
+
     def at(z):
         return bare(
             Evaluation,
-            error=jnp.asarray(errors(*z)),
-            W_ep=jnp.asarray(jacobian(*z)),
-            prior=jnp.zeros(2),
+            response=SimpleNamespace(equilibrium=SimpleNamespace(displacement=None)),
+            rows=Whitened(*map(jnp.asarray, rows(z))),
             ok=jnp.asarray(True),
-            equilibrium=SimpleNamespace(displacement=None),
         )
 
-    def evaluate(z, _):
-        return at(np.asarray(z))
+    def about(z, _):
+        r, jacobian_there = rows(np.asarray(z))
+        model = independent(jacobian_there, ("x", "y"), r=r)
+        return replace(model, held=held)
 
-    evaluate.problem = SimpleNamespace(space=space, level=1.0)
-    covariance = np.linalg.inv(np.transpose(W) @ np.array(W))
-    if on_bound:  # the second one is held there
-        covariance = np.diag([1.0 / np.sum(np.array(W)[:, 0] ** 2), np.nan])
-    spread = SimpleNamespace(
-        noise_scale=1.0, covariance=covariance, at_bound=np.array([False, on_bound])
+    here = about(np.zeros(2), None)
+    fit = _Checked(
+        evaluate=lambda z, _: at(np.asarray(z)),
+        about=about,
+        space=space,
+        z=np.zeros(2),
+        at=at(np.zeros(2)),
+        linear=replace(here, W=np.array(W, float)),
+        quantile=2.0,
     )
-    fit = _Checked(evaluate, np.zeros(2), at(np.zeros(2)), spread, 2.0, np.zeros(2))
     return _end_holds(fit, column, 1)
 
 
@@ -275,7 +280,7 @@ def test_a_lower_cost_is_told():
 
 def of_problem(result, poses):
     problem = build_problem(result.model, result.space, poses, result.newton)
-    return Fitted(result, problem, None)
+    return Fitted(result, problem, tuple(poses), None)
 
 
 def never(*_):
@@ -324,7 +329,7 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
     )
     # Nothing but the cost of an evaluation is asked for, in the same units.
     own = "softcal_jax.calibration._checked_intervals.in_other_units"
-    monkeypatch.setattr(own, lambda problem, evaluation, before: evaluation)
+    monkeypatch.setattr(own, lambda problem, z, evaluation: evaluation)
     fitted = of_problem(replace(result, starts=starts), poses)
     fitted = fitted._replace(evaluation=SimpleNamespace(cost=last.cost))
 

@@ -6,11 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import chi2
-<<<<<<< HEAD
-from softcal_jax.calibration._agreement import Posed, not_asked
-=======
 from wording import says
->>>>>>> tests
 
 from softcal_jax.calibration import (
     _weighing,
@@ -139,7 +135,8 @@ def test_offsets_of_one_recording_count_once():
 def test_without_correlated_noise_errors_are_divided_by_their_std():
     data = measured()
     none = evaluate(build_problem(MODEL, E, data), fit(data).z)
-    np.testing.assert_allclose(none.error, np.ravel(none.delta_e) / STD, rtol=1e-14)
+    errors = np.ravel(none.delta_e) / STD
+    np.testing.assert_allclose(none.rows.error[:-1], errors, rtol=1e-14)
 
 
 @pytest.mark.slow
@@ -351,13 +348,28 @@ def test_noise_that_still_changes_at_the_end_is_not_settled(monkeypatch):
     assert says(assess(result).reasons, "noise did not settle")
 
 
-def test_held_out_recordings_that_are_not_asked_are_named():
-    def posed(own):
-        return Posed(tuple(own), build_problem(MODEL, E, own), None)
-
-    data = measured()
+def test_a_held_out_recording_with_fewer_markers_is_asked_as_well():
+    """One batch holds all poses, whatever each of them measured."""
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    known = replace(exactly_known(), recordings=2e-5)
     tip = Markers(MARKERS.names[2:], MARKERS.positions[2:], std=STD)
     other = replace(data[3], markers=tip, measured=data[3].measured[2:])
-    assert not_asked(posed(data[:3]), posed(data[3:])) == ()
-    (note,) = not_asked(posed(data[:3]), posed([other]))
-    assert says(note, "'load 3'", "alone")
+    result, alone = fit(data[:3], known, validation=other), fit([other], known)
+    (held_out,) = [e for e in result.checks.recordings if e.recording == "load 3"]
+    np.testing.assert_allclose(held_out.value, alone.value("E"), rtol=1e-3)
+    std = alone.parameters[0].standard_error
+    np.testing.assert_allclose(held_out.standard_error, std, rtol=2e-2)
+
+
+def test_the_fit_without_a_pose_is_that_of_a_calibration_without_it():
+    data = measured(7, jitter=2e-5, offset=2e-5)
+    known = replace(exactly_known(), recordings=2e-5)
+    result, fewer = fit(data, known), fit(data[:2] + data[3:], known)
+    without = result.linear.without("load 2")
+    np.testing.assert_allclose(
+        without.standard_errors(), np.sqrt(np.diag(fewer.budget.covariance)), rtol=1e-2
+    )
+    moved = fewer.z - result.z
+    np.testing.assert_allclose(without.step(), moved, rtol=5e-2)
+    with pytest.raises(ValueError, match=r"'load 9'.*load 0"):
+        result.linear.without("load 9")

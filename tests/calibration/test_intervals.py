@@ -31,6 +31,7 @@ from softcal_jax.fields import (
     exactly_known,
     unnamed,
 )
+from softcal_jax.inference import ErrorColumns, Whitened
 from softcal_jax.robots import anisotropic_beam
 
 calibrate = partial(calibrate_with, uncertain=exactly_known(), intervals=None)
@@ -74,8 +75,9 @@ def test_what_is_held_fixed_widens_it(result, poses):
     low, high = (abs(np.log(end) - fitted) for end in (plain.lower, plain.upper))
 
     def with_error(size):
-        W_c = result.W_ep @ np.array([[size], [0.0]])
-        known = replace(result, budget=replace(result.budget, W_c=W_c))
+        W_c = result.linear.W @ np.array([[size], [0.0]])
+        considered = ErrorColumns(W_c, ("loads",), ("load",))
+        known = replace(result, linear=replace(result.linear, considered=considered))
         (found,) = profile_intervals(known, poses, parameters="E")
         return found
 
@@ -141,19 +143,20 @@ def test_it_ends_at_a_bound_that_the_data_do_not_exclude(poses):
 def test_a_lower_cost_is_no_interval(result, poses):
     """The fit is told to be where it is not, up the side of its own valley."""
     problem = build_problem(result.model, result.space, poses, result.newton)
-    W, cost = np.asarray(result.W_ep), result.history[-1].cost
+    error, W = result.linear.whitened()
+    cost = 0.5 * float(error @ error) + 4.5
     off = result.z + jnp.array([3.0 * relative_error(result), 0.0])
     with pytest.raises(LowerCostFound, match="best optimum") as caught:
         profile_ends(
             problem,
             result.settings,
             z=off,
-            W_ep=W,
-            cost=cost + 4.5,
+            rows=Whitened(error * np.sqrt(cost / (cost - 4.5)), W),
             rise=1.96,
             which=[0],
         )
-    assert caught.value.cost < caught.value.before == cost + 4.5
+    assert caught.value.cost < caught.value.before
+    assert caught.value.before == pytest.approx(cost)
     again = pickle.loads(pickle.dumps(caught.value))
     np.testing.assert_array_equal(again.z, caught.value.z)
 

@@ -6,7 +6,6 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from softcal_jax.calibration._uncertainty import uncertainty
 
 from softcal_jax.calibration import (
     CalibrationWarning,
@@ -18,6 +17,7 @@ from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.inference import independent, uncertainty
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -52,7 +52,7 @@ def test_the_optimum_is_the_weighted_mean_in_a_linear_problem():
     """Of z = ln E, whose data say z_d with weight W and whose prior says z_0."""
     data = simulated_measurements(MODEL, [POSE])
     alone = calibrate(MODEL, modulus(None), data, noise="stated")
-    weight = float(np.sum(alone.W_ep**2))
+    weight = float(np.sum(alone.linear.whitened().W ** 2))
     near = 400e3 * np.exp(-1e-4)  # so near that W does not change on the way
     std = 1.0 / np.sqrt(weight)
     both = calibrate(MODEL, modulus(std, near), data, noise="stated")
@@ -63,9 +63,8 @@ def test_the_optimum_is_the_weighted_mean_in_a_linear_problem():
 
 def test_a_parameter_that_only_the_prior_knows_has_its_standard_deviation():
     W = np.array([[2.0, 0.0], [1.0, 0.0]])
-    found = uncertainty(
-        W, np.zeros(2), 2, np.zeros(2, bool), "stated", np.array([0.0, 4.0])
-    )
+    linear = replace(independent(W, ("a", "b")), prior_weights=np.array([0.0, 4.0]))
+    found = uncertainty(linear, "stated")
     np.testing.assert_allclose(found.covariance, np.diag([0.2, 1 / 16]), rtol=1e-12)
     assert found.degrees_of_freedom == 1  # the second takes none
 

@@ -61,9 +61,9 @@ def random_state(problem, evaluation, seed, settings=None):
     z = random.uniform(low, high)
     z[E_T], z[E_L] = np.maximum(z[E_T], z[E_L]), np.minimum(z[E_T], z[E_L])
     z = space.admissible(jnp.asarray(z))
-    n_e, n_p = evaluation.W_ep.shape
+    n_e, n_p = evaluation.rows.W.shape
     evaluation = eqx.tree_at(
-        lambda e: (e.W_ep, e.error),
+        lambda e: (e.rows.W, e.rows.error),
         evaluation,
         (
             jnp.asarray(random.normal(size=(n_e, n_p))),
@@ -103,7 +103,7 @@ def test_linear_model_of_a_tensor_step_is_that_of_the_parameters(problem, evalua
     proposal = propose(problem, CalibrationSettings(), short)
     now = state.evaluation
     change = problem.space.wrap(proposal.z) - state.z
-    linear = 0.5 * jnp.sum((now.W_ep @ change + now.error) ** 2)
+    linear = 0.5 * jnp.sum((now.rows.W @ change + now.rows.error) ** 2)
     fall = now.cost - linear
     assert fall > 0.0
     np.testing.assert_allclose(now.cost - proposal.cost, fall, rtol=1e-3)
@@ -229,8 +229,8 @@ def test_paper_mode_takes_a_step_that_makes_the_fit_worse(problem, evaluation):
 
 def costing(evaluation, cost):
     """The same evaluation with another cost."""
-    error = jnp.zeros_like(evaluation.error).at[0].set(np.sqrt(2.0 * cost))
-    return eqx.tree_at(lambda e: e.error, evaluation, error)
+    error = jnp.zeros_like(evaluation.rows.error).at[0].set(np.sqrt(2.0 * cost))
+    return eqx.tree_at(lambda e: e.rows.error, evaluation, error)
 
 
 def after_costs(problem, evaluation, costs):
@@ -298,11 +298,11 @@ def test_a_step_that_gains_next_to_nothing_ends_the_search(
     """However long it is, if it also costs next to nothing: 1e-8 of the cost."""
     settings = CalibrationSettings(adapt=adapt)
     state = initial_state(settings, problem.space.start(), evaluation)
-    W = np.asarray(evaluation.W_ep)
+    W = np.asarray(evaluation.rows.W)
     left, _, _ = np.linalg.svd(W)
     # Half of the square of an error that no parameter reaches, and of the weakest one.
     error = np.sqrt(20.0) * (left[:, -1] + np.sqrt(promised) * left[:, 5])
-    state = eqx.tree_at(lambda s: s.evaluation.error, state, jnp.asarray(error))
+    state = eqx.tree_at(lambda s: s.evaluation.rows.error, state, jnp.asarray(error))
     state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(10.0, float))
     proposal = propose(problem, settings, state)
     assert np.max(np.abs(proposal.qp.lambda_p)) > settings.tol
@@ -370,7 +370,7 @@ def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
         assert np.all(state.z >= problem.space.lower())
         assert np.all(state.z <= problem.space.upper())
     assert bool(state.converged)
-    assert np.linalg.matrix_rank(state.evaluation.W_ep) == 3
+    assert np.linalg.matrix_rank(state.evaluation.rows.W) == 3
     assert float(state.evaluation.cost) < 1e-6 * first
 
 

@@ -10,12 +10,9 @@ import numpy as np
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
-    Cause,
     ConfigurationResult,
-    ErrorBudget,
     HistoryEntry,
     ParameterEstimate,
-    Uncertainty,
     simulation_result,
 )
 from softcal_jax.configurations import (
@@ -32,6 +29,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import Gain, Ranking, Unranked
+from softcal_jax.inference import Cause, ErrorBudget, Uncertainty, independent
 from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
 from softcal_jax.mesh import beam
 
@@ -121,7 +119,7 @@ def make_history(rejected=()):
     )
 
 
-def make_budget(parameters, n_e):
+def make_budget(parameters):
     """Four fifths of each standard error are noise, three fifths the clamp."""
     errors = np.array([q.standard_error for q in parameters])
     return ErrorBudget(
@@ -131,7 +129,6 @@ def make_budget(parameters, n_e):
         units=tuple(q.unit for q in parameters),
         noise=np.diag((0.8 * errors) ** 2),
         causes=(Cause("clamp", ("clamp",), 0.6 * errors[:, None]),),
-        W_c=np.zeros((n_e, 0)),
     )
 
 
@@ -157,7 +154,11 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
         "space": modulus_and_ratio(),
         "z": modulus_and_ratio().to_scaled(jnp.array([2.4e5, 0.44])),
         # Half of the coordinates see E, half see nu, all well.
-        "W_ep": np.tile(np.array([[100.0, 0.0], [0.0, 100.0]]), (6, 1)),
+        "linear": independent(
+            np.tile(np.array([[100.0, 0.0], [0.0, 100.0]]), (6, 1)),
+            ("E", "nu"),
+            scale=1.5,
+        ),
         "notes": ("nu ended on a bound.",),
     }
     fields |= changed
@@ -165,7 +166,7 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
     fields["parameters"] = tuple(
         dataclasses.replace(q, interval=of.get(q.name)) for q in fields["parameters"]
     )
-    fields.setdefault("budget", make_budget(fields["parameters"], len(fields["W_ep"])))
+    fields.setdefault("budget", make_budget(fields["parameters"]))
     return CalibrationResult(
         converged=converged,
         configurations=tuple(fits),

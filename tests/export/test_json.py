@@ -14,15 +14,13 @@ from export.handmade import (
 
 from softcal_jax.calibration import (
     CorrelatedNoise,
-    LackOfFit,
     LeftOut,
     ParameterInterval,
-    RecordingEstimate,
     ResidualChecks,
-    Uncertainty,
 )
 from softcal_jax.equilibrium import RESULTS
 from softcal_jax.export import result_dict, simulation_dict
+from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from softcal_jax.fields import (
     recording_offset,
 )
 from softcal_jax.identifiability import identifiability
+from softcal_jax.inference import independent
 
 
 @pytest.mark.parametrize(
@@ -95,9 +96,10 @@ def test_a_stated_prior_counts_like_a_measurement():
 def test_what_is_asked_of_each_kind(entry, asked):
     """The table of `softcal_jax.fields._precision`, in SI units."""
     space = ParameterSpace((entry,))
-    found = identifiability(np.ones((1, 1)), space, space.start())
+    linear = independent(np.ones((1, 1)), tuple(space.names))
+    found = identifiability(linear, space, space.start())
     assert found.parameters[0].asked == pytest.approx(asked)
-    finer = identifiability(np.ones((1, 1)), space, space.start(), precision=0.05)
+    finer = identifiability(linear, space, space.start(), precision=0.05)
     assert finer.parameters[0].asked == pytest.approx(0.5 * asked)
 
 

@@ -11,14 +11,12 @@ from wording import says
 from softcal_jax.calibration import (
     MESH,
     CalibrationSettings,
-    Cause,
     MultiStartResult,
     Optimum,
     calibrate,
     synthetic_measurements,
     with_measured,
 )
-from softcal_jax.calibration._uncertainty import UNLIKELY
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -28,6 +26,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain, exactly_known
 from softcal_jax.identifiability import assess
+from softcal_jax.inference import UNLIKELY, Cause
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh, beam, to_quadratic
 
@@ -319,7 +318,7 @@ def test_the_precision_that_is_asked_for_decides(good):
 
 def test_poses_are_predicted_with_the_error_of_the_parameters(good):
     """Rows of Eq. (9) around the covariance, in mm, and in a sentence."""
-    rows = STD * good.W_ep
+    rows = STD * good.linear.W
     variance = np.diag(rows @ good.budget.covariance @ rows.T).reshape(2, -1)
     n_markers = len(POINTS)
     expected = np.sqrt(variance.sum(axis=1) / n_markers)

@@ -49,7 +49,7 @@ def information():
     ]
     problem = build_problem(two_part_beam(), SPACE, posed)
     found = evaluate(problem, SPACE.start())
-    W = np.asarray(found.W_ep).reshape(len(poses), -1, 2)
+    W = np.asarray(found.rows.W)[:-2].reshape(len(poses), -1, 2)
     return {c.name: w.T @ w for c, w in zip(poses, W, strict=True)}
 
 

@@ -181,7 +181,7 @@ def test_measurements_are_not_looked_at():
 def test_it_is_what_a_calibration_sees_at_its_start():
     posed = [pose("hang", TIP, measured=np.array(TIP))]
     problem = build_problem(two_part_beam(), SPACE, posed)
-    W = evaluate(problem, START).W_ep
+    W = evaluate(problem, START).rows.W
     found = identify(two_part_beam(), SPACE, HANG)
     singular = np.linalg.svd(np.asarray(W), compute_uv=False)
     np.testing.assert_allclose(found.conditioning.singular_values, singular, rtol=1e-6)

@@ -8,11 +8,11 @@ import pytest
 from judged import angle, judge, modulus
 from wording import says
 
-from softcal_jax.calibration import uncertainty
 from softcal_jax.export import identifiability_dict
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
 from softcal_jax.identifiability._spread import direction_words, information, spread_of
+from softcal_jax.inference import ErrorColumns, independent, uncertainty
 
 
 def test_a_product_is_seen_and_its_ratio_is_not():
@@ -78,7 +78,7 @@ def test_data_alone_give_the_standard_errors_of_a_calibration():
     W = np.random.default_rng(2).normal(size=(9, 3)) * np.array([1e3, 1.0, 1e-4])
     found = judge(W, modulus("E"), modulus("a"), modulus("b"), noise_scale=1.7)
     errors = 1.7 * np.sqrt(9 - 3) * np.eye(9)[0]
-    spread = uncertainty(W, errors, 9, np.zeros(3, bool), "estimated")
+    spread = uncertainty(independent(W, ("E", "a", "b"), r=errors), "estimated")
     assert spread.noise_scale == pytest.approx(1.7)
     expected = 1e5 * np.sqrt(np.diag(spread.covariance))
     np.testing.assert_allclose([p.data_only for p in found.parameters], expected)
@@ -234,9 +234,7 @@ def test_noise_scale_divides_the_signal():
 
 @pytest.mark.usefixtures("unchecked")
 def test_wrong_calls():
-    with pytest.raises(ValueError, match="column for each of the 1 param"):
-        judge(np.zeros((3, 2)), modulus())
-    with pytest.raises(ValueError, match=r"noise_scale.*got 0"):
+    with pytest.raises(ValueError, match=r"scale.*positive.*got 0"):
         judge([[1.0]], modulus(), noise_scale=0.0)
     with pytest.raises(ValueError, match="had no equilibrium"):
         judge([[np.nan]], modulus())
@@ -244,9 +242,9 @@ def test_wrong_calls():
 
 def test_a_device_array_does_for_z():
     space = ParameterSpace((modulus(),))
-    W = np.ones((1, 1))
-    host = identifiability(W, space, np.asarray(space.start()))
-    device = identifiability(W, space, jnp.asarray(space.start()))
+    linear = independent(np.ones((1, 1)), ("E",))
+    host = identifiability(linear, space, np.asarray(space.start()))
+    device = identifiability(linear, space, jnp.asarray(space.start()))
     assert str(host) == str(device)
 
 
@@ -266,9 +264,13 @@ def test_errors_that_are_considered_widen_the_covariance():
 def test_information_is_the_inverse_of_the_covariance():
     random = np.random.default_rng(8)
     G, W_c = random.normal(size=(9, 3)), random.normal(size=(9, 2))
-    F = spread_of(G, W_c, np.zeros(3)).factor
+    linear = replace(
+        independent(G, ("a", "b", "c")),
+        considered=ErrorColumns(W_c, ("loads", "nu"), ("load", "nu")),
+    )
+    F = spread_of(linear).factor
     np.testing.assert_allclose(
-        information(G, W_c) @ F @ F.T, np.eye(3), rtol=0, atol=1e-12
+        information(linear) @ F @ F.T, np.eye(3), rtol=0, atol=1e-12
     )
 
 

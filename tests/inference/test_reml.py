@@ -1,17 +1,19 @@
 """Restricted maximum likelihood against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from softcal_jax.calibration._reml import (
-    Residuals,
+
+from softcal_jax.inference import (
     freedom_between,
+    independent,
     restricted_likelihood,
 )
 
 
 def errors(r, W):
-    n_p = W.shape[1]
-    return Residuals(r, W, np.zeros(0), np.zeros((0, n_p)))
+    return independent(W, tuple("abc"[: W.shape[1]]), r=r)
 
 
 def one_way(seed, between, groups=6, members=5):
@@ -68,7 +70,7 @@ def test_a_prior_takes_part_of_a_degree_of_freedom():
     random = np.random.default_rng(2)
     n, tau = 8, 0.5
     r = 0.3 + random.standard_normal(n)
-    own = Residuals(r, np.ones((n, 1)), np.zeros(1), np.full((1, 1), 1.0 / tau))
+    own = replace(errors(r, np.ones((n, 1))), prior_weights=np.array([1.0 / tau]))
     (found,) = restricted_likelihood(own, [], [1.0], [True])
     s = found * np.exp(np.array([-1e-4, 0.0, 1e-4]))
     total = s**2 / n + tau**2

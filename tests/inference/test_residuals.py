@@ -1,31 +1,43 @@
 """Lack of fit and left-out configurations, on models that are linear."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import chdtrc
 from scipy.stats import f as f_distribution
-from softcal_jax.calibration._reml import Residuals, restricted_likelihood
-from softcal_jax.calibration._residuals import (
-    LinearFit,
-    chance,
-    lack_of_fit,
-    left_out,
-)
 
-from softcal_jax.calibration._noise import coloured, whitened
+from softcal_jax.inference import (
+    ErrorColumns,
+    chance,
+    independent,
+    jitter_freedom,
+    lack_of_fit,
+    predicted_by_others,
+    restricted_likelihood,
+    whitened,
+)
 
 N_C, MARKERS, N_P = 4, 4, 2
 SHAPE = (N_C, MARKERS, 3)
 N = int(np.prod(SHAPE))
 LANE = np.repeat(np.arange(N_C), 3 * MARKERS)
-NONE = np.zeros((N, 0))
 OFFSETS = np.einsum("cd,xy,m->cmxdy", np.eye(N_C), np.eye(3), np.ones(MARKERS))
 OFFSETS = OFFSETS.reshape(N, 3 * N_C)
 OWNER = np.repeat(np.arange(N_C), 3)
 
 
-def without_prior(r, W):
-    return Residuals(r, W, np.zeros(0), np.zeros((0, W.shape[1])))
+def fit(r, W, *, A=None, W_c=None, jitter=1.0, pose=None):
+    """A linear fit with correlated columns A of its noise, and doubts W_c."""
+    labelled = lambda X: ErrorColumns(X, ("",) * X.shape[1], ("",) * X.shape[1])
+    model = replace(
+        independent(W, ("a", "b"), r=r, scale=jitter),
+        poses=("0", "1", "2", "3"),
+        pose=LANE if pose is None else pose,
+    )
+    if A is not None:
+        model = replace(model, correlated=labelled(A / jitter))
+    return model if W_c is None else replace(model, considered=labelled(W_c))
 
 
 def draw(random, offset=0.0, jitter=0.7):
@@ -42,11 +54,8 @@ def test_whitening_is_the_root_of_the_inverse_covariance():
     A = random.standard_normal((8, 5)) * [1.0, 1e3, 1e-3, 0.0, 1.0]
     V = np.eye(8) + A @ A.T
     size, P = np.linalg.eigh(V)
-    np.testing.assert_allclose(
-        whitened(A, np.eye(8)), (P / np.sqrt(size)) @ P.T, atol=1e-9
-    )
-    x = random.standard_normal((8, 3))
-    np.testing.assert_allclose(coloured(A, whitened(A, x)), x, rtol=1e-8)
+    root = (P / np.sqrt(size)) @ P.T
+    np.testing.assert_allclose(whitened(A, np.eye(8)), root, atol=1e-9)
 
 
 def test_products_are_those_of_dense_matrices():
@@ -57,14 +66,16 @@ def test_products_are_those_of_dense_matrices():
     inverse = np.linalg.inv(V)
     C = np.linalg.inv(W.T @ inverse @ W)
     M = inverse - inverse @ W @ C @ W.T @ inverse
-    fit = LinearFit(without_prior(r, W), A, s)
-    np.testing.assert_allclose(fit.left(np.eye(N)), M, atol=1e-10)
-    np.testing.assert_allclose(fit.errors_left(), M @ r, atol=1e-10)
+    linear = fit(r, W, A=A, jitter=s)
+    np.testing.assert_allclose(linear.left(np.eye(N)), M, atol=1e-10)
+    np.testing.assert_allclose(linear.errors_left(), M @ r, atol=1e-10)
+    np.testing.assert_allclose(linear.covariance(), C, rtol=1e-10)
+    np.testing.assert_allclose(linear.gain(), C @ W.T @ inverse, atol=1e-10)
+    np.testing.assert_allclose(linear.step(), -C @ W.T @ inverse @ r, atol=1e-10)
 
 
 def lack(r, W, **changed):
-    own = {"A": NONE, "W_c": NONE, "Z": OFFSETS, "lane": OWNER, "n_c": N_C} | changed
-    return lack_of_fit(without_prior(r, W), **own)
+    return lack_of_fit(fit(r, W, **changed), OFFSETS, OWNER)
 
 
 def test_without_offsets_it_is_the_f_test_of_nested_models():
@@ -111,8 +122,8 @@ def test_a_configuration_that_is_off_as_a_whole_is_named():
 def test_one_marker_in_each_pose_has_no_scatter_within():
     few = np.flatnonzero(np.arange(N) // 3 % MARKERS == 0)
     r, W = draw(np.random.default_rng(5))
-    own = {"A": NONE[few], "W_c": NONE[few], "Z": OFFSETS[few], "lane": OWNER}
-    assert lack_of_fit(without_prior(r[few], W[few]), **own, n_c=N_C) is None
+    linear = fit(r[few], W[few], pose=LANE[few])
+    assert lack_of_fit(linear, OFFSETS[few], OWNER) is None
 
 
 def test_a_left_out_configuration_is_that_of_a_fit_to_the_others():
@@ -120,8 +131,8 @@ def test_a_left_out_configuration_is_that_of_a_fit_to_the_others():
     r, W = draw(np.random.default_rng(6), offset=0.5)
     A, s = 0.5 * OFFSETS, 0.7
     W_c = np.random.default_rng(7).standard_normal((N, 2))
-    own = {"A": A, "W_c": W_c, "jitter": s, "lane": LANE}
-    for c, found in enumerate(left_out(without_prior(r, W), **own)):
+    linear = fit(r, W, A=A, W_c=W_c, jitter=s)
+    for c, found in enumerate(predicted_by_others(linear)):
         kept, out = LANE != c, LANE == c
         V = s**2 * np.eye(N) + A @ A.T
         inverse = np.linalg.inv(V[np.ix_(kept, kept)])
@@ -141,8 +152,7 @@ def test_a_left_out_configuration_is_that_of_a_fit_to_the_others():
 def test_a_parameter_that_only_one_configuration_shows_cannot_be_predicted():
     r, W = draw(np.random.default_rng(8))
     W[LANE != 1, 1] = 0.0
-    own = {"A": NONE, "W_c": NONE, "jitter": 0.7, "lane": LANE}
-    found = left_out(without_prior(r, W), **own)
+    found = predicted_by_others(fit(r, W, jitter=0.7))
     assert np.isnan(found[1].error).any()
     assert found[1].degrees_of_freedom == 3 * MARKERS - 1
     assert not np.isnan(found[0].error).any()
@@ -152,9 +162,9 @@ def test_right_predictions_are_flagged_as_seldom_as_stated():
     random, found = np.random.default_rng(9), []
     for _ in range(200):
         r, W = draw(random, offset=0.5)
-        errors, A = without_prior(r, W), 0.5 * OFFSETS
-        jitter, _ = restricted_likelihood(errors, [A], [1.0, 1.0], [True, False])
-        for own in left_out(errors, A=A, W_c=NONE, jitter=jitter, lane=LANE):
+        linear, A = fit(r, W, A=0.5 * OFFSETS), 0.5 * OFFSETS
+        jitter, _ = restricted_likelihood(linear, [A], [1.0, 1.0], [True, False])
+        for own in predicted_by_others(linear.with_jitter(jitter)):
             n = own.degrees_of_freedom
             squares = own.chi_squared
             found.append(chance(squares, n, of=N - N_P, jitter_is_of_all=True))
@@ -173,10 +183,10 @@ def test_a_right_std_is_flagged_as_seldom_as_stated():
     random, found = np.random.default_rng(10), []
     for _ in range(400):
         r, W = (x[few] for x in draw(random, offset=5.0, jitter=1.0))
-        errors = without_prior(r, W)
-        dof = LinearFit(errors, A, 1.0).jitter_freedom()
+        linear = fit(r, W, A=A, pose=LANE[few])
+        dof = jitter_freedom(linear)
         assert 7.0 < dof < 9.1
-        level, _ = restricted_likelihood(errors, [A], [1.0, 1.0], [True, False])
+        level, _ = restricted_likelihood(linear, [A], [1.0, 1.0], [True, False])
         found.append(chdtrc(dof, dof * level**2))
     for limit in (0.01, 0.1):
         assert np.mean(np.array(found) < limit) < limit + 3.0 * np.sqrt(limit / 400)
@@ -184,8 +194,8 @@ def test_a_right_std_is_flagged_as_seldom_as_stated():
 
 def test_independent_residuals_all_tell_of_the_jitter():
     """Without offsets their number is that of coordinates minus parameters."""
-    errors = without_prior(*draw(np.random.default_rng(11)))
-    np.testing.assert_allclose(LinearFit(errors, NONE, 0.6).jitter_freedom(), N - N_P)
+    linear = fit(*draw(np.random.default_rng(11)), jitter=0.6)
+    np.testing.assert_allclose(jitter_freedom(linear), N - N_P)
 
 
 def test_chance_is_that_of_the_tables():
