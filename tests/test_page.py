@@ -29,6 +29,7 @@ from softcal_jax.calibration import (
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.export import Made
 from softcal_jax.identifiability import identifiability
+from softcal_jax.inference import independent
 from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.report import (
@@ -488,7 +489,9 @@ def test_page_of_what_data_would_tell(tmp_path):
     for angle, colour in ((100.0, "good"), (20.0, "doubtful"), (0.0, "bad")):
         space = axis_space()
         rows = np.array([[100.0, 0.0], [0.0, angle]])
-        found = identifiability(rows, space, space.start())
+        found = identifiability(
+            independent(rows, tuple(space.names)), space, space.start()
+        )
         out = tmp_path / colour
         write_identifiability(found, make_ranking(), out, name="beam")
         page = check_page(out)

@@ -27,6 +27,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
+from softcal_jax.inference import independent
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.report import (
     PictureWarning,
@@ -271,7 +272,9 @@ def test_summary_shows_intervals_and_their_kinds():
 def judged(*rows):
     """What data with these compliances, in noise units, tell of a modulus, an angle."""
     space = axis_space()
-    return identifiability(np.array(rows), space, space.start())
+    return identifiability(
+        independent(np.array(rows), tuple(space.names)), space, space.start()
+    )
 
 
 def axis_result(*rows, space=None):

@@ -260,7 +260,7 @@ class ConsideredErrors(NamedTuple):
     mesh: MeshErrors | None
 
     def in_std(
-        self, n_fitted: int, weight: Float[HostArray, "n_c n_e"]
+        self, n_fitted: int, weight: Float[HostArray, "n_c n_rows 3"]
     ) -> ErrorColumns:
         """Return W_c of all rows, in stated standard deviations.
 
@@ -280,7 +280,7 @@ class ConsideredErrors(NamedTuple):
         if self.mesh is not None and np.all(self.mesh.known[:n_fitted]):
             changes = np.where(self.mesh.known[:, None], self.mesh.changes, 0.0)
             parts.append((MESH, self.mesh.name, changes))
-        changes = [np.ravel(weight * change) for *_, change in parts]
+        changes = [np.ravel(weight) * np.ravel(change) for *_, change in parts]
         values = np.stack([np.zeros(weight.size), *changes], axis=1)[:, 1:]
         causes = tuple(cause for cause, *_ in parts)
         return ErrorColumns(values, causes, tuple(name for _, name, _ in parts))

@@ -395,7 +395,7 @@ def _judged(
         ok=predicted.response.ok,
         delta_e=predicted.delta_e,
         n_fitted=n_fitted,
-        considered=doubts.in_std(n_fitted, weight.reshape(len(weight), weight[0].size)),
+        considered=doubts.in_std(n_fitted, weight),
     )
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))

@@ -55,8 +55,7 @@ def linear_model(
         pose=pose,
         fitted=pose < n_fitted,
         r=np.ravel(weight * np.asarray(delta_e)),
-        W=weight.reshape(-1, 1)
-        * np.asarray(W_ep).reshape(weight.size, len(space.names)),
+        W=weight.reshape(-1, 1) * np.concatenate(np.asarray(W_ep)),
         correlated=noise_columns(problem.noise, effectors, configurations),
         considered=considered,
         scale=float(problem.level),

@@ -312,9 +312,7 @@ def survey(
         ok=[not failure for failure in failures],
         delta_e=np.zeros(weight.shape),
         n_fitted=required,
-        considered=doubts.in_std(
-            len(names), weight.reshape(len(names), weight[0].size)
-        ),
+        considered=doubts.in_std(len(names), weight),
     )
     failed = np.array([bool(failure) for failure in failures])
     seen = (weight > 0.0) & ~failed[:, None, None]

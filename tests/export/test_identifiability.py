@@ -12,13 +12,14 @@ from softcal_jax.export import (
     result_dict,
 )
 from softcal_jax.identifiability import assess, identifiability
+from softcal_jax.inference import independent
 
 
 def half_blind():
     """Of a modulus and an angle, only the modulus is seen; to 1 % per coordinate."""
     W = np.array([[100.0, 0.0], [100.0, 0.0]])
     space = axis_space()
-    return identifiability(W, space, space.start())
+    return identifiability(independent(W, tuple(space.names)), space, space.start())
 
 
 def test_verdict_as_strict_json():
