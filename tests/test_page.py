@@ -325,7 +325,7 @@ def test_blind_directions_and_what_to_do_are_in_words(tmp_path):
         history=history_of("E_t", "theta"),
         space=axis_space(),
         z=axis_space().start(),
-        W_ep=np.array([[100.0, 0.0]]),
+        linear=independent(np.array([[100.0, 0.0]]), ("E_t", "theta"), scale=1.5),
     )
     page, _ = written(tmp_path / "out", result)
     check_page(tmp_path / "out")

@@ -289,7 +289,11 @@ def axis_result(*rows, space=None):
         space=space,
         z=space.start(),
         # The noise of a handmade fit is 1.5 times the stated one.
-        W_ep=1.5 * np.array(rows or [[100.0, 0.0], [0.0, 100.0]]),
+        linear=independent(
+            1.5 * np.array(rows or [[100.0, 0.0], [0.0, 100.0]]),
+            tuple(space.names),
+            scale=1.5,
+        ),
     )
 
 

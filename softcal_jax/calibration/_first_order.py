@@ -111,6 +111,7 @@ def _about(
         W_ep=there.response.W_ep,
         ok=there.response.ok,
         delta_e=there.delta_e,
+        rows=there.rows,
     )
     return model.with_scale(scale)
 

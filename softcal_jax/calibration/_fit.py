@@ -394,6 +394,7 @@ def _judged(
         W_ep=predicted.response.W_ep,
         ok=predicted.response.ok,
         delta_e=predicted.delta_e,
+        rows=weighed.state.evaluation.rows,
         n_fitted=n_fitted,
         considered=doubts.in_std(n_fitted, weight),
     )

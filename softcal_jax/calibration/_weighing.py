@@ -153,6 +153,7 @@ def weighed_fit(
             W_ep=state.evaluation.response.W_ep,
             ok=state.evaluation.response.ok,
             delta_e=state.evaluation.delta_e,
+            rows=state.evaluation.rows,
         )
         if n == 0:
             sought, notes = _enough(linear, sought, configurations)

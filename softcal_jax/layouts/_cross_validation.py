@@ -291,6 +291,7 @@ def _score(
             W_ep=last.after.response.W_ep,
             ok=last.after.response.ok,
             delta_e=last.after.delta_e,
+            rows=last.after.rows,
         )
         seen = identifiability(linear.with_scale(1.0), problem.space, last.run.z)
     distance, over_noise = rms(last, failure, whole, every)

@@ -7,15 +7,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from softcal_jax.calibration._budget import ConsideredErrors
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
-from softcal_jax.calibration import NOISE, build_problem, simulated_measurements
+from softcal_jax.calibration import build_problem, simulated_measurements
 from softcal_jax.calibration import calibrate as calibrate_with
-from softcal_jax.calibration._considered import Considered, considered
+from softcal_jax.calibration._considered import Considered, ConsideredErrors, considered
 from softcal_jax.calibration._mesh_error import MeshErrors
-from softcal_jax.calibration._noise import named_columns
+from softcal_jax.calibration._noise import noise_columns
 from softcal_jax.configurations import (
     Configuration,
     ImposedDisplacement,
@@ -33,6 +32,7 @@ from softcal_jax.fields import (
     load_factor,
     recording_offset,
 )
+from softcal_jax.inference import NOISE
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 
@@ -357,11 +357,9 @@ def all_errors(*parameters):
     measured = simulated_measurements(PLAIN, [ON_PLAIN])
     problem = build_problem(PLAIN, (E, *parameters), measured, uncertain=STD)
     effectors = problem.configurations.effectors
-    by_cause = named_columns(measured, problem.noise, effectors).values()
-    held = [error.groups() for error in considered(STD, problem, measured)]
-    return {name for own in by_cause for name in own} | {
-        name for own in held for name, _ in own
-    }
+    of_noise = noise_columns(problem.noise, effectors, measured).names
+    held = [error.groups(1) for error in considered(STD, problem, measured)]
+    return set(of_noise) | {name for own in held for name, _ in own}
 
 
 def test_what_is_calibrated_is_not_considered_as_well():
@@ -445,15 +443,21 @@ def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
     """Another clamp there gives no group here, nor is the mesh unknown here by it."""
     clamps = Considered("clamp", "clamp", None, (b"left", b"right"))
     mesh = MeshErrors("refinement", np.array([[3.0], [4.0]]), np.array([True, False]))
-    errors = ConsideredErrors((clamps,), np.array([[[1.0], [2.0]]]), mesh)
-    assert errors.by_cause(1) == {
-        "clamp": {"clamp": [[1.0]]},
-        "mesh": {"refinement": [[3.0]]},
+    three = lambda *values: np.repeat(np.array(values)[:, None], 3, axis=1)
+    mesh = mesh._replace(changes=three(3.0, 4.0))
+    errors = ConsideredErrors((clamps,), three(1.0, 2.0)[None], mesh)
+    both = errors.in_std(1, np.ones((2, 1, 3)))
+    first = both.only(np.arange(6) < 3)
+    assert dict(zip(first.causes, first.names, strict=True)) == {
+        "clamp": "clamp",
+        "mesh": "refinement",
     }
-    found = errors.by_cause()
-    assert list(found) == ["clamp"]
-    of_all = {name: own.tolist() for name, own in found["clamp"].items()}
-    assert of_all == {
-        "clamp in group 1": [[1.0], [0.0]],
-        "clamp in group 2": [[0.0], [2.0]],
-    }
+    np.testing.assert_array_equal(first.values, np.tile([1.0, 3.0], (3, 1)))
+    assert errors.unknown(1) == ()
+    # The other has a clamp of its own, and an error of the mesh that is not known.
+    second = both.only(np.arange(6) >= 3)
+    assert second.causes == ("clamp",)
+    np.testing.assert_array_equal(second.values, np.full((3, 1), 2.0))
+    assert errors.unknown(2) == ("mesh",)
+    names = errors.in_std(2, np.ones((2, 1, 3))).names
+    assert names == ("clamp in group 1", "clamp in group 2")

@@ -11,6 +11,7 @@ import pytest
 from softcal_jax.actuators import Cable, Motor
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import (
+    MESH,
     _mesh_error,
     build_problem,
     considered_errors,
@@ -89,8 +90,9 @@ def considered_at_start(problem, configurations):
 def both_by_pose(problem, configurations):
     """Readings at the start, and what the mesh is said to do to them."""
     read, found = considered_at_start(problem, configurations)
-    (of_mesh,) = found.by_cause()["mesh"].values()
-    return read, np.asarray(of_mesh)
+    n_c = len(configurations)
+    of_mesh = found.in_std(n_c, np.ones(np.shape(read))).of(MESH)
+    return read, of_mesh.reshape(n_c, -1)
 
 
 def errors_of(problem, configurations):
@@ -334,7 +336,8 @@ def test_where_only_weight_keeps_the_rest_shape_nothing_is_known():
     )
     space = ParameterSpace([Parameter("E", "E", 2e5, 1e5, 1e6, unit="Pa")])
     _, found = considered_at_start(build_problem(model, space, [pose]), [pose])
-    assert found.by_cause() == {}
+    assert found.in_std(1, np.ones((1, 1, 3))).causes == ()
+    assert found.unknown(1) == (MESH,)
 
 
 CORNERS = [(0.1, y, z) for y in (0.0, 0.03) for z in (0.0, 0.03)]

@@ -9,6 +9,7 @@ from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.calibration._configuration_result import configuration_results
 from softcal_jax.calibration._notes import _rounding_notes
 from softcal_jax.configurations import Configuration, Markers, configuration_lanes
+from softcal_jax.sensitivity import Response
 
 
 def one_fit(before, y) -> ConfigurationResult:
@@ -24,10 +25,15 @@ def one_fit(before, y) -> ConfigurationResult:
         model,
         [configuration],
         configuration_lanes(model.mesh, [configuration]),
-        role="validation",
+        n_fitted=0,
         before=before,
-        after=after,
-        solution=solution,
+        response=Response(
+            equilibrium=solution,
+            effectors=after,
+            W_ep=jnp.zeros((1, 6, 1)),
+            displacement=None,
+            ok=jnp.ones(1, bool),
+        ),
         noise=None,
     )
     return fit

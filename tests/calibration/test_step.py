@@ -116,7 +116,7 @@ def test_guess_follows_the_tangents_of_the_parameters(problem, evaluation):
     proposal = propose(problem, CalibrationSettings(), state)
     dz = proposal.z - state.z
     assert np.max(np.abs(dz)) > 1e-6
-    expected = jnp.einsum("p,cpni->cni", dz, evaluation.tangents)
+    expected = jnp.einsum("p,cpni->cni", dz, evaluation.response.displacement)
     moved = proposal.guess - evaluation.equilibrium.displacement
     size = float(jnp.max(jnp.abs(expected)))
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-3 * size)
@@ -187,7 +187,7 @@ def test_without_them_the_same_start_stays_isotropic(measured):
 
 def untangled(evaluation):
     """Without the tangents, for a space that they do not belong to."""
-    return eqx.tree_at(lambda e: e.tangents, evaluation, None)
+    return eqx.tree_at(lambda e: e.response.displacement, evaluation, None)
 
 
 def test_paper_mode_limits_every_step(measured, evaluation):
