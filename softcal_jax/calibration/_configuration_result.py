@@ -310,11 +310,10 @@ def _columns(
     """Return the correlated noise of each configuration alone, see its results."""
     if noise is None:
         return [None] * len(lanes.effectors)
-    arrays = lanes.arrays.effectors
-    host_noise, effectors = jax.tree.map(np.asarray, (noise, arrays))
-    A = np.asarray(host_noise.columns(effectors)) * host_noise.jitter
+    effectors = lanes.arrays.effectors
     # Measured values are without the offsets of attachments.
-    A = A[:, : host_noise.n_common].reshape(*effectors.inverse_std.shape, -1)
+    A = noise.on_host(effectors)[:, : noise.n_common] * np.asarray(noise.jitter)
+    A = A.reshape(*np.shape(effectors.inverse_std), noise.n_common)
     found: list[HostArray | None] = []
     for own, records in zip(A, lanes.effectors, strict=True):
         rows = [own[e.index, : len(e.std)] for e in records]

@@ -144,13 +144,17 @@ class CorrelatedNoise(Module):
         std = 1.0 / np.where(weight > 0.0, weight, np.inf)
         return np.where(weight > 0.0, np.asarray(delta_e) - std * common, 0.0)
 
+    def on_host(self, effectors: EffectorArrays) -> Float[HostArray, "n_e n_columns"]:
+        """Return `columns` without a program for each shape."""
+        noise, effectors = jax.tree.map(np.asarray, (self, effectors))
+        return np.asarray(noise.columns(effectors))
+
     def _attached(
         self, effectors: EffectorArrays
     ) -> Float[HostArray, "n_c n_rows 3 n_columns"]:
         """Return the columns of the attachments, per stated standard deviation."""
-        noise, effectors = jax.tree.map(np.asarray, (self, effectors))
-        A = noise.columns(effectors)[:, self.n_common :] * noise.jitter
-        return np.asarray(A).reshape(*np.shape(effectors.inverse_std), -1)
+        A = self.on_host(effectors)[:, self.n_common :] * np.asarray(self.jitter)
+        return A.reshape(*np.shape(effectors.inverse_std), A.shape[1])
 
     def following(
         self,
@@ -307,10 +311,9 @@ def noise_columns(
         effectors: The effectors of a batch.
         configurations: Its configurations.
     """
-    host, effectors = jax.tree.map(np.asarray, (noise, effectors))
-    if host is None:
-        return no_errors(effectors.inverse_std.size)
-    A = np.asarray(host.columns(effectors))
+    if noise is None:
+        return no_errors(np.size(effectors.inverse_std))
+    A = noise.on_host(effectors)
     recordings = recording_names(configurations)
     several = len(set(recordings)) > 1
     labels = [

@@ -119,8 +119,8 @@ def without_names(problem: CalibrationProblem) -> CalibrationProblem:
 
 def n_measured(problem: CalibrationProblem) -> int:
     """Return the number of measured coordinates, less those that find mountings."""
-    A = np.asarray(problem.noise_columns())
-    n_common = 0 if problem.noise is None else problem.noise.n_common
-    spent = span(A[:, n_common:]).shape[1]
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
-    return int(np.sum(weight > 0.0)) - spent
+    effectors, noise = problem.configurations.effectors, problem.noise
+    n = int(np.sum(np.asarray(effectors.inverse_std) > 0.0))
+    if noise is None:
+        return n
+    return n - span(noise.on_host(effectors)[:, noise.n_common :]).shape[1]

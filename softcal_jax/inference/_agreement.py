@@ -96,7 +96,7 @@ def recording_estimates(
     )
     size = lambda L: np.linalg.norm(L @ per_error, axis=1)
     fits = np.asarray(space.from_scaled(jax.device_put(z)))
-    slopes, asked = space.slopes(z), asked_errors(space, z)
+    slopes, asked, here = space.slopes(z), asked_errors(space, z), np.asarray(z)
     estimates: dict[int, list[RecordingEstimate]] = {}
     for name in names:
         rows = of_row == name
@@ -105,7 +105,8 @@ def recording_estimates(
         gain[:, rows] = alone.gain()
         shift, std = -gain @ linear.r, size(gain)
         apart = np.hypot(size(gain - whole), np.linalg.norm(by_prior, axis=1))
-        values = np.asarray(space.from_scaled(jax.device_put(z + np.nan_to_num(shift))))
+        moved = jax.device_put(here + np.nan_to_num(shift))
+        values = np.asarray(space.from_scaled(moved))
         # Of the only recording that was fitted the difference is nothing but rounding.
         different = apart > ROUNDING * std
         shares = np.where(different, shift / np.where(different, apart, 1.0), 0.0)

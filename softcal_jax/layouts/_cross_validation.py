@@ -243,10 +243,10 @@ def _score(
     """Score the folds of one model and the fit to all configurations."""
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     effectors, noise = problem.configurations.effectors, problem.noise
-    columns = np.asarray(problem.noise_columns())
+    A = np.zeros((weight.size, 0))
     if noise is not None:
-        columns = columns[:, : noise.n_common]
-    A = columns.reshape(*weight.shape, columns.shape[1])
+        A = noise.on_host(effectors)[:, : noise.n_common]
+    A = A.reshape(*weight.shape, A.shape[1])
     # Distances are of points; turns and forces count in units of the noise.
     n_points = problem.configurations.effectors.nodes.shape[-2]
     every = np.arange(len(configurations))
