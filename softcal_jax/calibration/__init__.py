@@ -1,7 +1,7 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
 from softcal_jax.calibration._agreement import RecordingEstimate
-from softcal_jax.calibration._begin import EquilibriumProgress, told_of_lane
+from softcal_jax.calibration._begin import EquilibriumProgress, reports_of
 from softcal_jax.calibration._budget import (
     MESH,
     NOISE,
@@ -28,7 +28,7 @@ from softcal_jax.calibration._configuration_result import (
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._lanes import equilibria, simulate
+from softcal_jax.calibration._lanes import effectors_of, equilibria
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     correlated_noise,
@@ -121,6 +121,7 @@ __all__ = [
     "correlated_noise",
     "default_starts",
     "descend",
+    "effectors_of",
     "equilibria",
     "evaluate",
     "images_of",
@@ -132,12 +133,11 @@ __all__ = [
     "profile_intervals",
     "propose",
     "random_starts",
+    "reports_of",
     "run_start",
-    "simulate",
     "simulated_measurements",
     "simulation_result",
     "synthetic_measurements",
-    "told_of_lane",
     "uncertainty",
     "unknown_causes",
     "whitened",

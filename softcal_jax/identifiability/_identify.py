@@ -19,7 +19,7 @@ from softcal_jax.calibration import (
     check_references,
     considered_errors,
     correlated_noise,
-    told_of_lane,
+    reports_of,
     unknown_causes,
     whitened,
 )
@@ -311,7 +311,8 @@ def survey(
     required = len(names) if required is None else required
     with Workers(model, len(names)) as workers:
         evaluator = Evaluator(problem, workers)
-        solution, moved = evaluator.simulated(z, told_of_lane(progress, names))
+        solution = evaluator.equilibria(z, reports_of(progress, names))
+        moved = evaluator.effectors(z, solution)
         if required:
             there = jax.tree.map(lambda leaf: leaf[:required], solution)
             check_converged(there, names)
