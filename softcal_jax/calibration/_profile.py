@@ -1,6 +1,6 @@
 """Confidence intervals from the profile of the likelihood."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -8,18 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import brentq
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._interval import ProfileEnd
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._profile_search import (
-    CLOSE_ENOUGH,
-    STEEP,
-    NotFound,
-    bracket,
-    root,
-)
 from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers
@@ -33,6 +27,18 @@ the distance counts where it ends, not at the pin. At a bound the pin is ten tim
 firm, since the question is what the data say there.
 """
 
+CLOSE_ENOUGH = 0.005
+"""Relative error allowed in the root of the rise at an end of an interval [-]."""
+
+NARROW = 0.02
+"""Gap to a fit that failed, over the distance, below which the search ends [-]."""
+
+STEEP = 20.0
+"""Slope of the root of the rise within such a gap, over its mean, that is a jump [-].
+
+The fit beyond is then repeated from its neighbour.
+"""
+
 STEADY = 8
 """Steps over which the cost of a fit that stands still falls by next to nothing."""
 
@@ -44,6 +50,10 @@ LOWER = 1e-3
 
 It is more than rounding, or a loop that stopped a little early, can explain.
 """
+
+
+class NotFound(Exception):
+    """Fits along the profile did not converge."""
 
 
 class LowerCostFound(RuntimeError):
@@ -167,6 +177,85 @@ def _end(profile: "_Profile") -> ProfileEnd:
     except NotFound:
         pass
     return ProfileEnd(float("nan"), "not found")
+
+
+class _Jump(Exception):
+    """The excess jumps within a narrow bracket."""
+
+
+def root(
+    excess: Callable[[float], float],
+    inside: float,
+    outside: float,
+    *,
+    steep: float = np.inf,
+) -> tuple[float, float]:
+    """Find the zero of an excess between two distances where its signs differ.
+
+    By Brent's method, which ends where the excess is 0. Where the cost is a parabola
+    the excess is linear, and the first guess is the root.
+
+    Args:
+        excess: The function; 0 within its tolerance.
+        inside: Distance where it is negative.
+        outside: Distance where it is positive.
+        steep: Difference of the excess, over that of the distance relative to
+            `outside`, at which a narrow bracket is a jump.
+
+    Returns:
+        The root, twice; or the distances on both sides of a jump, the inner one first.
+    """
+    low, high = (inside, excess(inside)), (outside, excess(outside))
+    if high[1] == 0.0:
+        return outside, outside
+
+    def watched(distance: float) -> float:
+        nonlocal low, high
+        value = excess(distance)
+        if value < 0.0:
+            low = max(low, (distance, value))
+        else:
+            high = min(high, (distance, value))
+        width, rise = high[0] - low[0], high[1] - low[1]
+        if value != 0.0 and width < NARROW * outside and rise * outside > steep * width:
+            raise _Jump
+        return value
+
+    try:
+        brentq(watched, inside, outside, xtol=0.02 * CLOSE_ENOUGH * outside)
+    except _Jump:
+        return low[0], high[0]
+    return high[0] if high[1] == 0.0 else low[0], high[0]
+
+
+def bracket(
+    excess: Callable[[float], float],
+    *,
+    rise: float,
+    inside: float,
+    reach: float,
+    limit: float,
+) -> tuple[float, float] | None:
+    """Return two distances with the end between them; None if it is beyond the limit.
+
+    The distance grows step by step; where a fit does not converge, the step is halved.
+    """
+    outside, lost = max(reach, 1.2 * inside), np.inf
+    while inside < limit:
+        outside = min(outside, limit)
+        try:
+            value = excess(outside)
+        except NotFound:
+            value, lost = -rise, outside
+        else:
+            if value >= 0.0:
+                return inside, outside
+            inside = outside
+        if lost - inside < NARROW * (inside + reach):
+            raise NotFound
+        grown = float(np.clip(1.05 * rise / (value + rise + 1e-300), 1.2, 2.0))
+        outside = min(inside * grown if inside else np.inf, 0.5 * (inside + lost))
+    return None
 
 
 class _Rest(NamedTuple):
