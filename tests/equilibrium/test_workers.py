@@ -75,13 +75,6 @@ def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
         assert workers.map(Program(fails), lanes(0, 1, -3)) == [0, 1, -3]
 
 
-def test_the_end_of_each_lane_is_told(cantilever):
-    told = []
-    with Workers(cantilever[0], 8, 2) as workers:
-        workers.map(Program(same), lanes(5, 6, 7), lambda *end: told.append(end))
-    assert sorted(told) == [(0, 5), (1, 6), (2, 7)]
-
-
 def test_the_first_lane_of_a_new_program_goes_ahead_alone(cantilever):
     """It compiles for all; afterwards none waits for another, in a new context too."""
     meeting, alone = Barrier(2, timeout=20.0), lanes(np.zeros(()))
