@@ -65,8 +65,8 @@ class Beginning(NamedTuple):
 
     Attributes:
         z: Scaled parameters [-].
-        evaluation: Equilibria there.
-        notes: What was changed to find them.
+        evaluation: Evaluation at these parameters.
+        notes: What was changed to find equilibria.
     """
 
     z: Float[Array, " n_p"]
@@ -94,18 +94,18 @@ def begin(
     """
     space, names = evaluate.problem.space, tuple(names)
     report = partial(reports_of, progress, names)
-    first, there = _first_equilibria(evaluate, z, report())
-    if there is not None:
-        return Beginning(z, there, ())
+    first, evaluation = _first_equilibria(evaluate, z, report())
+    if evaluation is not None:
+        return Beginning(z, evaluation, ())
     solution, raised, factor = first, z, 1.0
     for _ in range(MOST_RAISES):
         stiffer = _stiffer(space, raised)
         if np.array_equal(stiffer, raised):
             break
         raised, factor = stiffer, STIFFER * factor
-        solution, there = _first_equilibria(evaluate, raised, report(factor))
-        if there is not None:
-            return Beginning(raised, there, (_note(space, first, names, raised),))
+        solution, evaluation = _first_equilibria(evaluate, raised, report(factor))
+        if evaluation is not None:
+            return Beginning(raised, evaluation, (_note(space, first, names, raised),))
     raise RuntimeError(_nowhere(space, (first, solution), names, (z, raised)))
 
 
@@ -130,11 +130,11 @@ def _nowhere(
 def _first_equilibria(
     evaluate: Evaluator, z: Float[Array, " n_p"], report: Report | None
 ) -> tuple[EquilibriumSolution, Evaluation | None]:
-    """Return the equilibria, and their evaluation if all are there."""
+    """Return the equilibria, and their evaluation if all configurations have one."""
     if report is None:
-        there = evaluate.from_rest(z)
-        solution = there.equilibrium
-        return solution, there if bool(jnp.all(solution.converged)) else None
+        evaluation = evaluate.from_rest(z)
+        solution = evaluation.equilibrium
+        return solution, evaluation if bool(jnp.all(solution.converged)) else None
     solution = evaluate.equilibria(z, report)
     if not bool(jnp.all(solution.converged)):
         return solution, None

@@ -118,7 +118,7 @@ def profile_ends(
     sides = [(column, sign) for column in which for sign in (-1, 1)]
     lanes = len(sides) * len(problem.configurations.gravity)
     with Workers(problem.model, lanes) as workers:
-        at = _Fit(
+        calibration = _Calibration(
             evaluate=Evaluator(problem, workers),
             settings=settings,
             z=np.asarray(z),
@@ -127,12 +127,12 @@ def profile_ends(
             covariance=np.linalg.inv(W_ep.T @ W_ep + np.diag(known)),
         )
         ends = workers.side_by_side(
-            partial(_end, _Profile(at, column, sign)) for column, sign in sides
+            partial(_end, _Profile(calibration, column, sign)) for column, sign in sides
         )
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 
-class _Fit(NamedTuple):
+class _Calibration(NamedTuple):
     """A calibration at its end."""
 
     evaluate: Evaluator
@@ -150,7 +150,7 @@ def _end(profile: "_Profile") -> ProfileEnd:
     the profile outwards. Where the search closes in on such a fit, it is repeated from
     its neighbour inside, and the search goes on beyond if the end is not there.
     """
-    excess, rise, inside, span = profile.excess, profile.at.rise, 0.0, None
+    excess, rise, inside, span = profile.excess, profile.calibration.rise, 0.0, None
     steep = STEEP
     try:
         for _ in range(MOST_RESUMED):
@@ -272,17 +272,17 @@ class _Rest(NamedTuple):
 class _Profile:
     """Fits with one parameter held at several distances on one side."""
 
-    def __init__(self, at: _Fit, column: int, sign: int):
-        self.space = space = at.evaluate.numbered.space
-        variance = at.covariance[column, column]
-        self.at, self.column, self.sign = at, column, sign
+    def __init__(self, calibration: _Calibration, column: int, sign: int):
+        self.space = space = calibration.evaluate.numbered.space
+        variance = calibration.covariance[column, column]
+        self.calibration, self.column, self.sign = calibration, column, sign
         self.std = float(np.sqrt(variance))
         self.reach, self.limit = (
-            at.rise * self.std,
-            room_beside(space, at.z, column, sign),
+            calibration.rise * self.std,
+            room_beside(space, calibration.z, column, sign),
         )
-        self.path = sign * at.covariance[column] / variance
-        self.seen = {0.0: _Rest(0.0, at.z, -at.rise)}
+        self.path = sign * calibration.covariance[column] / variance
+        self.seen = {0.0: _Rest(0.0, calibration.z, -calibration.rise)}
 
     def excess(self, distance: float) -> float:
         """Return the excess of the fit at a distance; 0 within the tolerance."""
@@ -300,13 +300,13 @@ class _Profile:
         return self.seen[distance].excess
 
     def _fit(self, near: float, distance: float) -> _Rest:
-        at = self.at
+        calibration = self.calibration
         start = self.seen[near].z + (distance - near) * self.path
         firm = FIRM if distance < self.limit else 10.0 * FIRM
         pin = Pin(
             jnp.asarray(self.column),
-            jnp.asarray(at.z[self.column] + self.sign * distance),
-            jnp.asarray(firm / self.std) / at.evaluate.numbered.level,
+            jnp.asarray(calibration.z[self.column] + self.sign * distance),
+            jnp.asarray(firm / self.std) / calibration.evaluate.numbered.level,
         )
         run = self._pinned(self.space, pin, start)
         rest = self._rest(distance, pin, run)
@@ -327,7 +327,7 @@ class _Profile:
         far, higher = self._check(pin, run)
         if not np.isfinite(higher):
             return None
-        rise = self.at.rise
+        rise = self.calibration.rise
         value = float(np.sqrt(max(higher, 0.0)) - rise)
         near = abs(value) <= CLOSE_ENOUGH * rise
         if not (run.converged or self._is_steady(run)) and (near or value > 0.0):
@@ -338,7 +338,7 @@ class _Profile:
     @property
     def _steady(self) -> tuple[int, float]:
         """Steps and fall of twice the cost that are small for an end, see `STEADY`."""
-        return STEADY, CLOSE_ENOUGH * self.at.rise**2
+        return STEADY, CLOSE_ENOUGH * self.calibration.rise**2
 
     def _is_steady(self, run: Run) -> bool:
         """Return whether a fit stands still, as exactly as an end is sought."""
@@ -350,20 +350,20 @@ class _Profile:
 
     def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Run:
         """Calibrate with the parameter held."""
-        own = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
-        evaluate = self.at.evaluate.with_space(own)
+        pinned = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
+        evaluate = self.calibration.evaluate.with_space(pinned)
         return minimise(
-            evaluate, self.at.settings, jnp.asarray(start), steady=self._steady
+            evaluate, self.calibration.settings, jnp.asarray(start), steady=self._steady
         )
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
         """Return how far the parameter is from its pin, and the rise of twice cost."""
         cost = jnp.asarray(run.cost)  # a float would be compiled in
-        problem = self.at.evaluate.numbered
+        problem = self.calibration.evaluate.numbered
         far, cost = _without_pin(problem, pin, jnp.asarray(run.z), cost)
-        higher = 2.0 * (float(cost) - self.at.cost)
-        if higher < -LOWER * self.at.rise**2:
-            raise LowerCostFound(jnp.asarray(run.z), float(cost), self.at.cost)
+        higher = 2.0 * (float(cost) - self.calibration.cost)
+        if higher < -LOWER * self.calibration.rise**2:
+            raise LowerCostFound(jnp.asarray(run.z), float(cost), self.calibration.cost)
         return float(far), higher
 
 
@@ -383,5 +383,6 @@ def _without_pin(problem: CalibrationProblem, pin: Pin, z, cost):
     space = problem.space
     middle = space.start().at[pin.column].set(pin.value)
     far = space.shorter(z - middle)[pin.column]
-    own = problem.from_prior(z)[pin.column]
-    return far, cost - 0.5 * (problem.level * pin.weight * far) ** 2 + 0.5 * own**2
+    from_prior = problem.from_prior(z)[pin.column]
+    by_pin = 0.5 * (problem.level * pin.weight * far) ** 2
+    return far, cost - by_pin + 0.5 * from_prior**2

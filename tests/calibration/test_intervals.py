@@ -186,7 +186,8 @@ class Valleys:
 
     def __init__(self, end, other):
         self.end, self.other, self.seen = end, other, {}
-        self.at, self.reach, self.limit = SimpleNamespace(rise=2.0), 1.5, 10.0
+        self.calibration = SimpleNamespace(rise=2.0)
+        self.reach, self.limit = 1.5, 10.0
 
     def value(self, distance):
         value = 2.0 * (distance / self.end - 1.0)
