@@ -2,7 +2,7 @@
 
 6 parameters, 4 configurations, one effector, 525 nodes, print plane "xy". By hand:
 SciPy's `least_squares` (trust region, bounds) with a finite-difference Jacobian over
-our own compiled `simulate`, on {ln E_t, ln E_l, theta}; FElupe has no corotational
+our own compiled solver, on {ln E_t, ln E_l, theta}; FElupe has no corotational
 anisotropic law. Two forms of it:
 
 - every equilibrium from rest, as the residual function of a first script is written;
@@ -38,9 +38,9 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
     at_rest,
+    effectors_of,
     multi_start,
     random_starts,
-    simulate,
 )
 from softcal_jax.equilibrium import energy_and_force, solve_equilibrium
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
@@ -141,7 +141,10 @@ def _ours(problem: CalibrationProblem, start: Float[Array, " n_p"]):
 @eqx.filter_jit
 def _simulate(problem: CalibrationProblem, z, guess):
     """Errors in units of the noise, and equilibria."""
-    solution, positions = simulate(*problem.at(z), problem.newton, guess)
+    model, lanes = problem.at(z)
+    solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=problem.newton)
+    solution = jax.vmap(solve)(lanes, guess)
+    positions = effectors_of(model, lanes, solution)
     effectors = problem.configurations.effectors
     error = effectors.inverse_std * (positions - effectors.measured)
     return jnp.ravel(error), solution.displacement

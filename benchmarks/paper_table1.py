@@ -41,10 +41,10 @@ from softcal_jax.calibration import (
     CalibrationSettings,
     Run,
     build_problem,
-    simulate,
     synthetic_measurements,
 )
 from softcal_jax.configurations import Configuration, Markers
+from softcal_jax.equilibrium import solve_from_rest
 from softcal_jax.fields import ControlPointParameters, ParameterSpace
 from softcal_jax.identifiability import conditioning
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
@@ -150,7 +150,7 @@ def all_markers(
 
 @eqx.filter_jit
 def _compliances(problem: CalibrationProblem, z):
-    solution, _ = simulate(*problem.at(z), problem.newton)
+    solution = solve_from_rest(*problem.at(z), problem.newton)
     model = problem.model
     lane = lambda c, u: energy_compliance(model, c, u, problem.space, z)
     return jax.vmap(lane)(problem.configurations, solution.displacement)

@@ -1,6 +1,6 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
-from softcal_jax.calibration._begin import EquilibriumProgress, told_of_lane
+from softcal_jax.calibration._begin import EquilibriumProgress, reports_of
 from softcal_jax.calibration._build import as_sequence, build_problem
 from softcal_jax.calibration._calibrate import calibrate
 from softcal_jax.calibration._checked_intervals import LEVEL
@@ -20,7 +20,7 @@ from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._lanes import equilibria, lane_of, simulate
+from softcal_jax.calibration._lanes import effectors_of, equilibria, lane_of
 from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import CorrelatedNoise, correlated_noise
 from softcal_jax.calibration._notes import CalibrationWarning
@@ -101,6 +101,7 @@ __all__ = [
     "correlated_noise",
     "default_starts",
     "descend",
+    "effectors_of",
     "equilibria",
     "evaluate",
     "images_of",
@@ -114,12 +115,11 @@ __all__ = [
     "profile_intervals",
     "propose",
     "random_starts",
+    "reports_of",
     "run_start",
-    "simulate",
     "simulated_measurements",
     "simulation_result",
     "synthetic_measurements",
-    "told_of_lane",
     "with_measured",
     "without_names",
 ]

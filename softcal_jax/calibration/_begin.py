@@ -6,26 +6,20 @@ fit needs an equilibrium of every configuration to begin with.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
 from softcal_jax._names import listed
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
-from softcal_jax.calibration._lanes import STEPS_BETWEEN, OfLane, step_by_step
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._lanes import Report
 from softcal_jax.calibration._runs import admissible
-from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
-    Program,
-    begin_newton,
-    continue_newton,
     no_equilibrium,
 )
 from softcal_jax.fields import ParameterSpace, unnamed
@@ -63,7 +57,7 @@ class EquilibriumProgress(NamedTuple):
         )
 
 
-Told = Callable[[EquilibriumProgress], None]
+Progress = Callable[[EquilibriumProgress], None]
 
 
 class Beginning(NamedTuple):
@@ -71,8 +65,8 @@ class Beginning(NamedTuple):
 
     Attributes:
         z: Scaled parameters [-].
-        evaluation: Equilibria there.
-        notes: What was changed to find them.
+        evaluation: Evaluation at these parameters.
+        notes: What was changed to find equilibria.
     """
 
     z: Float[Array, " n_p"]
@@ -84,7 +78,7 @@ def begin(
     evaluate: Evaluator,
     z: Float[Array, " n_p"],
     names: Sequence[str],
-    told: Told | None = None,
+    progress: Progress | None = None,
 ) -> Beginning:
     """Evaluate a start, with moduli raised until every configuration is in equilibrium.
 
@@ -92,26 +86,26 @@ def begin(
         evaluate: Evaluator of the calibration.
         z: Scaled start [-].
         names: Names of the configurations.
-        told: Called while the equilibria are solved.
+        progress: Called while the equilibria are solved.
 
     Raises:
         RuntimeError: If a configuration has no equilibrium within the bounds; the text
             names it, the load that it reached, and why.
     """
     space, names = evaluate.problem.space, tuple(names)
-    told_of = partial(_with_names, told, names)
-    first, there = _first_equilibria(evaluate, z, told_of(1.0))
-    if there is not None:
-        return Beginning(z, there, ())
+    report = partial(reports_of, progress, names)
+    first, evaluation = _first_equilibria(evaluate, z, report())
+    if evaluation is not None:
+        return Beginning(z, evaluation, ())
     solution, raised, factor = first, z, 1.0
     for _ in range(MOST_RAISES):
         stiffer = _stiffer(space, raised)
         if np.array_equal(stiffer, raised):
             break
         raised, factor = stiffer, STIFFER * factor
-        solution, there = _first_equilibria(evaluate, raised, told_of(factor))
-        if there is not None:
-            return Beginning(raised, there, (_note(space, first, names, raised),))
+        solution, evaluation = _first_equilibria(evaluate, raised, report(factor))
+        if evaluation is not None:
+            return Beginning(raised, evaluation, (_note(space, first, names, raised),))
     raise RuntimeError(_nowhere(space, (first, solution), names, (z, raised)))
 
 
@@ -134,68 +128,26 @@ def _nowhere(
 
 
 def _first_equilibria(
-    evaluate: Evaluator, z: Float[Array, " n_p"], told: OfLane | None
+    evaluate: Evaluator, z: Float[Array, " n_p"], report: Report | None
 ) -> tuple[EquilibriumSolution, Evaluation | None]:
-    """Return the equilibria, and their evaluation if all are there."""
-    if told is None:
-        there = evaluate.from_rest(z)
-        solution = there.equilibrium
-        return solution, there if bool(jnp.all(solution.converged)) else None
-    solution = _step_by_step(evaluate, z, told)
+    """Return the equilibria, and their evaluation if all configurations have one."""
+    if report is None:
+        evaluation = evaluate.from_rest(z)
+        solution = evaluation.equilibrium
+        return solution, evaluation if bool(jnp.all(solution.converged)) else None
+    solution = evaluate.equilibria(z, report)
     if not bool(jnp.all(solution.converged)):
         return solution, None
     return solution, evaluate(z, solution.displacement)
 
 
-@eqx.filter_jit
-def _go_on(
-    problem: CalibrationProblem,
-    z: Float[Array, " n_p"],
-    steps: Int[Array, ""],
-    configuration: ConfigurationArrays,
-    state: Any,
-):
-    posed = problem.space.apply(problem.model, configuration, z)
-    return continue_newton(*posed, state, steps, problem.newton)
-
-
-@eqx.filter_jit
-def _before_first_step(
-    problem: CalibrationProblem,
-    z: Float[Array, " n_p"],
-    configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
-):
-    posed = problem.space.apply(problem.model, configuration, z)
-    return begin_newton(*posed, guess, problem.newton)
-
-
-def _step_by_step(
-    evaluate: Evaluator, z: Float[Array, " n_p"], told: OfLane
-) -> EquilibriumSolution:
-    """Solve the equilibria of the configurations as `step_by_step` does."""
-    problem = evaluate.shared
-    program = Program(_go_on, problem, z, jnp.asarray(STEPS_BETWEEN))
-    return step_by_step(
-        problem.model,
-        evaluate.lanes,
-        partial(_before_first_step, problem, z),
-        partial(evaluate.workers.map, program),
-        max_steps=problem.newton.max_steps,
-        told=told,
-    )
-
-
-def _with_names(
-    told: Told | None, names: tuple[str, ...], factor: float
-) -> OfLane | None:
-    """Return the callback of an evaluator, which knows indices alone."""
-    return None if told is None else told_of_lane(told, names, factor)
-
-
-def told_of_lane(told: Told, names: Sequence[str], factor: float = 1.0) -> OfLane:
-    """Return a callback for the indices of configurations with these names."""
-    return lambda c, load, steps: told(
+def reports_of(
+    progress: Progress | None, names: Sequence[str], factor: float = 1.0
+) -> Report | None:
+    """Return a report for `equilibria`, which knows configurations by index alone."""
+    if progress is None:
+        return None
+    return lambda c, load, steps: progress(
         EquilibriumProgress(names[c], load, steps, factor)
     )
 

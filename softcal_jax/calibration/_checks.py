@@ -9,7 +9,12 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._evaluation import effector_errors
-from softcal_jax.calibration._lanes import as_guess, simulate, simulate_lanes
+from softcal_jax.calibration._lanes import (
+    as_guess,
+    effectors_of,
+    effectors_on_all_cores,
+    equilibria,
+)
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import (
     Configuration,
@@ -18,7 +23,14 @@ from softcal_jax.configurations import (
     measured_as,
     measured_at_rest,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
+from softcal_jax.equilibrium import (
+    Model,
+    NewtonSettings,
+    Workers,
+    check_converged,
+    solve_equilibrium,
+    solve_from_rest,
+)
 from softcal_jax.fields import ParameterSpace
 
 
@@ -99,12 +111,13 @@ def simulated_measurements(
     arrays = arrays if change is None else jax.vmap(change)(arrays)
     newton = newton or NewtonSettings()
 
-    def solved(own: Model, guess: Float[Array, "n_c n_points 3"] | None):
-        with Workers(own, len(configurations)) as workers:
-            return simulate_lanes(workers, own, arrays, newton, guess)
-
-    guess = None if first is None else as_guess(solved(first, None)[0])
-    solution, effectors = solved(model, guess)
+    guess = None
+    if first is not None:
+        with Workers(first, len(configurations)) as workers:
+            guess = as_guess(equilibria(workers, first, arrays, newton))
+    with Workers(model, len(configurations)) as workers:
+        solution = equilibria(workers, model, arrays, newton, guess=guess)
+        effectors = effectors_on_all_cores(workers, model, arrays, solution)
     check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
     effectors, weights = np.asarray(effectors), np.asarray(arrays.effectors.inverse_std)
@@ -140,11 +153,17 @@ def levenberg_marquardt(
     import optimistix as optx  # here, as it takes a fifth of the package's import time
 
     begin = problem.space.start()
-    guess = as_guess(simulate(*problem.at(begin), problem.newton)[0])
+    guess = as_guess(solve_from_rest(*problem.at(begin), problem.newton))
 
     def errors(z, problem: CalibrationProblem):
-        solution, positions = simulate(*problem.at(z), problem.newton, guess)
-        delta_e = effector_errors(problem, positions)
+        model, configurations = problem.at(z)
+        solve = lambda c, u: solve_equilibrium(
+            model, c, guess=u, settings=problem.newton
+        )
+        solution = jax.vmap(solve)(configurations, guess)
+        delta_e = effector_errors(
+            problem, effectors_of(model, configurations, solution)
+        )
         none = jnp.zeros((delta_e.size, z.shape[0]))
         error = problem.rows(z, delta_e, none).error
         # A step to parameters without equilibrium must be refused.

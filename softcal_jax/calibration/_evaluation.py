@@ -11,10 +11,11 @@ import numpy as np
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._lanes import (
-    OfLane,
+    Report,
     as_guess,
+    effectors_on_all_cores,
+    equilibria,
     lane_of,
-    simulate_lanes,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
@@ -240,13 +241,19 @@ class Evaluator:
         response = self.response(z, guess, before, precise)
         return _weighed(self.numbered, z, response)
 
-    def simulated(
-        self, z: Float[Array, " n_p"], told: OfLane = lambda *_: None
-    ) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-        """Compute equilibria and effector coordinates from rest; `told` of each."""
+    def equilibria(
+        self, z: Float[Array, " n_p"], report: Report | None = None
+    ) -> EquilibriumSolution:
+        """Solve the equilibria from rest; see the function of this name."""
         posed = _posed(self.numbered.with_noise(None), z)
-        newton = self.problem.newton
-        return simulate_lanes(self.workers, *posed, newton, told=told)
+        return equilibria(self.workers, *posed, self.problem.newton, report=report)
+
+    def effectors(
+        self, z: Float[Array, " n_p"], solution: EquilibriumSolution
+    ) -> Float[Array, "n_c n_rows 3"]:
+        """Compute effector coordinates at these equilibria."""
+        posed = _posed(self.numbered.with_noise(None), z)
+        return effectors_on_all_cores(self.workers, *posed, solution)
 
     def from_rest(self, z: Float[Array, " n_p"]) -> Evaluation:
         """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
@@ -256,8 +263,7 @@ class Evaluator:
         """Respond without a guess from another evaluation, likewise."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
-            found, _ = self.simulated(z)
-            guess = as_guess(found)
+            guess = as_guess(self.equilibria(z))
         return self.response(z, guess)
 
     def energy_compliances(

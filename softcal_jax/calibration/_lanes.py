@@ -1,7 +1,6 @@
 """Configurations as lanes of one program, and their equilibria."""
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -20,8 +19,6 @@ from softcal_jax.equilibrium import (
     begin_newton,
     continue_newton,
     effector_values,
-    solve_equilibrium,
-    solve_from_rest,
 )
 
 T = TypeVar("T")
@@ -29,8 +26,8 @@ T = TypeVar("T")
 STEPS_BETWEEN = 2
 """Newton iterations of a configuration between two reports."""
 
-OfLane = Callable[[int, float, int], None]
-"""Told the index of a configuration, the share of its load, and its iterations."""
+Report = Callable[[int, float, int], None]
+"""Takes the index of a configuration, the share of its load, and its iterations."""
 
 
 def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
@@ -39,120 +36,16 @@ def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))
 
 
-def simulate(
-    model: Model,
-    configurations: ConfigurationArrays,
-    newton: NewtonSettings,
-    guess: Float[Array, "n_c n_points 3"] | None = None,
-) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-    """Compute equilibria and effector coordinates of all configurations.
+def _lanes_of(batch: ConfigurationArrays) -> list[ConfigurationArrays]:
+    return [lane_of(batch, c) for c in range(len(batch.gravity))]
 
-    Args:
-        model: The body, with its parameters set.
-        configurations: One lane per configuration.
-        newton: Settings of the equilibrium.
-        guess: Displacements to start from; by default see `solve_from_rest` [m].
-    """
-    if guess is None:
-        found = solve_from_rest(model, configurations, newton)
-    else:
-        solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=newton)
-        found = jax.vmap(solve)(configurations, guess)
-    values = lambda c, u, forces: effector_values(model, c, u, forces)
-    e = jax.vmap(values)(configurations, found.displacement, found.multipliers)
-    return found, e
+
+def _stacked(lanes: Sequence[T]) -> T:
+    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
 
 
 @eqx.filter_jit
-def _simulate_lane(
-    model: Model,
-    newton: NewtonSettings,
-    configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
-) -> tuple[EquilibriumSolution, Float[Array, "n_rows 3"]]:
-    found = solve_equilibrium(model, configuration, guess=guess, settings=newton)
-    u, forces = found.displacement, found.multipliers
-    return found, effector_values(model, configuration, u, forces)
-
-
-def simulate_lanes(
-    workers: Workers,
-    model: Model,
-    configurations: ConfigurationArrays,
-    newton: NewtonSettings,
-    guess: Float[Array, "n_c n_points 3"] | None = None,
-    told: OfLane = lambda *_: None,
-) -> tuple[EquilibriumSolution, Float[Array, "n_c n_rows 3"]]:
-    """Simulate as `simulate` does, with configurations as lanes of one program.
-
-    It is compiled once for any number of them, and the lanes share the cores. `told` is
-    called at the end of each.
-    """
-
-    def ended(first: int, index: int, found) -> None:
-        own = found[0]
-        told(first + index, float(own.load_reached), int(own.steps))
-
-    lanes = [lane_of(configurations, c) for c in range(len(configurations.gravity))]
-    program = Program(_simulate_lane, model, newton.as_arrays())
-    start = jax.device_put(np.zeros((model.n_points, 3)))
-    if guess is None and model.mechanism.bodies.n_bodies > 0:
-        found = []
-        for c, lane in enumerate(lanes):
-            found += workers.map(program, [(lane, start)], partial(ended, c))
-            (last, _) = found[-1]
-            start = jnp.where(last.converged, last.displacement, start)
-    else:
-        starts = [start] * len(lanes) if guess is None else guess
-        every = zip(lanes, starts, strict=True)
-        found = workers.map(program, every, partial(ended, 0))
-    return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *found))
-
-
-def step_by_step(
-    model: Model,
-    lanes: Sequence[ConfigurationArrays],
-    begin: Callable[[ConfigurationArrays, Float[Array, "n_points 3"]], Any],
-    go_on: Callable[[Iterable[tuple[ConfigurationArrays, Any]]], list[Any]],
-    *,
-    max_steps: int | Int[Array | HostArray, ""],
-    told: OfLane,
-) -> EquilibriumSolution:
-    """Solve equilibria a few iterations at a time, and report in between.
-
-    With rigid bodies each starts from the one before, as in `solve_from_rest`.
-
-    Args:
-        model: The body.
-        lanes: One per configuration.
-        begin: Returns the state of Newton's method at a guess [m].
-        go_on: Takes some iterations more, from configurations and their states to
-            states and solutions.
-        max_steps: Iterations after which a configuration is given up.
-        told: Called after these iterations.
-    """
-    guess, n_c = jnp.zeros((model.n_points, 3)), len(lanes)
-    each = [[c] for c in range(n_c)]
-    groups = each if model.mechanism.bodies.n_bodies > 0 else [range(n_c)]
-    found: dict[int, EquilibriumSolution] = {}
-    for group in groups:
-        states = {c: begin(lanes[c], guess) for c in group}
-        while states:
-            under_way = tuple(states)
-            ends = go_on([(lanes[c], states[c]) for c in under_way])
-            for c, (state, solution) in zip(under_way, ends, strict=True):
-                told(c, float(state.load_ok), int(state.step))
-                states[c], found[c] = state, solution
-                if bool(state.done) or int(state.step) >= max_steps:
-                    del states[c]
-        last = found[group[-1]]
-        guess = jnp.where(last.converged, last.displacement, guess)
-    solutions = [found[c] for c in range(n_c)]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *solutions)
-
-
-@eqx.filter_jit
-def _begin_lane(
+def _begin(
     model: Model,
     newton: NewtonSettings,
     configuration: ConfigurationArrays,
@@ -162,7 +55,7 @@ def _begin_lane(
 
 
 @eqx.filter_jit
-def _go_on_lane(
+def _go_on(
     model: Model,
     newton: NewtonSettings,
     steps: Int[Array, ""],
@@ -173,34 +66,90 @@ def _go_on_lane(
 
 
 def equilibria(
+    workers: Workers,
     model: Model,
     configurations: ConfigurationArrays,
     newton: NewtonSettings,
-    told: OfLane = lambda *_: None,
+    *,
+    guess: Float[Array, "n_c n_points 3"] | None = None,
+    report: Report | None = None,
 ) -> EquilibriumSolution:
-    """Solve the equilibria of all configurations from rest, on all cores.
+    """Solve the equilibria of all configurations on all cores.
+
+    One of three ways to solve a batch. The others are `solve_from_rest`, inside a
+    compiled or differentiated program, and `Evaluator`, which adds the errors and
+    compliances of a calibration.
 
     Args:
+        workers: Run the configurations, by a program that is compiled once for any
+            number of them.
         model: The body, with its parameters set.
         configurations: One lane per configuration.
         newton: Settings of the equilibrium.
-        told: Called after every few iterations.
+        guess: Displacements to start from [m]; by default rest, and with rigid bodies
+            for each configuration the one before, as in `solve_from_rest`.
+        report: Called after every few iterations of a configuration.
     """
-    lanes = [lane_of(configurations, c) for c in range(len(configurations.gravity))]
-    shared = model, newton.as_arrays()
-    program = Program(_go_on_lane, *shared, jnp.asarray(STEPS_BETWEEN))
-    with Workers(model, len(lanes)) as workers:
-        return step_by_step(
-            model,
-            lanes,
-            partial(_begin_lane, *shared),
-            partial(workers.map, program),
-            max_steps=newton.max_steps,
-            told=told,
-        )
+    lanes, settings = _lanes_of(configurations), newton.as_arrays()
+    most = int(newton.max_steps)
+    steps = jnp.asarray(most if report is None else STEPS_BETWEEN)
+    program = Program(_go_on, model, settings, steps)
+    solutions: dict[int, EquilibriumSolution] = {}
+
+    def solve(starts: dict[int, Float[Array, "n_points 3"]]) -> None:
+        """Solve the configurations with these indices, from these displacements."""
+        states = {
+            c: _begin(model, settings, lanes[c], start) for c, start in starts.items()
+        }
+        while states:
+            under_way = list(states)
+            ends = workers.map(program, [(lanes[c], states[c]) for c in under_way])
+            for c, (state, solution) in zip(under_way, ends, strict=True):
+                if report is not None:
+                    report(c, float(state.load_ok), int(state.step))
+                states[c], solutions[c] = state, solution
+                if bool(state.done) or int(state.step) >= most:
+                    del states[c]
+
+    rest = jnp.zeros((model.n_points, 3))
+    if guess is not None:
+        solve(dict(enumerate(guess)))
+    elif model.mechanism.bodies.n_bodies > 0:
+        start = rest
+        for c in range(len(lanes)):
+            solve({c: start})
+            last = solutions[c]
+            start = jnp.where(last.converged, last.displacement, start)
+    else:
+        solve(dict.fromkeys(range(len(lanes)), rest))
+    return _stacked([solutions[c] for c in range(len(lanes))])
+
+
+_effectors_of_lane = eqx.filter_jit(effector_values)
+
+
+def effectors_on_all_cores(
+    workers: Workers,
+    model: Model,
+    configurations: ConfigurationArrays,
+    solution: EquilibriumSolution,
+) -> Float[Array, "n_c n_rows 3"]:
+    """Compute effector coordinates as `effectors_of` does, on all cores."""
+    states = solution.displacement, solution.multipliers
+    lanes = zip(_lanes_of(configurations), *map(np.asarray, states), strict=True)
+    return _stacked(workers.map(Program(_effectors_of_lane, model), lanes))
+
+
+def effectors_of(
+    model: Model, configurations: ConfigurationArrays, solution: EquilibriumSolution
+) -> Float[Array, "n_c n_rows 3"]:
+    """Compute the effector coordinates of a batch, inside a compiled program too."""
+    values = lambda c, u, forces: effector_values(model, c, u, forces)
+    states = solution.displacement, solution.multipliers
+    return jax.vmap(values)(configurations, *states)
 
 
 def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:
     """Return displacements to start from, rest where there was no equilibrium [m]."""
-    there = solution.converged[:, None, None]
-    return jnp.where(there, solution.displacement, 0.0)
+    converged = solution.converged[:, None, None]
+    return jnp.where(converged, solution.displacement, 0.0)

@@ -1,6 +1,6 @@
 """Confidence intervals from the profile of the likelihood."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -8,18 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import brentq
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._interval import ProfileEnd
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._profile_search import (
-    CLOSE_ENOUGH,
-    STEEP,
-    NotFound,
-    bracket,
-    root,
-)
 from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers
@@ -34,6 +28,18 @@ the distance counts where it ends, not at the pin. At a bound the pin is ten tim
 firm, since the question is what the data say there.
 """
 
+CLOSE_ENOUGH = 0.005
+"""Relative error allowed in the root of the rise at an end of an interval [-]."""
+
+NARROW = 0.02
+"""Gap to a fit that failed, over the distance, below which the search ends [-]."""
+
+STEEP = 20.0
+"""Slope of the root of the rise within such a gap, over its mean, that is a jump [-].
+
+The fit beyond is then repeated from its neighbour.
+"""
+
 STEADY = 8
 """Steps over which the cost of a fit that stands still falls by next to nothing."""
 
@@ -45,6 +51,10 @@ LOWER = 1e-3
 
 It is more than rounding, or a loop that stopped a little early, can explain.
 """
+
+
+class NotFound(Exception):
+    """Fits along the profile did not converge."""
 
 
 class LowerCostFound(RuntimeError):
@@ -107,7 +117,7 @@ def profile_ends(
     sides = [(column, sign) for column in which for sign in (-1, 1)]
     lanes = len(sides) * len(problem.configurations.gravity)
     with Workers(problem.model, lanes) as workers:
-        at = _Fit(
+        calibration = _Calibration(
             evaluate=Evaluator(problem, workers),
             settings=settings,
             z=np.asarray(z),
@@ -116,12 +126,12 @@ def profile_ends(
             covariance=np.linalg.inv(W.T @ W + np.diag(size**-2.0)),
         )
         ends = workers.side_by_side(
-            partial(_end, _Profile(at, column, sign)) for column, sign in sides
+            partial(_end, _Profile(calibration, column, sign)) for column, sign in sides
         )
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 
-class _Fit(NamedTuple):
+class _Calibration(NamedTuple):
     """A calibration at its end."""
 
     evaluate: Evaluator
@@ -139,7 +149,7 @@ def _end(profile: "_Profile") -> ProfileEnd:
     the profile outwards. Where the search closes in on such a fit, it is repeated from
     its neighbour inside, and the search goes on beyond if the end is not there.
     """
-    excess, rise, inside, span = profile.excess, profile.at.rise, 0.0, None
+    excess, rise, inside, span = profile.excess, profile.calibration.rise, 0.0, None
     steep = STEEP
     try:
         for _ in range(MOST_RESUMED):
@@ -168,6 +178,85 @@ def _end(profile: "_Profile") -> ProfileEnd:
     return ProfileEnd(float("nan"), "not found")
 
 
+class _Jump(Exception):
+    """The excess jumps within a narrow bracket."""
+
+
+def root(
+    excess: Callable[[float], float],
+    inside: float,
+    outside: float,
+    *,
+    steep: float = np.inf,
+) -> tuple[float, float]:
+    """Find the zero of an excess between two distances where its signs differ.
+
+    By Brent's method, which ends where the excess is 0. Where the cost is a parabola
+    the excess is linear, and the first guess is the root.
+
+    Args:
+        excess: The function; 0 within its tolerance.
+        inside: Distance where it is negative.
+        outside: Distance where it is positive.
+        steep: Difference of the excess, over that of the distance relative to
+            `outside`, at which a narrow bracket is a jump.
+
+    Returns:
+        The root, twice; or the distances on both sides of a jump, the inner one first.
+    """
+    low, high = (inside, excess(inside)), (outside, excess(outside))
+    if high[1] == 0.0:
+        return outside, outside
+
+    def watched(distance: float) -> float:
+        nonlocal low, high
+        value = excess(distance)
+        if value < 0.0:
+            low = max(low, (distance, value))
+        else:
+            high = min(high, (distance, value))
+        width, rise = high[0] - low[0], high[1] - low[1]
+        if value != 0.0 and width < NARROW * outside and rise * outside > steep * width:
+            raise _Jump
+        return value
+
+    try:
+        brentq(watched, inside, outside, xtol=0.02 * CLOSE_ENOUGH * outside)
+    except _Jump:
+        return low[0], high[0]
+    return high[0] if high[1] == 0.0 else low[0], high[0]
+
+
+def bracket(
+    excess: Callable[[float], float],
+    *,
+    rise: float,
+    inside: float,
+    reach: float,
+    limit: float,
+) -> tuple[float, float] | None:
+    """Return two distances with the end between them; None if it is beyond the limit.
+
+    The distance grows step by step; where a fit does not converge, the step is halved.
+    """
+    outside, lost = max(reach, 1.2 * inside), np.inf
+    while inside < limit:
+        outside = min(outside, limit)
+        try:
+            value = excess(outside)
+        except NotFound:
+            value, lost = -rise, outside
+        else:
+            if value >= 0.0:
+                return inside, outside
+            inside = outside
+        if lost - inside < NARROW * (inside + reach):
+            raise NotFound
+        grown = float(np.clip(1.05 * rise / (value + rise + 1e-300), 1.2, 2.0))
+        outside = min(inside * grown if inside else np.inf, 0.5 * (inside + lost))
+    return None
+
+
 class _Rest(NamedTuple):
     """End of a fit with a parameter held at a distance from the calibration.
 
@@ -182,17 +271,17 @@ class _Rest(NamedTuple):
 class _Profile:
     """Fits with one parameter held at several distances on one side."""
 
-    def __init__(self, at: _Fit, column: int, sign: int):
-        self.space = space = at.evaluate.numbered.space
-        variance = at.covariance[column, column]
-        self.at, self.column, self.sign = at, column, sign
+    def __init__(self, calibration: _Calibration, column: int, sign: int):
+        self.space = space = calibration.evaluate.numbered.space
+        variance = calibration.covariance[column, column]
+        self.calibration, self.column, self.sign = calibration, column, sign
         self.std = float(np.sqrt(variance))
         self.reach, self.limit = (
-            at.rise * self.std,
-            room_beside(space, at.z, column, sign),
+            calibration.rise * self.std,
+            room_beside(space, calibration.z, column, sign),
         )
-        self.path = sign * at.covariance[column] / variance
-        self.seen = {0.0: _Rest(0.0, at.z, -at.rise)}
+        self.path = sign * calibration.covariance[column] / variance
+        self.seen = {0.0: _Rest(0.0, calibration.z, -calibration.rise)}
 
     def excess(self, distance: float) -> float:
         """Return the excess of the fit at a distance; 0 within the tolerance."""
@@ -210,13 +299,13 @@ class _Profile:
         return self.seen[distance].excess
 
     def _fit(self, near: float, distance: float) -> _Rest:
-        at = self.at
+        calibration = self.calibration
         start = self.seen[near].z + (distance - near) * self.path
         firm = FIRM if distance < self.limit else 10.0 * FIRM
         pin = Pin(
             jnp.asarray(self.column),
-            jnp.asarray(at.z[self.column] + self.sign * distance),
-            jnp.asarray(firm / self.std) / at.evaluate.numbered.level,
+            jnp.asarray(calibration.z[self.column] + self.sign * distance),
+            jnp.asarray(firm / self.std) / calibration.evaluate.numbered.level,
         )
         run = self._pinned(self.space, pin, start)
         rest = self._rest(distance, pin, run)
@@ -237,7 +326,7 @@ class _Profile:
         far, higher = self._check(pin, run)
         if not np.isfinite(higher):
             return None
-        rise = self.at.rise
+        rise = self.calibration.rise
         value = float(np.sqrt(max(higher, 0.0)) - rise)
         near = abs(value) <= CLOSE_ENOUGH * rise
         if not (run.converged or self._is_steady(run)) and (near or value > 0.0):
@@ -248,7 +337,7 @@ class _Profile:
     @property
     def _steady(self) -> tuple[int, float]:
         """Steps and fall of twice the cost that are small for an end, see `STEADY`."""
-        return STEADY, CLOSE_ENOUGH * self.at.rise**2
+        return STEADY, CLOSE_ENOUGH * self.calibration.rise**2
 
     def _is_steady(self, run: Run) -> bool:
         """Return whether a fit stands still, as exactly as an end is sought."""
@@ -260,20 +349,20 @@ class _Profile:
 
     def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Run:
         """Calibrate with the parameter held."""
-        own = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
-        evaluate = self.at.evaluate.with_space(own)
+        pinned = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
+        evaluate = self.calibration.evaluate.with_space(pinned)
         return minimise(
-            evaluate, self.at.settings, jnp.asarray(start), steady=self._steady
+            evaluate, self.calibration.settings, jnp.asarray(start), steady=self._steady
         )
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
         """Return how far the parameter is from its pin, and the rise of twice cost."""
         cost = jnp.asarray(run.cost)  # a float would be compiled in
-        problem = self.at.evaluate.numbered
+        problem = self.calibration.evaluate.numbered
         far, cost = _without_pin(problem, pin, jnp.asarray(run.z), cost)
-        higher = 2.0 * (float(cost) - self.at.cost)
-        if higher < -LOWER * self.at.rise**2:
-            raise LowerCostFound(jnp.asarray(run.z), float(cost), self.at.cost)
+        higher = 2.0 * (float(cost) - self.calibration.cost)
+        if higher < -LOWER * self.calibration.rise**2:
+            raise LowerCostFound(jnp.asarray(run.z), float(cost), self.calibration.cost)
         return float(far), higher
 
 
@@ -293,5 +382,6 @@ def _without_pin(problem: CalibrationProblem, pin: Pin, z, cost):
     space = problem.space
     middle = space.start().at[pin.column].set(pin.value)
     far = space.shorter(z - middle)[pin.column]
-    own = problem.level * space.from_prior(z)[pin.column]
-    return far, cost - 0.5 * (problem.level * pin.weight * far) ** 2 + 0.5 * own**2
+    from_prior = problem.level * space.from_prior(z)[pin.column]
+    by_pin = 0.5 * (problem.level * pin.weight * far) ** 2
+    return far, cost - by_pin + 0.5 * from_prior**2

@@ -1,7 +1,7 @@
 """The search from many starts, given or random."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -17,7 +17,14 @@ from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import MultiStartResult, Optimum
-from softcal_jax.calibration._runs import Begun, Run, images_of, not_begun, run_start
+from softcal_jax.calibration._runs import (
+    Begun,
+    Ends,
+    Run,
+    images_of,
+    not_begun,
+    run_start,
+)
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, unnamed
@@ -148,7 +155,7 @@ def search(
         note = partial(keep, i)
         tasks.append(partial(run_from, start, begun=begun[i], note=note))
 
-    def told(i: int, run: Run) -> None:
+    def count(i: int, run: Run) -> None:
         if i in ended:  # it had ended before this search was resumed
             return
         ended[i] = run
@@ -158,27 +165,39 @@ def search(
             progress(SearchProgress(len(ended), len(starts), converged, lowest))
 
     try:
-        runs = evaluate.workers.side_by_side(tasks, told)
+        runs = evaluate.workers.side_by_side(tasks, count)
     except KeyboardInterrupt:
         runs = [begun[i].best for i in range(len(tasks))]
         if not any(np.isfinite(run.cost) for run in runs):
             raise
         journal.interrupted = True
-    cost = np.array([run.cost for run in runs])
-    converged = np.array([run.converged for run in runs])
-    if not np.any(np.isfinite(cost)):
+    if not any(np.isfinite(run.cost) for run in runs):
         raise RuntimeError(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
             "check loads, units and bounds, or `softcal simulate`."
         )
-    numbered = evaluate.numbered.space
+    return _result(space, starts, runs, [begun[i].ends for i in range(len(runs))])
+
+
+def _result(
+    space: ParameterSpace,
+    starts: Float[Array, "n_starts n_p"],
+    runs: Sequence[Run],
+    ends: Sequence[Ends],
+) -> MultiStartResult:
+    """List the ends of all runs, and the optima among these and those on their way."""
+    numbered = unnamed(space)
     in_si = lambda z: np.array([_from_scaled(numbered, row) for row in np.asarray(z)])
     z = np.stack([run.z for run in runs])
-    values = in_si(z)
+    values, cost = in_si(z), np.array([run.cost for run in runs])
+    converged = np.array([run.converged for run in runs])
     # Where runs came by on their way, too: a mirror image may fit nearly as well.
-    ends = [begun[i].ends for i in range(len(runs))]
-    passed_z, passed_cost = (np.concatenate(own) for own in zip(*ends, strict=True))
-    there = np.isfinite(passed_cost)
+    passed = np.concatenate([of_run.cost for of_run in ends])
+    which = np.isfinite(passed)
+    passed_z, passed = (
+        np.concatenate([of_run.z for of_run in ends])[which],
+        passed[which],
+    )
     return MultiStartResult(
         names=tuple(space.names),
         starts=in_si(starts),
@@ -190,10 +209,10 @@ def search(
         errors=np.stack([run.errors for run in runs]),
         optima=_optima(
             space,
-            np.concatenate([z, passed_z[there]]),
-            np.append(values, in_si(passed_z[there])).reshape(-1, len(space.names)),
-            np.append(cost, passed_cost[there]),
-            np.append(converged, there[there]),
+            np.concatenate([z, passed_z]),
+            np.append(values, in_si(passed_z)).reshape(-1, len(space.names)),
+            np.append(cost, passed),
+            np.append(converged, np.ones(len(passed), bool)),
             n_starts=len(runs),
         ),
     )

@@ -12,6 +12,11 @@ from softcal_jax.equilibrium._assembly import (
     tangent_values,
     tet_states,
 )
+from softcal_jax.equilibrium._build_model import (
+    build_model,
+    model_for_law,
+    refined_model,
+)
 from softcal_jax.equilibrium._continuation import continue_equilibrium
 from softcal_jax.equilibrium._effectors import (
     actuator_forces,
@@ -19,7 +24,6 @@ from softcal_jax.equilibrium._effectors import (
     marker_positions,
 )
 from softcal_jax.equilibrium._element import Formulation
-from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linearisation import (
     Linearisation,
     factor_solve,
@@ -27,12 +31,7 @@ from softcal_jax.equilibrium._linearisation import (
     residual,
     solved_forces,
 )
-from softcal_jax.equilibrium._model import (
-    Model,
-    build_model,
-    model_for_law,
-    refined_model,
-)
+from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath
 from softcal_jax.equilibrium._posed import external_force
@@ -105,7 +104,6 @@ __all__ = [
     "gravity_load",
     "input_rows",
     "internal_force",
-    "lane_by_lane",
     "linearise",
     "marker_positions",
     "model_for_law",

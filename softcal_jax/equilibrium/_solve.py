@@ -10,7 +10,6 @@ from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._lanes import lane_by_lane
 from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import (
@@ -77,7 +76,9 @@ def continue_newton(
 
 @eqx.filter_custom_jvp
 def _equilibrium(model, configuration, u0, settings):
-    @lane_by_lane
+    # A `vmap` of the loop would run every lane until the slowest has ended. So a batch
+    # also gives bit for bit the results of its members, and copies nothing they share.
+    @jax.custom_batching.sequential_vmap
     def lane(model, configuration, u0, settings):
         return as_solution(newton(model, configuration, u0, settings), settings)
 

@@ -3,13 +3,31 @@
 from importlib.util import find_spec
 from typing import Any
 
+import equinox as eqx
 import jax
 
 from softcal_jax._names import suggestion
 from softcal_jax.equilibrium._host_pardiso import HostPardiso
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver, Klu, Pardiso
-from softcal_jax.equilibrium._no_solver import NO_SOLVER, NoSolver
 from softcal_jax.equilibrium._sparsity import Sparsity
+
+NO_SOLVER = "none"
+"""Name of the solver of a model that is only looked at."""
+
+
+class NoSolver(AbstractLinearSolver):
+    """In place of a solver, so that nothing is analysed for a model that is drawn."""
+
+    sparsity: Sparsity
+    name: str = eqx.field(static=True, default=NO_SOLVER)
+    counts_negative: bool = eqx.field(static=True, default=False)
+
+    def _factor_solve(self, values, rhs):
+        raise RuntimeError(
+            'this model was built to be looked at, with solver="none": build it again '
+            "without, to solve it."
+        )
+
 
 _ON_CPU = {"pardiso": Pardiso, "klu": Klu}
 _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}

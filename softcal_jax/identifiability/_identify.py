@@ -21,7 +21,7 @@ from softcal_jax.calibration import (
     correlated_noise,
     lane_of,
     linear_model,
-    told_of_lane,
+    reports_of,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -275,7 +275,8 @@ def survey(
     required = len(names) if required is None else required
     with Workers(model, len(names)) as workers:
         evaluator = Evaluator(problem, workers)
-        solution, moved = evaluator.simulated(z, told_of_lane(progress, names))
+        solution = evaluator.equilibria(z, reports_of(progress, names))
+        moved = evaluator.effectors(z, solution)
         if required:
             check_converged(lane_of(solution, slice(required)), names)
         compliance = evaluator.energy_compliances(z, solution.displacement)

@@ -17,7 +17,7 @@ from softcal_jax.calibration import (
     SearchProgress,
     calibrate,
     equilibria,
-    told_of_lane,
+    reports_of,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -25,7 +25,7 @@ from softcal_jax.configurations import (
     Traces,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import EquilibriumSolution, Model, NewtonSettings
+from softcal_jax.equilibrium import EquilibriumSolution, Model, NewtonSettings, Workers
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.identifiability import (
     Identifiability,
@@ -295,5 +295,6 @@ class Project(Module):
         self.check_simulation()
         mesh, mechanism = self.model.mesh, self.model.mechanism
         lanes = configuration_arrays(mesh, self.configurations, mechanism)
-        told = told_of_lane(progress, [c.name for c in self.configurations])
-        return equilibria(self.model, lanes, self.newton, told)
+        report = reports_of(progress, [c.name for c in self.configurations])
+        with Workers(self.model, len(self.configurations)) as workers:
+            return equilibria(workers, self.model, lanes, self.newton, report=report)

@@ -17,7 +17,6 @@ from softcal_jax.equilibrium import (
     Sensitivity,
     continue_equilibrium,
     effector_values,
-    lane_by_lane,
     linearise,
     sensitivity,
 )
@@ -168,7 +167,7 @@ def equilibrium_response(
     `parameter_compliance`.
     """
 
-    @lane_by_lane
+    @jax.custom_batching.sequential_vmap
     def lane(model, configuration, guess, before, precise, space, z):
         model, configuration = space.apply(model, configuration, z)
         equilibrium, linearisation = continue_equilibrium(

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -140,18 +140,34 @@ class SweepResult:
             for keys in groups.values()
         )
 
-    def __str__(self) -> str:
-        """Write how many trials ended in each state, and why the others failed."""
-        lines = [
-            f"{self.name}: {len(self.rows)} trials ended, "
-            f"{len(self.of_state('converged'))} converged, "
-            f"{len(self.of_state('not converged'))} not converged, "
-            f"{len(self.of_state('failed'))} failed, {len(self.missing)} to do."
-        ]
+    @property
+    def headline(self) -> str:
+        """How many trials have ended, and how."""
+        n, total = len(self.rows), len(self.rows) + len(self.missing)
+        counts = {state: len(self.of_state(state)) for state in get_args(State)}
+        states = ", ".join(f"{k} {state}" for state, k in counts.items() if k)
+        ended = f": {states}" if states else ""
+        return f"{n} of {total} trials have ended{ended}."
+
+    @property
+    def reasons(self) -> tuple[tuple[State, str], ...]:
+        """Why trials failed or did not converge, each reason once, after the state."""
+        rows: dict[tuple[State, str], list[TrialRow]] = {}
         for row in self.rows:
             if row.state != "converged":
-                lines.append(f"  {describe(row.point)}: {row.state}: {row.reason}")
-        return "\n".join(lines)
+                first, *more = row.reason.strip().splitlines() or [""]
+                reason = first + (" ..." if more else "")
+                rows.setdefault((row.state, reason), []).append(row)
+        lines = []
+        for (state, reason), alike in rows.items():
+            n = f"{len(alike)} trials, the first" if len(alike) > 1 else "1 trial"
+            lines.append((state, f"{n} at {describe(alike[0].point)}: {reason}"))
+        return tuple(lines)
+
+    def __str__(self) -> str:
+        """Write how many trials ended in each state, and why the others failed."""
+        lines = [f"  {state}, {text}" for state, text in self.reasons]
+        return "\n".join([f"{self.name}: {self.headline}", *lines])
 
 
 def figure_values(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:

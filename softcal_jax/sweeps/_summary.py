@@ -14,12 +14,9 @@ from softcal_jax.sweeps._result import SweepResult, figure_values
 from softcal_jax.sweeps._row import TrialRow
 from softcal_jax.sweeps._tables import (
     default_figures,
-    group_table,
-    headline,
     mean_text,
     readable_figure,
-    reasons,
-    trial_table,
+    tabulated,
 )
 from softcal_jax.sweeps._trial import describe, is_number, shown
 
@@ -86,13 +83,13 @@ class SweepSummary(NamedTuple):
 def summarise(result: SweepResult) -> SweepSummary:
     """Summarise a sweep, finished or not."""
     good = result.of_state("converged")
-    figures = _told_figures(result)
+    figures = _figures_of_the_robot(result)
     bad = len(result.rows) - len(good)
     repeated = any(len(group.rows) > 1 for group in result.groups())
     tone: Tone = "doubtful" if bad else "plain"
     best, best_in_words = _best(result, figures)
     return SweepSummary(
-        headline=headline(result),
+        headline=result.headline,
         tone="bad" if bad and not good else tone,
         doubts=tuple(_doubts(result, bad)),
         notes=_notes(good),
@@ -100,15 +97,15 @@ def summarise(result: SweepResult) -> SweepSummary:
         best=best,
         best_in_words=best_in_words,
         spread=_spread(result),
-        groups=group_table(result, figures) if repeated else None,
-        trials=trial_table(result, figures, result.rows[:MOST_TRIALS]),
+        groups=tabulated(result, figures, result.groups()) if repeated else None,
+        trials=tabulated(result, figures, result.rows[:MOST_TRIALS]),
         more_trials=max(0, len(result.rows) - MOST_TRIALS),
         axes=tuple(_swept(result, good, figures[:MOST_CHARTED])),
         not_drawn=figures[MOST_CHARTED:],
     )
 
 
-def _told_figures(result: SweepResult) -> tuple[str, ...]:
+def _figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:
     """Pick the figures that tell of the robot, the error of the prediction first."""
     found = [name for name in default_figures(result) if not is_of_the_fit(name)]
     if HELD_OUT in found:  # the fit is no test of the model
@@ -123,7 +120,7 @@ def _doubts(result: SweepResult, bad: int) -> Iterator[str]:
             f"{bad} {what} failed or did not converge, and count in no mean, chart or "
             "best value."
         )
-    yield from (f"{state.capitalize()}, {text}" for state, text in reasons(result))
+    yield from (f"{state.capitalize()}, {text}" for state, text in result.reasons)
     if left := len(result.missing):
         what = "trial is" if left == 1 else "trials are"
         yield f"{left} {what} left to do: the same command goes on from here."
@@ -168,7 +165,7 @@ def _best(
     value = f"{factor * values[order[0]]:.4g} {unit.rstrip(']')}".rstrip()
     where = describe(ranked[0].point)
     sentence = f"The lowest {words} of {len(order)} trials is {value}, at {where}."
-    return trial_table(result, figures, ranked), sentence
+    return tabulated(result, figures, ranked), sentence
 
 
 def _spread(result: SweepResult) -> Tabulated:

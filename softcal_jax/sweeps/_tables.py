@@ -1,7 +1,6 @@
 """A sweep as tables for a terminal, as CSV, and as a picture."""
 
 import csv
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -15,7 +14,7 @@ from softcal_jax.identifiability import Tabulated
 from softcal_jax.plotting import plot_trials
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
 from softcal_jax.sweeps._row import TrialRow
-from softcal_jax.sweeps._trial import describe, is_number, shown
+from softcal_jax.sweeps._trial import is_number, shown
 
 if TYPE_CHECKING:
     import rich.console
@@ -34,6 +33,10 @@ _NARROW = 24
 """Characters to which a cell with spaces may be wrapped."""
 
 _STYLE = {"converged": "", "not converged": "yellow", "failed": "red"}
+
+
+Lines = Sequence[Group] | Sequence[TrialRow]
+"""What the lines of a table are: groups of trials, or single ones."""
 
 
 class _Column(NamedTuple):
@@ -84,30 +87,24 @@ def sweep_table(
     from rich.text import Text
 
     asked = None if figures is None else [result.figure(name) for name in figures]
-    groups = result.groups(by)
-    parts: list[Any] = [Text(f"{result.name}: {headline(result)}", style="bold")]
+    grouped = result.groups(by)
+    lines = result.rows if every else grouped
+    parts: list[Any] = [Text(f"{result.name}: {result.headline}", style="bold")]
     if not result.rows:
         return Printed(*parts)
-    styles = [_STYLE[row.state] if every else "" for row in result.rows]
-    columns = (
-        _trial_columns(result.axes, result.rows) if every else _group_columns(groups)
-    )
+    columns = _leading_columns(result, lines)
     room = width - 1 - sum(c.width for c in columns)
     kept = []
     for figure in default_figures(result) if asked is None else asked:
-        factor, head = readable_figure(result, figure)
-        if every:
-            cells = [_trial_cell(row, figure, factor) for row in result.rows]
-        else:
-            cells = [mean_text(factor * group.numbers(figure)) for group in groups]
-        column = _Column(head, cells)
+        column = _figure_column(result, figure, lines)
         room -= column.width
         if asked is None and kept and room < 0:
             break
         columns.append(column)
         kept.append(figure)
+    styles = [_STYLE[row.state] if every else "" for row in result.rows]
     parts.append(_table(columns, styles, width))
-    if not every and any(group.count("converged") > 1 for group in groups):
+    if not every and any(group.count("converged") > 1 for group in grouped):
         parts.append(Text("Mean ± standard deviation over the trials that converged."))
     others = [name for name in result.figure_names if name not in kept]
     if others:
@@ -115,50 +112,25 @@ def sweep_table(
         listed = ", ".join(others[:MOST_NAMES])
         listed += f" and {more} more" if more > 0 else ""
         parts.append(Text(f"Also kept: {listed} (--figure NAME)."))
-    return Printed(*parts, *_reasons(result, every))
-
-
-def headline(result: SweepResult) -> str:
-    """Say how many trials have ended, and how."""
-    n, total = len(result.rows), len(result.rows) + len(result.missing)
-    counts = Counter(row.state for row in result.rows)
-    states = ", ".join(f"{counts[state]} {state}" for state in _STYLE if counts[state])
-    ended = f": {states}" if states else ""
-    return f"{n} of {total} trials have ended{ended}."
-
-
-def _reasons(result: SweepResult, every: bool) -> list[Any]:
-    from rich.text import Text
-
-    found = reasons(result)
-    lines = [Text(f"{state}, {text}", style=_STYLE[state]) for state, text in found]
-    if lines and not every:
-        lines.append(Text("--all lists every trial."))
-    return lines
-
-
-def reasons(result: SweepResult) -> list[tuple[str, str]]:
-    """Write why trials failed or did not converge, each reason once, by the state."""
-    rows: dict[tuple[str, str], list[TrialRow]] = {}
-    for row in result.rows:
-        if row.state != "converged":
-            first, *more = row.reason.strip().splitlines() or [""]
-            reason = first + (" ..." if more else "")
-            rows.setdefault((row.state, reason), []).append(row)
-    lines = []
-    for (state, reason), own in rows.items():
-        n = f"{len(own)} trials, the first" if len(own) > 1 else "1 trial"
-        where = describe(own[0].point)
-        lines.append((state, f"{n} at {where}: {reason}"))
-    return lines
-
-
-def _group_columns(groups: Sequence[Group]) -> list[_Column]:
-    """Make columns of the groups' values, and of how their trials ended."""
-    columns = [
-        _Column(axis, [shown(g.values[axis]) for g in groups], "left")
-        for axis in groups[0].values
+    bad = [
+        Text(f"{state}, {text}", style=_STYLE[state]) for state, text in result.reasons
     ]
+    if bad and not every:
+        bad.append(Text("--all lists every trial."))
+    return Printed(*parts, *bad)
+
+
+def _leading_columns(result: SweepResult, lines: Lines) -> list[_Column]:
+    """Make columns of the axes, and of how trials ended, one by one or in groups."""
+    rows = [line for line in lines if isinstance(line, TrialRow)]
+    groups = [line for line in lines if isinstance(line, Group)]
+    points = [row.point for row in rows] + [group.values for group in groups]
+    axes = groups[0].values if groups else result.axes
+    columns = [_Column(a, [shown(point[a]) for point in points], "left") for a in axes]
+    if not groups:
+        outcomes = _Column("outcome", [row.state for row in rows], "left")
+        seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in rows])
+        return [*columns, outcomes, seconds]
     counts = {
         "trials": [len(g.rows) for g in groups],
         "not converged": [g.count("not converged") for g in groups],
@@ -172,50 +144,27 @@ def _group_columns(groups: Sequence[Group]) -> list[_Column]:
     ]
 
 
-def _trial_columns(axes: Sequence[str], rows: Sequence[TrialRow]) -> list[_Column]:
-    """Make columns of each trial's point, and of how it ended."""
-    columns = [
-        _Column(axis, [shown(row.point[axis]) for row in rows], "left") for axis in axes
-    ]
-    outcomes = _Column("outcome", [row.state for row in rows], "left")
-    seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in rows])
-    return [*columns, outcomes, seconds]
+def _figure_column(result: SweepResult, figure: str, lines: Lines) -> _Column:
+    """Make a column of a figure: of each trial, or means over the trials of a group."""
+    factor, head = readable_figure(result, figure)
+
+    def cell(line: Group | TrialRow) -> str:
+        if isinstance(line, Group):
+            return mean_text(factor * line.numbers(figure))
+        value = line.figures.get(figure)
+        if isinstance(value, int | float):
+            return f"{factor * value:.5g}"
+        return str(value or "-")
+
+    return _Column(head, list(map(cell, lines)))
 
 
-def group_table(result: SweepResult, figures: Sequence[str]) -> Tabulated:
-    """Tabulate means over repetitions, for each point."""
-    groups = result.groups()
-    columns = _group_columns(groups)
-    for figure in figures:
-        factor, head = readable_figure(result, figure)
-        cells = [mean_text(factor * group.numbers(figure)) for group in groups]
-        columns.append(_Column(head, cells))
-    return _texts(columns)
-
-
-def trial_table(
-    result: SweepResult, figures: Sequence[str], rows: Sequence[TrialRow]
-) -> Tabulated:
-    """Tabulate some trials of a sweep, with these figures."""
-    columns = _trial_columns(result.axes, rows)
-    for figure in figures:
-        factor, head = readable_figure(result, figure)
-        columns.append(
-            _Column(head, [_trial_cell(row, figure, factor) for row in rows])
-        )
-    return _texts(columns)
-
-
-def _texts(columns: Sequence[_Column]) -> Tabulated:
+def tabulated(result: SweepResult, figures: Sequence[str], lines: Lines) -> Tabulated:
+    """Tabulate figures of some trials, or their means over groups of trials."""
+    columns = _leading_columns(result, lines)
+    columns += [_figure_column(result, figure, lines) for figure in figures]
     rows = zip(*(column.cells for column in columns), strict=True)
     return Tabulated(tuple(column.head for column in columns), list(rows))
-
-
-def _trial_cell(row: TrialRow, figure: str, factor: float) -> str:
-    value = row.figures.get(figure)
-    if isinstance(value, int | float):
-        return f"{factor * value:.5g}"
-    return str(value or "-")
 
 
 def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:

@@ -75,32 +75,20 @@ def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
         assert workers.map(Program(fails), lanes(0, 1, -3)) == [0, 1, -3]
 
 
-def test_the_end_of_each_lane_is_told(cantilever):
-    told = []
-    with Workers(cantilever[0], 8, 2) as workers:
-        workers.map(Program(same), lanes(5, 6, 7), lambda *end: told.append(end))
-    assert sorted(told) == [(0, 5), (1, 6), (2, 7)]
-
-
 def test_the_first_lane_of_a_new_program_goes_ahead_alone(cantilever):
     """It compiles for all; afterwards none waits for another, in a new context too."""
-    meeting = Barrier(2, timeout=20.0)
+    meeting, alone = Barrier(2, timeout=20.0), lanes(np.zeros(()))
+    both = lanes(np.ones(()), np.ones(()))
 
     def meet(lane):
         return lane == 0 or meeting.wait() >= 0
 
     with Workers(cantilever[0], 8, 2) as workers:
         # Two that wait for each other would wait for ever if one went ahead.
-        assert workers.map(Program(meet), lanes(np.zeros(()))) == [True]
-        assert workers.map(Program(meet), lanes(np.ones(()), np.ones(()))) == [
-            True,
-            True,
-        ]
+        assert workers.map(Program(meet), alone) == [True]
+        assert workers.map(Program(meet), both) == [True, True]
     with Workers(cantilever[0], 8, 2) as workers:
-        assert workers.map(Program(meet), lanes(np.ones(()), np.ones(()))) == [
-            True,
-            True,
-        ]
+        assert workers.map(Program(meet), both) == [True, True]
         impatient = Barrier(2, timeout=0.2)
         with pytest.raises(BrokenBarrierError):
             workers.map(Program(lambda lane: impatient.wait()), lanes(0, 1))

@@ -143,7 +143,7 @@ def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypa
     ("statement", "message"),
     [
         ("UPDATE trials SET state = 'great'", r"trials\.\w+\.state is 'great': Input"),
-        ("UPDATE trials SET figures = '{'", r"figures is '{', which is no JSON"),
+        ("UPDATE trials SET figures = '{'", r"figures is '{': Invalid JSON"),
         ("UPDATE trials SET figures = '[1]'", r"figures is \[1\]: Input should be a"),
         (
             "UPDATE trials SET figures = '{\"x\": [1]}'",
@@ -166,11 +166,11 @@ def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypa
             "UPDATE plan SET key = 'b'",
             r"plan\.b\.point is \{.*not the point of this",
         ),
-        ("DELETE FROM sweep", r"sweep\.name is None, which is no JSON"),
+        ("DELETE FROM sweep", r"sweep\.name is None: JSON input should be"),
         ("UPDATE sweep SET value = '[1]'", r"sweep\.name is \[1\]: Input should be a"),
         (
             f"UPDATE sweep SET value = '{'[' * 100_000}'",
-            r"sweep\.name is '\[+\.\.\., which is no JSON",
+            r"sweep\.name is '\[+\.\.\.: Invalid JSON",
         ),
     ],
 )
