@@ -5,6 +5,7 @@ import pytest
 from all_kinds_project import ALL_KINDS
 from matplotlib.image import imread
 from small_project import write_small_project
+from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.cli import main
@@ -43,7 +44,6 @@ def test_one_of_each_kind(every_kind, capsys):
     assert code == 0
     assert programs == []
     for line in (
-        "Nothing was solved; the project reads as follows.",
         "mesh 28 nodes, 36 linear tets; 60 x 20 x 20 mm",
         "volume 24 ml",
         # 24 g and the 10 g of the tip.
@@ -62,17 +62,19 @@ def test_one_of_each_kind(every_kind, capsys):
         'material.density "1 g/cm^3" 1000 kg/m^3',
         'effectors.torque.std "1 N*mm" 0.001 N*m',
         "softcal identify has all it needs",
-        "softcal export not for SOFA, CalculiX or Abaqus: rigid bodies (arm, tip, "
-        "collar)",
     ):
         assert line in lines
+    assert says(lines, "Nothing was solved")
+    assert says(
+        lines, "softcal export not for SOFA ... rigid bodies (arm, tip, collar)"
+    )
     # 16 nodes of no body, and the six coordinates of the tip: the motor holds the arm.
     assert any("54 free in imposed forces" in line for line in lines)
     loaded = next(line for line in lines if line.startswith("loaded fitted"))
     assert "foot (4 nodes, only z, moved (0, 0, 1) mm)" in loaded
     assert "2 N along +y on y_max = 6 x weight" in loaded
-    refused = lines.index("softcal calibrate would refuse: 2 problems.")
-    assert "configurations.held: it has no `measured`" in lines[refused + 1]
+    (refused,) = (i for i, line in enumerate(lines) if "would refuse: 2" in line)
+    assert says(lines[refused + 1], "configurations.held: ... no `measured`")
     picture = every_kind.with_name("robot_check.png")
     assert f"Picture in {picture}." in lines
     pixels = imread(picture)[..., :3]
@@ -101,7 +103,7 @@ def test_markers_of_recordings(tmp_path, capsys):
     assert any(line.startswith("weight 2 markers moved 0.57 to") for line in lines)
     picture.write_bytes(b"a picture of someone else")
     assert main(["check", str(path), *option]) == 2
-    assert "exists already. Choose another name, or" in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "exists already ... another name")
     assert main(["check", str(path), *option, "--no-pictures"]) == 0
     assert picture.read_bytes() == b"a picture of someone else"
 
@@ -111,9 +113,7 @@ def test_what_is_doubted_comes_first(tmp_path, capsys):
     code, lines, _ = checked(path, capsys, "--no-pictures")
     assert code == 0
     warned = next(i for i, line in enumerate(lines) if line.startswith("warning: "))
-    told = lines.index(
-        "Nothing was solved; the project reads as follows, with the warning above."
-    )
+    (told,) = (i for i, line in enumerate(lines) if "with the warning above" in line)
     assert warned < told
     assert "material.density" in lines[warned]
     assert not (tmp_path / "project_check.png").exists()
@@ -129,7 +129,7 @@ def test_bad_input(tmp_path, capsys):
 
 def test_a_project_that_was_only_read_is_not_solved(tmp_path):
     project = load_project(write_small_project(tmp_path), solve=False)
-    with pytest.raises(RuntimeError, match='built to be looked at, with solver="none"'):
+    with pytest.raises(RuntimeError, match='solver="none"'):
         project.simulate()
 
 

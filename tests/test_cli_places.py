@@ -8,6 +8,7 @@ import tempfile
 import pytest
 from small_project import write_small_project
 from test_cli import interrupt, left_behind, stands, stop_at_the_first_solve
+from wording import says
 
 from softcal_jax.cli import main
 
@@ -25,7 +26,9 @@ def test_interrupted_before_the_first_step(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("softcal_jax.project.Project.calibrate", interrupt)
     command = ["calibrate", str(path), "-o", str(out), "--checkpoint", str(checkpoint)]
     assert main(command) == 130
-    assert capsys.readouterr().err == "interrupted. " + stands(checkpoint)
+    errors = capsys.readouterr().err
+    assert errors.startswith("interrupted. ")
+    assert stands(errors, checkpoint)
 
 
 @pytest.mark.parametrize("command", ["calibrate", "simulate", "identify"])
@@ -38,7 +41,7 @@ def test_an_unwritable_folder_is_found_before_anything_is_solved(
     path = write_small_project(tmp_path)
     assert main([command, str(path), "-o", str(tmp_path / place)]) == 2
     errors = capsys.readouterr().err
-    assert errors.startswith(f"error: no results can be written to {tmp_path / place}")
+    assert says(errors, f"error: ... {tmp_path / place}")
     assert errors.endswith("choose another folder.\n")
     assert left_behind(tmp_path) == set()
 
@@ -69,16 +72,15 @@ def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
     text, errors = capsys.readouterr()
     assert "300.0" in text  # E of the recordings [kPa]
     first, then = errors.splitlines()
-    where = f"{out} (No space left on device): choose another folder."
-    assert first == f"error: no results can be written to {where}"
-    assert stands(checkpoint).strip() in then
+    assert says(first, f"error: ... {out} (No space left on device) ... another folder")
+    assert stands(then, checkpoint)
     assert left_behind(tmp_path) == {"second", "fit.npz"}
     if also_there:
         (folder,) = second.iterdir()
-        assert then.startswith(f"The results are in {folder} instead: copy them")
+        assert says(then, f"results are in {folder} instead")
         assert json.loads((folder / "result.json").read_text())["converged"]
     else:
-        assert then.startswith(f"Nor could they be written to {second} (")
+        assert says(then, f"Nor ... {second}")
         assert list(second.iterdir()) == []
         monkeypatch.undo()
         assert main(command) == 0

@@ -17,6 +17,7 @@ import jax
 import platformdirs
 import pytest
 from small_project import write_small_project
+from wording import says
 
 from softcal_jax import _compilation_cache
 from softcal_jax._compilation_cache import (
@@ -81,7 +82,7 @@ def test_switched_off_it_stays_off(config, tmp_path):
 def test_a_folder_that_cannot_be_written_is_said_once(config, tmp_path):
     (tmp_path / "file").write_text("")
     folder = tmp_path / "file" / "cache"
-    text = rf"compiled programs are not kept, .* {re.escape(str(folder))} cannot be "
+    text = rf"not kept, .* {re.escape(str(folder))} cannot be "
     with pytest.warns(CompilationCacheWarning, match=text + r"written \(Not a dir"):
         assert use_compilation_cache(folder) is None
     with warnings.catch_warnings():
@@ -124,8 +125,8 @@ def test_a_folder_that_others_may_write_is_refused(config, tmp_path, bits):
     (tmp_path / "shared").chmod(bits)
     (tmp_path / "link").symlink_to(tmp_path / "shared")
     folder = tmp_path / "link"
-    said = rf"are not kept.*link may be written by others \(mode 0{bits:o}\)"
-    assert refused(folder, said + ".* `chmod 700 .*` makes it private")
+    said = rf"link may be written by others \(mode 0{bits:o}\)"
+    assert refused(folder, said + ".*chmod 700 ")
     assert list(folder.iterdir()) == []
 
 
@@ -134,7 +135,7 @@ def test_a_folder_of_another_user_is_refused(config, tmp_path, monkeypatch):
     (tmp_path / "theirs").mkdir()
     uid = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: uid + 1)
-    text = rf"theirs belongs to another user \(uid {uid}\), whose programs would run"
+    text = rf"theirs belongs to another user \(uid {uid}\)"
     assert refused(tmp_path / "theirs", text)
 
 
@@ -145,7 +146,7 @@ def test_a_folder_that_anyone_may_replace_is_refused(config, tmp_path):
     (tmp_path / "for all").chmod(0o1777)
     assert use_compilation_cache(tmp_path / "for all" / "mine") is not None
     (tmp_path / "for all").chmod(0o777)
-    text = "mine may be replaced by anyone, who may write .*for all"
+    text = "mine may be replaced.*for all"
     assert refused(tmp_path / "for all" / "mine", text)
 
 
@@ -220,7 +221,7 @@ def test_commands_use_it(config, tmp_path, capsys):
     assert main(["identify", missing]) == 2
     printed = capsys.readouterr().out.replace("\n", "")
     assert printed.count("warning: compiled programs are not kept") == 1
-    assert "or set JAX_ENABLE_COMPILATION_CACHE=0." in printed
+    assert says(printed, "JAX_ENABLE_COMPILATION_CACHE=0")
 
 
 CALIBRATE = """
@@ -314,9 +315,8 @@ def test_commands_throw_a_torn_entry_away(config, tmp_path, capsys):
         )
     assert not torn.exists()
     assert other.exists()
-    assert capsys.readouterr().out == (
-        "warning: the compiled program jit_decide on the disk was damaged; it is "
-        "compiled again.\n"
+    assert says(
+        capsys.readouterr().out, "warning: ... jit_decide ... damaged ... again"
     )
 
 

@@ -26,6 +26,7 @@ from messages import VALUE, anchor, messages
 from packaging.requirements import Requirement
 from recorded import MARK, numbers, pages, renewed, written
 from records import committed, goals_of, rows
+from wording import says
 
 import softcal_jax as sc
 from softcal_jax.control import OUTCOMES
@@ -261,7 +262,7 @@ def test_every_message_has_an_anchor_of_its_own():
     listed = [message for own in messages().values() for message in own]
     assert len(listed) > 500
     assert len({anchor(message) for message in listed}) == len(listed)
-    assert "candidates: there are none; add [[candidates]]." in listed
+    assert says(listed, "candidates: ... add [[candidates]]")
 
 
 def test_what_a_project_file_is_told_is_among_the_messages():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from export.handmade import make_result
 from small_project import write_small_project
+from wording import says
 
 import softcal_jax as sc
 from softcal_jax.cli import main
@@ -105,7 +106,8 @@ def test_a_file_that_changed_is_named(folder):
     with pytest.raises(ResultError) as caught:
         load_result(folder / "out")
     text = str(caught.value)
-    assert f"- {file} has changed: its SHA-256 was 339d0ebea340" in text
+    assert f"{file} has changed: " in text
+    assert "339d0ebea340" in text
     assert "project.toml has changed" not in text
     assert "calibrate again" in text
 
@@ -118,7 +120,7 @@ def test_all_that_is_wrong_is_named(folder):
         load_result(folder / "out")
     text = str(caught.value)
     assert "project.toml has changed" in text
-    assert "markers.csv is missing. Did you mean 'marker.csv'?" in text
+    assert says(text, "markers.csv is missing ... mean 'marker.csv'")
 
 
 def test_changes_of_the_file_are_made_again(folder, calibrated):
@@ -138,13 +140,13 @@ def test_one_that_did_not_converge_says_so(folder, calibrated, capsys):
     )
     with pytest.warns(_write.PictureWarning):
         write_results(dataclasses.replace(result, converged=False), folder / "early")
-    with pytest.warns(ResultWarning, match="early.*did not converge: do not use"):
+    with pytest.warns(ResultWarning, match=r"early.*not converge"):
         loaded = load_result(folder / "early")
     assert not loaded.converged
     argv = ["export", "inp", str(folder / "early"), "-o", str(folder / "job.inp")]
     assert main([*argv, "--configuration", "weight"]) == 0
     text = capsys.readouterr().out
-    assert f"warning: {folder / 'early' / 'result.json'}: the calibration did" in text
+    assert says(text, f"warning: {folder / 'early' / 'result.json'} ... not converge")
 
 
 def test_what_the_calibration_doubts_is_said_by_exports(folder, capsys):
@@ -155,7 +157,7 @@ def test_what_the_calibration_doubts_is_said_by_exports(folder, capsys):
     argv = ["export", "inp", str(path), "-o", str(folder / "doubted.inp")]
     assert main([*argv, "--configuration", "weight"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert f"Note: take the values with care: {reasons[0]}" in said
+    assert says(said, f"with care: {reasons[0]}")
 
 
 def test_made_in_python(tmp_path, monkeypatch):
@@ -163,7 +165,7 @@ def test_made_in_python(tmp_path, monkeypatch):
     with pytest.warns(_write.PictureWarning):
         write_results(make_result(), tmp_path / "out")
     assert json.loads((tmp_path / "out" / "result.json").read_text())["source"] is None
-    with pytest.raises(ResultError, match="made in Python, without a project file"):
+    with pytest.raises(ResultError, match="made in Python"):
         load_result(tmp_path / "out")
 
 
@@ -178,10 +180,10 @@ def edited(folder, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.pop("source"), "names no project file, as results of earlier"),
+        (lambda d: d.pop("source"), "names no project file"),
         (lambda d: d.update(format="softcal_jax.result/1"), "format is 'softcal_jax.r"),
         (lambda d: d.update(format="softcal_jax.simulation/1"), "holds no calibration"),
-        (lambda d: d.pop("format"), r"cut short\? format: Field required"),
+        (lambda d: d.pop("format"), "format: Field required"),
         (lambda d: d["parameters"][0].update(value=None), r"parameters\.0\.value: "),
         (lambda d: d["parameters"][0].update(name="G"), "parameters were G and are E"),
         (lambda d: d["solver"].update(n_tets=7), "n_tets was 7 and is 18"),
@@ -194,7 +196,7 @@ def test_what_is_no_result(folder, change, message):
 
 def test_files_that_cannot_be_read(tmp_path):
     (tmp_path / "result.json").write_text("{")
-    with pytest.raises(ResultError, match=r"result\.json as softcal calibrate writes"):
+    with pytest.raises(ResultError, match=r"result\.json"):
         load_result(tmp_path)
     (tmp_path / "result.json").write_bytes(b"\xff\xfe")
     with pytest.raises(ResultError, match="It is no text"):
@@ -206,7 +208,7 @@ def test_files_that_cannot_be_read(tmp_path):
 def test_a_configuration_with_calibrated_loads(folder):
     """Factors of the setup are in its arrays; a name is needed where there are two."""
     loaded = load_result(folder / "out")
-    with pytest.raises(ValueError, match="configurations 'weight' and 'pulled'; name"):
+    with pytest.raises(ValueError, match="configurations 'weight' and 'pulled'"):
         loaded.posed()
     with pytest.raises(ValueError, match=r"unknown configuration 'pull'.*'pulled'"):
         loaded.posed("pull")
@@ -235,11 +237,11 @@ def test_export_of_an_input_file(folder, capsys):
     job = folder / "job.inp"
     argv = ["export", "inp", str(folder / "out"), "-o", str(job)]
     assert main(argv) == 2
-    assert "configurations 'weight' and 'pulled'; name" in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "configurations 'weight' and 'pulled'")
     assert main([*argv, "--configuration", "pulled"]) == 0
     text, errors = capsys.readouterr()
     assert errors == ""
-    assert "Note: *HYPERELASTIC, NEO HOOKE splits off the change of volume" in text
+    assert says(text, "NEO HOOKE ... change of volume")
     assert f"Wrote {job}." in text
     lines = job.read_text().splitlines()
     assert lines[1] == "small: pulled"
@@ -298,13 +300,13 @@ def test_a_project_file_as_foam(folder, capsys, monkeypatch):
     where = ["robot/project.toml", "-o", "print"]
     assert main(["export", "icesl", *where, *options]) == 0
     said = capsys.readouterr().out
-    assert "100 % of the part has moduli that the foam does not reach" in said
+    assert says(said, "100 % ... moduli ... foam")
     about = json.loads((folder / "print" / "icesl.json").read_text())
     assert about["angle"] == {"marks": "stiff", "offset_deg": 90.0, "clockwise": True}
     assert about["bed"]["size_mm"] == pytest.approx([60.0, 20.0, 20.0])
     assert about["bed"]["rotation"][2] == [0.0, -1.0, 0.0]
     assert main(["export", "icesl", *where, "--force", "--infill", "phasor"]) == 2
-    assert "no moduli of Phasor are published" in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "no moduli of Phasor")
     both = ["--table", "foam.csv", "--solid-modulus", "1 MPa", "--force"]
     assert main(["export", "icesl", *where, *both]) == 2
     assert "Give one of the two" in capsys.readouterr().err

@@ -10,6 +10,7 @@ import pytest
 from export.handmade import make_fit, make_result, make_simulation_result, small_model
 from robot_project import write_robot_project
 from test_page import DATA, check_page
+from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import simulation_result
@@ -158,8 +159,7 @@ def test_every_configuration_and_field_is_offered_and_labelled(tmp_path):
     ]
     for text in [*labels, "droop (fitted)", "held out (held out)"]:
         assert text in page.texts
-    text = "held out (held out): rms distance of the markers: 8.00 mm before, 2.00 mm "
-    assert text + "after (10.0 % of their motion)." in page.text
+    assert says(page.text, "held out (held out): ... 8.00 mm before, 2.00 mm", "10.0 %")
     (area,) = (own for own in page.of("canvas") if own["id"] == "view-area")
     assert area["tabindex"] == "0"
     assert area["aria-label"]
@@ -190,12 +190,12 @@ def test_without_an_equilibrium_nothing_looks_like_one(tmp_path):
     assert "lane 1 - no equilibrium" in page.texts
     words = [own for own in page.of("p") if own.get("class") == "stop"]
     assert len(words) == 1
-    assert "lane 1: no equilibrium (some tets are inverted" in page.text
-    assert "The body is drawn at rest." in page.text
+    assert says(page.text, "lane 1: no equilibrium ... inverted")
+    assert says(page.text, "drawn at rest")
     write_simulation(make_simulation_result(model, (False,)), tmp_path / "none")
     page = check_page(tmp_path / "none")
     assert not page.of("canvas")
-    assert "There is no body to turn: no configuration has an equilibrium." in page.text
+    assert says(page.text, "no configuration has an equilibrium")
 
 
 def test_a_calibration_that_did_not_converge_says_so_above_its_view(tmp_path):
@@ -203,7 +203,7 @@ def test_a_calibration_that_did_not_converge_says_so_above_its_view(tmp_path):
         folder = tmp_path / str(converged)
         write_results(make_result(converged=converged), folder)
         page, _ = read(folder)
-        said = "NOT CONVERGED: do not use these values" in page.texts
+        said = any(text.startswith("NOT CONVERGED:") for text in page.texts)
         assert said != converged
 
 
@@ -223,7 +223,7 @@ def test_what_is_too_large_is_coarser_or_left_out_and_said(monkeypatch):
 
     monkeypatch.setattr(_view, "MOST_DATA", most - 1)
     coarse = body_view(result, None)
-    assert "Curved faces are drawn coarsely, to keep the page small." in coarse.content
+    assert says(coarse.content, "coarsely ... keep the page small")
     data = data_of(coarse)
     assert len(unpacked(data["triangles"])) * 4 == len(
         unpacked(data_of(whole)["triangles"])
@@ -234,7 +234,7 @@ def test_what_is_too_large_is_coarser_or_left_out_and_said(monkeypatch):
     monkeypatch.setattr(_view, "MOST_DATA", 1)
     none = body_view(result, None)
     n = len(surface_of(model, 1).faces)
-    assert f"The surface of this mesh, {n} faces, is too large" in none.content
+    assert says(none.content, f"{n} faces ... too large")
     assert not none.script
     assert not none.names
 
@@ -244,7 +244,7 @@ def test_what_is_too_large_is_coarser_or_left_out_and_said(monkeypatch):
     most = len(json.dumps(data_of(body_view(alone, None)), separators=(",", ":")))
     monkeypatch.setattr(_view, "MOST_DATA", most + 100)
     first = body_view(result, None)
-    assert "Left out to keep the page small: held out." in first.content
+    assert says(first.content, "keep the page small: held out")
     assert first.names == {"droop"}
     assert len(data_of(first)["configurations"]) == 1
 

@@ -41,7 +41,7 @@ def test_a_second_process_is_refused_at_once_and_a_killed_one_blocks_nobody(tmp_
         assert first.stdout is not None
         assert first.stdout.readline() == "held\n"
         with (
-            pytest.raises(BlockingIOError, match=r"another test is writing to .*file"),
+            pytest.raises(BlockingIOError, match=r"writing to .*file"),
             only_writer(path, "test"),
         ):
             pass
@@ -55,7 +55,7 @@ def test_a_second_process_is_refused_at_once_and_a_killed_one_blocks_nobody(tmp_
 def test_a_second_writer_in_one_process_is_refused(tmp_path):
     with only_writer(tmp_path / "file", "test"):
         with (
-            pytest.raises(BlockingIOError, match="another test is writing to"),
+            pytest.raises(BlockingIOError, match="another test is writing"),
             only_writer(tmp_path / "file", "test"),
         ):
             pass
@@ -92,11 +92,11 @@ def below_a_file(folder):
 @pytest.mark.parametrize(
     ("place", "message"),
     [
-        (below_a_file, r"the folder .*file of fit\.npz does not exist: make it, or"),
-        (lambda folder: folder / "none" / "fit", "the folder .* does not exist"),
-        (lambda folder: folder, "is a folder; name a file in it"),
-        (lambda folder: folder / ("n" * 245), r"\(File name too long\): give another"),
-        (lambda folder: folder / ("n" * 300), r"\(File name too long\): give another"),
+        (below_a_file, r"file of fit\.npz does not exist"),
+        (lambda folder: folder / "none" / "fit", "folder .* does not exist"),
+        (lambda folder: folder, "is a folder"),
+        (lambda folder: folder / ("n" * 245), r"File name too long.*another"),
+        (lambda folder: folder / ("n" * 300), r"File name too long.*another"),
     ],
 )
 def test_a_place_that_cannot_be_written_is_found_before(tmp_path, place, message):
@@ -114,7 +114,7 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with (
-        pytest.raises(OSError, match=r"fit cannot be written \(No space left on devi"),
+        pytest.raises(OSError, match=r"fit cannot be written.*No space left"),
         only_writer(tmp_path / "fit", "test"),
     ):
         raise AssertionError("too late")

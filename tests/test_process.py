@@ -41,7 +41,7 @@ def entry(request, project):
 def test_float32_is_refused_also_where_it_is_switched_on_later(entry):
     with (
         jax.enable_x64(False),
-        pytest.raises(ValueError, match="needs float64, but JAX is in float32"),
+        pytest.raises(ValueError, match=r"float64.*float32"),
     ):
         entry()
 

@@ -18,6 +18,7 @@ from export.handmade import (
 )
 from matplotlib.image import imread
 from rich.console import Console
+from wording import says
 
 from softcal_jax.calibration import (
     LeftOut,
@@ -114,7 +115,7 @@ def test_without_opengl_the_rest_is_written_and_it_is_said(tmp_path, no_opengl):
 class TestWholeOrNotAtAll:
     def test_refused_without_force(self, tmp_path):
         write_results(make_result(), tmp_path / "out")
-        with pytest.raises(FileExistsError, match=r"out is not empty.*--force"):
+        with pytest.raises(FileExistsError, match=r"not empty.*--force"):
             write_results(make_result(converged=False), tmp_path / "out")
         data = json.loads((tmp_path / "out" / "result.json").read_text())
         assert data["converged"] is True
@@ -229,7 +230,7 @@ def test_summary_in_80_columns():
             role,
             *numbers,
         ]
-    assert "Converged in 4 steps, but take the values with care:" in text
+    assert says(text, "Converged in 4 steps ... with care")
     assert "Note: nu ended on a bound." in text
     assert "…" not in text
 
@@ -299,7 +300,9 @@ def axis_result(*rows, space=None):
 
 def test_angles_are_in_degrees():
     text = printed(summary_table(axis_result()))
-    assert "theta of CP 1 │  -33.94 ± 0.12 deg │  10 deg │   -90 to 90 deg" in text
+    assert says(
+        text, "theta of CP 1 ... -33.94 ± 0.12 deg ... 10 deg ... -90 to 90 deg"
+    )
     assert "rad" not in text
 
 
@@ -316,36 +319,33 @@ def test_summary_names_what_the_data_do_not_see():
         ["theta", "blind", "not identifiable"],
     ]
     flat = " ".join(text.split())
-    assert "up to the asked standard error (precision 0.1), weakly: up to 3" in flat
-    assert "Condition: W_ep in noise units inf." in flat
-    assert (
-        "The data hardly see 1 of 2 directions; along these the start decides, not the "
-        "data: theta (blind)" in flat
-    )
-    assert "Converged in 4 steps, but take the values with care:" in text
+    assert says(flat, "asked standard error ... 0.1 ... 3 times")
+    assert says(flat, "W_ep ... inf")
+    assert says(flat, "1 of 2 directions ... theta (blind)")
+    assert says(text, "Converged in 4 steps ... with care")
     assert "…" not in text
 
 
 @pytest.mark.parametrize(
     ("angle", "words"),
     [
-        (100.0, "The data determine the parameters well."),
-        (20.0, "The data determine the parameters only weakly in part."),
-        (10.0, "The data hardly see 1 of 2 directions"),
+        (100.0, "determine the parameters well"),
+        (20.0, "only weakly"),
+        (10.0, "hardly see 1 of 2 directions"),
     ],
 )
 def test_summary_of_what_they_see(angle, words):
     text = printed(summary_table(axis_result([100.0, 0.0], [0.0, angle])))
     assert words in text
     assert ("hardly see" in text) == (angle == 10.0)
-    assert ("take the values with care" in text) == (angle < 100.0)
+    assert ("with care" in text) == (angle < 100.0)
 
 
 def test_what_is_doubtful_is_not_called_well_determined():
     text = printed(summary_table(make_result()))  # with a parameter on its bound
-    assert "The data would determine the parameters well; see the reasons" in text
+    assert says(text, "would determine the parameters well")
     assert "determine the parameters well." not in text
-    assert "take the values with care:\n  nu ended on a bound." in text
+    assert says(text, "with care: ... nu ended on a bound")
 
 
 def test_many_blind_directions_are_counted():
@@ -356,7 +356,7 @@ def test_many_blind_directions_are_counted():
         )
     )
     text = printed(summary_table(axis_result(*np.zeros((3, 8)), space=space)))
-    assert "The data hardly see 8 of 8 directions" in text
+    assert says(text, "hardly see 8 of 8 directions")
     assert "and 2 more." in text
 
 
@@ -394,7 +394,7 @@ def test_a_verdict_goes_into_the_results(tmp_path):
 
 def test_summary_says_that_it_did_not_converge():
     text = printed(summary_table(make_result(converged=False)))
-    assert "NOT CONVERGED after 4 steps: do not use these values." in text
+    assert says(text, "NOT CONVERGED after 4 steps")
     assert "Converged in" not in text
 
 

@@ -1,5 +1,6 @@
 """What results show of rigid bodies, actuators and their effectors."""
 
+import re
 import csv
 import dataclasses
 import io
@@ -15,6 +16,7 @@ from matplotlib.image import imread
 from rich.console import Console
 from robot_project import write_robot_project
 from scipy.spatial.transform import Rotation
+from wording import says
 
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.cli import main
@@ -163,7 +165,7 @@ def test_robot_vtu(robot):
     np.testing.assert_allclose(first, turned, atol=1e-9)
     body = meshio.read(robot[1] / "up.vtu").point_data["rigid_body"]
     assert sorted(set(body)) == [0.0, 1.0, 2.0]
-    with pytest.raises(ValueError, match=r"must end in \.vtu, got 'a\.vtk'"):
+    with pytest.raises(ValueError, match=r"\.vtu.*'a\.vtk'"):
         write_robot_vtu("a.vtk", robot[0].model, fit_with_robot().robot)
 
 
@@ -303,11 +305,11 @@ def test_the_cable_beam_from_its_project_file(tmp_path, capsys):
     """
     path = str(FOLDER / "project.toml")
     assert main(["identify", path]) == 0
-    assert "No candidate makes the values more certain" in capsys.readouterr().out
+    assert says(capsys.readouterr().out, "No candidate")
     assert main(["calibrate", path, "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
-    assert "Held-out error, wound up: 0.1" in text
-    assert "mm rms over 1 6-D sensor, " in text
+    told = " ".join(text.split())
+    assert re.search(r"Held-out.* wound up: 0\.1\d* mm rms over 1 6-D sensor", told)
     data = json.loads((tmp_path / "out" / "result.json").read_text())
     (E,) = data["parameters"]
     # The law and the mesh of the recordings are others: 1 %.

@@ -23,7 +23,7 @@ def test_control_characters_are_shown_and_not_obeyed(text, shown):
 
 def test_a_control_character_is_refused_by_name():
     check_characters("plain ü\tand\nlines")
-    with pytest.raises(ValueError, match=r"the control character '\\x1b', which would"):
+    with pytest.raises(ValueError, match=r"'\\x1b'"):
         check_characters("\x1b[31m")
 
 

@@ -146,20 +146,20 @@ def test_unilateral():
 @pytest.mark.parametrize(
     ("guides", "message"),
     [
-        (PATH[:1], r"cable 'left' has 1 guide\(s\), expected at least two"),
+        (PATH[:1], r"cable 'left' has 1 guide.*at least two"),
         (
             (PATH[0], PATH[1], PATH[1]),
             r"guides 1 and 2 are both at \[0.03, 0.03, 0.02\] m",
         ),
         (
             (Guide(PATH[0], "ground"), Guide(PATH[1], "ground")),
-            "all guides are on 'ground', so its length cannot change",
+            "all guides are on 'ground'",
         ),
         (
             (Guide(PATH[0], "plate"), Guide(PATH[1], "plate")),
             "all guides are on 'plate'",
         ),
-        (((0.0, 1.0), PATH[0]), "the point of a guide must be three finite numbers"),
+        (((0.0, 1.0), PATH[0]), "point of a guide .*finite"),
         (((0.0, 1.0, np.nan), PATH[0]), "must be three finite numbers"),
     ],
 )
@@ -175,7 +175,7 @@ def test_a_name_is_needed():
 
 def test_guide_outside_the_mesh():
     cable = Cable("left", (PATH[0], (0.2, 0.01, 0.02)))
-    message = r"cable 'left', guide 1: the point .* lies 0.1 m outside the mesh"
+    message = "cable 'left', guide 1: .* 0.1 m outside"
     with pytest.raises(ValueError, match=message):
         arrays_of(body(), cable)
 
@@ -193,7 +193,7 @@ def test_unknown_carrier_is_suggested():
     mesh = body()
     points = with_frames(mesh, (ORIGIN, TURN))
     cable = Cable("left", (PATH[0], Guide(PATH[1], on="plat")))
-    message = "guide 1 is on 'plat', .* Did you mean 'plate'.* Rigid bodies: 'plate'"
+    message = "guide 1 is on 'plat', .*mean 'plate'"
     with pytest.raises(ValueError, match=message):
         actuator_arrays(mesh, points, (cable,), {"plate": 0})
 

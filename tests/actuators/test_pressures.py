@@ -166,8 +166,7 @@ def test_open_chamber():
     mesh = hollow_cube()
     opened = with_cavity(mesh, mesh.faces("cavity")[1:])
     message = (
-        r"chamber 'c': surface 'cavity' is not closed, it has 3 open edges, one at "
-        r"\[.*\] m.* SurfacePressure"
+        r"'c': .*'cavity' is not closed.* 3 open edges.*\[.*\] m.* SurfacePressure"
     )
     with pytest.raises(ValueError, match=message):
         arrays_of(opened, CHAMBER)
@@ -186,7 +185,7 @@ def test_faces_inside_the_body(kind):
     for tet in mesh.tets:
         if len(set(tet[:3]) & set(mesh.faces("cavity").ravel())) == 1:
             inside[-1] = tet[:3]
-    message = "1 of 13 faces of surface 'cavity' are not on the boundary of the body"
+    message = "1 of 13 faces of surface 'cavity'"
     with pytest.raises(ValueError, match=message):
         arrays_of(with_cavity(mesh, inside), kind("c", "cavity"))
 

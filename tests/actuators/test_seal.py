@@ -213,7 +213,7 @@ def test_a_closed_wall_needs_no_seal():
 
 
 def test_an_open_wall_says_how_to_seal_it():
-    message = "'cavity' is not closed, it has 4 open edges.*inlet \\(seal = true\\)"
+    message = r"'cavity' is not closed.* 4 open edges.*\(seal = true\)"
     with pytest.raises(ValueError, match=message):
         arrays_of(channel(0, 3), Chamber("c", "cavity"))
 
@@ -226,7 +226,7 @@ def test_openings_that_meet():
     k = next(k for k, both in enumerate(others) if len(both) == 1)
     left = np.delete(faces, [0, k], axis=0)
     opened = TetMesh(mesh.points, mesh.tets, surface_groups={"cavity": left})
-    message = "chamber 'c': openings of the wall meet at .* mm, so it is not clear"
+    message = "chamber 'c': openings .* mm"
     with pytest.raises(ValueError, match=message):
         arrays_of(opened, SEALED)
 

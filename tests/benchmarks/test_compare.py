@@ -4,6 +4,7 @@ import copy
 import json
 
 import pytest
+from wording import says
 
 from benchmarks import _cli, _compare, _page, _problem, _record
 
@@ -143,7 +144,7 @@ def test_command(tmp_path, old, capsys):
     assert _cli.main(argv) == 1
     printed = capsys.readouterr()
     assert "2.5" in next(x for x in printed.out.splitlines() if "setup_s" in x)
-    assert f"second: new, there is no record {records / 'second.json'}" in printed.err
+    assert says(printed.err, f"second: new ... {records / 'second.json'}")
     assert printed.err.endswith("worse: beam: setup_s\n")
 
 
@@ -151,9 +152,9 @@ def test_command(tmp_path, old, capsys):
     ("text", "message"),
     [
         ("{", "is no JSON: "),
-        ('{"name": "beam"}', "is no record of a benchmark: it has no hardware, "),
-        ("[]", "is no record of a benchmark: it has no name, "),
-        (None, "cannot be read: No such file or directory."),
+        ('{"name": "beam"}', "no record ... no hardware"),
+        ("[]", "no record ... no name"),
+        (None, "cannot be read ... No such file"),
     ],
 )
 def test_what_is_no_record(tmp_path, capsys, text, message):
@@ -161,7 +162,7 @@ def test_what_is_no_record(tmp_path, capsys, text, message):
     if text is not None:
         path.write_text(text)
     assert _cli.main(["compare", str(path)]) == 2
-    assert message in capsys.readouterr().err
+    assert says(capsys.readouterr().err, message)
 
 
 def test_an_empty_folder(tmp_path, capsys):

@@ -7,6 +7,7 @@ import os
 import sys
 
 import pytest
+from wording import says
 
 from benchmarks import _cli, _problem, _record, _timing
 
@@ -109,8 +110,8 @@ def test_without_json_nothing_is_written(package, tmp_path, monkeypatch):
 
 def test_unknown_name(package, capsys):
     assert call(package, "run", "nothin") == 2
-    assert capsys.readouterr().err == (
-        "unknown benchmark 'nothin'. Did you mean 'nothing'? Known: broken, nothing.\n"
+    assert says(
+        capsys.readouterr().err, "'nothin' ... mean 'nothing' ... broken, nothing"
     )
 
 
@@ -128,9 +129,9 @@ def test_no_command_is_a_wrong_call(package):
 def test_missing_peer(package, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "felupe", None)
     assert call(package, "run", "broken") == 2
-    assert capsys.readouterr().err == (
-        "broken needs felupe, which is not installed: "
-        "pip install softcal-jax[benchmarks]\n"
+    assert says(
+        capsys.readouterr().err,
+        "broken needs felupe ... pip install softcal-jax[benchmarks]",
     )
 
 
@@ -178,8 +179,8 @@ def test_json_knows_no_nan(tmp_path):
     ("value", "error", "message"),
     [
         (math.inf, ValueError, "figure 'x' is inf; JSON has no such number"),
-        (True, TypeError, "figure 'x' must be a number or a word, got True"),
-        ([1.0], TypeError, r"figure 'x' must be a number or a word, got \[1.0\]"),
+        (True, TypeError, "figure 'x' .*got True"),
+        ([1.0], TypeError, r"figure 'x' .*got \[1.0\]"),
     ],
 )
 def test_figures_are_numbers_or_words(value, error, message):

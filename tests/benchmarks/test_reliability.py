@@ -7,6 +7,7 @@ import time
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from wording import says
 
 from benchmarks import _cli, _kills, _oracle, reliability
 from benchmarks._bodies import KINDS as BODIES
@@ -181,10 +182,7 @@ def test_a_process_that_is_left_counts(monkeypatch):
 def test_counts_name_a_part(tmp_path, capsys):
     run = ["run", "reliability", "--output", str(tmp_path), "--count"]
     assert _cli.main([*run, "kill=6"]) == 2
-    assert (
-        "reliability has no part 'kill' to count. It has: malf"
-        in capsys.readouterr().err
-    )
+    assert says(capsys.readouterr().err, "reliability ... 'kill' ... It has:")
     with pytest.raises(SystemExit):
         _cli.main([*run, "kills=0"])
     assert "expected a part and a whole number from 1 on" in capsys.readouterr().err

@@ -64,15 +64,15 @@ def test_bad_actuation(actuation, message):
     ("bodies", "message"),
     [
         ({"tipp": "held"}, "rigid body of configuration 'one'.*'tipp'"),
-        ({"flap": "held"}, "'flap' is tied to 'tip', and moves with it"),
+        ({"flap": "held"}, "'flap' is tied to 'tip'"),
         ({"root": Pose()}, "'root' is turned by motor 'motor'"),
         (
             {"tip": BodyState("free", Pose((0.0, 0.1, 0.0)))},
-            r"'tip' is free, but has a pose: translation \[0.0, 0.1, 0.0\] m.* To hold",
+            r"'tip' is free, .*\[0.0, 0.1, 0.0\] m.* To hold",
         ),
         (
             {"tip": BodyState("hinged", Pose(rotation_vector=(0.5, 0.0, 0.0)))},
-            r"'tip' is hinged, .* rotation vector \[0.5, 0.0, 0.0\] rad\. To hold it",
+            r"'tip' is hinged, .*\[0.5, 0.0, 0.0\] rad.* To hold",
         ),
     ],
 )
@@ -84,7 +84,7 @@ def test_hinge_of_a_torque_needs_a_balance():
     """Weight, a load or another actuator; without any it turns and turns."""
     torque = {"motor": ImposedForce(1e-3)}
     nothing = (0.0, 0.0, 0.0)
-    message = r"leave 1 of the 6 rigid motions free.*'motor' is driven by its torque"
+    message = "1 of the 6 rigid motions .*'motor' is driven by its torque"
     refused(message, actuation=torque, gravity=nothing)
     pulled = torque | {"cable": ImposedForce(1.0)}
     for c in (
@@ -97,7 +97,7 @@ def test_hinge_of_a_torque_needs_a_balance():
 
 
 def test_support_on_a_body():
-    refused("hold 4 nodes of rigid bodies, such as node .* of 'tip'", supports="x_max")
+    refused("4 nodes of rigid bodies, .*'tip'", supports="x_max")
 
 
 def test_bad_poses():
@@ -146,7 +146,7 @@ def test_axes_of_a_hinge():
                 RigidBody("b", "x_max", tied_to="root"),
                 RigidBody("c", MIDDLE, tied_to="b"),
             ),
-            "'c' is tied to 'b', which is tied to 'root' itself",
+            "'c' is tied to 'b', .* 'root'",
         ),
     ],
 )
@@ -159,8 +159,8 @@ def test_bodies_that_do_not_fit(bodies, message):
     ("motors", "message"),
     [
         (("root", "root"), "motors 'm0' and 'm1' both turn 'root'"),
-        (("flap",), "turns 'flap', which is tied to 'tip': let it turn 'tip'"),
-        (("hip",), "unknown rigid body 'hip'. Did you mean 'tip'"),
+        (("flap",), "'flap', .*let it turn 'tip'"),
+        (("hip",), "rigid body 'hip'.* mean 'tip'"),
     ],
 )
 def test_bad_motors(motors, message):

@@ -108,7 +108,7 @@ def test_what_is_not_shown(pose, tmp_path, monkeypatch):
         tag_pose(paths, **one, board=paths)
     text = tmp_path / "text.jpg"
     text.write_text("no picture")
-    with pytest.raises(ValueError, match=r"text.jpg cannot be read; save it as JPEG"):
+    with pytest.raises(ValueError, match=r"text\.jpg cannot be read"):
         tag_pose([text], **one)
     with pytest.raises(FileNotFoundError, match=r"no photograph in .* fits 'none"):
         find_photos("none/*.jpg", tmp_path)

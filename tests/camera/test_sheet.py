@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from wording import says
 
 from softcal_jax.camera import (
     BOARD_IDS,
@@ -31,7 +32,7 @@ def test_tags_are_those_of_the_family():
         published = np.array(list(f"{code:036b}")).reshape(6, 6) == "1"
         turned = [np.rot90(published, k) for k in range(4)]
         assert any(np.array_equal(cells[1:-1, 1:-1], own) for own in turned)
-    with pytest.raises(ValueError, match="there is no tag 587: they go from 0 to 586"):
+    with pytest.raises(ValueError, match=r"no tag 587.* 0 to 586"):
         tag_cells(587)
 
 
@@ -77,9 +78,9 @@ def test_more_tags_take_more_pages(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"size": 0.0}, "size of the tags is 0 m; expected a positive length"),
-        ({"size": 0.25}, "tags of 250 mm do not fit on a4 paper"),
-        ({"count": 0}, "count of the tags is 0; expected one or more"),
+        ({"size": 0.0}, "size of the tags is 0 m"),
+        ({"size": 0.25}, "250 mm .* a4"),
+        ({"count": 0}, "count of the tags is 0"),
         ({"first": 580}, "there is no tag 591"),
         ({"first": 495}, "tags 500 to 534 are those of the board"),
         ({"paper": "a3"}, "paper is 'a3'; expected one of a4, letter"),
@@ -94,7 +95,7 @@ def test_refused(tmp_path, options, message):
 def test_the_command(tmp_path, capsys):
     path = tmp_path / "tags.pdf"
     assert main(["tags", "-o", str(path), "--size", "35 mm", "--count", "4"]) == 0
-    assert "Wrote tags 0 to 3 of 35 mm and the board" in capsys.readouterr().out
+    assert says(capsys.readouterr().out, "tags 0 to 3 ... 35 mm")
     assert main(["tags", "-o", str(path)]) == 2
     assert "exists already" in capsys.readouterr().err
     assert main(["tags", "-o", str(path), "--force", "--size", "35"]) == 2

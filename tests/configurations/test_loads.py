@@ -159,9 +159,7 @@ def test_bad_loads():
         PointForce((0.1, 0.1, 0.1), (0.0, np.nan, 0.0)).nodal_forces(mesh)
     with pytest.raises(ValueError, match=r"three finite numbers \[Pa\].*inf"):
         SurfaceTraction("x_max", (0.0, np.inf, 0.0)).nodal_forces(mesh)
-    with pytest.raises(
-        ValueError, match=r"the point of the force at \(.*\) mm lies 700 mm from"
-    ):
+    with pytest.raises(ValueError, match=r"force at \(.*\) mm.* 700 mm"):
         PointForce((0.1, 0.1, 0.9), FORCE).nodal_forces(mesh)
     with pytest.raises(ValueError, match=r"unknown surface group 'x_mex'.*'x_max'"):
         SurfaceForce("x_mex", FORCE).nodal_forces(mesh)
@@ -176,15 +174,15 @@ def test_bad_loads():
     ("kind", "nodes", "force", "message"),
     [
         (EdgeForce, np.ones(60, bool), FORCE, "an edge force needs .*flatnonzero"),
-        (EdgeForce, [0, -1], FORCE, "an edge force: node -1 is not in the mesh"),
-        (NodalForces, [60], [FORCE], "a nodal force: node 60 is not in the mesh"),
-        (NodalForces, [-1], [FORCE], "node -1 is not in the mesh, .* are 0 to 59"),
+        (EdgeForce, [0, -1], FORCE, "edge force: node -1"),
+        (NodalForces, [60], [FORCE], "nodal force: node 60"),
+        (NodalForces, [-1], [FORCE], "node -1.* 0 to 59"),
         (NodalForces, [4, 5], FORCE, r"2 nodes need forces of shape \(2, 3\) \[N\]"),
         (
             NodalForces,
             [4, 5],
             [FORCE, (0.0, np.nan, 0.0)],
-            r"the force on node 5 is \[ 0\. nan  0\.\]: expected three finite num",
+            r"force on node 5.*\[ 0\. nan  0\.\]",
         ),
     ],
 )

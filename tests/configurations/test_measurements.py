@@ -60,14 +60,14 @@ def test_a_byte_order_mark_and_spaces_are_forgiven(table):
 def test_a_lost_marker_is_refused_only_where_it_is_asked_for(table):
     markers = read_markers(table(TABLE), select={"phase": "pulled"})
     np.testing.assert_allclose(markers.positions_of(["base"]), [[0.011, 0.011, 0.012]])
-    with refused("(phase = pulled), line 7: the position of marker 'tip' is missing"):
+    with refused("(phase = pulled), line 7: ... 'tip'"):
         markers.positions_of(["base", "tip"])
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", ""])
 def test_what_is_not_finite(table, cell):
     markers = read_markers(table(f"marker,x_mm,y_mm,z_mm\na,1,{cell},3\n"))
-    with refused("line 2: the position of marker 'a' is missing or not finite."):
+    with refused("line 2: ... 'a' is missing"):
         markers.positions_of(["a"])
 
 
@@ -86,7 +86,7 @@ def test_directory(tmp_path):
 def test_not_a_text(tmp_path):
     path = tmp_path / "markers.csv"
     path.write_bytes(b"marker,x\n\xff\xfe\x00")
-    with refused(f"marker file {path} cannot be read: 'utf-8' codec"):
+    with refused(f"{path} cannot be read"):
         read_markers(path)
 
 
@@ -102,17 +102,17 @@ def test_no_rows(table, text):
         (
             "markr,x_mm,y_mm,z_mm",
             [
-                "column 'marker' is missing. Did you mean 'markr'?",
+                "'marker' is missing ... mean 'markr'",
                 "Columns there: markr",
             ],
         ),
         ("marker,x_mm,z_mm,n", ["column 'y_mm' is missing."]),
-        ("marker,x_mm,y_cm,z_mm", ["column 'y_mm' is missing. Did you mean"]),
+        ("marker,x_mm,y_cm,z_mm", ["'y_mm' is missing ... mean"]),
         ("marker,a,b,c", ["column 'x' is missing."]),
         ("marker x_mm y_mm z_mm", ["Separate the columns by commas, semicolons"]),
-        ("marker,x_mm,x_cm,z_mm", ["more than one unit (x_cm, x_mm); keep one"]),
-        ("marker,x,y,z", ["carry no unit; name them like x_mm, or give length_unit"]),
-        ("marker,x_mm,x_mm,z_mm", ["its header has the column 'x_mm' twice"]),
+        ("marker,x_mm,x_cm,z_mm", ["(x_cm, x_mm); keep one"]),
+        ("marker,x,y,z", ["no unit ... x_mm ... length_unit"]),
+        ("marker,x_mm,x_mm,z_mm", ["'x_mm' twice"]),
     ],
 )
 def test_bad_header(table, header, texts):
@@ -122,30 +122,28 @@ def test_bad_header(table, header, texts):
 
 
 def test_units_that_contradict(table):
-    with refused("its columns are in 'mm' (x_mm), but length_unit is 'm'"):
+    with refused("'mm' (x_mm) ... length_unit is 'm'"):
         read_markers(table(TABLE), length_unit="m", select={"phase": "rest"})
 
 
 def test_unknown_unit(table):
-    with refused("unknown length unit 'milimm'. Did you mean 'mm'? Known: m, cm"):
+    with refused("'milimm' ... mean 'mm' ... m, cm"):
         read_markers(table(TABLE), length_unit="milimm")
 
 
 def test_selection_that_matches_nothing(table):
-    with refused(
-        "no row has phase = 'puled'. Did you mean 'pulled'?", "there: rest, pulled."
-    ):
+    with refused("phase = 'puled' ... mean 'pulled'", "there: rest, pulled."):
         read_markers(table(TABLE), select={"phase": "puled"})
-    with refused("column 'phas' is missing. Did you mean 'phase'?"):
+    with refused("'phas' is missing ... mean 'phase'"):
         read_markers(table(TABLE), select={"phas": "rest"})
     path = table("run,marker,x,y,z\n1,a,0,0,0\n2,b,0,0,0\n")
-    with refused("no row has run = 1, marker = b together"):
+    with refused("run = 1, marker = b"):
         read_markers(path, length_unit="m", select={"run": "1", "marker": "b"})
 
 
 def test_not_a_number_names_the_line(table):
     path = table(TABLE.replace("1.5", "1;5"))
-    with refused("line 4: y_mm of marker 'tip' is '1;5', not a number."):
+    with refused("line 4: y_mm ... 'tip' ... '1;5', not a number"):
         read_markers(path, select={"phase": "rest"})
 
 
@@ -169,31 +167,31 @@ def test_a_german_table(table):
 
 def test_a_thousand_is_not_taken_for_one(table):
     path = table(GERMAN.replace("1,5", "1.234,5"))
-    with refused("line 2: y_mm of marker 'tip' is '1.234,5', with a point in a file"):
+    with refused("line 2: y_mm ... 'tip' ... '1.234,5'"):
         read_markers(path)
     path = table(GERMAN.replace("1,5", "1.5"))
-    with refused("that has decimal commas: write all numbers with either"):
+    with refused("decimal commas"):
         read_markers(path)
 
 
 def test_decimal_commas_between_commas_are_explained(table):
-    with refused("is '1,5', not a number: write a decimal point."):
+    with refused("'1,5', not a number ... decimal point"):
         read_markers(table('marker,x_mm,y_mm,z_mm\ntip,0,"1,5",2\n'))
-    with refused("5 cells under a header of 4", "decimal commas, put ; between col"):
+    with refused("5 cells under a header of 4", "decimal commas ... ;"):
         read_markers(table("marker,x_mm,y_mm,z_mm\ntip,0,1,5,2\n"))
 
 
 def test_another_encoding_is_explained(table):
     path = table("marker,x_mm,y_mm,z_mm\n")
     path.write_bytes("marker,x_mm,y_mm,z_mm\nRücken,1,2,3\n".encode("latin-1"))
-    with refused("'utf-8' codec", 'Save it as UTF-8 (in a spreadsheet, "CSV UTF-8").'):
+    with refused("'utf-8' codec", "UTF-8"):
         read_markers(path)
 
 
 def test_no_column_is_proposed_that_is_there_for_itself(table):
-    with refused("column 'z_mm' is missing. Columns there: marker, x_mm, y_mm."):
+    with refused("'z_mm' is missing ... marker, x_mm, y_mm"):
         read_markers(table("marker,x_mm,y_mm\ntip,1,2\n"))
-    with refused("column 'x_mm' is missing. Did you mean 'X_mm'?"):
+    with refused("'x_mm' is missing ... mean 'X_mm'"):
         read_markers(table("marker,X_mm,y_mm,z_mm\ntip,1,2,3\n"))
 
 
@@ -208,20 +206,18 @@ def test_names_as_spreadsheets_get_them_from_us(table):
 
 
 def test_a_row_of_another_length(table):
-    with refused("line 5: 4 cells under a header of 5 columns"):
+    with refused("line 5: 4 cells ... 5 columns"):
         read_markers(table(TABLE.replace("10,11", "10")), select={"phase": "rest"})
 
 
 def test_a_marker_twice(table):
-    with refused(
-        "marker 'tip' is there twice, in lines 4 and 7; select the rows of one"
-    ):
+    with refused("'tip' is there twice ... lines 4 and 7; select"):
         read_markers(table(TABLE))
 
 
 def test_a_marker_that_is_not_there(table):
     markers = read_markers(table(TABLE), select={"phase": "rest"})
-    message = "no marker 'tp'. Did you mean 'tip'? It has tip, base. In a project file"
+    message = "no marker 'tp' ... mean 'tip' ... tip, base ... project file"
     with refused(message):
         markers.positions_of(["tp"])
     assert re.search(r"table\.csv \(phase = rest\)$", markers.source)

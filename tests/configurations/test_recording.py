@@ -50,7 +50,7 @@ def test_windows_outside_of_the_recording_are_refused():
         recording.between(-0.3, 0.0, after_step_of="tip")
     with pytest.raises(ValueError, match=r"not all frames between 0.201 and 0.202 s"):
         recording.between(0.201, 0.202)
-    with pytest.raises(ValueError, match=r"has no marker 'Tip'. Did you mean 'tip'"):
+    with pytest.raises(ValueError, match=r"no marker 'Tip'.*mean 'tip'"):
         recording.step_of("Tip")
     with pytest.raises(ValueError, match="'base' does not move"):
         recording.step_of("base")
@@ -195,7 +195,7 @@ def test_no_plateau():
     moving = Recording(NAMES, t, positions, "run")
     with pytest.raises(ValueError, match=r"no plateau of 0.3 s: even in the stillest"):
         moving.plateau(0.3)
-    with pytest.raises(ValueError, match=r"by more than 2 % of the largest motion and"):
+    with pytest.raises(ValueError, match="2 % of the largest motion"):
         moving.plateau(0.3)
     with pytest.raises(ValueError, match="held for less than 5 s away from"):
         noisy().plateau(5.0)

@@ -73,16 +73,16 @@ def test_a_marker_without_weight_is_not_heard():
         (SEEN[:5], NOMINAL, r"as many measured as nominal .*\(5, 3\) and \(6, 3\)"),
         (SEEN[:, :2], NOMINAL[:, :2], r"shape \(n, 3\)"),
         (np.where(SEEN == SEEN[1], np.nan, SEEN), NOMINAL, "must be finite"),
-        (LINE, LINE, "the measured markers of the registration lie on a line"),
-        (SEEN[:4], LINE, "the nominal markers of the registration lie on a line"),
+        (LINE, LINE, "measured markers.* on a line"),
+        (SEEN[:4], LINE, "nominal markers.* on a line"),
         (
             LINE,
             NOMINAL[:4],
-            "measured markers .* choose at least three that span a tri",
+            "measured markers .*at least three",
         ),
-        (SEEN[:4], np.tile(T, (4, 1)), "the nominal markers .* are all in one place"),
-        (np.tile(T, (4, 1)), NOMINAL[:4], "the measured markers .* all in one place"),
-        (UNLIKE[0], UNLIKE[1], "both list the same markers in the same order"),
+        (SEEN[:4], np.tile(T, (4, 1)), "nominal markers .*in one place"),
+        (np.tile(T, (4, 1)), NOMINAL[:4], "measured markers .*in one place"),
+        (UNLIKE[0], UNLIKE[1], "same markers in the same order"),
     ],
 )
 def test_bad_registration(seen, nominal, message):

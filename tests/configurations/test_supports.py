@@ -134,10 +134,10 @@ def test_one_load():
     ("where", "message"),
     [
         (MESH.points[:, 0] == 0.0, r"a support needs .*np\.flatnonzero .*got bool"),
-        (np.array([0.0, 1.0]), r"list of integer node indices, got float64 of shape"),
+        (np.array([0.0, 1.0]), "node indices, got float64"),
         (3, r"name of a group or a list .*of shape \(\)"),
-        (np.array([0, -1]), r"node -1 is not in the mesh, whose nodes are 0 to 44\."),
-        (np.array([45, 0]), "a support: node 45 is not in the mesh"),
+        (np.array([0, -1]), "node -1.* 0 to 44"),
+        (np.array([45, 0]), "support: node 45"),
     ],
 )
 def test_bad_nodes(where, message):

@@ -66,7 +66,7 @@ def test_quaternions(table):
 
 
 def test_quaternion_of_another_length(table):
-    with refused("line 3: the quaternion has the length 1.01, not 1"):
+    with refused("line 3: ... quaternion ... 1.01"):
         read_poses(table(QUATERNIONS + "s,1,2,3,1,0,0,0\ns,1,2,3,1.01,0,0,0\n"))
 
 
@@ -74,24 +74,24 @@ def test_quaternion_of_another_length(table):
     ("header", "texts"),
     [
         (HEADER.replace("sensor", "marker"), ["column 'sensor' is missing."]),
-        (HEADER.replace("x_mm,y_mm,z_mm", "x,y,z"), ["carry no unit; name them like"]),
+        (HEADER.replace("x_mm,y_mm,z_mm", "x,y,z"), ["no unit"]),
         (HEADER.replace("y_mm", "y_cm"), ["column 'y_mm' is missing."]),
         (
             HEADER.replace("_deg", ""),
-            ["its angles carry no unit; it needs the columns azimuth_deg, elevation"],
+            ["no unit ... azimuth_deg"],
         ),
         (
             "sensor,x_m,y_m,z_m\n",
-            ["it has no rotation; it needs", "Columns there: sen"],
+            ["no rotation", "Columns there: sensor"],
         ),
         (
             HEADER.replace("roll_deg", "roll_rad"),
-            ["rotation in more than one form (azimuth_deg, elevation_deg, roll_rad)"],
+            ["(azimuth_deg, elevation_deg, roll_rad)"],
         ),
-        (HEADER.replace("roll_deg", "qw"), ["form (qw, azimuth_deg, elevation_deg)"]),
+        (HEADER.replace("roll_deg", "qw"), ["(qw, azimuth_deg, elevation_deg)"]),
         (
             HEADER.replace("roll_deg", "rol_deg"),
-            ["column 'roll_deg' is missing. Did you mean 'rol_deg'?"],
+            ["'roll_deg' is missing ... mean 'rol_deg'"],
         ),
     ],
 )
@@ -104,12 +104,12 @@ def test_bad_header(table, header, texts):
 @pytest.mark.parametrize(
     ("row", "text"),
     [
-        ("s,1,,3,0,0,0", "line 2: y_mm of sensor 's' is missing or not finite. Leave"),
-        ("s,1,2,3,0,nan,0", "elevation_deg of sensor 's' is missing or not finite."),
-        ("s,1,2,3,0,0,q", "line 2: roll_deg of sensor 's' is 'q', not a number."),
-        ("s,1,2,3,361,0,0", "line 2: the azimuth is 361 deg, beyond 360 deg."),
-        ("s,1,2,3,0,120,0", "line 2: the elevation is 120 deg, beyond 90 deg."),
-        ("s,1,2,3,0,0", "line 2: 6 cells under a header of 7 columns"),
+        ("s,1,,3,0,0,0", "line 2: y_mm ... 's' is missing ... Leave"),
+        ("s,1,2,3,0,nan,0", "elevation_deg ... 's' is missing"),
+        ("s,1,2,3,0,0,q", "line 2: roll_deg ... 's' ... 'q', not a number"),
+        ("s,1,2,3,361,0,0", "line 2: the azimuth ... 361 deg ... 360 deg"),
+        ("s,1,2,3,0,120,0", "line 2: the elevation ... 120 deg ... 90 deg"),
+        ("s,1,2,3,0,0", "line 2: 6 cells ... 7 columns"),
     ],
 )
 def test_bad_rows(table, row, text):
@@ -119,8 +119,8 @@ def test_bad_rows(table, row, text):
 
 def test_degrees_under_a_header_of_radians(table):
     with refused(
-        "line 2: the roll is 45 rad, beyond 6.283 rad. If it is in degrees, name the "
-        "columns azimuth_deg, elevation_deg, roll_deg."
+        "line 2: the roll ... 45 rad ... 6.283 rad ... azimuth_deg, elevation_deg, "
+        "roll_deg"
     ):
         read_poses(table(HEADER.replace("deg", "rad") + "s,0,0,0,0,0,45\n"))
 
@@ -139,7 +139,7 @@ def test_small_angles_are_not_suspect(table, angles):
 
 def test_unknown_sensor(table):
     poses = read_poses(table(HEADER + "tip,0,0,0,0,0,0\nbase,0,0,0,0,0,0\n"))
-    with refused("has no sensor 'tp'. Did you mean 'tip'? It has tip, base."):
+    with refused("'tp' ... mean 'tip' ... tip, base"):
         poses.readings_of("tp")
 
 
@@ -171,7 +171,7 @@ def test_polhemus_stations_by_name(table):
     path = table(POLHEMUS)
     poses = read_polhemus(path, length_unit="cm", stations={1: "effector"})
     assert poses.names == ("effector", "effector")
-    with refused("has no station 3. It has 1, 2."):
+    with refused("no station 3 ... 1, 2"):
         read_polhemus(path, length_unit="cm", stations={3: "effector"})
 
 
@@ -189,7 +189,7 @@ def test_polhemus_in_radians(table):
     ("text", "message"),
     [
         ("# nothing\n", "holds no readings."),
-        ("1 0 0 0 0 0\n", "line 1: 6 numbers where 7 are needed, with spaces between"),
+        ("1 0 0 0 0 0\n", "line 1: 6 numbers ... 7"),
         ("1 0 0 x 0 0 0\n", "line 1: z is 'x', not a number."),
         ("\n1 0 0 0 inf 0 0\n", "line 2: azimuth is inf, not finite."),
         ("1.5 0 0 0 0 0 0\n", "line 1: station is 1.5, not an integer."),
@@ -202,9 +202,9 @@ def test_bad_polhemus_text(table, text, message):
 
 def test_polhemus_units(table):
     path = table(POLHEMUS)
-    with refused("unknown length unit 'inches'. Did you mean 'inch'?"):
+    with refused("'inches' ... mean 'inch'"):
         read_polhemus(path, length_unit="inches")
-    with refused("unknown angle unit 'degree'. Did you mean 'deg'?"):
+    with refused("'degree' ... mean 'deg'"):
         read_polhemus(path, length_unit="cm", angle_unit="degree")
-    with refused("the azimuth is 90 rad, beyond", "degrees, give angle_unit='deg'."):
+    with refused("azimuth ... 90 rad", "angle_unit='deg'"):
         read_polhemus(path, length_unit="cm", angle_unit="rad")

@@ -32,17 +32,17 @@ GOAL = {"tip": (0.1, 0.0, 0.0)}
 @pytest.mark.parametrize(
     ("goals", "message"),
     [
-        ({"tip": (0.1, 0.0)}, "the goal of effector 'tip' has 2 numbers, expected 3"),
-        ({"bend": (0.1, 0.2)}, "the goal of effector 'bend' has 2 numbers, expected 1"),
+        ({"tip": (0.1, 0.0)}, "'tip' has 2 numbers, expected 3"),
+        ({"bend": (0.1, 0.2)}, "'bend' has 2 numbers, expected 1"),
         ({"tip": Pose()}, "'tip' is a Pose of 6 coordinates, expected 3 numbers"),
         ({"bend": Pose()}, "'bend' is a Pose of 6 coordinates, expected 1 number"),
         (
             {"frame": np.zeros(3)},
-            "'frame' has 3 numbers, expected a Pose: its frame has 6 coordinates",
+            "'frame' has 3 numbers, expected a Pose.* 6 coordinates",
         ),
         ({"tpi": (0.1, 0.0, 0.0)}, "unknown effector .* 'tpi'. Did you mean 'tip'"),
         ({"tip": (0.1, np.nan, 0.0)}, "'tip' .* expected three finite numbers"),
-        ({}, "no effector .* has a goal.* Effectors: 'frame', 'tip', 'bend'"),
+        ({}, "no effector .*goal.* 'frame', 'tip', 'bend'"),
     ],
 )
 def test_goals(goals, message):
@@ -52,7 +52,7 @@ def test_goals(goals, message):
 
 def test_a_goal_many_body_lengths_away():
     """A goal in millimetres; the command itself is refused, so nothing is solved."""
-    message = "the goal of 'tip' is 99.9 m from its place at rest, 961 times the size"
+    message = "goal of 'tip'.* 99.9 m .* 961 times"
     with (
         pytest.warns(ControlWarning, match=message),
         pytest.raises(ValueError, match="unknown effector with a priority 'tpi'"),
@@ -67,23 +67,23 @@ def test_a_goal_many_body_lengths_away():
     [
         (
             {"top": Limits(force=(5.0, 2.0))},
-            "limits of the force of cable 'top' clash: lower 5 N, upper 2 N",
+            "force of cable 'top' .* 5 N,.* 2 N",
         ),
         (
             {"top": Limits(force=(-3.0, -1.0))},
-            "force of cable 'top' clash: .* and it only pulls",
+            "force of cable 'top' .* only pulls",
         ),
         (
             {"motor": Limits(displacement=(0.2, 0.5))},
-            "motor 'motor' starts outside its limits: its displacement is 0.1 rad",
+            "motor 'motor' .*outside its limits.* 0.1 rad",
         ),
         (
             {"top": Limits(displacement=(0.01, 0.0))},
-            "displacement of cable 'top' clash: lower 0.01 m, upper 0 m",
+            "displacement of cable 'top' .* 0.01 m, .* 0 m",
         ),
-        ({"top": Limits(step=-1.0)}, "cable 'top': step must not be negative, got -1"),
-        ({"bottom": Limits()}, "'bottom' has limits, but .* asks nothing of it"),
-        ({"topp": Limits()}, "unknown actuator with limits 'topp'. Did you mean 'top'"),
+        ({"top": Limits(step=-1.0)}, "cable 'top': step .*got -1"),
+        ({"bottom": Limits()}, "'bottom' has limits"),
+        ({"topp": Limits()}, "limits 'topp'.* mean 'top'"),
     ],
 )
 def test_limits_that_clash_are_named(limits, message):

@@ -42,7 +42,7 @@ def test_batch_equals_its_members_and_names_the_one_that_failed():
 @pytest.mark.parametrize(
     ("inputs", "message"),
     [
-        ([0.1, 0.2], r"one column for each of motor, top, .* got \(2,\)"),
+        ([0.1, 0.2], r"motor, top, .* got \(2,\)"),
         ([[0.1]], r"shape \(n_samples, 2\), got \(1, 1\)"),
         ([[0.1, 0.0], [20.0, 0.0]], "'arm, sample 1': motor 'motor' turns by 20 rad"),
         ([[np.nan, 0.0]], "'arm, sample 0': motor 'motor' needs a finite number"),

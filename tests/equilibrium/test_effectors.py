@@ -206,7 +206,7 @@ def test_bad_effectors(unchecked):
     bad("actuator .*'cabel'", ActuatorForce("f", "cabel"))
     bad("effector 'c' .* has the name of another", *[Centroid("c", "at 2")] * 2)
     bad(
-        r"std of effector 'c' must be positive and finite \[m\], got 0",
+        r"std of effector 'c' .*\[m\], got 0",
         Centroid("c", "at 2", std=0.0),
     )
     bad(
@@ -219,7 +219,7 @@ def test_bad_effectors(unchecked):
     )
     bad(r"'c' is at 0.1, expected three finite", Centroid("c", "at 2", 0.1))
     bad(
-        "axis of effector 'a' must be three finite numbers, not all zero",
+        "axis of effector 'a' .*not all zero",
         BodyAngle("a", "tip", "plate", (0.0, 0.0, 0.0)),
     )
     bad(
@@ -227,7 +227,7 @@ def test_bad_effectors(unchecked):
         Centroid("c", "at 2", np.array([np.nan, 0.0, 0.0])),
     )
     bad(
-        "'r' names 3 of the 4 nodes of rigid body 'tip'.* name all or none",
+        "'r' names 3 of the 4 nodes .*'tip'",
         SupportReaction("r", MESH.nodes("at 6")[1:]),
     )
     bad("effector 'r': unknown group 'at 9'", SupportReaction("r", "at 9"))

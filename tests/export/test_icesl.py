@@ -9,6 +9,7 @@ import meshio
 import numpy as np
 import pytest
 from problems import FOAM_OF_THE_ROBOT
+from wording import says
 
 from benchmarks._icesl import RANGES, Slicer
 from softcal_jax import export_icesl
@@ -207,13 +208,10 @@ def test_what_was_written_is_told(graded):
     # with its power of 1.1.
     assert 0.01 < written.rounding < 0.04
     (note,) = written.notes
-    assert note == (
-        "The 8 bits of the textures change a modulus by up to "
-        f"{100 * written.rounding:.2g} %."
-    )
+    assert says(note, f"{100 * written.rounding:.2g} %")
     script = (written.directory / "robot.lua").read_text()
     assert script.startswith("-- a beam\n")
-    assert "Angles mark the soft axis of the foam and count counter-clockwise" in script
+    assert says(script, "soft axis ... counter-clockwise")
 
 
 def constant(tmp_path, *args, name="print", table=None, **options):
@@ -242,7 +240,7 @@ def test_the_published_foam_in_both_conventions(tmp_path):
     )
     assert turned == soft | {"infill_angle_0": pytest.approx(30.0)}
     assert written.n_across == written.n_voxels
-    assert "Polyfoam has a soft axis and is stiff across it" in written.notes[0]
+    assert says(written.notes[0], "Polyfoam has a soft axis")
     rows = unreachable(written)
     assert len(rows) == COARSE**3
     assert {row["why"] for row in rows} == {"right in the print plane only"}
@@ -297,8 +295,8 @@ def test_what_the_foam_does_not_reach_is_listed(tmp_path):
     np.testing.assert_allclose(float(row["nearest_E_l_kPa"]), given[0], rtol=0.03)
     np.testing.assert_allclose(float(row["nearest_E_t_kPa"]), given[1], rtol=0.03)
     (note, *_) = written.notes
-    assert note.startswith("50 % of the part has moduli that the foam does not reach")
-    assert "(E_t, E_l) = (1, 0.04) MPa is farthest off and becomes" in note
+    assert says(note, "50 % ... moduli")
+    assert says(note, "(E_t, E_l) = (1, 0.04) MPa")
     script = (written.directory / "robot.lua").read_text()
     assert "-- 50 % of the part" in script
 
@@ -472,7 +470,7 @@ def test_a_table_of_the_user(tmp_path):
         ("density,iso,E_soft_kPa,E_stiff_kPa\n0.1,1,1,1\n", "'shrink' is missing"),
         (
             "density,shrink,E_soft_kPa,E_stiff_kPa\n0.1,1,10,10\n20,1,20,20\n",
-            r"mine.csv: foam table, sample 2: density must be in \(0, 1\]",
+            r"mine.csv: .*sample 2: density .*\(0, 1\]",
         ),
         (
             "density,shrink,E_soft_kPa,E_stiff_kPa\n0.1,1,,10\n",
@@ -491,9 +489,9 @@ def test_bad_table_files(tmp_path, text, message):
 def test_wrong_calls(tmp_path):
     model = foam_model()
     for options, message in (
-        ({"infill": "Phasor"}, "no moduli of Phasor are published: give a table"),
-        ({"table": phasor()}, "the table is of Phasor, and the infill is 'Polyfoam'"),
-        ({"infill": "Gyroid"}, "the table is of Polyfoam, and the infill is 'Gyroid'"),
+        ({"infill": "Phasor"}, "Phasor.*give a table"),
+        ({"table": phasor()}, "Phasor.*'Polyfoam'"),
+        ({"infill": "Gyroid"}, "Polyfoam.*'Gyroid'"),
         ({"plane": "zx"}, 'must be "xy", "xz" or "yz", got \'zx\''),
         ({"region": "arm"}, "unknown tet group 'arm'"),
         ({"angle_marks": "hard"}, 'must be "soft" or "stiff", got \'hard\''),

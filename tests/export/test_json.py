@@ -11,6 +11,7 @@ from export.handmade import (
     small_model,
     with_points,
 )
+from wording import says
 
 from softcal_jax.calibration import (
     CorrelatedNoise,
@@ -125,17 +126,16 @@ def test_noise_and_checks_are_in_millimetres():
     off, far, alone = data["checks"]["reasons"]
     assert off.startswith("Whole configurations are off")
     assert "most of all beam" in off
-    assert far.startswith("held out is not predicted by the others: its markers would")
-    assert "1.00 mm off, 10 % of how far they moved, and 0.2 mm is what err" in far
-    assert alone == (
-        "monday alone gives E = 200 kPa, 4.0 standard errors from the fit's 240: they "
-        "contradict each other."
+    assert says(far, "held out is not predicted")
+    assert says(far, "1.00 mm off, 10 % ... 0.2 mm")
+    assert says(
+        alone, "monday ... E = 200 kPa, 4.0 standard errors ... 240 ... contradict"
     )
     assert data["checks"]["level"] is data["checks"]["probability"] is None
     (agreement,) = data["checks"]["agreement"]
-    assert agreement == (
-        "E from each recording alone [kPa]: monday 200 +- 10 (4.0 standard errors from "
-        "the fit): monday disagrees with it."
+    assert says(
+        agreement,
+        "E ... [kPa]: monday 200 +- 10 (4.0 standard errors ... monday disagrees",
     )
 
 

@@ -283,10 +283,10 @@ def test_full_turn_of_the_bounds_makes_an_angle_periodic():
     [
         (
             {"lower": [1.0, 2.0, 3.0]},
-            r"lower of E_t must be one for .* \(2\), got shape",
+            r"lower of E_t .*\(2\), got shape",
         ),
         ({"start": [[1.0]]}, r"one for each \(2\), got shape \(1, 1\)"),
-        ({"fixed": {"top": 1.0}}, "fixed of E_t: there is no control point 'top'"),
+        ({"fixed": {"top": 1.0}}, "fixed of E_t: .*'top'"),
         ({"tied": {"top": "x"}}, "tied of E_t: .* 'top'; there are root, tip"),
         ({"fixed": {"tip": 1.0}, "tied": {"tip": "x"}}, "'tip' of E_t is both fixed"),
         ({"interpolation": "cubic"}, '"log" or "director", got \'cubic\''),

@@ -69,12 +69,12 @@ def test_apply_passes_derivatives_to_every_parameter(model):
         ({"lower": 1e6, "upper": 1e5}, "bounds are crossed, lower 1e+06"),
         (
             {"start": 2e6},
-            "start 2e[+]06 does not lie between lower 100000 and upper 1e+06",
+            "start 2e[+]06 .* 100000 .* 1e[+]06",
         ),
         ({"start": np.nan}, "must be finite"),
         ({"lower": -1.0}, "a log scale needs positive bounds"),
         ({"scale": "linear", "S": 0.0}, "S must be positive, got 0"),
-        ({"scale": "ln"}, 'scale must be "log" or "linear", got \'ln\''),
+        ({"scale": "ln"}, "scale .*got 'ln'"),
     ],
 )
 def test_bad_parameter_names_value_and_remedy(unchecked, changes, message):

@@ -188,17 +188,17 @@ def test_order_rows_can_be_traced():
         (
             [modulus("E_t")],
             [("E_l", "E_t")],
-            "order names 'E_l', which is neither .* Parameters are E_t of root, ",
+            "order names 'E_l', .* E_t of root, ",
         ),
         (
             [modulus("E_t"), modulus("E_l", OTHERS)],
             [("E_l", "E_t")],
-            r"no control point in common \(left, right and root, tip\)",
+            r"in common \(left, right and root, tip\)",
         ),
         (
             [modulus("E_t"), modulus("E_l", scale="linear")],
             [("E_l", "E_t")],
-            "give both the same scale; got 'linear' and 'log'",
+            "same scale; got 'linear' and 'log'",
         ),
         (
             [
@@ -207,12 +207,12 @@ def test_order_rows_can_be_traced():
                 modulus("E_l"),
             ],
             [("E_l", "E_t")],
-            "E_t has two values at control point 'root', in different regions",
+            "E_t has two values .*'root'",
         ),
         (
             [modulus("E", tied={"tip": "nu"})],
             [],
-            "E of tip is tied to 'nu', which is no parameter; there are E of root",
+            "E of tip is tied to 'nu', .* E of root",
         ),
         ([modulus("E"), modulus("E")], [], "'E of root' is named more than once"),
         (
@@ -248,18 +248,18 @@ AXIS = [("E_l", "E_t", "theta")]
         (
             {"theta": angle(OTHERS)},
             AXIS,
-            "no control point has all three unknown; give the three",
+            "no control point has all three .*give",
         ),
         (
             {"theta": angle(fixed={"root": 0.0, "tip": 1.0})},
             AXIS,
             "no control point has all three unknown",
         ),
-        ({}, AXIS * 2, "'E_l of root' belongs to more than one axis"),
+        ({}, AXIS * 2, "'E_l of root' .*more than one axis"),
         (
             {"E_l": modulus("E_l", tied={"tip": "E_l of root"})},
             AXIS,
-            "'E_l of root' belongs to more than one axis",
+            "'E_l of root' .*more than one axis",
         ),
     ],
 )

@@ -108,7 +108,7 @@ def test_control_points_and_a_parameter_must_not_set_the_same_tets():
 def test_control_point_far_outside_is_named_with_its_distance():
     """Millimetres for metres, or another frame."""
     points = ControlPoints({"root": (0.0, 0.25, 0.25), "tip": (1000.0, 250.0, 250.0)})
-    message = r"'tip' of E lies 1.06e\+03 m from the body, more than .* 122 mm. Check"
+    message = r"'tip' of E lies 1.06e\+03 m .* 122 mm"
     with pytest.raises(ValueError, match=message):
         check(model(), spread(points=points))
 
@@ -119,7 +119,7 @@ def test_max_distance_and_the_region_decide_what_is_far():
         check(model(), spread(points=ControlPoints(outside)))
     check(model(), spread(points=ControlPoints(outside, max_distance=1.01)))
     near = {"root": (0.0, 0.25, 0.25), "tip": (1.0, 0.25, 0.25)}
-    message = "'tip' of E lies 612 mm from 'near', more than max_distance, 100 mm"
+    message = "'tip' of E lies 612 mm .*'near', .*max_distance, 100 mm"
     points = ControlPoints(near, max_distance=0.1)
     with pytest.raises(ValueError, match=message):
         check(model(), spread(points=points, region="near"))
@@ -137,15 +137,15 @@ def test_distance_counts_along_the_axes_of_the_control_points():
     [
         (
             {"nearest": 1},
-            "others nearer, and nearest is 1. Raise `nearest`, or move it",
+            "nearest is 1. Raise `nearest`",
         ),
-        ({"power": 1e4}, "is nearer to others, with power 10000. Lower `power`, or"),
+        ({"power": 1e4}, "power 10000. Lower `power`"),
     ],
 )
 def test_control_point_that_acts_on_no_tet(options, message):
     """The third stands behind the second."""
     positions = [(0.0, 0.25, 0.25), (1.0, 0.25, 0.25), (1.1, 0.25, 0.25)]
-    with pytest.raises(ValueError, match="'CP 3' of E acts on no tet: .*" + message):
+    with pytest.raises(ValueError, match=r"'CP 3' of E acts on no tet: .*" + message):
         check(model(), spread(points=ControlPoints(positions, **options)))
     check(model(), spread(points=ControlPoints(positions)))
     # A known value there does no harm.
@@ -197,11 +197,11 @@ ANGLE = ControlPointParameters(
     [
         ({}, {}, None),
         ({"start": 1.5e5}, {}, None),
-        ({"start": [2e5, 3e5]}, {}, "start has E_l of tip above E_t of tip, but"),
+        ({"start": [2e5, 3e5]}, {}, "E_l of tip above E_t of tip"),
         (
             {"lower": 5e5, "start": 6e5},
             {"upper": 4e5},
-            "bounds leave no room for E_l of root <= E_t of root: lower the bounds of",
+            "no room for E_l of root <= E_t of root",
         ),
     ],
 )

@@ -106,7 +106,7 @@ def test_bad_power(power):
 
 @pytest.mark.parametrize("nearest", [0, -1, 4])
 def test_bad_nearest(nearest):
-    message = f"between 1 and the number of control points, 3, got {nearest}"
+    message = f"control points, 3, got {nearest}"
     with pytest.raises(ValueError, match=message):
         idw_weights(ORIGIN, ALONG, nearest=nearest)
     with pytest.raises(ValueError, match=message):

@@ -13,6 +13,7 @@ import jax
 import numpy as np
 import pytest
 from bars import MID, ROOT, STD, TIP, bar, moduli, on_axis, pose
+from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
@@ -110,11 +111,10 @@ def test_layouts_with_as_many_points_share_a_program(comparison, data):
 def test_words_and_table(comparison):
     text = str(comparison)
     six = next(s for s in comparison.layouts if s.name == "six")
-    assert text.startswith("'two' (2 control points) predicts best: held-out error 0.")
-    are = "is" if six.n_blind == 1 else "are"
-    assert f"'six' fits closer, but {six.n_blind} of 6 directions {are} blind." in text
+    assert says(text, "'two' (2 control points) ... best")
+    assert says(text, f"'six' fits closer ... {six.n_blind} of 6 directions")
     assert "'one' misfits: " in text
-    assert "layout  points  parameters  held-out [mm]" in text
+    assert says(text, "layout points parameters held-out [mm]")
 
 
 @COMPARED
@@ -209,17 +209,18 @@ def soft_and_stiff(start=1e5):
 def test_a_pose_that_the_fit_cannot_carry_is_named():
     found = soft_and_stiff()
     (score,) = found.layouts
-    failed = [(f.held_out, f.failure) for f in score.failed]
-    assert failed == [("push", "with the fitted parameters it has no equilibrium")]
+    (failed,) = score.failed
+    assert failed.held_out == "push"
+    assert says(failed.failure, "no equilibrium")
     # It counts in no average.
     good = [f.rms for f in score.folds[:2]]
     np.testing.assert_allclose(score.held_out_rms, np.sqrt(np.mean(np.square(good))))
     assert found.best is None
     assert found.preferred is None
     text = str(found)
-    assert "No layout can be preferred" in text
-    assert "'one' is judged by 2 of 3 folds alone and ranks last:" in text
-    assert "push held out: with the fitted parameters it has no equilibrium." in text
+    assert says(text, "No layout ... preferred")
+    assert says(text, "'one' ... 2 of 3 folds ... last")
+    assert says(text, "push held out: ... no equilibrium")
 
 
 @COMPARED
@@ -251,11 +252,13 @@ def test_a_fold_that_did_not_converge_is_named(comparison, data, monkeypatch):
     found = compare_layouts(bar(CELLS), LAYOUTS, data, make_parameters=moduli)
     two = found.layouts[-1]
     assert two.name == "two"
-    assert [f.failure for f in two.folds] == ["the fit did not converge", "", ""]
+    first, *others = [fold.failure for fold in two.folds]
+    assert says(first, "not converge")
+    assert others == ["", ""]
     rms = [f.rms for f in comparison.layouts[0].folds[1:]]
     np.testing.assert_allclose(two.held_out_rms, np.sqrt(np.mean(np.square(rms))))
     assert found.best.name == "six"
-    assert "hang held out: the fit did not converge." in str(found)
+    assert says(found, "hang held out: ... not converge")
 
 
 def score(name, n_parameters, squares):

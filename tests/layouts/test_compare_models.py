@@ -7,6 +7,7 @@ import pytest
 from bars import MID, TIP, bar, pose
 from scipy.stats import ttest_rel
 from small_project import MARKERS, write_small_project
+from wording import says
 
 from softcal_jax.cli import main
 from softcal_jax.configurations import Markers
@@ -62,7 +63,7 @@ def test_pairing_sees_what_the_errors_alone_hide():
     found = ModelComparison.ranked([near, best])
     assert [m.name for m in found.models] == ["best", "near"]
     assert found.undecided == ()
-    assert found.verdict.endswith("The data tell it apart from 'near'.")
+    assert says(found.verdict, "The data tell it apart from 'near'")
 
 
 def test_the_verdict_names_what_is_undecided():
@@ -71,10 +72,10 @@ def test_the_verdict_names_what_is_undecided():
     bad = score("gent", worse(9, 9, 8, 9, 9), n_parameters=2)
     found = ModelComparison.ranked([bad, close, best])
     assert found.undecided == ("neo-hookean",)
-    assert found.verdict == (
-        "'yeoh' predicts best: 1 mm, 2.53 times the noise. The data cannot tell it "
-        "from 'neo-hookean', but from 'gent'. Of these 'neo-hookean' has the fewest "
-        "parameters."
+    assert says(
+        found.verdict,
+        "'yeoh' predicts best: 1 mm, 2.53 times ... cannot tell ... 'neo-hookean' "
+        "... 'gent' ... 'neo-hookean' has the fewest",
     )
     text = str(found)
     assert text.splitlines()[0] == found.verdict
@@ -90,11 +91,11 @@ def test_failed_folds_rank_last_and_are_named():
     whole, broken = score("whole", worse(1, 1, 1, 1, 1)), score("broken", ROOT, 1, "b")
     found = ModelComparison.ranked([broken, whole])
     assert found.best.name == "whole"
-    assert found.verdict.endswith("No other model predicts every configuration.")
+    assert says(found.verdict, "No other model ... every configuration")
     assert "'broken', b held out: no equilibrium." in str(found)
     none = ModelComparison.ranked([broken])
     assert none.best is None
-    assert none.verdict.startswith("No model predicts every configuration")
+    assert says(none.verdict, "No model ... every configuration")
     assert json.dumps(comparison_dict(none), allow_nan=False)
     assert comparison_dict(none)["best"] is None
 
@@ -127,7 +128,7 @@ def measured(name, force, std=1e-4, off=0.0):
 def test_bad_input():
     model = bar((6, 1, 1))
     poses = [measured("a", (0.0, 0.1, 0.0)), measured("b", (0.1, 0.0, 0.0))]
-    with pytest.raises(ValueError, match="at least one law is needed, got none"):
+    with pytest.raises(ValueError, match="at least one law"):
         compare_laws({}, poses)
     with pytest.raises(ValueError, match="at least 2 are needed, got 1"):
         compare_laws({"one": (model, E)}, poses[0])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from bars import MID, TIP, bar, pose, stretched
+from wording import saying
 
 from softcal_jax.fields import ControlPoints
 from softcal_jax.layouts import LayoutWarning, place_control_points
@@ -158,7 +159,7 @@ def test_the_default_distance_leaves_room(seed):
         (7, {"region": "tip"}, "'tip' has only 6 tets"),
         (13, {}, "the mesh has only 12 tets"),
         (2, {"method": "farthst"}, "unknown method 'farthst'. Did you mean 'farthest'"),
-        (2, {"region": "tipp"}, "unknown tet group 'tipp'. Did you mean 'tip'"),
+        (2, {"region": "tipp"}, "'tipp' ... mean 'tip'"),
         (2, {"power": 0.0}, "power must be positive"),
         (2, {"axes": "w"}, "axes must be some of"),
         (2, {"nearest": 3}, "nearest must lie between 1 and"),
@@ -168,7 +169,7 @@ def test_the_default_distance_leaves_room(seed):
 )
 @pytest.mark.usefixtures("unchecked")
 def test_bad_input(n, options, text):
-    with pytest.raises(ValueError, match=re.escape(text)):
+    with pytest.raises(ValueError, match=saying(text)):
         place_control_points(bar((2, 1, 1)).mesh, n, **options)
 
 

@@ -260,7 +260,7 @@ def test_mooney_rivlin_fits_one_test_each(kind):
         ),
         (lambda: Yeoh(-1.0, 1.0, 1.0), "shear modulus -2 Pa"),
         (lambda: Ogden(1.0, -1.0), r"shear modulus -0\.5 Pa"),
-        (lambda: Ogden(1.0, 1.0, mu_3=1.0), "term 3 has mu_3 alone; give mu_3 and alp"),
+        (lambda: Ogden(1.0, 1.0, mu_3=1.0), "term 3 has mu_3 alone"),
         (lambda: Gent(1.0, -3.0), "J_m must be positive and finite"),
         (lambda: Gent(-1.0, 3.0), "mu must be positive and finite"),
         (lambda: Gent(1.0, 3.0, 0.5), r"nu must lie in \(0, 0\.5\), got 0\.5\. For an"),

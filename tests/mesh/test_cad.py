@@ -149,9 +149,7 @@ def test_too_coarse_for_a_round_model(tmp_path):
 def test_a_surface_alone(tmp_path):
     with modelled(tmp_path / "sheet.step") as shape:
         shape.addRectangle(0, 0, 0, 10, 10)
-    with pytest.raises(
-        ValueError, match=r"sheet\.step: it has no solid, only surfaces"
-    ):
+    with pytest.raises(ValueError, match=r"sheet\.step: .*no solid"):
         mesh_cad(tmp_path / "sheet.step", size=SIZE)
     assert not gmsh.isInitialized()
 
@@ -184,7 +182,7 @@ def test_bad_calls(step, options, message):
 
 def test_too_many_tets(step):
     """A slip of the unit ends at once, not after hours."""
-    message = "edges of 0.005 are too short: .* tets, more than the limit"
+    message = "edges of 0.005 .*limit"
     with pytest.raises(LimitError, match=message):
         mesh_cad(step, size=5e-6)
 

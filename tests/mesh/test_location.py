@@ -2,6 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
+from wording import says
 
 from softcal_jax.elements import shape_functions
 from softcal_jax.mesh import (
@@ -154,9 +155,9 @@ def test_far_points_are_named():
     points = [[0.05, 0.01, 0.01], [0.05, 0.01, 0.04], [0.05, 0.01, 0.05]]
     with pytest.raises(ValueError, match="point 2 at") as e:
         locate(mesh, points, max_distance=0.005)
-    assert str(e.value) == (
-        "point 2 at (50, 10, 50) mm lies 20 mm from the mesh, farther than 5 mm. So do "
-        "point 1. Check the frame and the length unit of the points."
+    assert says(
+        e.value,
+        "point 2 at (50, 10, 50) mm ... 20 mm ... 5 mm ... point 1 ... length unit",
     )
     with pytest.raises(ValueError, match=r"^c at .* farther than 5 mm\. So do b\. "):
         locate(mesh, points, max_distance=0.005, names=["a", "b", "c"])
@@ -164,9 +165,7 @@ def test_far_points_are_named():
 
 def test_millimetres_are_recognised():
     points = np.array([[50.0, 10.0, 10.0], [99.0, 3.0, 30.0]])
-    with pytest.raises(
-        ValueError, match="would fit the mesh in millimetres: give both"
-    ):
+    with pytest.raises(ValueError, match="millimetres"):
         locate(beam(*BOX, (2, 2, 2)), points, max_distance=0.005)
 
 

@@ -204,9 +204,7 @@ def test_triangles_that_are_no_faces(tmp_path):
     triangles[0] = [0, 5, mesh.n_nodes - 1]
     raw.cells[2].data = triangles
     path = _write(tmp_path, raw, ".msh", file_format="gmsh22")
-    with pytest.warns(
-        MeshWarning, match="left out: 1 of the 4 triangles of group 'clamp'"
-    ):
+    with pytest.warns(MeshWarning, match="1 of the 4 triangles of group 'clamp'"):
         read = read_mesh(path, length_unit="m")
     assert len(read.faces("clamp")) == 3
 
@@ -217,7 +215,7 @@ def test_group_without_a_tet(tmp_path):
         points, [("tetra", BEAM.tets)], point_sets={"rig": [24], "tip": [23]}
     )
     path = _write(tmp_path, raw, ".inp")
-    with pytest.warns(MeshWarning, match="group 'rig', which has no node of a tet"):
+    with pytest.warns(MeshWarning, match=r"group 'rig', .*no node"):
         mesh = read_mesh(path, length_unit="m", unused="drop")
     assert set(mesh.node_groups) == {"tip"}
 

@@ -73,23 +73,17 @@ def test_truncated(tmp_path, suffix, options, part, capfd):
 
 def test_arguments(tmp_path):
     path = _write(tmp_path, BEAM.points, [("tetra", BEAM.tets)])
-    with pytest.raises(
-        ValueError, match=r"unknown length unit 'in'. Did you mean 'inch'"
-    ):
+    with pytest.raises(ValueError, match=r"length unit 'in'.* mean 'inch'"):
         read_mesh(path, length_unit="in")
     with pytest.raises(ValueError, match="order must be 1, 2 or None, got 3"):
         read_mesh(path, length_unit="m", order=3)
-    with pytest.raises(
-        ValueError, match=r"choice for unused nodes 'drp'. Did you mean 'dr"
-    ):
+    with pytest.raises(ValueError, match=r"unused nodes 'drp'.* mean 'drop'"):
         read_mesh(path, length_unit="m", unused="drp")
 
 
 def test_no_tets(tmp_path):
     path = _write(tmp_path, BEAM.points, [("hexahedron", [range(8)])])
-    with pytest.raises(
-        ValueError, match=r"no tetra.*; it has 1 hexahe.*split its cells into tets"
-    ):
+    with pytest.raises(ValueError, match=r"no tetra.* 1 hexahedron.*into tets"):
         read_mesh(path, length_unit="m")
 
 
@@ -100,8 +94,7 @@ def test_a_surface_says_what_is_missing(tmp_path, groups):
     path = tmp_path / "shell.msh"
     meshio.Mesh(BEAM.points, cells, cell_data=groups).write(path, file_format="gmsh22")
     message = (
-        r"it has 1 triangle\. That is a surface\. Fill it with tets: in Gmsh, .*"
-        "If there is a volume already, give it a physical group too"
+        r"1 triangle\. .*surface.* Gmsh.*If there is a volume already, .*physical group"
     )
     with pytest.raises(ValueError, match=message):
         read_mesh(path, length_unit="m")
@@ -177,7 +170,5 @@ def test_node_that_is_not_there(tmp_path):
     tets = BEAM.tets.copy()
     tets[0, 0] = 24
     path = _write(tmp_path, BEAM.points, [("tetra", tets)])
-    with pytest.raises(
-        ValueError, match="a tetra cell refers to a node that is not there"
-    ):
+    with pytest.raises(ValueError, match=r"tetra cell .*node that is not there"):
         read_mesh(path, length_unit="m")

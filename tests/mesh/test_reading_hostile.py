@@ -24,8 +24,8 @@ def test_what_is_no_file_is_not_opened(tmp_path, suffix):
     pipe, device = tmp_path / f"pipe{suffix}", tmp_path / f"device{suffix}"
     os.mkfifo(pipe)
     device.symlink_to("/dev/zero")
-    refused(pipe, "is a pipe or a device; expected a file on a disk")
-    refused(device, "is a pipe or a device; expected a file on a disk")
+    refused(pipe, "a pipe or a device")
+    refused(device, "a pipe or a device")
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -34,7 +34,7 @@ def test_a_large_file_is_not_opened(tmp_path, monkeypatch, suffix):
     path = tmp_path / f"large{suffix}"
     with path.open("wb") as file:
         file.truncate(2_000_000)
-    refused(path, f"large{suffix}: 2 MB, more than the limit of 1. If that is meant, ")
+    refused(path, f"large{suffix}: 2 MB, .*limit of 1")
 
 
 @pytest.mark.parametrize("compression", ["zlib", "lzma"])
@@ -49,7 +49,7 @@ def test_a_small_file_that_unpacks_to_a_large_one(tmp_path, monkeypatch, compres
     meshio.vtu.write(path, mesh, compression=compression)
     assert path.stat().st_size < 200_000
     monkeypatch.setenv("SOFTCAL_MAX_FILE_MB", "19")
-    refused(path, r"bomb\.vtu, unpacked: 20 MB, more than the limit of 19\. If that")
+    refused(path, r"bomb\.vtu, unpacked: 20 MB, .*limit of 19")
     monkeypatch.setenv("SOFTCAL_MAX_FILE_MB", "21")
     assert read_mesh(path, length_unit="m").n_tets == BEAM.n_tets
     assert meshio.vtu._vtu.zlib is zlib
@@ -60,14 +60,14 @@ def test_a_med_file_that_declares_a_large_array(tmp_path):
     with h5py.File(path, "w") as file:
         file.create_dataset("a", shape=(10**12,), dtype="f8", chunks=True)
     assert path.stat().st_size < 100_000
-    refused(path, r"bomb\.med, unpacked: 8 000 000 MB, more than the limit of 100\.")
+    refused(path, r"bomb\.med, unpacked: 8 000 000 MB, .*limit of 100")
 
 
 def test_too_many_tets(tmp_path, monkeypatch):
     path = tmp_path / "beam.vtu"
     meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]).write(path)
     monkeypatch.setenv("SOFTCAL_MAX_TETS", "35")
-    refused(path, r"beam\.vtu: it is too large: 36 tets, more than the limit of 35")
+    refused(path, r"beam\.vtu: .* 36 tets, .*limit of 35")
 
 
 def included(folder, line):
@@ -98,27 +98,27 @@ def test_an_include_does_not_leave_the_folder(tmp_path, line, target):
     folder = tmp_path / "mesh"
     folder.mkdir()
     (tmp_path / "outside.inp").write_text("*NODE\n1, 0., 0., 0.\n")
-    refused(included(folder, line.format(target)), "it lies outside the folder of the")
+    refused(included(folder, line.format(target)), "outside the folder")
 
 
 def test_an_include_of_a_link_that_leads_out(tmp_path):
     (tmp_path / "zero.inp").symlink_to("/dev/zero")
     path = included(tmp_path, "*INCLUDE, INPUT=zero.inp")
-    refused(path, "it lies outside the folder of the mesh")
+    refused(path, "outside the folder")
 
 
 def test_an_include_of_what_is_no_file(tmp_path):
     os.mkfifo(tmp_path / "pipe.inp")
     path = included(tmp_path, "*INCLUDE, INPUT=pipe.inp")
-    refused(path, r"\*INCLUDE of 'pipe.inp': .* is a pipe or a device")
+    refused(path, r"\*INCLUDE of 'pipe.inp': .*a pipe or a device")
     path = included(tmp_path, "*INCLUDE, INPUT=node.inp")
-    refused(path, r"node\.inp does not exist. Did you mean 'nodes\.inp'\?")
+    refused(path, r"node\.inp does not exist.* mean 'nodes\.inp'")
 
 
 def test_includes_that_include_each_other(tmp_path):
     path = included(tmp_path, "*INCLUDE, INPUT=other.inp")
     (tmp_path / "other.inp").write_text("*INCLUDE, INPUT=mesh.inp\n")
-    refused(path, "INCLUDE of 'mesh.inp': it is included already; include it once")
+    refused(path, "INCLUDE of 'mesh.inp': .*already")
 
 
 def test_the_sizes_of_includes_add_up(tmp_path, monkeypatch):
@@ -128,7 +128,7 @@ def test_the_sizes_of_includes_add_up(tmp_path, monkeypatch):
         lines += f"*INCLUDE, INPUT={i}.inp\n"
     path = included(tmp_path, lines)
     monkeypatch.setenv("SOFTCAL_MAX_FILE_MB", "1")
-    refused(path, r"with what it includes: 1\.32\d* MB, more than the limit of 1")
+    refused(path, r"includes: 1\.32\d* MB, .*limit of 1")
 
 
 def test_control_characters_in_the_name_of_a_group_are_shown(tmp_path):

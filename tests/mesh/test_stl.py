@@ -82,7 +82,7 @@ def test_what_is_no_surface(tmp_path):
 
 def test_a_hole_without_ftetwild(holed, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pytetwild", None)
-    message = "gmsh cannot fill this surface: it is not closed, 3 edges .* pytetwild"
+    message = "gmsh cannot fill .* 3 edges .* pytetwild"
     with pytest.raises(ValueError, match=message):
         mesh_cad(holed, size=SIZE, length_unit="mm")
 
@@ -92,7 +92,7 @@ def test_a_hole_is_filled_by_ftetwild_and_said(holed, tmp_path, monkeypatch):
     """And nothing is left in the folder of the program."""
     pytest.importorskip("pytetwild")
     monkeypatch.chdir(tmp_path)
-    with pytest.warns(MeshWarning, match="3 edges .* So fTetWild filled it"):
+    with pytest.warns(MeshWarning, match=r"3 edges .* So fTetWild filled it"):
         mesh = mesh_cad(holed, size=SIZE, length_unit="mm")
     assert not list(tmp_path.iterdir())
     expected = box(*FINGER) - box(*CAVITY)

@@ -97,20 +97,19 @@ def test_wall_of_an_open_cavity(order):
     [
         (
             lambda m: select_face(m, (0.2, 0.2, 0.1)),
-            r"the point \(200, 200, 100\) mm lies where 2 surfaces meet; move it off",
+            r"\(200, 200, 100\) mm .* 2 surfaces",
         ),
         (
             lambda m: select_face(m, (100.0, 200.0, 50.0)),
-            r"away from the surface of the body, which spans \(0, 0, 0\) m to "
-            r"\(400, 200, 100\) mm; .* Check its length unit",
+            r"\(0, 0, 0\) m to \(400, 200, 100\) mm; .*length unit",
         ),
         (
             lambda m: select_reachable(m, (0.4, 0.1, 0.05), stop_at=["x_max"]),
-            r"lies on a surface that is not to be entered \('x_max'\)",
+            r"not to be entered \('x_max'\)",
         ),
         (
             lambda m: select_reachable(m, (0.2, 0.2, 0.05), stop_at=["x_mux"]),
-            "unknown surface group 'x_mux'. Did you mean 'x_max'",
+            "'x_mux'.* mean 'x_max'",
         ),
         (
             lambda m: select_reachable(m, (0.2, 0.2, 0.05), angle=4.0),
@@ -118,11 +117,11 @@ def test_wall_of_an_open_cavity(order):
         ),
         (
             lambda m: select_cavity(m, (0.2, 0.1, 0.05)),
-            "lies in the body or on its surface; expected one in the empty inside",
+            "in the body or on its surface",
         ),
         (
             lambda m: select_cavity(m, (0.2, 0.1, 0.5)),
-            r"no cavity surrounds .* closes 0 % of the view.*'x_max'",
+            "no cavity .* 0 % of the view.*'x_max'",
         ),
     ],
 )
@@ -133,5 +132,5 @@ def test_bad_calls(call, message):
 
 def test_an_open_cavity_asks_where_its_opening_lies():
     mesh = open_block()
-    with pytest.raises(ValueError, match="name the surface that its opening lies in"):
+    with pytest.raises(ValueError, match="name the surface"):
         select_cavity(mesh, (0.5, 0.0, 0.0))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from wording import says
 
 from softcal_jax.mesh import (
     boundary_faces,
@@ -171,27 +172,25 @@ def test_sides_are_straight():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"length": 0.0}, "length must be positive and finite [m], got 0.0."),
-        ({"size": float("nan")}, "size must be positive and finite [m], got nan."),
-        ({"hole_radius": -1.0}, "hole_radius must be positive and finite"),
-        ({"y": float("inf")}, "y must be finite [m], got inf."),
-        ({"branches": 1}, "branches must be 2 or more, got 1."),
-        ({"layers": 0}, "layers must be 1 or more, got 0."),
-        ({"order": 3}, "order must be 1 (linear) or 2 (quadratic), got 3."),
+        ({"length": 0.0}, "length ... got 0.0"),
+        ({"size": float("nan")}, "size ... got nan"),
+        ({"hole_radius": -1.0}, "hole_radius ... positive"),
+        ({"y": float("inf")}, "y ... got inf"),
+        ({"branches": 1}, "branches ... got 1"),
+        ({"layers": 0}, "layers ... got 0"),
+        ({"order": 3}, "order ... got 3"),
         (
             {"centre_radius": 0.018},
-            "hole_radius < centre_radius < 0.01732 m is needed, where the sides of "
-            "neighbouring branches meet; got 0.005 and 0.018 m.",
+            "hole_radius < centre_radius < 0.01732 m ... 0.005 and 0.018 m",
         ),
         ({"hole_radius": 0.0075}, "got 0.0075 and 0.0075 m."),
         (
             {"end_length": 0.06},
-            "end_length must be below 0.051 m, what is left of the branch past its "
-            "root at 0.015 m; got 0.06 m.",
+            "end_length ... 0.051 m ... 0.015 m; got 0.06 m",
         ),
     ],
 )
 def test_refuses(change, message):
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         tripod(**change)
-    assert message in str(caught.value)
+    assert says(caught.value, message)

@@ -75,7 +75,5 @@ def test_wrong_panels(tmp_path, unchecked):
     mesh = beam(*SIZE, (4, 3, 3))
     with pytest.raises(ValueError, match="panels is empty"):
         plot_fibres(mesh, {}, tmp_path / "f.png", plane="xy")
-    with pytest.raises(
-        ValueError, match=r"panel 'a' needs one angle for each of the 2"
-    ):
+    with pytest.raises(ValueError, match=r"panel 'a' .* 2"):
         plot_fibres(mesh, {"a": np.zeros(3)}, tmp_path / "f.png", plane="xy")

@@ -86,10 +86,10 @@ def test_zero_needs_no_unit(tmp_path):
         ('density = "3 kg"', r'uncertain.density: got "3 kg"; .* like "3 %"'),
         ("loads = 0.02", r'uncertain.loads: got 0.02; .* like "3 %"'),
         ("clamp = 1", r"uncertain.clamp: 1 has no unit; expected a length"),
-        ('clamp = "-1 mm"', r'uncertain.clamp: got "-1 mm"; expected zero or more'),
+        ('clamp = "-1 mm"', r'uncertain.clamp: got "-1 mm"; .*zero'),
         ("nu = -0.1", r"uncertain.nu: got -0.1; expected zero or more"),
         ('nu = "5 %"', r'uncertain.nu: got "5 %"; expected a number'),
-        ('clmap = "1 mm"', r'uncertain.clmap: unknown key. Did you mean "clamp"'),
+        ('clmap = "1 mm"', r'uncertain.clmap: unknown key.* mean "clamp"'),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path, line, message):

@@ -153,11 +153,11 @@ def test_degrees_are_refused():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"arm_length": 0.0}, "arm_length must be positive and finite, got 0.0."),
-        ({"E_t": float("nan")}, "E_t must be positive and finite, got nan."),
+        ({"arm_length": 0.0}, "arm_length .*got 0.0"),
+        ({"E_t": float("nan")}, "E_t .*got nan"),
         (
             {"rod_half_length": 0.07},
-            "rod_half_length 0.07 m exceeds sheet_height 0.06 m.",
+            "rod_half_length 0.07 m .*sheet_height 0.06 m",
         ),
     ],
 )

@@ -258,7 +258,7 @@ class Forgotten(AbstractEntry):
 @pytest.mark.parametrize(
     ("lie", "message"),
     [
-        (False, r"'mine' sets nothing in the model or in a configuration"),
+        (False, "'mine' sets nothing"),
         (True, r"'mine' sets \[1\]\.tilt beside its fields"),
     ],
 )
@@ -342,7 +342,7 @@ def test_relaxation_of_a_modulus_does_not_depend_on_other_parameters():
     [
         (
             recording_offset(limit=1e-3, each=["tuesdya"], **KNOWN),
-            r"recording of parameter 'offset x in tuesdya' 'tuesdya'. Did you mean",
+            "'offset x in tuesdya' 'tuesdya'.* mean",
         ),
     ],
 )

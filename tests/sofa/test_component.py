@@ -73,7 +73,7 @@ def test_a_law_with_a_fibre_needs_the_plugin():
     reduced = sc.ReducedTransverseIsotropic(4e5, 1e5, 0.3, FIBRE)
     component = found(sc.Corotational(reduced))
     np.testing.assert_allclose(component.data["anisotropyParameters"][0][2], 0.6)
-    with pytest.raises(ValueError, match="nu_tl is 0, where the plugin Anisotropy di"):
+    with pytest.raises(ValueError, match=r"nu_tl is 0, .*Anisotropy"):
         found(sc.Corotational(TransverseIsotropic(7e5, 4e5, 0.3, 0.0, 2e5, FIBRE)))
 
 
@@ -89,7 +89,7 @@ REFUSED = {
     "Gent": (Gent(4e4, 40.0), "SOFA has no such law"),
     "St. Venant with a fibre": (
         StVenantKirchhoff(sc.ReducedTransverseIsotropic(7e5, 4e5, 0.3, FIBRE)),
-        "only in the corotational tets of the plugin Anisotropy",
+        "corotational tets of the plugin Anisotropy",
     ),
     "field": (sc.NeoHookean(np.linspace(1e5, 2e5, 6), 0.3), "--law corotational"),
     "negative ratio": (sc.Corotational(sc.Isotropic(2e5, -0.1)), r"nu is -0\.1; SOFA"),

@@ -194,14 +194,14 @@ def test_a_sealed_chamber_is_its_wall_where_its_rim_is_held():
 REFUSED = {
     "two ends on the ground": (
         {"supports": "x_min", "actuation": {"rope": sc.ImposedForce(1.0)}},
-        "'rope' has more than one guide on the ground",
+        "'rope' has more than one guide",
     ),
     "volume beside a moved support": (
         {
             "supports": [sc.Support("x_min", displacement=(0.001, 0.0, 0.0))],
             "actuation": {"cavity": sc.ImposedDisplacement(1e-7)},
         },
-        "a chamber with an imposed volume is not written beside",
+        "chamber with an imposed volume",
     ),
     "elastic support that moves": (
         {
@@ -210,7 +210,7 @@ REFUSED = {
                 sc.Support("x_side", "x", (0.001, 0.0, 0.0), stiffness=1e5),
             ]
         },
-        "an elastic support that is moved is not written",
+        "support that is moved",
     ),
 }
 

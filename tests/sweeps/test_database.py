@@ -6,6 +6,7 @@ from functools import partial
 import cheap
 import pytest
 from rows import substance
+from wording import says
 
 from softcal_jax.sweeps import _database as database_module
 from softcal_jax.sweeps import grid, read_sweep, run_sweep
@@ -21,13 +22,13 @@ def one(path, function=cheap.measure, **more):
     [
         (
             {"seed": 1},
-            "holds another sweep: its seed is 0, that of this one is 1. Give another",
+            r"another sweep: .*seed is 0, .* 1\. Give another",
         ),
         (
             {"function": cheap.where},
-            "its function is measure, that of this one is where",
+            "function is measure, .* where",
         ),
-        ({"definitions": {"mesh": "b"}}, "its mesh is a, that of this one is b"),
+        ({"definitions": {"mesh": "b"}}, "mesh is a, .* is b"),
     ],
 )
 def test_another_sweep_is_refused(again, message, tmp_path):
@@ -43,7 +44,7 @@ def test_another_sweep_is_refused(again, message, tmp_path):
 def test_other_axes_are_another_sweep(tmp_path):
     path = tmp_path / "s.sqlite"
     one(path)
-    with pytest.raises(ValueError, match="its set of axes is E, draw, kind, that of"):
+    with pytest.raises(ValueError, match="axes is E, draw, kind"):
         run_sweep(cheap.measure, grid({"E": [1.0]}), path, workers=0)
 
 
@@ -73,7 +74,7 @@ def test_two_sweeps_do_not_share_a_database(tmp_path):
     def meddling(trial):
         with pytest.raises(BlockingIOError, match="another sweep is writing to") as e:
             one(path)
-        assert str(e.value).endswith("wait until it has ended, or give another file.")
+        assert says(e.value, "another file")
         assert read_sweep(path).rows == ()  # reading is fine
         return {"x": 1}
 
@@ -114,7 +115,7 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
     fat = lambda trial: {"x": 1, "text": "x" * 20_000}
     with monkeypatch.context() as patch:
         on_a_full_disk(patch, pages=20)
-        with pytest.raises(OSError, match="cannot be used: database or disk is full"):
+        with pytest.raises(OSError, match="disk is full"):
             run_sweep(fat, points, path, workers=0)
     assert list(tmp_path.iterdir()) == [path]
     if n_trials == 3:
@@ -135,7 +136,7 @@ class FullAtTheEnd(sqlite3.Connection):
 def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypatch):
     opened = partial(sqlite3.connect, isolation_level=None, factory=FullAtTheEnd)
     monkeypatch.setattr(database_module, "_open", lambda path, wait: opened(path))
-    with pytest.raises(OSError, match="cannot be used: database or disk is full"):
+    with pytest.raises(OSError, match="disk is full"):
         one(tmp_path / "s.sqlite")
 
 
@@ -143,7 +144,7 @@ def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypa
     ("statement", "message"),
     [
         ("UPDATE trials SET state = 'great'", r"trials\.\w+\.state is 'great': Input"),
-        ("UPDATE trials SET figures = '{'", r"figures is '{': Invalid JSON"),
+        ("UPDATE trials SET figures = '{'", r"figures is '{', which is no JSON"),
         ("UPDATE trials SET figures = '[1]'", r"figures is \[1\]: Input should be a"),
         (
             "UPDATE trials SET figures = '{\"x\": [1]}'",
@@ -164,13 +165,13 @@ def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypa
         ("UPDATE plan SET point = '7'", r"plan\.\w+\.point is 7: Input should be"),
         (
             "UPDATE plan SET key = 'b'",
-            r"plan\.b\.point is \{.*not the point of this",
+            r"plan\.b\.point is \{",
         ),
-        ("DELETE FROM sweep", r"sweep\.name is None: JSON input should be"),
+        ("DELETE FROM sweep", r"sweep\.name is None.* JSON"),
         ("UPDATE sweep SET value = '[1]'", r"sweep\.name is \[1\]: Input should be a"),
         (
             f"UPDATE sweep SET value = '{'[' * 100_000}'",
-            r"sweep\.name is '\[+\.\.\.: Invalid JSON",
+            r"sweep\.name is '\[+\.\.\., which is no JSON",
         ),
     ],
 )
@@ -180,7 +181,7 @@ def test_a_database_that_was_edited_names_the_place(tmp_path, statement, message
     with sqlite3.connect(path) as file:
         file.execute(statement)
     file.close()
-    remedy = r".*\. No sweep has written that: take an earlier copy of the file, or"
+    remedy = ".*earlier copy"
     for use in (one, read_sweep):
         if use is one and statement.startswith(("UPDATE plan", "DELETE", "UPDATE sw")):
             continue  # a sweep writes these anew

@@ -41,13 +41,13 @@ def test_sample_with_a_range_meets_each_part_of_it_once():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: grid({}), "a sweep needs at least one axis, got none"),
-        (lambda: grid({"a": []}), "axis 'a' has no values, so the sweep has no trials"),
-        (lambda: grid({"a": "uv"}), "axis 'a' needs a list of values, got the text"),
+        (lambda: grid({}), "at least one axis"),
+        (lambda: grid({"a": []}), "axis 'a' has no values"),
+        (lambda: grid({"a": "uv"}), "axis 'a' .*got the text"),
         (lambda: grid({"a": Range(0, 1)}), "axis 'a' is a range, which has no end"),
-        (lambda: sample(AXES, 7), "the axes have 6 different points, so 7 cannot be"),
+        (lambda: sample(AXES, 7), "6 different points.* 7"),
         (lambda: sample(AXES, 0), "a sample has at least 1 point, got 0"),
-        (lambda: Range(2.0, 1.0), "two finite ends, low below high; got 2.0 and 1.0"),
+        (lambda: Range(2.0, 1.0), "got 2.0 and 1.0"),
         (lambda: Range(0.0, 1.0, "log"), "a range on a log scale needs positive ends"),
     ],
 )

@@ -1,6 +1,7 @@
 """Rate and time left, and how they are told."""
 
 import pytest
+from wording import says
 
 from softcal_jax.sweeps import Progress, TrialRow
 from softcal_jax.sweeps import _progress as progress_module
@@ -27,8 +28,8 @@ def test_the_rate_leaves_out_what_only_the_first_trial_of_a_worker_takes(monkeyp
     now = tally.now(row("b", 2.0, state="not converged"))
     assert now.rate == pytest.approx(1.0)
     assert now.seconds_left == pytest.approx(14.0)
-    assert str(now) == (
-        "6 of 20 trials (1 failed, 1 not converged), 1 per second, 14 s left"
+    assert says(
+        now, "6 of 20 ... 1 failed, 1 not converged ... 1 per second, 14 s left"
     )
 
 

@@ -13,6 +13,7 @@ import jax
 import pytest
 from killable import kill, started, wait_for
 from rows import substance
+from wording import says
 
 from softcal_jax.sweeps import grid, read_sweep, run_sweep
 from softcal_jax.sweeps._worker import WorkerSetup
@@ -165,9 +166,7 @@ def test_a_trial_that_kills_its_worker_fails_alone(undisturbed, tmp_path):
     assert [row.state for row in found.rows] == [
         "converged", "converged", "failed", "converged", "not converged", "converged",
     ]  # fmt: skip
-    assert found.rows[2].reason == (
-        "its worker died 2 times: SIGKILL (out of memory, or killed)"
-    )
+    assert says(found.rows[2].reason, "died 2 times: SIGKILL")
     others = [row for row in found.rows if row.state != "failed"]
     expected = {row.key: row.figures for row in undisturbed.rows}
     assert all(row.figures == expected[row.key] for row in others)
@@ -204,7 +203,7 @@ def test_functions_that_cannot_be_sent(tmp_path):
         ValueError, match="cannot be sent to worker processes"
     ) as caught:
         run_sweep(lambda trial: {"x": 1}, points, path, workers=1)
-    assert str(caught.value).endswith("or run it in this process, workers=0.")
+    assert says(caught.value, "workers=0")
     # In this process it can be anything.
     found = run_sweep(lambda trial: {"x": 1}, points, tmp_path / "t.sqlite", workers=0)
     assert found.numbers("x") == [1.0]
@@ -221,8 +220,8 @@ def test_functions_that_cannot_be_imported(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("returned", "reason"),
     [
-        (3.0, "TypeError: the function of a sweep must return a mapping of names"),
-        ({"x": [1, 2]}, "TypeError: figure 'x' must be a number or a word, got list"),
+        (3.0, "TypeError: ... mapping"),
+        ({"x": [1, 2]}, "TypeError: figure 'x' ... got list"),
     ],
 )
 def test_wrong_returns_are_failures(returned, reason, tmp_path):
@@ -230,7 +229,7 @@ def test_wrong_returns_are_failures(returned, reason, tmp_path):
         lambda trial: returned, grid({"a": [1]}), tmp_path / "s.sqlite", workers=0
     )
     assert found.rows[0].state == "failed"
-    assert found.rows[0].reason.startswith(reason)
+    assert says(found.rows[0].reason, reason)
 
 
 def test_figures_that_do_not_exist_and_warnings(tmp_path):
@@ -270,12 +269,12 @@ def test_half_a_compiled_program_is_thrown_away(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"points": []}, "the sweep has no trials: give each axis at least one value"),
+        ({"points": []}, "no trials"),
         ({"points": [{"a": 1}, {"a": 1}]}, "the sweep tries a = 1 twice"),
-        ({"points": [{"a": 1}, {"b": 1}]}, "all points of a sweep need the same axes"),
+        ({"points": [{"a": 1}, {"b": 1}]}, "same axes"),
         ({"repeats": ["draws"]}, "unknown axis 'draws'. Known: 'a'"),
         ({"workers": -1}, "workers must be 0 or more, got -1"),
-        ({"cores_per_worker": 0}, "cores_per_worker must be at least 1, got 0"),
+        ({"cores_per_worker": 0}, "cores_per_worker .*got 0"),
         (
             {"scheduler": "tcp://127.0.0.1:1", "workers": 2},
             "with a scheduler the cluster has its own",

@@ -12,6 +12,7 @@ from export.handmade import make_history, make_result
 from rows import substance
 from small_project import write_small_project
 from test_page import Read
+from wording import says
 
 from softcal_jax._files import sha256_of
 from softcal_jax.calibration import CalibrationSettings, random_starts
@@ -56,13 +57,13 @@ def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     code, text, errors = run(swept, capsys)
     assert code == 1
-    assert errors == "12 trials failed or did not converge.\n"
-    assert text.startswith("reading sweep.toml ...\n16 trials\n")
+    assert says(errors, "12 trials")
+    assert says(text, "reading sweep.toml ... 16 trials")
     assert "failed: settings.max_steps = 1, shared.gravity = (0, 0, -1e8) m/s^2" in text
-    assert "16 of 16 trials have ended: 4 converged, 4 not converged, 8 failed." in text
+    assert says(text, "16 of 16 trials ... 4 converged, 4 not converged, 8 failed")
     assert "lambda_p did not vanish within max_steps = 1" in text
     assert "no equilibrium found" in text
-    assert f"Rows in {swept / 'sweep.sqlite'}; `softcal sweep show" in text
+    assert says(text, f"{swept / 'sweep.sqlite'} ... softcal sweep show")
     assert f"Open {swept / 'sweep_report.html'} in a browser" in text
     check_rows(swept)
     check_page(swept)
@@ -121,14 +122,14 @@ def check_rows(swept):
     assert elsewhere.parameters[0].start == float(project.space.from_scaled(z)[0])
     assert elsewhere.history[0].values["E"] == elsewhere.parameters[0].start != 200e3
     assert len(elsewhere.history) - 1 == other["steps"]
-    with pytest.raises(ValueError, match=r"one scaled value for each of the 1 param"):
+    with pytest.raises(ValueError, match="1 param"):
         project.calibrate(start=jnp.zeros(2))
 
 
 def check_page(swept):
     """Command, hashes, settings, and the numbers of the rows."""
     page = Read((swept / "sweep_report.html").read_text(encoding="utf-8"))
-    assert "16 of 16 trials have ended: 4 converged" in page.text
+    assert says(page.text, "16 of 16 trials ... 4 converged")
     assert "softcal sweep sweep.toml -o repeated.sqlite" in page.text
     files = ["sweep.toml", "project.toml", "markers.csv"]
     assert page.tables["Files that were read"][1:] == [
@@ -151,8 +152,8 @@ def check_show(swept, capsys, tmp_path):
     text, errors = capsys.readouterr()
     assert errors == ""
     assert "E [kPa]" in text
-    assert "Mean ± standard deviation over the trials that converged." in text
-    assert "not converged, 4 trials, the first at settings.max_steps = 1" in text
+    assert says(text, "Mean ± standard deviation")
+    assert says(text, "not converged, 4 trials ... settings.max_steps = 1")
     assert picture.read_bytes().startswith(b"\x89PNG")
     with table.open() as file:
         rows = list(csv.DictReader(file))
@@ -162,12 +163,9 @@ def check_show(swept, capsys, tmp_path):
     assert show("--all") == 0
     assert capsys.readouterr().out.count("failed") >= 8
     assert show("--figure", "F [Pa]") == 2
-    assert (
-        "error: unknown figure 'F [Pa]'. Did you mean 'E [Pa]'?"
-        in capsys.readouterr().err
-    )
+    assert says(capsys.readouterr().err, "error: ... 'F [Pa]' ... mean 'E [Pa]'")
     assert show("--by", "noisee") == 2
-    assert "unknown axis 'noisee'. Did you mean 'noise'?" in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "'noisee' ... mean 'noise'")
     assert main(["sweep", "show", str(tmp_path / "no.sqlite")]) == 2
     assert "error: there is no sweep database" in capsys.readouterr().err
 
@@ -184,7 +182,7 @@ def test_a_database_of_another_sweep_file(swept, capsys, tmp_path):
     assert run(swept, capsys, "-o", str(read))[0] == 1
     code, _, errors = run(tmp_path, capsys, "-o", str(read))
     assert code == 2
-    assert "holds another sweep: its seed is 7, that of this one is 8" in errors
+    assert says(errors, "another sweep: ... seed is 7 ... 8")
 
 
 def test_a_project_that_changes_while_a_sweep_runs(tmp_path, monkeypatch):
@@ -211,8 +209,7 @@ def test_interrupted(swept, capsys, monkeypatch, sent):
     assert code == 130
     assert errors.startswith("interrupted: 0 of ")
     page = swept / "third_report.html"
-    text = f"third.sqlite; the same command goes on from there. Their page is {page}.\n"
-    assert errors.endswith(text)
+    assert says(errors, f"third.sqlite ... same command ... {page}")
     assert ">0 of " in page.read_text()
 
 

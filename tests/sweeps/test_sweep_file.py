@@ -156,21 +156,21 @@ sample = 6
 
 BAD = {
     "[axes]\nnoisee = { count = 2 }": (
-        r'axes: unknown axis noisee. Did you mean "noise"\? Known: layout, '
-        'configurations, start, noise, or a key of the project file, like "material.nu"'
+        'axes: .* noisee.* mean "noise".* layout, configurations, start, noise, '
+        '.*"material.nu"'
     ),
-    "[axes]\nnoise = []": "axes: axis noise has no values, so the sweep has no trials",
-    "[axes]": "axes: there are none. Expected at least one of layout, configurations",
+    "[axes]\nnoise = []": "axes: axis noise has no values",
+    "[axes]": "axes: .*none.* layout, configurations",
     "": r"axes: missing. Expected a table \[axes\]",
-    "[axes]\nnoise = 20": r"axis noise: got 20; expected \{ count = 20 \} or a list of",
-    "[axes]\nnoise = [-1]": "axis noise: got -1; expected numbers of draws: 0 for none",
+    "[axes]\nnoise = 20": r"axis noise: got 20; .*\{ count = 20 \}",
+    "[axes]\nnoise = [-1]": "axis noise: got -1; .* 0 for none",
     "[axes]\nnoise = { count = 0 }": r"axis noise: expected \{ count = 20 \}",
     "[axes]\nnoise = { draws = 2 }": r"axis noise: expected \{ count = 20 \}",
     "smaple = 3\n[axes]\nnoise = [1]": (
-        r'smaple: unknown key. Did you mean "sample"\? Known here: project, axes, name'
+        'smaple: unknown key.* mean "sample".* project, axes, name'
     ),
     "sample = 0\n[axes]\nnoise = [1]": "sample is 0; expected at least 1",
-    "sample = 3\n[axes]\nnoise = [1]": "the axes have 1 different points, so 3 cannot",
+    "sample = 3\n[axes]\nnoise = [1]": "1 different points.* 3",
     '[axes]\n"material.nuu" = [0.3]': (
         r'axes.material.nuu = 0.3: .*material.nuu: unknown key. Did you mean "nu"'
     ),
@@ -179,39 +179,33 @@ BAD = {
         r"parameters.G.lower: there is no parameters.G. Known: E"
     ),
     '[axes]\n"material.nu" = { low = 0.1, high = 0.4 }': (
-        "axis material.nu is a range, which has no end of values: say how many trials"
+        "axis material.nu is a range.* how many trials"
     ),
     'sample = 2\n[axes]\n"material.E" = { low = "1 kPa", high = 3 }': (
-        "axes.material.E: got 1 kPa and 3; expected two numbers, or two quantities"
+        "axes.material.E: got 1 kPa and 3"
     ),
-    '[axes]\nconfigurations = ["weight"]': (
-        "axes.configurations: got weight; expected lists of configurations"
-    ),
+    '[axes]\nconfigurations = ["weight"]': ("axes.configurations: got weight"),
     '[axes]\nconfigurations = [["wieght"]]': (
-        r"there is no configuration 'wieght' with the role calibration. Did you mean "
-        r'"weight"\? Known: weight'
+        """configuration 'wieght' .*calibration.* mean "weight".* Known: weight"""
     ),
     "[axes]\nconfigurations = { choose = 2 }": (
         "choose = 2, but the project has 1 configurations with the role calibration"
     ),
     '[axes]\n"material.nu" = [1979-05-27]': (
-        r"axes.material.nu\[1\]: got the date 1979-05-27, which no key takes"
+        r"axes.material.nu\[1\]: got the date 1979-05-27"
     ),
     "[axes]\nnoise = { count = 1_000_000_000_000 }": (
-        r"axes.noise: count = 1000000000000: 1e\+12 trials, more than the limit of 100 "
-        "000. If that is meant, .* environment variable SOFTCAL_MAX_TRIALS"
+        r"axes.noise: count = 1000000000000: 1e\+12 trials, .* 100 000\..* "
+        r"SOFTCAL_MAX_TRIALS"
     ),
     "[axes]\nnoise = { count = 1000 }\nstart = { count = 1000 }": (
-        r"axes: all combinations of the values \(`sample` draws some of them\): 1 000 "
-        "000 trials, more than the limit of 100 000"
+        r"axes: .*`sample`.* 1 000 000 trials, .* limit of 100 000"
     ),
     'sample = 1_000_000_000_000\n[axes]\n"material.nu" = { low = 0.1, high = 0.3 }': (
-        r"axes: a sample of 1000000000000: 1e\+12 trials, more than the limit"
+        r"axes: a sample of 1000000000000: 1e\+12 trials, .*limit"
     ),
     '[axes]\nlayout = ["ends"]': r"\[layouts\] and the axis `layout` go together",
-    '[axes]\nlayout = ["ends"]\n[layouts.ends]\n': (
-        "replaces: missing. Expected the set of control points .* It has none"
-    ),
+    '[axes]\nlayout = ["ends"]\n[layouts.ends]\n': ("replaces: missing.* has none"),
     '[axes]\nnoise = [1]\n[truth]\nG = "1 kPa"': (
         "truth: there is no parameter 'G'. Known: E"
     ),
@@ -232,11 +226,11 @@ def test_bad_sweep_files(text, small):
     [
         (
             '[axes]\nlayout = ["endz"]\n[layouts.ends]\n',
-            r'axes.layout: there is no \[layouts.endz\]. Did you mean "ends"',
+            r'axes.layout: .*\[layouts.endz\].* mean "ends"',
         ),
         (
             'replaces = "end"\n[axes]\nlayout = ["a"]\n[layouts.a]\n',
-            r'project has no control points "end". Did you mean "ends"\? It has end',
+            'no control points "end".* mean "ends"',
         ),
         (
             '[axes]\nlayout = ["a"]\n[layouts.a]\npositions = [[1, 2, 3]]\n',
@@ -244,7 +238,7 @@ def test_bad_sweep_files(text, small):
         ),
         (
             "[axes]\nnoise = [1]\n" + TRUTH.replace('"theta of CP 2" = "-35 deg"', ""),
-            "truth: it has no value for theta of CP 2",
+            "truth: .* theta of CP 2",
         ),
     ],
 )
@@ -299,7 +293,7 @@ def test_changes_of_a_project(small):
     assert project.settings.tol == 1e-4
     assert [c.name for c in project.calibration] == ["weight", "pulled"]
     with pytest.raises(
-        ProjectError, match=r"material.nu.x: material.nu is no table of"
+        ProjectError, match=r"material\.nu\.x: material\.nu is no table"
     ):
         load_project(small / "project.toml", changes={"material.nu.x": 1})
 
