@@ -85,7 +85,8 @@ def lack_of_fit(
     if between == 0:
         return None
     common = U @ np.linalg.solve(U.T @ scaled @ U, U.T @ (slope / size)) / size
-    parts = np.bincount(pose, common * slope, minlength=len(linear.poses))
+    n_fitted = int(np.max(linear.pose)) + 1
+    parts = np.bincount(pose, common * slope, minlength=n_fitted)
     ratio = float(np.sum(parts)) / between
     return LackOfFit(
         ratio=ratio,
