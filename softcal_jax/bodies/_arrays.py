@@ -11,7 +11,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.bodies._body import RigidBody
+from softcal_jax.bodies._body import KINDS, RigidBody
 from softcal_jax.mesh import Refinement, TetMesh, node_indices
 
 
@@ -194,3 +194,8 @@ class BodyStateArrays(Module):
     kind: Int[Array | HostArray, "*batch n_b"]
     translation: Float[Array | HostArray, "*batch n_b 3"]
     rotation: Float[Array | HostArray, "*batch n_b 3"]
+
+    @property
+    def is_free(self) -> Bool[HostArray, "*batch n_b"]:
+        """Which bodies no ground holds."""
+        return np.asarray(self.kind) == KINDS.index("free")

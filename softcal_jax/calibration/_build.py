@@ -76,8 +76,9 @@ def build(
     warn_if_locking(model, space)
     noise = correlated_noise(
         configurations,
+        model=model,
         space=space,
-        effectors=lanes.arrays.effectors,
+        arrays=lanes.arrays,
         records=lanes.effectors,
         uncertain=uncertain,
     )

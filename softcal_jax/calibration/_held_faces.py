@@ -1,28 +1,14 @@
 """Where a body is held, and which way it goes on behind."""
 
+import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
+from softcal_jax.fields import Poses, grounded_bodies
 from softcal_jax.mesh import TetMesh, boundary_faces
-
-
-def grounded(
-    model: Model, configurations: ConfigurationArrays
-) -> Bool[HostArray, "n_c n_b"]:
-    """Flag the bodies that are held, hinged or on a motor, or tied to such a body.
-
-    Args:
-        model: The model.
-        configurations: One lane per configuration.
-    """
-    actuators, bodies = model.mechanism.actuators, model.mechanism.bodies
-    posed = np.asarray(configurations.bodies.kind) != KINDS.index("free")
-    driven = np.isin(np.arange(bodies.n_bodies), actuators.motor_body)
-    return (posed | driven)[:, bodies.owner]
 
 
 def held_nodes(
@@ -36,7 +22,8 @@ def held_nodes(
     """
     bodies, n_nodes = model.mechanism.bodies, model.mesh.n_nodes
     held = np.array(np.asarray(configurations.fixed)[:, :n_nodes].all(axis=2))
-    held[:, bodies.attached] |= grounded(model, configurations)[:, bodies.body]
+    poses = Poses(model, jax.tree.map(np.asarray, configurations), ())
+    held[:, bodies.attached] |= grounded_bodies(poses)[:, bodies.body]
     return held
 
 

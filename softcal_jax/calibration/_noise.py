@@ -25,8 +25,15 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration._references import attachments
-from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
-from softcal_jax.fields import OFFSET, ParameterSpace, SetupParameter, Uncertain
+from softcal_jax.calibration._unknowns import recording_names, unknowns
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    EffectorArrays,
+    EffectorRecord,
+)
+from softcal_jax.equilibrium import Model
+from softcal_jax.fields import ParameterSpace, Uncertain
 from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
 
 AnyArray = Array | HostArray
@@ -218,8 +225,9 @@ def _on_device(new: Any, *, like: Float[AnyArray, "..."]) -> Float[Array, "..."]
 def correlated_noise(
     configurations: Sequence[Configuration],
     *,
+    model: Model,
     space: ParameterSpace,
-    effectors: EffectorArrays,
+    arrays: ConfigurationArrays,
     records: Sequence[Sequence[EffectorRecord]],
     uncertain: Uncertain,
 ) -> CorrelatedNoise:
@@ -227,25 +235,27 @@ def correlated_noise(
 
     Args:
         configurations: The configurations.
+        model: The body.
         space: The parameters; an offset among them is no noise.
-        effectors: The effectors.
+        arrays: The configurations as arrays.
         records: Records of the effectors of each, with measured values.
         uncertain: The offsets of recordings.
     """
     names = recording_names(configurations)
-    offset = OFFSET if uncertain.recordings == "estimated" else uncertain.recordings
-    free = [
-        not_calibrated(space, configurations, "recording_offset", axis=axis)
-        for axis in AXES
+    offset = [
+        [0.0 if key is None else unknown.prior for key in unknown.scope]
+        for unknown in unknowns(model, space, configurations, arrays, uncertain)
+        if unknown.role == "noise"
     ]
+    effectors = arrays.effectors
     std = [c.relative_std for c in configurations]
     shares = np.array([FIRST_SHARE if s == "estimated" else s for s in std], float)
     dtype = np.asarray(effectors.inverse_std).dtype
     n_rows = np.shape(effectors.measured)[1]
     attached = attachments(configurations, records, n_rows)
-    arrays = CorrelatedNoise(
+    noise = CorrelatedNoise(
         recording=np.array([names.index(name) for name in names], np.int32),
-        offset=np.asarray(offset * np.array(free, float).T, dtype),
+        offset=np.asarray(np.transpose(offset), dtype),
         motion=np.asarray(measured_motion(records, n_rows), dtype),
         share=np.asarray(shares, dtype),
         jitter=np.ones((), dtype),
@@ -253,7 +263,7 @@ def correlated_noise(
         attachment_axes=np.asarray(attached.axes, dtype),
         attachment_std=np.asarray(attached.std, dtype),
     )
-    return jax.device_put(arrays)
+    return jax.device_put(noise)
 
 
 def measured_motion(
@@ -273,30 +283,6 @@ def measured_motion(
             if e.quantity == "point":
                 motion[lane, e.index] = -e.error(e.at_rest)
     return motion
-
-
-def recording_names(configurations: Sequence[Configuration]) -> list[str]:
-    """Return the name of the recording of each configuration."""
-    return [c.recording or c.name for c in configurations]
-
-
-def not_calibrated(
-    space: ParameterSpace,
-    configurations: Sequence[Configuration],
-    kind: str,
-    *,
-    of: str = "",
-    axis: str = "",
-) -> Bool[HostArray, " n_c"]:
-    """Return in which configurations no parameter is the error of this kind."""
-    free = np.ones(len(configurations), bool)
-    for entry in space.entries:
-        if not isinstance(entry, SetupParameter):
-            continue
-        if (entry.kind, entry.of, entry.axis) == (kind, of, axis):
-            members = [entry.member(c) for c in configurations]
-            free &= [bool(entry.each) and name not in entry.each for name in members]
-    return free
 
 
 def noise_columns(

@@ -8,9 +8,8 @@ import numpy as np
 from softcal_jax._typing import Bool, HostArray
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._held_faces import held_nodes
-from softcal_jax.calibration._present import with_forces, with_gravity, with_loads
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.fields import AbstractFieldEntry, SetupParameter
+from softcal_jax.fields import AbstractFieldEntry, Poses, SetupParameter
 
 ROUNDING = 1e-12
 """Change of a coordinate by a unit of lambda_p, over its size, that is rounding [-]."""
@@ -74,25 +73,13 @@ def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
         if held[:, tets].all():
             where = "the body" if entry.region is None else repr(entry.region)
             return f"all tets of {where} are held in every pose"
-        if entry.fields == ("density",) and not np.any(with_gravity(arrays)):
+        if entry.fields == ("density",) and not np.any(arrays.gravity):
             return "no configuration has gravity"
-    if isinstance(entry, SetupParameter):
-        return _missing_of_setup(entry, arrays)
-    return ""
-
-
-def _missing_of_setup(entry: SetupParameter, arrays) -> str:
-    """Say why no configuration depends on an entry of the setup, likewise."""
-    if entry.kind == "gravity_tilt" and not np.any(with_gravity(arrays)):
-        return "no configuration has gravity"
-    if entry.kind == "load_factor":
-        own = arrays.loads.names.index(entry.of)
-        if not np.any(with_loads(arrays)[:, own]):
-            return "no configuration has such a dead load"
-    if entry.kind == "actuator_factor":
-        own = arrays.actuation.names.index(entry.of)
-        if not np.any(with_forces(arrays)[:, own]):
-            return f"no configuration imposes a force on {entry.of!r}"
+    if isinstance(entry, SetupParameter) and entry.quantity.absent:
+        recordings = ("",) * len(arrays.gravity)
+        poses = Poses(problem.model, arrays, recordings)
+        if not any(key is not None for key in entry.quantity.occurs(poses)[entry.of]):
+            return entry.quantity.absent.format(of=entry.of)
     return ""
 
 

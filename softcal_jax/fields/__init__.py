@@ -4,13 +4,14 @@ from softcal_jax.fields._control_points import ControlPoints, idw_weights
 from softcal_jax.fields._errors import AbstractError, FieldError, SetupError
 from softcal_jax.fields._field_errors import field_standard_errors
 from softcal_jax.fields._model_fields import find_field, set_field
+from softcal_jax.fields._occurrence import Poses, Scope, grounded_bodies
 from softcal_jax.fields._parameters import (
     AbstractEntry,
     AbstractFieldEntry,
     Parameter,
 )
 from softcal_jax.fields._precision import PRECISION, asked_errors, check_precision
-from softcal_jax.fields._setup import QUANTITIES, SetupParameter
+from softcal_jax.fields._setup import QUANTITIES, Role, SetupParameter
 from softcal_jax.fields._setup_parameters import (
     actuator_factor,
     clamp_stiffness,
@@ -47,6 +48,9 @@ __all__ = [
     "Parameter",
     "ParameterSpace",
     "Pin",
+    "Poses",
+    "Role",
+    "Scope",
     "SetupError",
     "SetupParameter",
     "Uncertain",
@@ -63,6 +67,7 @@ __all__ = [
     "find_field",
     "friction",
     "gravity_tilt",
+    "grounded_bodies",
     "idw_weights",
     "load_factor",
     "motor_zero",

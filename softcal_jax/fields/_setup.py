@@ -16,10 +16,14 @@ import numpy as np
 
 from softcal_jax._names import name_key, unknown_name
 from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax.fields._occurrence import Occurs
 from softcal_jax.fields._parameters import AbstractEntry, Parameter
 
-Scope = Literal["configuration", "recording"]
-_SCOPES: tuple[Scope, ...] = ("configuration", "recording")
+By = Literal["configuration", "recording"]
+_BY: tuple[By, ...] = ("configuration", "recording")
+
+Role = Literal["fitted", "considered", "noise", "none"]
+"""What an unknown is in a calibration, see `calibration.Unknown`."""
 
 _XYZ = ("x", "y", "z")
 
@@ -43,6 +47,10 @@ class Quantity(NamedTuple):
         of_configuration: Whether each configuration has such an array, or the model.
         uncertain: Entry of `Uncertain` that says how far off it usually is; empty if
             none does.
+        role: What an error of it is where it is not fitted: "considered", part of the
+            "noise" that weighs the data, or "none".
+        occurs: Where such an error can occur, see `Poses`; empty for everywhere.
+        absent: What is said where it can occur nowhere, with {of} filled in.
     """
 
     title: str
@@ -55,6 +63,9 @@ class Quantity(NamedTuple):
     least: float = -math.inf
     of_configuration: bool = False
     uncertain: str = ""
+    role: Role = "none"
+    occurs: Occurs = lambda _: {}
+    absent: str = ""
 
     @property
     def relative(self) -> bool:
@@ -114,7 +125,7 @@ class SetupParameter(AbstractEntry):
     unknowns: tuple[Parameter, ...] = eqx.field(converter=_as_tuple)
     axis: str = eqx.field(static=True, default="")
     each: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
-    by: Scope = eqx.field(static=True, default="recording")
+    by: By = eqx.field(static=True, default="recording")
 
     def __check_init__(self):
         if self.kind not in QUANTITIES:
@@ -135,8 +146,8 @@ class SetupParameter(AbstractEntry):
                 f"{what} of the setup needs scale={quoted(quantity.scales)}: zero is a "
                 "value that it may have."
             )
-        if self.by not in _SCOPES:
-            raise ValueError(f"{what}: by must be {quoted(_SCOPES)}, got {self.by!r}.")
+        if self.by not in _BY:
+            raise ValueError(f"{what}: by must be {quoted(_BY)}, got {self.by!r}.")
         if self.each and not self.quantity.of_configuration:
             raise ValueError(
                 f"{what}: {self.kind} belongs to the robot, which all configurations "
@@ -194,7 +205,7 @@ class SetupParameter(AbstractEntry):
         def change(old):
             if not self.each:
                 return values[self.unknowns[0].name]
-            own = configuration.key[_SCOPES.index(self.by)]
+            own = configuration.key[_BY.index(self.by)]
             for name, parameter in zip(self.each, self.unknowns, strict=True):
                 old = jnp.where(own == name_key(name), values[parameter.name], old)
             return old

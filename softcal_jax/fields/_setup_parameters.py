@@ -1,7 +1,8 @@
 """The kinds of parameters of setup, loads and recordings, each with its constructor.
 
-To add a kind, declare here what it sets, write the function that makes parameters of
-it, and export that. `project._setup` has a table for each.
+To add a kind, declare here what it sets and where it can occur, write the function
+that makes parameters of it, and export that. `project._setup` has a table for each, and
+`Uncertain` a standard deviation for those that count where they are not fitted.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,12 +16,21 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float
+from softcal_jax.fields._occurrence import (
+    driven_by_angle,
+    of_recordings,
+    with_forces,
+    with_gravity,
+    with_loads,
+    with_mounting,
+    with_springs,
+)
 from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import (
     QUANTITIES,
+    By,
     Change,
     Quantity,
-    Scope,
     SetupParameter,
     entry_of,
 )
@@ -37,7 +47,7 @@ def _unknowns(
     prior_std: float | None,
     nominal: Float[ArrayLike, "..."] | Sequence[float] | None = None,
     each: Sequence[str] = (),
-    by: Scope = "recording",
+    by: By = "recording",
 ) -> tuple[SetupParameter, ...]:
     """Make the entries of a quantity, one per component.
 
@@ -87,6 +97,8 @@ QUANTITIES["motor_zero"] = Quantity(
     names=_actuators(lambda a: [body >= 0 for body in a.motor_body]),
     unit="rad",
     uncertain="zeros",
+    role="considered",
+    occurs=driven_by_angle,
 )
 
 
@@ -109,6 +121,8 @@ QUANTITIES["mounting"] = Quantity(
     components=_XYZ,
     unit="m",
     uncertain="mountings",
+    role="considered",
+    occurs=with_mounting,
 )
 
 
@@ -170,6 +184,9 @@ QUANTITIES["gravity_tilt"] = Quantity(
     unit="rad",
     of_configuration=True,
     uncertain="gravity",
+    role="considered",
+    occurs=with_gravity,
+    absent="no configuration has gravity",
 )
 
 
@@ -178,7 +195,7 @@ def gravity_tilt(
     limit: float = float(np.deg2rad(10.0)),
     prior_std: float | None,
     each: Sequence[str] = (),
-    by: Scope = "recording",
+    by: By = "recording",
 ) -> tuple[SetupParameter, ...]:
     """Make the direction of gravity two parameters: angles about two axes normal to it.
 
@@ -201,6 +218,9 @@ QUANTITIES["load_factor"] = Quantity(
     scales=_FACTOR,
     of_configuration=True,
     uncertain="loads",
+    role="considered",
+    occurs=with_loads,
+    absent="no configuration has such a dead load",
 )
 
 
@@ -210,7 +230,7 @@ def load_factor(
     limit: float = 2.0,
     prior_std: float | None,
     each: Sequence[str] = (),
-    by: Scope = "recording",
+    by: By = "recording",
 ) -> SetupParameter:
     """Make a factor on dead loads a parameter, for forces known to some percent.
 
@@ -235,6 +255,9 @@ QUANTITIES["actuator_factor"] = Quantity(
     scales=_FACTOR,
     of_configuration=True,
     uncertain="actuators",
+    role="considered",
+    occurs=with_forces,
+    absent="no configuration imposes a force on {of!r}",
 )
 
 
@@ -244,7 +267,7 @@ def actuator_factor(
     limit: float = 2.0,
     prior_std: float | None,
     each: Sequence[str] = (),
-    by: Scope = "recording",
+    by: By = "recording",
 ) -> SetupParameter:
     """Make a factor on the imposed force of an actuator a parameter.
 
@@ -267,6 +290,8 @@ QUANTITIES["recording_offset"] = Quantity(
     unit="m",
     of_configuration=True,
     uncertain="recordings",
+    role="noise",
+    occurs=of_recordings,
 )
 QUANTITIES["recording_turn"] = Quantity(
     "turn {axis}",
@@ -285,7 +310,7 @@ def recording_offset(
     turn_limit: float | None = None,
     turn_prior_std: float | None = None,
     each: Sequence[str] = (),
-    by: Scope = "recording",
+    by: By = "recording",
 ) -> tuple[SetupParameter, ...]:
     """Make the frame of a recording, or of a tracker's base, parameters.
 
@@ -327,6 +352,8 @@ QUANTITIES["clamp_stiffness"] = Quantity(
     unit="N/m^3",
     of_configuration=True,
     uncertain="supports",
+    role="considered",
+    occurs=with_springs,
 )
 
 
@@ -337,7 +364,7 @@ def clamp_stiffness(
     limit: float = 1e3,
     prior_std: float | None,
     each: Sequence[str] = (),
-    by: Scope = "recording",
+    by: By = "recording",
 ) -> SetupParameter:
     """Make the stiffness of an elastic support a parameter.
 

@@ -300,8 +300,9 @@ def survey(
     ]
     correlated = correlated_noise(
         configurations,
+        model=model,
         space=space,
-        effectors=weighed.configurations.effectors,
+        arrays=weighed.configurations,
         records=records,
         uncertain=uncertain,
     )

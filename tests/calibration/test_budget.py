@@ -12,9 +12,10 @@ from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
 from softcal_jax.calibration import build_problem, simulated_measurements
 from softcal_jax.calibration import calibrate as calibrate_with
-from softcal_jax.calibration._considered import Considered, ConsideredErrors, considered
+from softcal_jax.calibration._considered import ConsideredErrors
 from softcal_jax.calibration._mesh_error import MeshErrors
 from softcal_jax.calibration._noise import noise_columns
+from softcal_jax.calibration._unknowns import Unknown, unknowns
 from softcal_jax.configurations import (
     Configuration,
     ImposedDisplacement,
@@ -358,7 +359,10 @@ def all_errors(*parameters):
     problem = build_problem(PLAIN, (E, *parameters), measured, uncertain=STD)
     effectors = problem.configurations.effectors
     of_noise = noise_columns(problem.noise, effectors, measured).names
-    held = [error.groups(1) for error in considered(STD, problem, measured)]
+    every = unknowns(
+        problem.model, problem.space, measured, problem.configurations, STD
+    )
+    held = [own.groups(1) for own in every if own.role == "considered"]
     return set(of_noise) | {name for own in held for name, _ in own}
 
 
@@ -441,7 +445,8 @@ def test_linear_tets_know_how_far_off_they_are():
 
 def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
     """Another clamp there gives no group here, nor is the mesh unknown here by it."""
-    clamps = Considered("clamp", "clamp", None, (b"left", b"right"))
+    scope = (b"left", b"right")
+    clamps = Unknown("clamp", "clamp", None, 1e-3, "considered", scope)
     mesh = MeshErrors("refinement", np.array([[3.0], [4.0]]), np.array([True, False]))
     three = lambda *values: np.repeat(np.array(values)[:, None], 3, axis=1)
     mesh = mesh._replace(changes=three(3.0, 4.0))

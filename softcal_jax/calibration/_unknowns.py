@@ -1,0 +1,233 @@
+"""Every unknown of a calibration, once: fitted, considered, or part of the noise.
+
+All come from the same kinds, `QUANTITIES` and the fields of the law; what differs is
+the role. Two of them are estimates of different things. An error that is considered is
+held at its nominal value, and the values are those of a fit that does not know of it:
+they move with it, and their standard errors say by how much. One that is part of the
+noise is marginalised: it weighs the data, and takes the information along its direction
+out of the fit. Consider what the data cannot tell from the parameters, like a load that
+is 1 % off in all poses; marginalise what differs from one recording to the next, so
+that poses that disagree by it do not pull at the values.
+"""
+
+from collections.abc import Hashable, Iterator, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from softcal_jax._typing import Bool, HostArray
+from softcal_jax.calibration._held_faces import held_nodes, outward_motion
+from softcal_jax.configurations import Configuration, ConfigurationArrays
+from softcal_jax.equilibrium import Model
+from softcal_jax.fields import (
+    OFFSET,
+    QUANTITIES,
+    AbstractEntry,
+    FieldError,
+    ParameterSpace,
+    Poses,
+    Role,
+    Scope,
+    SetupError,
+    SetupParameter,
+    Uncertain,
+)
+from softcal_jax.materials import is_point_values
+
+INCOMPRESSIBLE = 0.5
+"""Largest Poisson's ratio [-]."""
+
+
+class Unknown(NamedTuple):
+    """Something that is not known exactly.
+
+    Attributes:
+        cause: What it is called in the budget.
+        name: Its own name.
+        entry: What it sets; None for the depth of clamps.
+        prior: Its standard deviation, in SI units or relative; nan where the entry of a
+            fitted one says it.
+        role: Whether it is fitted, considered or part of the noise.
+        scope: For each configuration, a key that those with the same error have in
+            common; None where it cannot occur, or another role has it.
+        motions: For clamps, motion of the reference points in each configuration, see
+            `clamp_row` [m]; empty for other errors.
+    """
+
+    cause: str
+    name: str
+    entry: AbstractEntry | None
+    prior: float
+    role: Role
+    scope: Scope
+    motions: tuple[HostArray, ...] = ()
+
+    @property
+    def happens(self) -> bool:
+        """Whether any configuration has it."""
+        return any(key is not None for key in self.scope)
+
+    def groups(self, n_fitted: int) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
+        """List its independent errors: their names, and which configurations share.
+
+        Args:
+            n_fitted: Number of configurations that are fitted, which come first; names
+                do not depend on the others.
+        """
+        fitted = set(self.scope[:n_fitted]) - {None}
+        keys = [key for key in dict.fromkeys(self.scope) if key is not None]
+        for n, key in enumerate(keys, start=1):
+            group = key if isinstance(key, str) else f"group {n}" * (len(fitted) > 1)
+            name = f"{self.name} in {group}" if group else self.name
+            yield name, np.array([other == key for other in self.scope])
+
+
+class _Setting(NamedTuple):
+    """A calibration as the lists below ask for it."""
+
+    model: Model
+    space: ParameterSpace
+    configurations: Sequence[Configuration]
+    poses: Poses
+
+
+def unknowns(
+    model: Model,
+    space: ParameterSpace,
+    configurations: Sequence[Configuration],
+    arrays: ConfigurationArrays,
+    uncertain: Uncertain,
+) -> tuple[Unknown, ...]:
+    """List all unknowns of a calibration.
+
+    Those that cannot occur in any configuration are among them, in the scope of none:
+    which errors are computed is part of a compiled program, and so one serves all
+    poses.
+
+    Args:
+        model: The body.
+        space: The parameters that are fitted.
+        configurations: The configurations.
+        arrays: The same as arrays.
+        uncertain: Standard deviations of everything else.
+    """
+    on_host = jax.tree.map(np.asarray, arrays)
+    poses = Poses(model, on_host, recording_names(configurations))
+    setting = _Setting(model, space, configurations, poses)
+    return (
+        *_fitted(setting),
+        *_of_fields(uncertain, setting),
+        *_of_setup(uncertain, setting),
+        _of_clamps(uncertain, setting),
+    )
+
+
+def recording_names(configurations: Sequence[Configuration]) -> list[str]:
+    """Return the name of the recording of each configuration."""
+    return [c.recording or c.name for c in configurations]
+
+
+def _fitted(setting: _Setting) -> Iterator[Unknown]:
+    """List what is fitted of the setup, the loads and the recordings, and where."""
+    everywhere = ("",) * len(setting.configurations)
+    for entry in setting.space.entries:
+        if isinstance(entry, SetupParameter):
+            occurs = entry.quantity.occurs(setting.poses)
+            scope = occurs.get(entry.of, everywhere)
+            yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
+
+
+def _of_setup(uncertain: Uncertain, setting: _Setting) -> Iterator[Unknown]:
+    """List errors of the setup, the loads and the recordings that are not fitted."""
+    for kind, quantity in QUANTITIES.items():
+        if quantity.role not in ("considered", "noise"):
+            continue
+        stated = getattr(uncertain, quantity.uncertain)
+        std = OFFSET if stated == "estimated" else stated
+        for of, scope in quantity.occurs(setting.poses).items():
+            for axis in quantity.components or ("",):
+                name = " ".join(word for word in (kind, of, axis) if word)
+                entry = SetupError(name, std, kind, of, axis)
+                free = _not_fitted(setting, entry)
+                yield Unknown(
+                    quantity.uncertain,
+                    name,
+                    entry,
+                    std,
+                    quantity.role,
+                    _where(scope, free & (std > 0.0)),
+                )
+
+
+def _not_fitted(setting: _Setting, error: SetupError) -> Bool[HostArray, " n_c"]:
+    """Return in which configurations no parameter is the error of this kind."""
+    free = np.ones(len(setting.configurations), bool)
+    for entry in setting.space.entries:
+        if not isinstance(entry, SetupParameter):
+            continue
+        if (entry.kind, entry.of, entry.axis) == (error.kind, error.of, error.axis):
+            members = [entry.member(c) for c in setting.configurations]
+            free &= [bool(entry.each) and name not in entry.each for name in members]
+    return free
+
+
+def _where(scope: Scope, flags: Bool[HostArray, " n_c"]) -> Scope:
+    """Return keys where a flag of the configuration is set, None elsewhere."""
+    return tuple(key if flag else None for key, flag in zip(scope, flags, strict=True))
+
+
+def _of_fields(uncertain: Uncertain, setting: _Setting) -> Iterator[Unknown]:
+    """List errors of Poisson's ratios, and of the density where there is gravity."""
+    model, poses = setting.model, setting.poses
+    everywhere: Scope = ("",) * len(setting.configurations)
+    for field, value in _ratios(model):
+        name = field.rpartition(".")[2]
+        share = _share_not_fitted(setting, name)
+        room = 0.5 * (INCOMPRESSIBLE - float(np.max(value)))
+        std = min(uncertain.nu, room)
+        entry = FieldError(name, std, field, jax.device_put(share))
+        counts = np.full(len(everywhere), np.any(share) and std > 0.0)
+        scope = _where(everywhere, counts)
+        yield Unknown(name, name, entry, std, "considered", scope)
+    share, std = _share_not_fitted(setting, "density"), uncertain.density
+    heavy = np.any(share * np.asarray(model.density) > 0.0) and std > 0.0
+    entry = FieldError("density", std, "density", jax.device_put(share), relative=True)
+    falls = np.any(poses.arrays.gravity, axis=1) & heavy
+    scope = _where(everywhere, falls)
+    yield Unknown("density", "density", entry, std, "considered", scope)
+
+
+def _ratios(model: Model) -> Iterator[tuple[str, HostArray]]:
+    """List the Poisson's ratios of the law: path and values."""
+    leaves = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
+    for path, leaf in leaves:
+        field = "law" + jax.tree_util.keystr(path)
+        if (field.rpartition(".")[2] + "_").startswith("nu_"):
+            yield field, np.asarray(leaf.values if is_point_values(leaf) else leaf)
+
+
+def _share_not_fitted(setting: _Setting, field: str) -> HostArray:
+    """Return 1 for each tet in which no parameter sets a field, 0 for the others."""
+    mesh = setting.model.mesh
+    share = np.ones(setting.model.n_tets)
+    for entry in setting.space.entries:
+        if any(name.rpartition(".")[2] == field for name in entry.fields):
+            group = entry.tet_group
+            share[slice(None) if group is None else mesh.tets_of(group)] = 0
+    return share
+
+
+def _of_clamps(uncertain: Uncertain, setting: _Setting) -> Unknown:
+    """Return the error of the depth of clamps, one for all that hold alike."""
+    model, std = setting.model, uncertain.clamp
+    held = held_nodes(model, setting.poses.arrays)
+    keys: list[Hashable] = [nodes.tobytes() for nodes in held]
+    motion_of = {
+        key: std * outward_motion(model.mesh, nodes)
+        for key, nodes in zip(keys, held, strict=True)
+    }
+    motions = tuple(motion_of[key] for key in keys)
+    moving = np.array([bool(np.any(motion)) for motion in motions])
+    scope = _where(tuple(keys), moving)
+    return Unknown("clamp", "clamp", None, std, "considered", scope, motions)
