@@ -77,7 +77,7 @@ class NewtonSettings(Module):
     def __check_init__(self):
         if not 0.0 < self.rtol < 1.0:
             raise ValueError(f"rtol must lie in (0, 1), got {self.rtol}.")
-        for name in ("max_steps", "max_steps_per_load"):
+        for name in ("max_steps", "max_steps_per_load", "max_backtracks"):
             if not 1 <= getattr(self, name) <= _MOST:
                 raise ValueError(
                     f"{name} must lie between 1 and {_MOST}, got {getattr(self, name)}."
@@ -88,11 +88,6 @@ class NewtonSettings(Module):
                     f"{name} is a share of the load and must lie in (0, 1], got "
                     f"{getattr(self, name)}."
                 )
-        if not 1 <= self.max_backtracks <= _MOST:
-            raise ValueError(
-                f"max_backtracks must lie between 1 and {_MOST}, got "
-                f"{self.max_backtracks}."
-            )
 
     def as_arrays(self) -> "NewtonSettings":
         """Return them as arrays, so that one compiled program serves all settings."""
