@@ -1,10 +1,10 @@
 """What results show of rigid bodies, actuators and their effectors."""
 
-import re
 import csv
 import dataclasses
 import io
 import json
+import re
 
 import meshio
 import numpy as np
