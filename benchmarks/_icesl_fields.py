@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks._icesl import STEPS, N, Slicer
 from benchmarks._problem import Figure
 from softcal_jax.equilibrium import build_model
-from softcal_jax.export import IceslResult, write_icesl
+from softcal_jax.exchange.icesl import IceslResult, write_icesl
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import (
     Corotational,

@@ -7,9 +7,9 @@ from recordings import motion, write_recording
 
 from softcal_jax.calibration import simulated_measurements
 from softcal_jax.cli import main
+from softcal_jax.exchange.proposal import propose_project
 from softcal_jax.mesh import beam, node_indices, write_mesh
 from softcal_jax.project import ProjectWarning, guesses_left, load_project
-from softcal_jax.proposal import propose_project
 from softcal_jax.robots import READY_MADE, ready_made_path
 
 PLACES = {"tip": (60.0, 10.0, 10.0), "top": (60.0, 10.0, 21.0), "foot": (5.0, 0.0, 5.0)}
@@ -292,7 +292,7 @@ def test_rows_are_told_apart_by_the_fewest_columns(tmp_path, body):
 
 
 def test_a_cad_model(tmp_path):
-    models = pytest.importorskip("mesh.cad_models")
+    models = pytest.importorskip("exchange.cad.cad_models")
     step = models.write_finger(tmp_path / "finger.step")
     assert new(tmp_path / "mine", "--model", step, "--size", "5 mm") == 0
     project = loaded(tmp_path / "mine")

@@ -44,14 +44,14 @@ Write = Callable[[Any, argparse.Namespace], Sequence[str]]
 
 
 def _inp(result: "LoadedResult", args: argparse.Namespace) -> Sequence[str]:
-    from softcal_jax.report import export_inp
+    from softcal_jax.exchange.inp import export_inp
 
     return export_inp(result, args.output, configuration=args.configuration)
 
 
 def _icesl(result: "LoadedResult | Project", args: argparse.Namespace) -> Sequence[str]:
+    from softcal_jax.exchange.icesl import export_icesl
     from softcal_jax.materials import published_foam
-    from softcal_jax.report import export_icesl
 
     if args.table is not None and args.solid_modulus is not None:
         raise ValueError(

@@ -56,8 +56,8 @@ def add_sofa(formats: "argparse._SubParsersAction") -> None:
 def _export(args: argparse.Namespace, show: Display) -> int:
     """Load a result, calibrate its model for SOFA, and write the scene."""
     check_folder(args)
+    from softcal_jax.exchange.sofa import export_sofa
     from softcal_jax.report import load_result
-    from softcal_jax.sofa import export_sofa
 
     start_computing(show)
     show.now(f"reading {args.results}")

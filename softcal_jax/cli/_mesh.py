@@ -94,7 +94,8 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
 
 def _made(args: argparse.Namespace) -> "TetMesh":
     """Make or read the mesh."""
-    from softcal_jax.mesh import CAD_FORMATS, mesh_cad, read_mesh
+    from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
+    from softcal_jax.mesh import read_mesh
     from softcal_jax.project import load_mesh
 
     suffix = args.model.suffix.lower()

@@ -17,7 +17,7 @@ from softcal_jax.cli._shared import (
 )
 
 if TYPE_CHECKING:
-    from softcal_jax.proposal import Findings
+    from softcal_jax.exchange.proposal import Findings
 
 _NEW = """\
 examples:
@@ -61,7 +61,7 @@ def new(args: argparse.Namespace, show: Display) -> int:
 
 def _ready_made(args: argparse.Namespace, show: Display) -> bool:
     """Copy a ready-made robot, and say what it is; its readings are there."""
-    from softcal_jax.proposal import write_ready_made
+    from softcal_jax.exchange.proposal import write_ready_made
 
     options = ("markers", "size", "length_unit")
     for option in options:
@@ -79,8 +79,8 @@ def _ready_made(args: argparse.Namespace, show: Display) -> bool:
 
 def _proposed(args: argparse.Namespace, show: Display) -> bool:
     """Write a project for a model; returns whether it has readings to calibrate to."""
+    from softcal_jax.exchange.proposal import propose_project
     from softcal_jax.project import CHANGE, guesses_left
-    from softcal_jax.proposal import propose_project
 
     start_computing(show)
     show.now(f"reading {args.model.name}")

@@ -37,7 +37,7 @@ exit codes: 0 written, 2 bad input
 
 def tags(args: argparse.Namespace, show: Display) -> int:
     """Write a PDF with tags and a board."""
-    from softcal_jax.camera import write_tags
+    from softcal_jax.exchange.camera import write_tags
 
     check_new(args.output, force=args.force)
     with bad_input():

@@ -1,0 +1,10 @@
+"""A first project file for a robot, written from its model and its recordings."""
+
+from softcal_jax.exchange.proposal._findings import Findings
+from softcal_jax.exchange.proposal._propose import (
+    Proposed,
+    propose_project,
+    write_ready_made,
+)
+
+__all__ = ["Findings", "Proposed", "propose_project", "write_ready_made"]

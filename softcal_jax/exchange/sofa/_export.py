@@ -1,0 +1,261 @@
+"""Export a calibrated robot as a scene of SOFA, calibrated again for it."""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import get_args
+
+from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
+from softcal_jax._units import readable_estimate
+from softcal_jax.calibration import CalibrationResult, HistoryEntry
+from softcal_jax.exchange.sofa._component import SofaLaw, SofaRelease, component_of
+from softcal_jax.exchange.sofa._configurations import (
+    check_robot,
+    scene_configurations,
+    vertex_masses,
+)
+from softcal_jax.exchange.sofa._recalibrate import (
+    Prediction,
+    linear_project,
+    model_of_sofa,
+    predictions,
+    recalibrate,
+)
+from softcal_jax.exchange.sofa._units import SofaUnits, scale_of
+from softcal_jax.exchange.sofa._write import Scene, write_scene
+from softcal_jax.export import check_results_folder
+from softcal_jax.materials import SofaRotation
+from softcal_jax.report import LoadedResult, load_result
+
+_MODELS = ("calibrated model", "SOFA, same values", "SOFA, own values")
+_WORDS = 2
+"""Columns of words, before those of numbers."""
+
+_WHAT = "Distances of points from where they were measured, rms"
+
+
+class Refitted(Module):
+    """A parameter of the calibrated model, and of that of SOFA, in SI units.
+
+    Attributes:
+        name: Its name.
+        unit: SI unit.
+        calibrated: Its value in the calibrated model.
+        for_sofa: Its value in the scene.
+        at_bound: Whether the latter ended on a bound.
+    """
+
+    name: str
+    unit: str
+    calibrated: float
+    for_sofa: float
+    at_bound: bool
+
+    def __str__(self) -> str:
+        """Write both values, and whether the second is on a bound."""
+        before, now = (
+            readable_estimate(value, math.nan, self.unit)
+            for value in (self.calibrated, self.for_sofa)
+        )
+        bound = " (on a bound: widen it, and calibrate again)" if self.at_bound else ""
+        return f"{self.name}: {before} calibrated, {now} for SOFA{bound}"
+
+
+class SofaExport(Module):
+    """What was written for SOFA.
+
+    Attributes:
+        folder: The folder of the scene.
+        release: The release that it is written for.
+        component: The component that computes the law.
+        parameters: The parameters, before and after.
+        predictions: What the models predict of each configuration.
+        notes: What to know of the scene, in sentences.
+    """
+
+    folder: Path
+    release: str
+    component: str
+    parameters: tuple[Refitted, ...]
+    predictions: tuple[Prediction, ...]
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Write parameters, predictions and notes, line by line."""
+        return "\n".join(
+            [*map(str, self.parameters), "", *_lines(self.predictions), "", *self.notes]
+        ).strip()
+
+
+def export_sofa(
+    result: LoadedResult | str | os.PathLike[str],
+    directory: str | os.PathLike[str],
+    *,
+    release: SofaRelease = "v26.06",
+    units: SofaUnits = "mm-kg-s",
+    law: SofaLaw = "same",
+    rotation: SofaRotation = "edge",
+    force: bool = False,
+    began: Callable[[], None] | None = None,
+    progress: Callable[[HistoryEntry], None] | None = None,
+) -> SofaExport:
+    """Write a calibrated robot as a static scene of SOFA, calibrated again for it.
+
+    SOFA runs linear tets, which are too stiff, with a rotation of its own, so the
+    calibrated moduli are not the ones that it needs. The model is therefore fitted once
+    more to the same measurements, with the mesh and the law that SOFA will run, and its
+    values are written.
+
+    The folder holds `scene.py` for SofaPython3, `robot.vtk` (the linear mesh),
+    `robot.json` (all numbers, in the units of the scene), and `README.md` with the
+    command that runs it. The scene holds all configurations, follows their markers and
+    compares these with what the model predicts.
+
+    Args:
+        result: The results folder, its `result.json`, or what `load_result` returned.
+        directory: The folder; it must be new or empty, or hold an earlier scene.
+        release: Release of SOFA.
+        units: Unit system of the scene.
+        law: "same" writes the counterpart of the calibrated law; "corotational" takes
+            SOFA's corotational tets for laws with the constants E and nu.
+        rotation: Rotation of the corotational tets, see `SofaCorotational`; laws with a
+            fibre take that of the plugin Anisotropy.
+        force: Replace an earlier scene; files that a user added stay.
+        began: Called once nothing is left to refuse and the calibration begins.
+        progress: Called after each step of the calibration.
+
+    Raises:
+        ResultError: If the result cannot be loaded, see `load_result`.
+        FileExistsError: If the folder is not empty, and `force` is off or it holds
+            something else.
+        NotConvergedError: If the calibration for SOFA does not converge. Nothing is
+            written then.
+        RuntimeError: If a configuration has no equilibrium with the model of SOFA.
+        ValueError: If an option is unknown, or the law, the robot or a support has no
+            counterpart in SOFA; the text says why, and what to do.
+    """
+    scale = scale_of(units)
+    if release not in get_args(SofaRelease):
+        raise unknown_name("release", release, get_args(SofaRelease))
+    if law not in get_args(SofaLaw):
+        raise unknown_name("law", law, get_args(SofaLaw))
+    folder = Path(directory)
+    check_results_folder(folder, force=force)
+    loaded = result if isinstance(result, LoadedResult) else load_result(result)
+    project = linear_project(loaded)
+    check_robot(project.model)
+    model = model_of_sofa(project, law, rotation)
+    component_of(model.law, model.n_tets, release, scale)  # before the work is done
+    if began is not None:
+        began()
+    found = recalibrate(loaded, project, model, progress=progress)
+    posed = [c for c in project.configurations if _solved(found, c.name)]
+    if not posed:
+        raise RuntimeError("no configuration has an equilibrium in the model of SOFA.")
+    by_name = {own.name: own for own in found.configurations}
+    scene = Scene(
+        name=project.name,
+        release=release,
+        units=scale.words,
+        mesh=model.mesh,
+        length=scale.length,
+        elasticity=component_of(found.model.law, model.n_tets, release, scale),
+        vertex_mass=vertex_masses(found.model),
+        configurations=scene_configurations(
+            found.model,
+            found.space,
+            found.z,
+            posed,
+            [by_name[c.name].displacement for c in posed],
+            scale,
+        ),
+    )
+    export = SofaExport(
+        folder=folder,
+        release=release,
+        component=scene.elasticity.component,
+        parameters=_parameters(loaded, found),
+        predictions=predictions(loaded, found),
+        notes=_notes(found, scene),
+    )
+    text = [*map(str, export.parameters), "", *_markdown(export.predictions)]
+    write_scene(folder, scene, text=text, notes=export.notes, force=force)
+    return export
+
+
+def _solved(found: CalibrationResult, name: str) -> bool:
+    return any(own.name == name and own.converged for own in found.configurations)
+
+
+def _parameters(loaded: LoadedResult, found: CalibrationResult) -> tuple[Refitted, ...]:
+    return tuple(
+        Refitted(
+            name=own.name,
+            unit=own.unit,
+            calibrated=loaded.values[own.name],
+            for_sofa=own.value,
+            at_bound=own.at_bound,
+        )
+        for own in found.parameters
+    )
+
+
+def _notes(found: CalibrationResult, scene: Scene) -> tuple[str, ...]:
+    notes = []
+    lost = [own.name for own in found.configurations if not own.converged]
+    if lost:
+        notes.append(
+            "Without an equilibrium in the model of SOFA, and so left out: "
+            f"{', '.join(lost)}."
+        )
+    others = [
+        f"{effector.name} ({own.name})"
+        for own in found.configurations
+        for effector in own.others
+    ]
+    if others:
+        notes.append(
+            "Only points are followed; lengths, volumes and forces are not: "
+            f"{', '.join(others)}."
+        )
+    if scene.elasticity.plugin == "Anisotropy":
+        notes.append(
+            "The plugin Anisotropy takes the shear modulus along the fibre from E_t, "
+            "and its C13 is not that of the textbook: the values make up for both, and "
+            "are no material constants."
+        )
+    return tuple(notes)
+
+
+def _cells(found: Sequence[Prediction]) -> list[list[str]]:
+    """Tabulate what the models predict; the cells of a column are of equal width."""
+    mm = lambda value: f"{1e3 * value:.3g} mm" if math.isfinite(value) else "-"
+    rows = [["configuration", "role", "moved", *_MODELS]]
+    for own in found:
+        values = (own.motion, own.calibrated, own.copied, own.own)
+        rows.append([own.name, own.role, *map(mm, values)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        [
+            cell.ljust(width) if k < _WORDS else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        for row in rows
+    ]
+
+
+def _lines(found: Sequence[Prediction]) -> list[str]:
+    """Tabulate what the models predict for a terminal."""
+    return [f"{_WHAT}:", *("  ".join(row) for row in _cells(found))]
+
+
+def _markdown(found: Sequence[Prediction]) -> list[str]:
+    """Tabulate what the models predict for README.md."""
+    head, *rows = _cells(found)
+    rule = [
+        "-" * len(cell) if k < _WORDS else f"{'-' * (len(cell) - 1)}:"
+        for k, cell in enumerate(head)
+    ]
+    return [f"{_WHAT}:", "", *(f"| {' | '.join(row)} |" for row in (head, rule, *rows))]
