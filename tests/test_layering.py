@@ -40,6 +40,7 @@ LAYERS = [
     {"sweeps"},
     {"report"},
     {"exchange.icesl", "exchange.inp", "exchange.proposal", "exchange.sofa"},
+    {"exchange.exporters"},
     {"cli"},
     {"__main__"},
 ]

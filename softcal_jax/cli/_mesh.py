@@ -14,8 +14,8 @@ from softcal_jax.cli._shared import (
     add_path,
     bad_input,
     check_new,
-    quantity,
 )
+from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
     from softcal_jax.mesh import TetMesh

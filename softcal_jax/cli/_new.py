@@ -12,9 +12,9 @@ from softcal_jax.cli._shared import (
     add_output,
     add_path,
     bad_input,
-    quantity,
     start_computing,
 )
+from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
     from softcal_jax.exchange.proposal import Findings

@@ -12,8 +12,8 @@ from softcal_jax.cli._shared import (
     add_path,
     bad_input,
     check_new,
-    quantity,
 )
+from softcal_jax.exchange.exporters import quantity
 
 _ABOUT = """\
 Draws tags, and a board on the last page, to scale. Glue one tag on a rigid part of the

@@ -1,0 +1,47 @@
+"""The formats that there are: those of this package, and those of installed ones."""
+
+import warnings
+from importlib.metadata import entry_points
+
+from softcal_jax._warnings import SoftcalWarning
+from softcal_jax.exchange.exporters._exporter import AbstractExporter
+from softcal_jax.exchange.exporters._icesl import IceslExporter
+from softcal_jax.exchange.exporters._inp import InpExporter
+from softcal_jax.exchange.exporters._sofa import SofaExporter
+
+GROUP = "softcal_jax.exporters"
+"""Group of the entry points by which a package adds formats."""
+
+_OF_THIS_PACKAGE = {"inp": InpExporter, "sofa": SofaExporter, "icesl": IceslExporter}
+
+
+class ExporterWarning(SoftcalWarning):
+    """An installed exporter cannot be used."""
+
+
+def exporters() -> dict[str, AbstractExporter]:
+    """Return the exporters by name.
+
+    Warns:
+        ExporterWarning: If one of another package cannot be loaded, is no
+            `AbstractExporter`, or has a name that is taken.
+    """
+    known: dict[str, AbstractExporter] = {k: e() for k, e in _OF_THIS_PACKAGE.items()}
+    for point in entry_points(group=GROUP):
+        try:
+            exporter = point.load()()
+        except Exception as error:  # the code of others may raise anything
+            _leave_out(point.name, f"{point.value} cannot be loaded: {error}")
+            continue
+        if point.name in known:
+            _leave_out(point.name, "another one has this name")
+        elif not isinstance(exporter, AbstractExporter):
+            _leave_out(point.name, f"{point.value} is no AbstractExporter")
+        else:
+            known[point.name] = exporter
+    return known
+
+
+def _leave_out(name: str, reason: str) -> None:
+    text = f"the installed exporter {name!r} is left out: {reason}."
+    warnings.warn(text, ExporterWarning, stacklevel=3)
