@@ -1,26 +1,55 @@
-"""`export_icesl`: a calibrated or designed field as graded foam."""
+"""A field of moduli as a part with graded foam, for the slicer IceSL."""
 
 import os
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange.icesl._foam_file import read_foam_table
-from softcal_jax.exchange.icesl._report import IceslResult
-from softcal_jax.exchange.icesl._write import write_icesl
+from softcal_jax.exchange.icesl._fields import (
+    Design,
+    Part,
+    Plane,
+    part_on_bed,
+    print_plane,
+    sample,
+)
+from softcal_jax.exchange.icesl._foam_file import read_foam_table, write_foam_table
+from softcal_jax.exchange.icesl._report import (
+    TABLE,
+    UNREACHABLE,
+    IceslResult,
+    icesl_dict,
+    meaning,
+    print_notes,
+    write_unreachable,
+)
+from softcal_jax.exchange.icesl._script import script
+from softcal_jax.exchange.icesl._settings import Convention, choose
+from softcal_jax.export import results_folder, write_json
 from softcal_jax.materials import FoamTable, Infill, published_foam
+from softcal_jax.mesh import tessellate
 from softcal_jax.project import Project
 from softcal_jax.report import LoadedResult, load_result
 
+_SCRIPT, _PART = "robot.lua", "robot.stl"
+
 
 def export_icesl(
-    result: LoadedResult | CalibrationResult | Project | Model | str | os.PathLike[str],
+    result: LoadedResult
+    | CalibrationResult
+    | Project
+    | Model
+    | Design
+    | str
+    | os.PathLike[str],
     directory: str | os.PathLike[str],
     *,
     infill: Infill = "Polyfoam",
     table: FoamTable | str | os.PathLike[str] | None = None,
-    plane: Literal["xy", "xz", "yz"] | None = None,
+    plane: Plane | None = None,
     region: str | None = None,
     angle_marks: Literal["soft", "stiff"] | None = None,
     angle_offset: float = 0.0,
@@ -29,26 +58,34 @@ def export_icesl(
 ) -> IceslResult:
     """Write a calibrated or designed field as graded foam for the slicer IceSL.
 
-    The folder has a Lua script with density, angle and anisotropy of the foam as
-    textures, and the part as STL; see `write_icesl` for its content and what is
-    listed that the foam does not reach.
+    The folder gets `robot.lua`, which IceSL opens; `robot.stl`, the surface in mm, laid
+    on the bed; `foam.csv`, the table that was used; `unreachable.csv`, one line per
+    voxel whose material the foam does not have, with its place in the frame of the
+    model, what was asked for and what it gets, written only if there are any; and
+    `icesl.json`, all of it in numbers.
+
+    Density and anisotropy are those whose moduli are nearest to E_t and E_l by the
+    table; the fibre gives the angles. Each is one value, or a texture of 64^3 voxels
+    that fill the box of the part, with values at their centres. Poisson's ratios and
+    shear moduli are those of the foam, whatever the model has. Layers of the print lie
+    in the print plane.
 
     Args:
         result: The results folder, its `result.json`, or what `load_result` or
             `calibrate` returned; for a designed field a project, with its start
-            values, or a model.
-        directory: The folder to write.
+            values, a model, or a `Design`.
+        directory: The folder; it must be new or empty, or hold an earlier export.
         infill: "Polyfoam", with a soft axis, or "Phasor", with a stiff one.
         table: Moduli of the foam, or the file of such a table, see `read_foam_table`;
             by default the published one of Polyfoam of TPU.
-        plane: Axes of the mesh that lie along x and y of the print bed; by default
-            those in which the model's theta counts.
+        plane: Axes of the mesh that lie along x and y of the bed; by default those in
+            which the model's theta counts, "xy" if it has none.
         region: Tet group that is printed; everything by default.
-        angle_marks: Axis of the foam that the angle of IceSL marks; by default soft
-            for Polyfoam, stiff for Phasor.
+        angle_marks: Axis of the foam that the angle of IceSL marks; by default the
+            single one: soft for Polyfoam, stiff for Phasor.
         angle_offset: Added to every angle [rad].
         clockwise: Whether IceSL counts angles clockwise, seen from above.
-        force: Replace an earlier export.
+        force: Replace an earlier export; files that a user added stay.
 
     Returns:
         What was written, and what the print will not have.
@@ -58,32 +95,62 @@ def export_icesl(
         FileExistsError: If the folder is not empty, and `force` is off or it is not a
             results folder.
         ValueError: If the law has no moduli for a foam, the table is missing or does
-            not fit the infill, or a choice is unknown.
+            not fit the infill, or a region or choice is unknown.
     """
+    if angle_marks not in (None, "soft", "stiff"):
+        raise ValueError(
+            f'angle_marks must be "soft" or "stiff", got {angle_marks!r}: the axis of '
+            "the foam that the angle of IceSL marks."
+        )
     if isinstance(result, str | os.PathLike):
         result = load_result(result)
-    space, z, title = None, None, "robot"
-    if isinstance(result, LoadedResult):
-        space, z, title = result.space, result.z, result.project.name
-    elif isinstance(result, CalibrationResult):
-        space, z = result.space, result.z
-    elif isinstance(result, Project):
-        space, title = result.space, result.name
-        z = None if space is None else space.start()
-    return write_icesl(
-        Path(directory),
-        result if isinstance(result, Model) else result.model,
-        _foam(infill, table),
-        space=space,
-        z=z,
-        title=title,
-        plane=plane,
-        region=region,
-        angle_marks=angle_marks,
-        angle_offset=angle_offset,
-        clockwise=clockwise,
-        force=force,
+    directory, design, foam = Path(directory), _design(result), _foam(infill, table)
+    plane = plane or print_plane(design.model)
+    part = part_on_bed(design.model.mesh, plane=plane, region=region)
+    samples = sample(design, part)
+    convention = Convention(angle_marks or foam.axis, angle_offset, clockwise)
+    chosen = choose(samples, foam, convention)
+    notes = print_notes(samples, chosen, foam)
+    written = IceslResult(
+        directory=directory,
+        infill=foam.infill,
+        settings=chosen.settings,
+        n_voxels=len(samples.voxels),
+        n_beyond=int(chosen.beyond.sum()),
+        n_tilted=int(chosen.tilted.sum()),
+        n_across=int(chosen.across.sum()),
+        worst=float(np.expm1(chosen.foam.error.max())),
+        rounding=chosen.rounding,
+        notes=notes,
     )
+    comments = (*meaning(foam, convention, plane), *notes)
+    with results_folder(directory, force=force) as folder:
+        files = [_SCRIPT, _PART, TABLE]
+        text = script(design.title, comments, _PART, foam.infill, chosen)
+        (folder / _SCRIPT).write_text(text, encoding="utf-8")
+        _write_stl(folder / _PART, part)
+        write_foam_table(folder / TABLE, foam)
+        if chosen.unreachable.any():
+            write_unreachable(folder / UNREACHABLE, samples, chosen)
+            files.append(UNREACHABLE)
+        about = icesl_dict(written, part, foam, convention)
+        write_json(folder / "icesl.json", {**about, "files": files})
+    return written
+
+
+def _design(
+    source: LoadedResult | CalibrationResult | Project | Model | Design,
+) -> Design:
+    """Return the field that a result or a project holds."""
+    if isinstance(source, Design):
+        return source
+    if isinstance(source, Model):
+        return Design(source)
+    if isinstance(source, Project):
+        z = None if source.space is None else source.space.start()
+        return Design(source.model, source.space, z, source.name)
+    title = source.project.name if isinstance(source, LoadedResult) else "robot"
+    return Design(source.model, source.space, source.z, title)
 
 
 def _foam(
@@ -106,3 +173,12 @@ def _foam(
             "alike."
         )
     return table
+
+
+def _write_stl(path: Path, part: Part) -> None:
+    """Write the surface as binary STL in mm."""
+    import pyvista
+
+    cut = tessellate(part.mesh)
+    points = 1e3 * cut.interpolate(part.mesh.points)
+    pyvista.PolyData.from_regular_faces(points, cut.triangles).save(path)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
@@ -31,6 +32,24 @@ Both axes of the plane keep their order, so angles count the same way on the bed
 
 _SPECK = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], float)
 """A tet around the origin [-]."""
+
+
+class Design(NamedTuple):
+    """A field of moduli that is printed.
+
+    Attributes:
+        model: The model at rest, with its parameters set.
+        space: Its parameters: fields with control points are evaluated at the voxels.
+        z: Their scaled values [-].
+        title: First line of the script.
+    """
+
+    model: Model
+    space: ParameterSpace | None = None
+    z: Float[Array, " n_p"] | None = None
+    title: str = "robot"
+
+    __repr__ = one_line
 
 
 class Part(NamedTuple):
@@ -110,21 +129,10 @@ class Samples(NamedTuple):
     fibre: Float[HostArray, "n 3"] | None
 
 
-def sample(
-    model: Model,
-    part: Part,
-    space: ParameterSpace | None,
-    z: Float[Array, " n_p"] | None,
-) -> Samples:
+def sample(design: Design, part: Part) -> Samples:
     """Take moduli and fibre of a model at the centres of the voxels that a part fills.
 
     Fields with control points are evaluated there; others have the value of the tet.
-
-    Args:
-        model: The model, with its parameters set.
-        part: What is printed.
-        space: Its parameters; None if it has none.
-        z: Their scaled values [-].
 
     Raises:
         ValueError: If the law has no such moduli.
@@ -132,7 +140,7 @@ def sample(
     grid = Grid.around(part.mesh.points, N_VOXELS)
     filled = fill(part.mesh, grid)
     places = part.in_model(filled.places)
-    law = _law_at(model, places, part.tets[filled.tets], space, z)
+    law = _law_at(design, places, part.tets[filled.tets])
     E_t, E_l, fibre = _axis_moduli(law, len(places))
     if fibre is not None:
         fibre = fibre @ part.rotation.T
@@ -140,14 +148,10 @@ def sample(
 
 
 def _law_at(
-    model: Model,
-    places: Float[HostArray, "n 3"],
-    tets: Int[HostArray, " n"],
-    space: ParameterSpace | None,
-    z: Float[Array, " n_p"] | None,
+    design: Design, places: Float[HostArray, "n 3"], tets: Int[HostArray, " n"]
 ) -> AbstractLaw:
     """Return the law with one value per place, as if each were a tet of its own."""
-    mesh, n = model.mesh, len(places)
+    model, mesh, n = design.model, design.model.mesh, len(places)
     groups = {name: np.asarray(group) for name, group in mesh.tet_groups.items()}
     # And one place of every group, since none may be empty: parameters name them.
     extra = np.array([group[0] for group in groups.values()], int)
@@ -173,8 +177,8 @@ def _law_at(
     here = eqx.tree_at(
         lambda m: (m.mesh, m.law, m.density), model, (specks, law, there(model.density))
     )
-    if space is not None and z is not None:
-        here = space.model_at(here, z)
+    if design.space is not None and design.z is not None:
+        here = design.space.model_at(here, design.z)
 
     def by_place(leaf: Any) -> Any:
         values = np.asarray(leaf.values[:, 0] if is_point_values(leaf) else leaf)

@@ -1,13 +1,13 @@
 """The script that gives IceSL a part and its infill."""
 
-from typing import NamedTuple
+from collections.abc import Iterable
 
 import numpy as np
 
 from softcal_jax._text import escaped
 from softcal_jax._typing import HostArray, Int
 from softcal_jax.exchange.icesl._fields import N_VOXELS
-from softcal_jax.exchange.icesl._settings import Setting
+from softcal_jax.exchange.icesl._settings import Chosen
 
 _HEAD = """\
 -- {title}
@@ -46,52 +46,48 @@ end
 """
 
 
-class Script(NamedTuple):
-    """What a script says.
+_LOWEST_PERCENTAGE = 20.0
+"""Density below which Polyfoam does not go unless told so [%]."""
 
-    Attributes:
+
+def script(
+    title: str, comments: Iterable[str], part: str, infill: str, chosen: Chosen
+) -> str:
+    """Write the script.
+
+    Args:
         title: Its first line.
         comments: Further lines, for the reader.
         part: Name of the file of the part, beside the script.
         infill: "Polyfoam" or "Phasor".
-        settings: Density, angles and anisotropy.
-        min_percentage: Lowest density that Polyfoam shall allow; None for that of IceSL
-            (20) [%].
+        chosen: Density, angles and anisotropy.
     """
-
-    title: str
-    comments: tuple[str, ...]
-    part: str
-    infill: str
-    settings: tuple[Setting, ...]
-    min_percentage: int | None
-
-    def __str__(self) -> str:
-        """Write the script."""
-        head = _HEAD.format(
-            title=_one_line(self.title),
-            comments="\n".join(f"-- {_one_line(line)}" for line in self.comments),
-            part=self.part,
-        )
-        if any(own.texture is not None for own in self.settings):
-            head += _TEXTURE.format(n=N_VOXELS)
-        constants: list[tuple[str, str]] = [
-            ("infill_type", f"'{self.infill}'"),
-            ("num_shells", "0"),
-            ("cover_thickness_mm", "0"),
-            ("print_perimeter", "false"),
-        ]
-        if self.min_percentage is not None:
-            constants.append(("pfoam_min_percentage", str(self.min_percentage)))
-        lines = [head, *(_set(name, value) for name, value in constants)]
-        for own in self.settings:
-            if own.texture is None:
-                lines.append(_set(own.name, f"{own.constant:.9g}"))
-                continue
-            rows = _rows(own.texture)
-            box = "box:min_corner(), box:max_corner()"
-            lines.append(_set(own.name, f"texture([[\n{rows}]]), {box}"))
-        return "\n".join(lines) + "\n"
+    head = _HEAD.format(
+        title=_one_line(title),
+        comments="\n".join(f"-- {_one_line(line)}" for line in comments),
+        part=part,
+    )
+    if any(setting.texture is not None for setting in chosen.settings):
+        head += _TEXTURE.format(n=N_VOXELS)
+    constants = {
+        "infill_type": f"'{infill}'",
+        "num_shells": "0",
+        "cover_thickness_mm": "0",
+        "print_perimeter": "false",
+    }
+    lowest = 100.0 * float(chosen.foam.density.min())
+    if infill == "Polyfoam" and lowest < _LOWEST_PERCENTAGE:
+        # Below the lowest step of the texture as well.
+        constants["pfoam_min_percentage"] = str(max(int(lowest - 0.5), 0))
+    lines = [head, *(_set(name, value) for name, value in constants.items())]
+    for setting in chosen.settings:
+        if setting.texture is None:
+            lines.append(_set(setting.name, f"{setting.constant:.9g}"))
+            continue
+        rows = _rows(setting.texture)
+        box = "box:min_corner(), box:max_corner()"
+        lines.append(_set(setting.name, f"texture([[\n{rows}]]), {box}"))
+    return "\n".join(lines) + "\n"
 
 
 def _set(name: str, value: str) -> str:

@@ -15,13 +15,13 @@ from softcal_jax import export_icesl
 from softcal_jax.bodies import RigidBody
 from softcal_jax.equilibrium import build_model
 from softcal_jax.exchange.icesl import (
+    Design,
     _fields,
     _report,
     _script,
     _settings,
     read_foam_table,
     write_foam_table,
-    write_icesl,
 )
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import (
@@ -92,14 +92,8 @@ def two_points(region=None):
 def write_start(directory, model, space):
     """Write a model with the start values of its parameters."""
     z = space.start()
-    return write_icesl(
-        directory,
-        space.model_at(model, z),
-        published_foam(),
-        space=space,
-        z=z,
-        title="a beam",
-    )
+    design = Design(space.model_at(model, z), space, z, "a beam")
+    return export_icesl(design, directory)
 
 
 def closed_form(places):
