@@ -40,6 +40,7 @@ LAYERS = [
     {"project"},
     {"sweeps"},
     {"report"},
+    {"exchange._refusals"},
     {"exchange.icesl", "exchange.inp", "exchange.proposal", "exchange.sofa"},
     {"exchange.exporters"},
     {"cli"},

@@ -152,88 +152,47 @@ def adjust(
     Raises:
         ValueError: If the corners are too few for an estimate of their noise.
     """
-    now = _Round(seen, camera, len(poses), camera.values, (*poses, *targets))
-    found = now.fitted()
-    for _ in range(_ROUNDS - 1):
-        found = found.after.fitted()
-    now, freedom = found.after, found.freedom
-    # The variance of Student's distribution, for a noise that is itself estimated.
-    H = np.asarray(freedom / (freedom - 2.0) * found.inverse)
-    n, first = len(poses), _N_CAMERA + 6 * len(poses)
-    squares = np.square(found.errors.reshape(-1, 2)).sum(axis=1)
-    count = np.bincount(seen.photo, minlength=n)
+    # Here, so that commands which do not need it do not wait for it.
+    from scipy.optimize import least_squares
+
+    values, placements, noise = camera.values, (*poses, *targets), _FIRST_NOISE
+    n_photos, n_pixels = len(poses), seen.pixels.size
     std = np.sqrt(np.diag(camera.covariance))
-    return Adjustment(
-        camera=CameraModel(now.values, H[:_N_CAMERA, :_N_CAMERA] * np.outer(std, std)),
-        poses=now.placements[:n],
-        targets=now.placements[n:],
-        covariance=H[first:, first:],
-        noise=now.noise,
-        rms=np.sqrt(np.bincount(seen.photo, squares, n) / count),
-    )
+    root = np.linalg.cholesky(camera.covariance)
 
+    def after(x: Float[HostArray, " n"]) -> tuple:
+        """Take steps: of the camera in standard deviations, then six a placement."""
+        pairs = zip(placements, x[_N_CAMERA:].reshape(-1, 6), strict=True)
+        return values + std * x[:_N_CAMERA], tuple(own.moved(d) for own, d in pairs)
 
-class _Round(NamedTuple):
-    """A round of the adjustment: steps from values and placements, weighed by a noise.
+    def residuals(x: Float[HostArray, " n"]) -> Float[HostArray, " m"]:
+        """Return errors of corners, then of the camera, in standard deviations."""
+        new_values, new_placements = after(x)
+        pixels = projected(seen, new_values, new_placements, n_photos)
+        off = np.linalg.solve(root, new_values - camera.values)
+        return np.concatenate([((pixels - seen.pixels) / noise).ravel(), off])
 
-    A vector of steps x holds those of the camera, in standard deviations of what is
-    known of it, and six of each placement.
-    """
-
-    seen: Observations
-    known: CameraModel
-    n_photos: int
-    values: Float[HostArray, "8"]
-    placements: tuple[Placement, ...]
-    noise: float = _FIRST_NOISE
-
-    def fitted(self) -> "_Fit":
-        """Take the steps that fit best, and find the noise anew."""
-        # Here, so that commands which do not need it do not wait for it.
-        from scipy.optimize import least_squares
-
-        n_pixels = self.seen.pixels.size
-        start = np.zeros(_N_CAMERA + 6 * len(self.placements))
-        found = least_squares(self.residuals, start, method="lm", xtol=1e-12)
-        inverse, freedom = _inverse_normal(found.jac, n_pixels)
-        errors = self.noise * found.fun[:n_pixels]
+    inverse, freedom, errors = np.empty(0), np.nan, np.empty(0)
+    for _ in range(_ROUNDS):
+        start = np.zeros(_N_CAMERA + 6 * len(placements))
+        fit = least_squares(residuals, start, method="lm", xtol=1e-12)
+        inverse, freedom = _inverse_normal(fit.jac, n_pixels)
+        errors = noise * fit.fun[:n_pixels]
+        values, placements = after(fit.x)
         noise = max(float(np.sqrt(errors @ errors / freedom)), _LEAST_NOISE)
-        after = self.after(found.x)._replace(noise=noise)
-        return _Fit(after, inverse, freedom, errors)
-
-    def after(self, x: Float[HostArray, " n"]) -> "_Round":
-        """Return the round that begins after steps."""
-        std = np.sqrt(np.diag(self.known.covariance))
-        pairs = zip(self.placements, x[_N_CAMERA:].reshape(-1, 6), strict=True)
-        return self._replace(
-            values=self.values + std * x[:_N_CAMERA],
-            placements=tuple(own.moved(step) for own, step in pairs),
-        )
-
-    def residuals(self, x: Float[HostArray, " n"]) -> Float[HostArray, " m"]:
-        """Return errors of corners, then of the camera, in standard deviations [-]."""
-        new = self.after(x)
-        pixels = projected(self.seen, new.values, new.placements, self.n_photos)
-        off = (pixels - self.seen.pixels) / self.noise
-        root = np.linalg.cholesky(self.known.covariance)
-        camera = np.linalg.solve(root, new.values - self.known.values)
-        return np.concatenate([off.ravel(), camera])
-
-
-class _Fit(NamedTuple):
-    """End of a round.
-
-    Attributes:
-        after: The next round, which begins where this one ended.
-        inverse: (J^T J)^-1 of the steps.
-        freedom: How many errors of corners are free.
-        errors: The errors of the corners [px].
-    """
-
-    after: _Round
-    inverse: Float[HostArray, "n n"]
-    freedom: float
-    errors: Float[HostArray, " m"]
+    # The variance of Student's distribution, for a noise that is itself estimated.
+    H = freedom / (freedom - 2.0) * inverse
+    first = _N_CAMERA + 6 * n_photos
+    squares = np.square(errors.reshape(-1, 2)).sum(axis=1)
+    count = np.bincount(seen.photo, minlength=n_photos)
+    return Adjustment(
+        camera=CameraModel(values, H[:_N_CAMERA, :_N_CAMERA] * np.outer(std, std)),
+        poses=placements[:n_photos],
+        targets=placements[n_photos:],
+        covariance=H[first:, first:],
+        noise=noise,
+        rms=np.sqrt(np.bincount(seen.photo, squares, n_photos) / count),
+    )
 
 
 def _inverse_normal(

@@ -125,76 +125,57 @@ def _refined(
     light = _linear(image[low[1] : high[1], low[0] : high[0]])
     corners = corners - low
     for _ in range(2):
-        edges = [_Edge.of(light, np.roll(corners, -k, axis=0)) for k in range(4)]
-        corners = np.array([edges[k - 1].meets(edges[k]) for k in range(4)])
+        edges = [_edge(light, np.roll(corners, -k, axis=0)) for k in range(4)]
+        corners = np.array([_corner(edges[k - 1], edges[k]) for k in range(4)])
     return corners + low
 
 
-class _Edge(NamedTuple):
-    """An edge: the points start + s along + offset(s) out, with s in [0, 1].
+def _edge(
+    light: Float[HostArray, "h w"], corners: Float[HostArray, "4 2"]
+) -> Float[HostArray, "3 2"]:
+    """Measure the edge between the first two corners of a tag, which a lens bends.
 
-    Bent, since a lens bends straight edges by tenths of a pixel.
+    Along each normal, an edge that was blurred symmetrically is at the place from which
+    a sharp one would let through as much light.
 
-    Attributes:
-        start: Where it begins [px].
-        along: From there to its end [px].
-        out: Unit vector out of the tag [-].
-        offset: Coefficients of a parabola in s, as `np.polyval` takes them [px].
+    Returns:
+        Coefficients of the parabola of its points, from 0 to 1, as `np.polyval` takes
+        them [px].
     """
+    # Here, so that commands which do not need it do not wait for it.
+    from scipy.ndimage import map_coordinates
 
-    start: Float[HostArray, "2"]
-    along: Float[HostArray, "2"]
-    out: Float[HostArray, "2"]
-    offset: Float[HostArray, "3"]
+    start, along = corners[0], corners[1] - corners[0]
+    length = float(np.linalg.norm(along))
+    out = np.array([along[1], -along[0]]) / length
+    # Cells are lower where the tag is seen from the side.
+    low = float(np.min((start - corners[2:]) @ out)) / CELLS
+    reach = np.clip(_REACH * low, _LEAST_REACH, _MOST_REACH)
+    s = np.linspace(_AWAY, 1.0 - _AWAY, max(8, int(length)))
+    t = np.linspace(-reach, reach, 4 * int(np.ceil(reach)) + 1)
+    points = start + s[:, None, None] * along + t[None, :, None] * out
+    rows_columns = points[..., ::-1].transpose(2, 0, 1)
+    profiles = map_coordinates(light, rows_columns, order=1, mode="nearest")
+    n = max(2, len(t) // 8)
+    # The light on a tag changes slowly along an edge.
+    black, white = (
+        np.polyval(np.polyfit(s, part.mean(axis=1), 1), s)
+        for part in (profiles[:, :n], profiles[:, -n:])
+    )
+    dark = np.trapezoid(white[:, None] - profiles, t, axis=1) / (white - black)
+    straight = np.array([np.zeros(2), along, start])
+    return straight + np.outer(np.polyfit(s, dark - reach, 2), out)
 
-    @classmethod
-    def of(
-        cls,
-        light: Float[HostArray, "h w"],
-        corners: Float[HostArray, "4 2"],
-    ) -> "_Edge":
-        """Measure the edge between the first two corners of a tag.
 
-        Along each normal, an edge that was blurred symmetrically is at the place from
-        which a sharp one would let through as much light.
-        """
-        # Here, so that commands which do not need it do not wait for it.
-        from scipy.ndimage import map_coordinates
-
-        start, along = corners[0], corners[1] - corners[0]
-        length = float(np.linalg.norm(along))
-        out = np.array([along[1], -along[0]]) / length
-        # Cells are lower where the tag is seen from the side.
-        low = float(np.min((start - corners[2:]) @ out)) / CELLS
-        reach = np.clip(_REACH * low, _LEAST_REACH, _MOST_REACH)
-        s = np.linspace(_AWAY, 1.0 - _AWAY, max(8, int(length)))
-        t = np.linspace(-reach, reach, 4 * int(np.ceil(reach)) + 1)
-        points = start + s[:, None, None] * along + t[None, :, None] * out
-        rows_columns = points[..., ::-1].transpose(2, 0, 1)
-        profiles = map_coordinates(light, rows_columns, order=1, mode="nearest")
-        n = max(2, len(t) // 8)
-        # The light on a tag changes slowly along an edge.
-        black, white = (
-            np.polyval(np.polyfit(s, part.mean(axis=1), 1), s)
-            for part in (profiles[:, :n], profiles[:, -n:])
-        )
-        dark = np.trapezoid(white[:, None] - profiles, t, axis=1) / (white - black)
-        return cls(start, along, out, np.polyfit(s, dark - reach, 2))
-
-    def at(self, s: float) -> Float[HostArray, "2"]:
-        """Return a point of the edge [px]."""
-        return self.start + s * self.along + np.polyval(self.offset, s) * self.out
-
-    def slope(self, s: float) -> Float[HostArray, "2"]:
-        """Return the derivative of `at` [px]."""
-        return self.along + np.polyval(np.polyder(self.offset), s) * self.out
-
-    def meets(self, following: "_Edge") -> Float[HostArray, "2"]:
-        """Return where its end meets the beginning of the following edge [px]."""
-        s, u = 1.0, 0.0
-        for _ in range(4):  # Newton steps; edges are nearly straight
-            gap = following.at(u) - self.at(s)
-            jacobian = np.column_stack([self.slope(s), -following.slope(u)])
-            ds, du = np.linalg.solve(jacobian, gap)
-            s, u = s + ds, u + du
-        return self.at(s)
+def _corner(
+    edge: Float[HostArray, "3 2"], following: Float[HostArray, "3 2"]
+) -> Float[HostArray, "2"]:
+    """Return where an edge ends at the beginning of the following one [px]."""
+    slope = lambda parabola, s: 2.0 * parabola[0] * s + parabola[1]
+    s, u = 1.0, 0.0
+    for _ in range(4):  # Newton steps; edges are nearly straight
+        gap = np.polyval(following, u) - np.polyval(edge, s)
+        jacobian = np.column_stack([slope(edge, s), -slope(following, u)])
+        ds, du = np.linalg.solve(jacobian, gap)
+        s, u = s + ds, u + du
+    return np.polyval(edge, s)

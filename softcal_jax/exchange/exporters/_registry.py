@@ -4,15 +4,11 @@ import warnings
 from importlib.metadata import entry_points
 
 from softcal_jax._warnings import SoftcalWarning
+from softcal_jax.exchange.exporters._built_in import BUILT_IN
 from softcal_jax.exchange.exporters._exporter import AbstractExporter
-from softcal_jax.exchange.exporters._icesl import IceslExporter
-from softcal_jax.exchange.exporters._inp import InpExporter
-from softcal_jax.exchange.exporters._sofa import SofaExporter
 
 GROUP = "softcal_jax.exporters"
 """Group of the entry points by which a package adds formats."""
-
-_OF_THIS_PACKAGE = {"inp": InpExporter, "sofa": SofaExporter, "icesl": IceslExporter}
 
 
 class ExporterWarning(SoftcalWarning):
@@ -26,7 +22,7 @@ def exporters() -> dict[str, AbstractExporter]:
         ExporterWarning: If one of another package cannot be loaded, is no
             `AbstractExporter`, or has a name that is taken.
     """
-    known: dict[str, AbstractExporter] = {k: e() for k, e in _OF_THIS_PACKAGE.items()}
+    known: dict[str, AbstractExporter] = {n: made() for n, made in BUILT_IN.items()}
     for point in entry_points(group=GROUP):
         try:
             exporter = point.load()()

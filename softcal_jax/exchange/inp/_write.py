@@ -1,5 +1,6 @@
 """Input files of Abaqus and CalculiX: a model in one configuration."""
 
+import os
 import re
 import textwrap
 from collections.abc import Iterable, Iterator
@@ -7,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal_jax._names import listed
 from softcal_jax._places import partial_of
 from softcal_jax._typing import HostArray, Int
-from softcal_jax.actuators import actuator_geometry, free_rim_nodes
+from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
+from softcal_jax.exchange._refusals import check_no_bodies, check_rim
 from softcal_jax.exchange.inp._laws import inp_law
 from softcal_jax.mesh import TetMesh, tet_faces
+from softcal_jax.report import LoadedResult, load_result
 
 MANY_MATERIALS = 1000
 """Materials of a file from which it is said that there are many."""
@@ -56,7 +58,7 @@ def write_inp(
     path = Path(path)
     if path.suffix != ".inp":
         raise ValueError(f"the file name must end in .inp, got {path.name!r}.")
-    _check_bodies(model)
+    check_no_bodies(model, "a .inp file")
     notes, materials = _materials(model)
     if model.formulation == "mean-dilatation":
         notes.append(
@@ -82,6 +84,37 @@ def write_inp(
     partial.write_text("\n".join([*lines, ""]), encoding="ascii", newline="\n")
     partial.replace(path)
     return tuple(notes)
+
+
+def export_inp(
+    result: LoadedResult | str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    *,
+    configuration: str | None = None,
+) -> tuple[str, ...]:
+    """Write a calibrated model in a configuration for CalculiX or Abaqus.
+
+    The file has the law with its calibrated values where it has a counterpart, the
+    supports, loads and pressures of the configuration, and one static step; in SI. See
+    `write_inp` for its content.
+
+    Args:
+        result: The results folder, its `result.json`, or what `load_result` returned.
+        path: The file, ending in .inp.
+        configuration: Name of the configuration; may be left out where there is one.
+
+    Returns:
+        What the programs do otherwise than the model, in sentences.
+
+    Raises:
+        ResultError: If the result cannot be loaded, see `load_result`.
+        ValueError: If there is no such configuration, the name does not end in .inp,
+            or something has no counterpart; the text gives the reason.
+    """
+    loaded = result if isinstance(result, LoadedResult) else load_result(result)
+    posed, arrays = loaded.posed(configuration)
+    title = f"{loaded.project.name}: {posed.name}"
+    return write_inp(Path(path), loaded.model, arrays, title=title)
 
 
 def _comment(text: str) -> str:
@@ -207,19 +240,6 @@ def _loads(model: Model, c: ConfigurationArrays) -> Iterator[str]:
         yield from ("*DLOAD", f"EALL, GRAV, {_number(size)}, {along}")
 
 
-def _check_bodies(model: Model) -> None:
-    names = model.mechanism.bodies.names
-    if names:
-        raise ValueError(
-            f"rigid bodies are not written to .inp files, and the model has "
-            f"{listed([repr(name) for name in names])}: their nodes turn together, "
-            "which the file would have to say by constraints. A body that is held: "
-            "name its nodes in `supports` instead. A plate that only carries markers: "
-            "leave it out, give [markers] `max_distance` and `base_radius`, and "
-            "calibrate again."
-        )
-
-
 def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     """Write the pressures in chambers and on surfaces, face by face.
 
@@ -247,16 +267,8 @@ def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     if not acting.any():
         return
     walls = actuator_geometry(actuators, np.asarray(model.mechanism.points))
-    for a, (name, kind) in enumerate(
-        zip(actuators.names, actuators.kinds, strict=True)
-    ):
-        free = free_rim_nodes(actuators.groups, a, np.asarray(c.fixed))
-        if acting[a] and free:
-            raise ValueError(
-                f"{kind.noun} {name!r}: the pressure on what seals it acts on the rim "
-                f"of its opening, of which {free} nodes are not held, and a file has "
-                "no lid. Hold the rim, or close the cavity in the mesh."
-            )
+    for a in np.flatnonzero(acting):
+        check_rim(model, c, int(a), "a .inp file")
     corners = np.sort(tet_faces(model.mesh.tets)[:, :3], axis=1)
     place = {tuple(face): i for i, face in enumerate(corners.tolist())}
     yield "*DLOAD"

@@ -13,7 +13,6 @@ from softcal_jax.actuators import (
     ChamberFaces,
     ChamberLids,
     PressureFaces,
-    free_rim_nodes,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -22,6 +21,7 @@ from softcal_jax.configurations import (
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model
+from softcal_jax.exchange._refusals import check_no_bodies, check_rim
 from softcal_jax.exchange.sofa._units import Scale
 from softcal_jax.fields import ParameterSpace
 
@@ -43,15 +43,7 @@ def check_robot(model: Model) -> None:
     Raises:
         ValueError: If there are rigid bodies, or actuators without a counterpart.
     """
-    bodies = model.mechanism.bodies
-    if bodies.n_bodies:
-        raise ValueError(
-            f"the robot has rigid bodies ({', '.join(bodies.names)}), which are not "
-            "written: SOFA holds them by mappings of its own. A body that is held: "
-            "name its nodes in `supports` instead. A plate that only carries markers: "
-            "leave it out, give [markers] `max_distance` and `base_radius`, and "
-            "calibrate again."
-        )
+    check_no_bodies(model, "a scene of SOFA")
     actuators = model.mechanism.actuators
     known = (CableSegments, ChamberFaces, ChamberLids, PressureFaces)
     for group in actuators.groups:
@@ -184,8 +176,7 @@ def _forces(lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
 def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
     """Write cables, chambers and pressures that are imposed in a configuration."""
     found: dict[str, Any] = {"cables": [], "chambers": []}
-    groups = model.mechanism.actuators.groups
-    for group in groups:
+    for group in model.mechanism.actuators.groups:
         if isinstance(group, ChamberLids):
             continue  # without material, like the opening that SOFA sees
         owners = np.asarray(group.owner)
@@ -195,14 +186,8 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
             value = float(np.asarray(given)[owner])
             if value == 0.0 and not by_displacement:
                 continue  # slack, or without pressure
+            check_rim(model, lane, owner, "SOFA")
             name = model.mechanism.actuators.names[owner]
-            free = free_rim_nodes(groups, owner, np.asarray(lane.fixed))
-            if free:
-                raise ValueError(
-                    f"the chamber {name!r}: the pressure on what seals it acts on the "
-                    f"rim of its opening, of which {free} nodes are not held, and SOFA "
-                    "has no lid. Hold the rim, or close the cavity in the mesh."
-                )
             mine = np.flatnonzero(owners == owner)
             own = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
             cable = isinstance(own, CableSegments)

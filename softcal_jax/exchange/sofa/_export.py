@@ -30,10 +30,6 @@ from softcal_jax.materials import SofaRotation
 from softcal_jax.report import LoadedResult, load_result
 
 _MODELS = ("calibrated model", "SOFA, same values", "SOFA, own values")
-_WORDS = 2
-"""Columns of words, before those of numbers."""
-
-_WHAT = "Distances of points from where they were measured, rms"
 
 
 class Refitted(Module):
@@ -84,9 +80,12 @@ class SofaExport(Module):
 
     def __str__(self) -> str:
         """Write parameters, predictions and notes, line by line."""
-        return "\n".join(
-            [*map(str, self.parameters), "", *_lines(self.predictions), "", *self.notes]
-        ).strip()
+        return "\n".join([*self.lines, "", *self.notes]).strip()
+
+    @property
+    def lines(self) -> list[str]:
+        """Parameters, and a table of the predictions."""
+        return [*map(str, self.parameters), "", *_table(self.predictions)]
 
 
 def export_sofa(
@@ -151,10 +150,10 @@ def export_sofa(
     if began is not None:
         began()
     found = recalibrate(loaded, project, model, progress=progress)
-    posed = [c for c in project.configurations if _solved(found, c.name)]
+    solved = {c.name: c for c in found.configurations if c.converged}
+    posed = [c for c in project.configurations if c.name in solved]
     if not posed:
         raise RuntimeError("no configuration has an equilibrium in the model of SOFA.")
-    by_name = {own.name: own for own in found.configurations}
     scene = Scene(
         name=project.name,
         release=release,
@@ -168,7 +167,7 @@ def export_sofa(
             found.space,
             found.z,
             posed,
-            [by_name[c.name].displacement for c in posed],
+            [solved[c.name].displacement for c in posed],
             scale,
         ),
     )
@@ -180,13 +179,8 @@ def export_sofa(
         predictions=predictions(loaded, found),
         notes=_notes(found, scene),
     )
-    text = [*map(str, export.parameters), "", *_markdown(export.predictions)]
-    write_scene(folder, scene, text=text, notes=export.notes, force=force)
+    write_scene(folder, scene, text=export.lines, notes=export.notes, force=force)
     return export
-
-
-def _solved(found: CalibrationResult, name: str) -> bool:
-    return any(own.name == name and own.converged for own in found.configurations)
 
 
 def _parameters(loaded: LoadedResult, found: CalibrationResult) -> tuple[Refitted, ...]:
@@ -229,33 +223,20 @@ def _notes(found: CalibrationResult, scene: Scene) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _cells(found: Sequence[Prediction]) -> list[list[str]]:
-    """Tabulate what the models predict; the cells of a column are of equal width."""
+def _table(predictions: Sequence[Prediction]) -> list[str]:
+    """Tabulate what the models predict, in columns of equal width."""
     mm = lambda value: f"{1e3 * value:.3g} mm" if math.isfinite(value) else "-"
     rows = [["configuration", "role", "moved", *_MODELS]]
-    for own in found:
+    for own in predictions:
         values = (own.motion, own.calibrated, own.copied, own.own)
         rows.append([own.name, own.role, *map(mm, values)])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        [
-            cell.ljust(width) if k < _WORDS else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
+    columns = list(zip("<<>>>>", widths, strict=True))  # words left, numbers right
+    lines = (
+        "  ".join(
+            f"{cell:{side}{width}}"
+            for cell, (side, width) in zip(row, columns, strict=True)
+        )
         for row in rows
-    ]
-
-
-def _lines(found: Sequence[Prediction]) -> list[str]:
-    """Tabulate what the models predict for a terminal."""
-    return [f"{_WHAT}:", *("  ".join(row) for row in _cells(found))]
-
-
-def _markdown(found: Sequence[Prediction]) -> list[str]:
-    """Tabulate what the models predict for README.md."""
-    head, *rows = _cells(found)
-    rule = [
-        "-" * len(cell) if k < _WORDS else f"{'-' * (len(cell) - 1)}:"
-        for k, cell in enumerate(head)
-    ]
-    return [f"{_WHAT}:", "", *(f"| {' | '.join(row)} |" for row in (head, rule, *rows))]
+    )
+    return ["Distances of points from where they were measured, rms:", *lines]

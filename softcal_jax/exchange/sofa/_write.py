@@ -71,7 +71,7 @@ def write_scene(
     Args:
         directory: The folder.
         scene: The scene.
-        text: Lines on the calibration, for README.md.
+        text: Lines on the calibration, for README.md, in columns.
         notes: What to know of the scene, likewise.
         force: Replace an earlier scene.
 
@@ -165,9 +165,10 @@ def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str
         "rotation of its own. The values were therefore calibrated again with the mesh "
         "and the law of this scene, and belong to them alone:",
         "",
+        "```text",
         *text,
-        *([""] if notes else []),
-        *notes,
+        "```",
+        *(line for note in notes for line in ("", note)),
     ]
 
 

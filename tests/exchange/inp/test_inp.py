@@ -358,7 +358,7 @@ def test_robots_that_are_refused(tmp_path):
     with pytest.raises(ValueError, match="its displacement is imposed, and a file can"):
         write_inp(path, model, lane_of(model, wound))
     capped = bar(law, bodies=[RigidBody("cap", "x_max")])
-    with pytest.raises(ValueError, match=r"not written.*'cap'.*`base_radius`"):
+    with pytest.raises(ValueError, match=r"bodies \(cap\).*`base_radius`"):
         write_inp(path, capped, lane_of(capped, Configuration("droop", "x_min")))
     moved = Support("x_min", displacement=(1e-3, 0, 0), stiffness=1e7)
     with pytest.raises(ValueError, match="elastic support is moved"):
