@@ -1,4 +1,4 @@
-"""The formats of this package, which import what writes them only when it is asked for."""
+"""The formats of this package; what writes one is imported when it is asked for."""
 
 import argparse
 from collections.abc import Sequence
