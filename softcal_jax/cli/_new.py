@@ -86,7 +86,7 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
     show.now(f"reading {args.model.name}")
     size = None if args.size is None else quantity("--size", args.size, "m")
     try:
-        made = propose_project(
+        findings = propose_project(
             args.model,
             args.folder,
             recordings=args.markers,
@@ -97,14 +97,14 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
         raise ValueError(str(error)) from error
     files = sorted(path.name for path in args.folder.iterdir())
     show.line(f"Wrote {', '.join(files)} to {args.folder}.")
-    for line in _found(made.findings):
+    for line in _found(findings):
         show.line(line)
-    many = len(guesses_left(made.path))
+    many = len(guesses_left(args.folder / "project.toml"))
     show.line(
         f'{many} lines hold a guess, with a remark "{CHANGE}..." that says what is to '
         "be changed or confirmed. `softcal check` lists them."
     )
-    return made.findings.recorded is not None and not made.findings.own_frame
+    return findings.recorded is not None and not findings.own_frame
 
 
 def _found(found: "Findings") -> Iterator[str]:

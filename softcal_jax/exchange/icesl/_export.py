@@ -10,8 +10,8 @@ from softcal_jax.calibration import CalibrationResult
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange.icesl._fields import (
     Design,
-    Part,
-    Plane,
+    PrintedPart,
+    PrintPlane,
     part_on_bed,
     print_plane,
     sample,
@@ -49,7 +49,7 @@ def export_icesl(
     *,
     infill: Infill = "Polyfoam",
     table: FoamTable | str | os.PathLike[str] | None = None,
-    plane: Plane | None = None,
+    plane: PrintPlane | None = None,
     region: str | None = None,
     angle_marks: Literal["soft", "stiff"] | None = None,
     angle_offset: float = 0.0,
@@ -175,7 +175,7 @@ def _foam(
     return table
 
 
-def _write_stl(path: Path, part: Part) -> None:
+def _write_stl(path: Path, part: PrintedPart) -> None:
     """Write the surface as binary STL in mm."""
     import pyvista
 

@@ -18,9 +18,9 @@ from softcal_jax.mesh import Grid, TetMesh, fill
 N_VOXELS = 64
 """Voxels along each axis of a texture; IceSL takes no other number."""
 
-Plane = Literal["xy", "xz", "yz"]
+PrintPlane = Literal["xy", "xz", "yz"]
 
-_BEDS: dict[Plane, list[list[float]]] = {
+_BEDS: dict[PrintPlane, list[list[float]]] = {
     "xy": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "xz": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
     "yz": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
@@ -52,7 +52,7 @@ class Design(NamedTuple):
     __repr__ = one_line
 
 
-class Part(NamedTuple):
+class PrintedPart(NamedTuple):
     """A body, or a region of it, as it lies on the bed.
 
     Attributes:
@@ -72,7 +72,7 @@ class Part(NamedTuple):
         return (points - self.shift) @ self.rotation
 
 
-def part_on_bed(mesh: TetMesh, *, plane: Plane, region: str | None) -> Part:
+def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> PrintedPart:
     """Lay a body on the bed.
 
     Args:
@@ -99,7 +99,7 @@ def part_on_bed(mesh: TetMesh, *, plane: Plane, region: str | None) -> Part:
     if _is_straight(X[cells], mesh.size):
         corners, index = np.unique(cells[:, :4], return_inverse=True)
         X, cells = X[corners], index.reshape(-1, 4)
-    return Part(TetMesh(X, cells), tets, rotation, shift)
+    return PrintedPart(TetMesh(X, cells), tets, rotation, shift)
 
 
 def _is_straight(X: Float[HostArray, "n n_en 3"], size: float) -> bool:
@@ -129,7 +129,7 @@ class Samples(NamedTuple):
     fibre: Float[HostArray, "n 3"] | None
 
 
-def sample(design: Design, part: Part) -> Samples:
+def sample(design: Design, part: PrintedPart) -> Samples:
     """Take moduli and fibre of a model at the centres of the voxels that a part fills.
 
     Fields with control points are evaluated there; others have the value of the tet.
@@ -208,7 +208,7 @@ def _axis_moduli(
     )
 
 
-def print_plane(model: Model) -> Plane:
+def print_plane(model: Model) -> PrintPlane:
     """Return the plane in which the angle of the model's fibre counts; "xy" if none."""
     own = getattr(model.law, "elasticity", model.law)
     fibre = getattr(own, "fibre", None)

@@ -9,7 +9,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
-from softcal_jax.exchange.icesl._fields import N_VOXELS, Part, Samples
+from softcal_jax.exchange.icesl._fields import N_VOXELS, PrintedPart, Samples
 from softcal_jax.exchange.icesl._settings import (
     ACROSS,
     BEYOND,
@@ -149,7 +149,7 @@ def write_unreachable(path: Path, samples: Samples, chosen: Chosen) -> None:
 
 
 def icesl_dict(
-    result: IceslResult, part: Part, table: FoamTable, convention: Convention
+    result: IceslResult, part: PrintedPart, table: FoamTable, convention: Convention
 ) -> dict[str, Any]:
     """Build the content of `icesl.json`.
 

@@ -2,9 +2,8 @@
 
 from softcal_jax.exchange.proposal._findings import Findings
 from softcal_jax.exchange.proposal._propose import (
-    Proposed,
     propose_project,
     write_ready_made,
 )
 
-__all__ = ["Findings", "Proposed", "propose_project", "write_ready_made"]
+__all__ = ["Findings", "propose_project", "write_ready_made"]

@@ -9,7 +9,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.configurations import STANDARD_GRAVITY
 from softcal_jax.exchange.proposal._findings import Findings
-from softcal_jax.exchange.proposal._recorded import Pose, bare, quoted
+from softcal_jax.exchange.proposal._recorded import RecordedPose, bare, quoted
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import volumes
 from softcal_jax.project import parse_in_si
@@ -263,7 +263,7 @@ name = "hanging"
     yield _driven(found, None, load)
 
 
-def _driven(found: Findings, pose: Pose | None, load: str) -> str:
+def _driven(found: Findings, pose: RecordedPose | None, load: str) -> str:
     """Write what acts in a pose: a pressure where there is a chamber, else a load."""
     name = None if pose is None else pose.name
     pressed = name is not None and _is_quantity(name, "Pa")
@@ -286,7 +286,7 @@ def _is_quantity(text: str, unit: str) -> bool:
     return True
 
 
-def _measured(found: Findings, pose: Pose) -> Iterator[str]:
+def _measured(found: Findings, pose: RecordedPose) -> Iterator[str]:
     """Write where a pose is measured, and its markers where some were not seen."""
     recorded = found.recorded
     assert recorded is not None

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.proposal._body import Body, Held
-from softcal_jax.exchange.proposal._recorded import Pose, Recorded
+from softcal_jax.exchange.proposal._recorded import Recorded, RecordedPose
 
 
 class MarkerPlace(NamedTuple):
@@ -42,7 +42,7 @@ class Findings(NamedTuple):
     __repr__ = one_line
 
     @property
-    def poses(self) -> tuple[Pose, ...]:
+    def poses(self) -> tuple[RecordedPose, ...]:
         """All poses that were recorded, the one at rest first."""
         recorded = self.recorded
         return () if recorded is None else (recorded.rest, *recorded.others)

@@ -7,11 +7,9 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.proposal._body import (
     Body,
@@ -35,20 +33,6 @@ _SAME_FRAME = 0.3
 
 Posts that carry markers are shorter; cameras stand farther away from the robot.
 """
-
-
-class Proposed(NamedTuple):
-    """A project that was written.
-
-    Attributes:
-        path: The project file.
-        findings: What it was written from.
-    """
-
-    path: Path
-    findings: Findings
-
-    __repr__ = one_line
 
 
 def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
@@ -80,7 +64,7 @@ def propose_project(
     recordings: Sequence[Path] = (),
     size: float | None = None,
     length_unit: str | None = None,
-) -> Proposed:
+) -> Findings:
     """Write a project for a mesh or CAD model, with what no file tells as guesses.
 
     Lines that hold a guess end in a remark "# CHANGE: ..."; `load_project` warns of
@@ -94,7 +78,7 @@ def propose_project(
         length_unit: Unit of the model; guessed where it states none.
 
     Returns:
-        What was written, and what it was written from.
+        What it was written from.
 
     Raises:
         FileNotFoundError: If a file is not there.
@@ -126,7 +110,7 @@ def propose_project(
             warnings.simplefilter("ignore", MeshWarning)
             warnings.simplefilter("ignore", ProjectWarning)
             load_project(made / PROJECT, solve=False)
-    return Proposed(folder / PROJECT, findings)
+    return findings
 
 
 def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:

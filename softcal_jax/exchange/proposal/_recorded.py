@@ -34,7 +34,7 @@ _UNITS = ("mm", "cm", "m")
 """Units that are tried for a file that states none."""
 
 
-class Pose(NamedTuple):
+class RecordedPose(NamedTuple):
     """A pose that was recorded.
 
     Attributes:
@@ -61,8 +61,8 @@ class Recorded(NamedTuple):
         unit: Length unit, where the files state none: a guess.
     """
 
-    rest: Pose
-    others: tuple[Pose, ...]
+    rest: RecordedPose
+    others: tuple[RecordedPose, ...]
     over_time: bool
     unit: str | None
 
@@ -138,7 +138,7 @@ def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
     return Recorded(rest, others, over_time, unit)
 
 
-def _likely_unit(pose: Pose, across: float) -> str:
+def _likely_unit(pose: RecordedPose, across: float) -> str:
     """Return the unit in which markers lie as far apart as a robot of that size."""
     places = np.array([*pose.seen.values()]).reshape(-1, 3)
     apart = float(np.ptp(places, axis=0).max()) if len(places) > 1 else 0.0
@@ -146,7 +146,7 @@ def _likely_unit(pose: Pose, across: float) -> str:
     return min(_UNITS, key=lambda unit: abs(np.log(apart * METRES[unit] / across)))
 
 
-def _rows(paths: Sequence[Path], unit: str | None) -> list[Pose]:
+def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     """Read the poses of a table of rows, by the columns that tell them apart."""
     (path,) = paths
     table = read_table(path, "marker", None)
@@ -157,7 +157,9 @@ def _rows(paths: Sequence[Path], unit: str | None) -> list[Pose]:
         select = dict(zip(columns, key, strict=True))
         seen = _seen(read_markers(path, length_unit=unit, select=select))
         listed = ", ".join(f"{bare(c)} = {quoted(v)}" for c, v in select.items())
-        poses.append(Pose(" ".join(key) or "pose", path, f"{{ {listed} }}", seen))
+        poses.append(
+            RecordedPose(" ".join(key) or "pose", path, f"{{ {listed} }}", seen)
+        )
     return poses
 
 
@@ -184,7 +186,7 @@ def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
     return ()
 
 
-def _ends(paths: Sequence[Path], unit: str | None) -> list[Pose]:
+def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     """Take the begin of the first recording as rest, and the end of each as a pose."""
     poses = []
     for path in paths:
@@ -200,7 +202,7 @@ def _ends(paths: Sequence[Path], unit: str | None) -> list[Pose]:
         for name, start, stop in windows:
             listed = ", ".join(f'"{round(time, 4):.10g} s"' for time in (start, stop))
             seen = _seen(recording.between(round(start, 4), round(stop, 4)))
-            poses.append(Pose(name, path, f"{{ between = [{listed}] }}", seen))
+            poses.append(RecordedPose(name, path, f"{{ between = [{listed}] }}", seen))
     return poses
 
 

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
@@ -17,10 +17,8 @@ from softcal_jax.exchange.sofa._configurations import (
     vertex_masses,
 )
 from softcal_jax.exchange.sofa._recalibrate import (
-    Prediction,
     linear_project,
     model_of_sofa,
-    predictions,
     recalibrate,
 )
 from softcal_jax.exchange.sofa._units import SofaUnits, scale_of
@@ -32,33 +30,6 @@ from softcal_jax.report import LoadedResult, load_result
 _MODELS = ("calibrated model", "SOFA, same values", "SOFA, own values")
 
 
-class Refitted(Module):
-    """A parameter of the calibrated model, and of that of SOFA, in SI units.
-
-    Attributes:
-        name: Its name.
-        unit: SI unit.
-        calibrated: Its value in the calibrated model.
-        for_sofa: Its value in the scene.
-        at_bound: Whether the latter ended on a bound.
-    """
-
-    name: str
-    unit: str
-    calibrated: float
-    for_sofa: float
-    at_bound: bool
-
-    def __str__(self) -> str:
-        """Write both values, and whether the second is on a bound."""
-        before, now = (
-            readable_estimate(value, math.nan, self.unit)
-            for value in (self.calibrated, self.for_sofa)
-        )
-        bound = " (on a bound: widen it, and calibrate again)" if self.at_bound else ""
-        return f"{self.name}: {before} calibrated, {now} for SOFA{bound}"
-
-
 class SofaExport(Module):
     """What was written for SOFA.
 
@@ -66,16 +37,16 @@ class SofaExport(Module):
         folder: The folder of the scene.
         release: The release that it is written for.
         component: The component that computes the law.
-        parameters: The parameters, before and after.
-        predictions: What the models predict of each configuration.
+        calibrated: The calibration that was exported.
+        result: That of the model of SOFA, whose values the scene has.
         notes: What to know of the scene, in sentences.
     """
 
     folder: Path
     release: str
     component: str
-    parameters: tuple[Refitted, ...]
-    predictions: tuple[Prediction, ...]
+    calibrated: LoadedResult
+    result: CalibrationResult
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
@@ -84,8 +55,16 @@ class SofaExport(Module):
 
     @property
     def lines(self) -> list[str]:
-        """Parameters, and a table of the predictions."""
-        return [*map(str, self.parameters), "", *_table(self.predictions)]
+        """The values of both models, and a table of what they predict."""
+        lines = []
+        for own in self.result.parameters:
+            before, now = (
+                readable_estimate(value, math.nan, own.unit)
+                for value in (self.calibrated.values[own.name], own.value)
+            )
+            bound = " (on a bound: widen it, and calibrate again)" * own.at_bound
+            lines.append(f"{own.name}: {before} calibrated, {now} for SOFA{bound}")
+        return [*lines, "", *_table(self)]
 
 
 def export_sofa(
@@ -175,25 +154,12 @@ def export_sofa(
         folder=folder,
         release=release,
         component=scene.elasticity.component,
-        parameters=_parameters(loaded, found),
-        predictions=predictions(loaded, found),
+        calibrated=loaded,
+        result=found,
         notes=_notes(found, scene),
     )
     write_scene(folder, scene, text=export.lines, notes=export.notes, force=force)
     return export
-
-
-def _parameters(loaded: LoadedResult, found: CalibrationResult) -> tuple[Refitted, ...]:
-    return tuple(
-        Refitted(
-            name=own.name,
-            unit=own.unit,
-            calibrated=loaded.values[own.name],
-            for_sofa=own.value,
-            at_bound=own.at_bound,
-        )
-        for own in found.parameters
-    )
 
 
 def _notes(found: CalibrationResult, scene: Scene) -> tuple[str, ...]:
@@ -223,13 +189,17 @@ def _notes(found: CalibrationResult, scene: Scene) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _table(predictions: Sequence[Prediction]) -> list[str]:
-    """Tabulate what the models predict, in columns of equal width."""
+def _table(export: SofaExport) -> list[str]:
+    """Tabulate what the models predict of each configuration, as rms of distances.
+
+    Beside how far the points move: errors of the calibrated model, of that of SOFA with
+    the same values, and with values of its own.
+    """
     mm = lambda value: f"{1e3 * value:.3g} mm" if math.isfinite(value) else "-"
     rows = [["configuration", "role", "moved", *_MODELS]]
-    for own in predictions:
-        values = (own.motion, own.calibrated, own.copied, own.own)
-        rows.append([own.name, own.role, *map(mm, values)])
+    for own in export.result.configurations:
+        errors = export.calibrated.errors[own.name], own.rms_before, own.rms_after
+        rows.append([own.name, own.role, *map(mm, (own.motion, *errors))])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     columns = list(zip("<<>>>>", widths, strict=True))  # words left, numbers right
     lines = (

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from softcal_jax._module import Module
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
 from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.exchange.sofa._component import SofaLaw, law_for_sofa
@@ -16,26 +15,6 @@ from softcal_jax.report import LoadedResult
 
 class NotConvergedError(RuntimeError):
     """The model of SOFA could not be calibrated, so nothing is written."""
-
-
-class Prediction(Module):
-    """What three models predict of a configuration, as rms of the distances.
-
-    Attributes:
-        name: Name of the configuration.
-        role: Whether it was fitted ("calibration"), or only predicted ("validation").
-        motion: How far the markers and other points move, as measured [m].
-        calibrated: Error of the calibrated model [m].
-        copied: Error of the model of SOFA with the values of that one [m].
-        own: Error of the model of SOFA with values of its own [m].
-    """
-
-    name: str
-    role: str
-    motion: float
-    calibrated: float
-    copied: float
-    own: float
 
 
 def linear_project(result: LoadedResult) -> Project:
@@ -108,20 +87,3 @@ def recalibrate(
             f"{' '.join(found.notes) or 'raise max_steps under [settings].'}"
         )
     return found
-
-
-def predictions(
-    result: LoadedResult, found: CalibrationResult
-) -> tuple[Prediction, ...]:
-    """Compare what the calibrated model and that of SOFA predict."""
-    return tuple(
-        Prediction(
-            name=own.name,
-            role=own.role,
-            motion=own.motion,
-            calibrated=result.errors[own.name],
-            copied=own.rms_before,
-            own=own.rms_after,
-        )
-        for own in found.configurations
-    )
