@@ -63,10 +63,7 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
     show.lap("import")
     show.now(f"meshing {args.model.name}")
     with bad_input():
-        try:
-            made = _made(args)
-        except ImportError as error:
-            raise ValueError(str(error)) from error
+        made = _made(args)
         show.lap("mesh")
         write_mesh(made, args.output, length_unit=_UNIT)
         if not args.no_pictures:

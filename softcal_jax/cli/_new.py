@@ -85,16 +85,13 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
     start_computing(show)
     show.now(f"reading {args.model.name}")
     size = None if args.size is None else quantity("--size", args.size, "m")
-    try:
-        findings = propose_project(
-            args.model,
-            args.folder,
-            recordings=args.markers,
-            size=size,
-            length_unit=args.length_unit,
-        )
-    except ImportError as error:
-        raise ValueError(str(error)) from error
+    findings = propose_project(
+        args.model,
+        args.folder,
+        recordings=args.markers,
+        size=size,
+        length_unit=args.length_unit,
+    )
     files = sorted(path.name for path in args.folder.iterdir())
     show.line(f"Wrote {', '.join(files)} to {args.folder}.")
     for line in _found(findings):

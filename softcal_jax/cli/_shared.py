@@ -169,8 +169,8 @@ def no_equilibrium(written: str) -> Iterator[None]:
 
 @contextmanager
 def bad_input() -> Iterator[None]:
-    """End the command if its input is wrong."""
+    """End the command if its input is wrong, or needs a package that is not here."""
     try:
         yield
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error

@@ -4,10 +4,8 @@ import argparse
 from collections.abc import Callable
 
 from softcal_jax.cli._shared import (
-    BAD_INPUT,
     OK,
     Display,
-    Stop,
     add_output,
     add_path,
     bad_input,
@@ -43,10 +41,7 @@ def tags(args: argparse.Namespace, show: Display) -> int:
     with bad_input():
         size = quantity("--size", args.size, "m")
         options = {"count": args.count, "first": args.first, "paper": args.paper}
-        try:
-            n = write_tags(args.output, size=size, **options)
-        except ImportError as error:
-            raise Stop(BAD_INPUT, f"error: {error}") from error
+        n = write_tags(args.output, size=size, **options)
     last = args.first + args.count - 1
     about = {"tags": [*range(args.first, last + 1)], "pages": n}
     show.document({"file": str(args.output), **about})

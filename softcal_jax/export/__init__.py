@@ -26,10 +26,9 @@ from softcal_jax.export._json import (
     result_dict,
     simulation_dict,
 )
-from softcal_jax.export._made import Made, made_dict
+from softcal_jax.export._made import Made, file_dict, made_dict, source_dict
 from softcal_jax.export._plain import plain, write_json
 from softcal_jax.export._pvd import write_pvd
-from softcal_jax.export._source import file_dict, source_dict
 from softcal_jax.export._tet_fields import (
     STANDARD_ERROR,
     fibre_directions,
