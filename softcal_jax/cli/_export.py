@@ -117,7 +117,7 @@ def _export(
 
 
 class _Shown(AbstractProgress):
-    """The progress of an export on a display, which gets what it found at the end."""
+    """The progress of an export on a display, which shows results at the end."""
 
     def __init__(self, project: "Project", show: Display):
         self.said = ""
@@ -129,5 +129,5 @@ class _Shown(AbstractProgress):
     def step(self, entry: "HistoryEntry") -> None:
         self._step(entry)
 
-    def found(self, text: str) -> None:
+    def computed(self, text: str) -> None:
         self.said = text

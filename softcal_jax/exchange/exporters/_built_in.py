@@ -183,7 +183,7 @@ class SofaExporter(AbstractExporter):
             began=partial(progress.begins, "calibrating the model of SOFA"),
             progress=progress.step,
         )
-        progress.found(str(scene))
+        progress.computed(str(scene))
         return ()
 
 

@@ -19,7 +19,7 @@ class AbstractProgress(ABC):
         """Show a step of a calibration, a `HistoryEntry`."""
 
     @abstractmethod
-    def found(self, text: str) -> None:
+    def computed(self, text: str) -> None:
         """Show what was computed for the export, in lines."""
 
 

@@ -57,13 +57,15 @@ class SofaExport(Module):
     def lines(self) -> list[str]:
         """The values of both models, and a table of what they predict."""
         lines = []
-        for own in self.result.parameters:
+        for parameter in self.result.parameters:
             before, now = (
-                readable_estimate(value, math.nan, own.unit)
-                for value in (self.calibrated.values[own.name], own.value)
+                readable_estimate(value, math.nan, parameter.unit)
+                for value in (self.calibrated.values[parameter.name], parameter.value)
             )
-            bound = " (on a bound: widen it, and calibrate again)" * own.at_bound
-            lines.append(f"{own.name}: {before} calibrated, {now} for SOFA{bound}")
+            bound = " (on a bound: widen it, and calibrate again)" * parameter.at_bound
+            lines.append(
+                f"{parameter.name}: {before} calibrated, {now} for SOFA{bound}"
+            )
         return [*lines, "", *_table(self)]
 
 
@@ -128,8 +130,8 @@ def export_sofa(
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
     if began is not None:
         began()
-    found = recalibrate(loaded, project, model, progress=progress)
-    solved = {c.name: c for c in found.configurations if c.converged}
+    refitted = recalibrate(loaded, project, model, progress=progress)
+    solved = {c.name: c for c in refitted.configurations if c.converged}
     posed = [c for c in project.configurations if c.name in solved]
     if not posed:
         raise RuntimeError("no configuration has an equilibrium in the model of SOFA.")
@@ -139,12 +141,12 @@ def export_sofa(
         units=scale.words,
         mesh=model.mesh,
         length=scale.length,
-        elasticity=component_of(found.model.law, model.n_tets, release, scale),
-        vertex_mass=vertex_masses(found.model),
+        elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
+        vertex_mass=vertex_masses(refitted.model),
         configurations=scene_configurations(
-            found.model,
-            found.space,
-            found.z,
+            refitted.model,
+            refitted.space,
+            refitted.z,
             posed,
             [solved[c.name].displacement for c in posed],
             scale,
@@ -155,25 +157,25 @@ def export_sofa(
         release=release,
         component=scene.elasticity.component,
         calibrated=loaded,
-        result=found,
-        notes=_notes(found, scene),
+        result=refitted,
+        notes=_notes(refitted, scene),
     )
     write_scene(folder, scene, text=export.lines, notes=export.notes, force=force)
     return export
 
 
-def _notes(found: CalibrationResult, scene: Scene) -> tuple[str, ...]:
+def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
     notes = []
-    lost = [own.name for own in found.configurations if not own.converged]
+    lost = [c.name for c in refitted.configurations if not c.converged]
     if lost:
         notes.append(
             "Without an equilibrium in the model of SOFA, and so left out: "
             f"{', '.join(lost)}."
         )
     others = [
-        f"{effector.name} ({own.name})"
-        for own in found.configurations
-        for effector in own.others
+        f"{effector.name} ({c.name})"
+        for c in refitted.configurations
+        for effector in c.others
     ]
     if others:
         notes.append(
@@ -197,9 +199,9 @@ def _table(export: SofaExport) -> list[str]:
     """
     mm = lambda value: f"{1e3 * value:.3g} mm" if math.isfinite(value) else "-"
     rows = [["configuration", "role", "moved", *_MODELS]]
-    for own in export.result.configurations:
-        errors = export.calibrated.errors[own.name], own.rms_before, own.rms_after
-        rows.append([own.name, own.role, *map(mm, (own.motion, *errors))])
+    for c in export.result.configurations:
+        errors = export.calibrated.errors[c.name], c.rms_before, c.rms_after
+        rows.append([c.name, c.role, *map(mm, (c.motion, *errors))])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     columns = list(zip("<<>>>>", widths, strict=True))  # words left, numbers right
     lines = (

@@ -26,7 +26,7 @@ class Names(AbstractExporter):
             raise ValueError("names have no capitals; leave --upper out.")
         progress.begins("writing names")
         output.write_text("\\n".join(source.values))
-        progress.found(f"{len(source.values)} names")
+        progress.computed(f"{len(source.values)} names")
         return ["values are not written"]
 
 
